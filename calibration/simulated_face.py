@@ -1,0 +1,208 @@
+"""The geometry of the simulated face: where its 47 markers are for given servo angles.
+
+A rubber skin in the shape of the model's closed mouth, over a hinged jaw, pulled by servo horns.
+First the horns displace the skin, then the jaw carries along what hangs on it:
+
+    p = n + sum_s arm * sin(angle_s) * pull_s,    p' = p + w * (R(jaw) (p - axis) + axis - p)
+
+n: neutral marker; pull_s: direction times a weight in 0..1 that fades with the distance from where
+the horn is attached; w: how much of the jaw's turn the marker follows, 0..1. Axes as everywhere: x
+to the robot's own LEFT (right in its picture), y up, z forward, millimetres.
+Not simulated: gravity, elastic coupling, lips that stop each other (they may overlap), backlash.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_LANDMARKS, UPPER_INNER_LIP
+
+Array = NDArray[np.float64]
+
+JAW = "jaw"
+PROTRUSION = "lip_protrusion"
+
+#: Which way each servo moves the skin for a positive angle. Left and right are the robot's own.
+POSITIVE_DIRECTIONS: Mapping[str, str] = MappingProxyType(
+    {
+        JAW: "opens",
+        "upper_lip_left": "raises",
+        "upper_lip_right": "raises",
+        "lower_lip_left": "lowers",
+        "lower_lip_right": "lowers",
+        "corner_left_out": "widens",
+        "corner_left_up": "raises",
+        "corner_right_out": "widens",
+        "corner_right_up": "raises",
+        PROTRUSION: "protrudes",
+    }
+)
+
+#: The hinge lies this far behind and above the closed lips: Bonwill's triangle of the mandible has
+#: sides of 4 inches (condyle, condyle, incisors), so the incisors are 88.0 mm from the hinge line,
+#: tilted 26 degrees (Balkwill's angle): 79 mm back and 39 mm up, plus 11 mm of lip.
+#: grid_s1 agrees: chin and lower lip move as if about a line 90 mm behind and 42 mm above the lips.
+JAW_AXIS_BEHIND_LIPS_MM = 90.0
+JAW_AXIS_ABOVE_LIPS_MM = 39.0
+#: Width of the blend from head to jaw across the cheek, per millimetre from the middle of the face:
+#: measured on grid_s1 against the chin, within 0.15 for cheeks and jaw line.
+JAW_BLEND_WIDTH_PER_MM = 0.45
+#: The smallest blend width: it only keeps the division finite in the middle, where nothing blends.
+_MIN_BLEND_WIDTH_MM = 1.0
+
+#: An 8 mm horn turns the 4 to 5 mm that lips travel against the jaw into 30 to 40 degrees: little
+#: backlash (1 degree is 0.14 mm), and far from the dead point at 90 degrees.
+HORN_ARM_MM = 8.0
+#: Standard deviation of the Gaussian around an attachment; in grid_s1 the cheek 15 to 17 mm from
+#: the lip corner follows about 0.55 of the corner's sideways motion.
+SKIN_WIDTH_MM = 14.0
+#: Corners slide around the teeth: their way out turns back by 30 degrees from straight sideways.
+_CORNER_OUT = (0.866, 0.0, -0.5)
+#: Lips that come forward draw their corners together by this part of the way (design of this face).
+_ROUNDING = 0.4
+
+_UPPER_LIP = (39, 37, 0, 267, 269, 82, 13, 312)
+_LOWER_LIP = (405, 314, 17, 84, 181, 317, 14, 87)
+_CORNERS = (61, 291, 78, 308)
+
+
+@dataclass(frozen=True, slots=True)
+class _Horn:
+    """Attached to a landmark; direction is of unit length; spares: the lip that it leaves alone."""
+
+    landmark: int
+    direction: tuple[float, float, float]
+    spares: tuple[int, ...] = ()
+
+
+def _mirrored(direction: tuple[float, float, float]) -> tuple[float, float, float]:
+    return (-direction[0], *direction[1:])
+
+
+_HORNS: Mapping[str, _Horn] = MappingProxyType(
+    {
+        "upper_lip_left": _Horn(269, (0.0, 1.0, 0.0), _LOWER_LIP),
+        "upper_lip_right": _Horn(39, (0.0, 1.0, 0.0), _LOWER_LIP),
+        "lower_lip_left": _Horn(405, (0.0, -1.0, 0.0), _UPPER_LIP),
+        "lower_lip_right": _Horn(181, (0.0, -1.0, 0.0), _UPPER_LIP),
+        "corner_left_out": _Horn(291, _CORNER_OUT),
+        "corner_left_up": _Horn(291, (0.0, 1.0, 0.0)),
+        "corner_right_out": _Horn(61, _mirrored(_CORNER_OUT)),
+        "corner_right_up": _Horn(61, (0.0, 1.0, 0.0)),
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedFace:
+    """A face of some of the servos above.
+
+    neutral_mm: (47, 3), all servos at 0. pulls: (n_servos, 47, 3), unit direction times weight of
+    each horn; zero for the jaw. jaw_share: (47,), the part of the jaw's turn a marker follows.
+    jaw_axis_mm: (3,), a point of the hinge, which runs along x.
+    """
+
+    servo_names: tuple[str, ...]
+    neutral_mm: Array
+    pulls: Array
+    jaw_share: Array
+    jaw_axis_mm: Array
+
+
+def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFace:
+    """The face whose skin has the shape `neutral_mm` (47, 3), lips closed.
+
+    Raises ValueError for a servo that has no place in this geometry, or a wrong shape.
+    """
+    if neutral_mm.shape != (len(MARKER_LANDMARKS), 3):
+        raise ValueError(f"neutral_mm has shape {neutral_mm.shape}, expected (47, 3)")
+    for name in servo_names:
+        if name not in POSITIVE_DIRECTIONS:
+            known = ", ".join(POSITIVE_DIRECTIONS)
+            raise ValueError(f"servo {name!r} has no place in the simulated face; known: {known}")
+    seam_mm = (neutral_mm[UPPER_INNER_LIP] + neutral_mm[LOWER_INNER_LIP]) / 2
+    return SimulatedFace(
+        servo_names=tuple(servo_names),
+        neutral_mm=neutral_mm,
+        pulls=np.array([_pull(name, neutral_mm) for name in servo_names]).reshape(-1, 47, 3),
+        jaw_share=_jaw_share(neutral_mm, seam_mm),
+        jaw_axis_mm=seam_mm + np.array([0.0, JAW_AXIS_ABOVE_LIPS_MM, -JAW_AXIS_BEHIND_LIPS_MM]),
+    )
+
+
+def marker_positions_mm(face: SimulatedFace, positions_deg: Array) -> Array:
+    """(n, n_servos) joint degrees, in the order of `face.servo_names` -> (n, 47, 3)."""
+    angles_rad = np.deg2rad(positions_deg)
+    travel_mm = HORN_ARM_MM * np.sin(angles_rad)
+    skin_mm = face.neutral_mm + np.tensordot(travel_mm, face.pulls, axes=1)
+    if JAW not in face.servo_names:
+        return np.asarray(skin_mm)
+    opening_rad = angles_rad[:, face.servo_names.index(JAW), None]
+    cos, sin = np.cos(opening_rad), np.sin(opening_rad)
+    from_axis_mm = skin_mm - face.jaw_axis_mm
+    y, z = from_axis_mm[..., 1], from_axis_mm[..., 2]
+    # Opening turns about +x: what lies in front of the hinge goes down, what hangs below goes back.
+    turned_mm = np.stack([from_axis_mm[..., 0], cos * y - sin * z, sin * y + cos * z], axis=-1)
+    return np.asarray(skin_mm + face.jaw_share[:, None] * (turned_mm - from_axis_mm))
+
+
+def _pull(name: str, neutral_mm: Array) -> Array:
+    """(47, 3): how the skin moves for one millimetre of horn travel."""
+    if name == JAW:
+        return np.zeros_like(neutral_mm)
+    if name == PROTRUSION:
+        return _protrusion(neutral_mm)
+    horn = _HORNS[name]
+    attached_mm = neutral_mm[MARKER_LANDMARKS.index(horn.landmark)]
+    weight = _gaussian(np.linalg.norm(neutral_mm - attached_mm, axis=1))
+    weight[np.isin(MARKER_LANDMARKS, horn.spares)] = 0.0
+    if horn.spares:  # a corner belongs to both lips, so half of it goes with either
+        weight[np.isin(MARKER_LANDMARKS, _CORNERS)] /= 2
+    return np.asarray(weight[:, None] * horn.direction)
+
+
+def _protrusion(neutral_mm: Array) -> Array:
+    """(47, 3): the lips as one piece forward, skin around them after them, corners inward."""
+    lips_mm = neutral_mm[list(LIP_MARKERS)]
+    distance_mm = np.linalg.norm(neutral_mm[:, None] - lips_mm, axis=2).min(axis=1)
+    direction = np.zeros_like(neutral_mm)
+    direction[:, 0] = -_ROUNDING * np.clip(_sideways(neutral_mm), -1.0, 1.0)
+    direction[:, 2] = 1.0
+    return np.asarray(_gaussian(distance_mm)[:, None] * direction)
+
+
+def _jaw_share(neutral_mm: Array, seam_mm: Array) -> Array:
+    """(47,): 0 = head, 1 = jaw.
+
+    Lips: parabolas that meet at one half in the corners. Skin: a logistic step in height at the
+    lips, sharp in the middle of the face and broad towards the ears.
+    """
+    sideways = _sideways(neutral_mm)
+    half_width_mm = _half_width_mm(neutral_mm)
+    height_mm = neutral_mm[:, 1] - seam_mm[1]
+    width_mm = JAW_BLEND_WIDTH_PER_MM * np.abs(sideways) * half_width_mm
+    share = 1.0 / (1.0 + np.exp(height_mm / np.maximum(width_mm, _MIN_BLEND_WIDTH_MM)))
+    parabola = 0.5 * np.minimum(sideways**2, 1.0)
+    upper, lower, corners = (
+        np.isin(MARKER_LANDMARKS, landmarks) for landmarks in (_UPPER_LIP, _LOWER_LIP, _CORNERS)
+    )
+    share[upper], share[lower], share[corners] = parabola[upper], 1.0 - parabola[lower], 0.5
+    return np.asarray(share)
+
+
+def _sideways(neutral_mm: Array) -> Array:
+    """(47,): -1 at the right corner of the mouth, 0 in its middle, 1 at the left corner."""
+    right, left = (neutral_mm[MARKER_LANDMARKS.index(n), 0] for n in (61, 291))
+    return np.asarray((neutral_mm[:, 0] - (left + right) / 2) / _half_width_mm(neutral_mm))
+
+
+def _half_width_mm(neutral_mm: Array) -> float:
+    right, left = (neutral_mm[MARKER_LANDMARKS.index(n), 0] for n in (61, 291))
+    return float((left - right) / 2)
+
+
+def _gaussian(distance_mm: Array) -> Array:
+    return np.asarray(np.exp(-0.5 * (distance_mm / SKIN_WIDTH_MM) ** 2))

@@ -1,0 +1,1 @@
+"""Shipped faces and calibrations; installed and read as `lipservo.config`."""

@@ -1,0 +1,1 @@
+"""Servo angles become servo motion: channel, last gate, loop, bus. Knows no speech."""

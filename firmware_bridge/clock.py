@@ -1,0 +1,78 @@
+"""Time as an argument, and the grid that every loop runs on."""
+
+import math
+import time
+from collections.abc import Iterator
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """Seconds that never run backwards, from an arbitrary zero."""
+
+    def now(self) -> float:
+        """Seconds since this clock's zero."""
+
+    def sleep_until(self, time_s: float) -> None:
+        """Return at `time_s` or later, never earlier; at once when that has passed."""
+
+
+class MonotonicClock:
+    """The computer's own clock, untouched when somebody sets the date."""
+
+    def now(self) -> float:
+        """Seconds of `time.monotonic`."""
+        return time.monotonic()
+
+    def sleep_until(self, time_s: float) -> None:
+        """Sleep the thread; a sleep that ends early is taken up again."""
+        while (remaining_s := time_s - time.monotonic()) > 0.0:
+            time.sleep(remaining_s)
+
+
+class ManualClock:
+    """A clock that moves only when told to, so that hours pass in a blink and always alike."""
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        self._now_s = start_s
+
+    def now(self) -> float:
+        """Where the clock was left."""
+        return self._now_s
+
+    def sleep_until(self, time_s: float) -> None:
+        """Jump to `time_s`; stay when that has passed."""
+        self._now_s = max(self._now_s, time_s)
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass, as a stall does. Raises ValueError when `seconds` is negative."""
+        if seconds < 0.0:
+            raise ValueError(f"time does not run backwards: {seconds} s")
+        self._now_s += seconds
+
+
+def ticks(clock: Clock, rate_hz: float) -> Iterator[tuple[float, int]]:
+    """Yield (tick time, ticks missed just before it) on a fixed grid, for ever.
+
+    The grid starts when the first tick is asked for; tick n is at start + n / rate_hz (> 0).
+    After a stall comes the newest tick that is due, once, and the missed ones are counted: servos
+    want one fresh goal, not a burst of old ones.
+    """
+    start_s = clock.now()
+    due = 0
+    while True:
+        clock.sleep_until(start_s + due / rate_hz)
+        newest = max(due, _newest_due(clock.now(), start_s, rate_hz))
+        yield start_s + newest / rate_hz, newest - due
+        due = newest + 1
+
+
+def _newest_due(now_s: float, start_s: float, rate_hz: float) -> int:
+    """Find the number of the last tick at or before `now_s`.
+
+    Compared with the very times that `ticks` yields: the quotient alone rounds to the wrong side of
+    a grid point once the clock shows days, and the same tick would come twice.
+    """
+    guess = math.floor((now_s - start_s) * rate_hz) + 1
+    while start_s + guess / rate_hz > now_s:
+        guess -= 1
+    return guess

@@ -1,0 +1,29 @@
+"""What the bridge knows of each joint: its name, its servo, and how far and fast it may go."""
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """One servo-driven joint, in joint degrees: 0 = its neutral, between the two limits.
+
+    Raises ValueError unless min_deg <= 0 <= max_deg and max_speed_deg_s > 0, all finite.
+    """
+
+    name: str
+    servo_id: int
+    min_deg: float
+    max_deg: float
+    max_speed_deg_s: float
+
+    def __post_init__(self) -> None:
+        if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:
+            raise ValueError(
+                f"joint {self.name!r}: needs min_deg <= 0 <= max_deg, "
+                f"got {self.min_deg} and {self.max_deg}"
+            )
+        if not 0.0 < self.max_speed_deg_s < math.inf:
+            raise ValueError(
+                f"joint {self.name!r}: max_speed_deg_s must be positive, got {self.max_speed_deg_s}"
+            )

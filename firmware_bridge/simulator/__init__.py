@@ -1,0 +1,1 @@
+"""Servos without hardware. Ships as product and is the default bus."""

@@ -1,0 +1,126 @@
+"""Servos in memory, moved by a clock."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import PortError, Readings
+from firmware_bridge.clock import Clock
+from firmware_bridge.joints import Joint
+
+#: XL330-M288-T without load at 5 V: 103 rev/min;
+#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications
+XL330_TOP_SPEED_DEG_S = 618.0
+#: How much farther a servo goes than its joint's limits, so that a joint pushed past them by hand
+#: can still be held where it is. Our choice: a good deal more than any hand moves by accident.
+RANGE_MARGIN_DEG = 5.0
+#: Status error of a goal outside the servo's position limits ("data limit").
+DATA_LIMIT_ERROR = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """The servos at one write: the goals they held after it, and where they stood. (n_servos,)."""
+
+    time_s: float
+    goals_deg: NDArray[np.float64]
+    positions_deg: NDArray[np.float64]
+
+
+class SimulatedBus:
+    """Servos that run to their goals at constant top speed; nothing but the clock moves them.
+
+    As the real ones do, they keep their old goal when a new one is outside their range (and show
+    the error until the next goal they take), take goals while limp, stay where they are when
+    torque goes off, and run to the last goal they were given when it comes on.
+
+    Not simulated: acceleration, load, gravity, backlash, encoder steps, current, temperature,
+    supply voltage, time on the wire, lost or damaged packets, a servo falling out.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[Joint],
+        clock: Clock,
+        *,
+        start_deg: NDArray[np.float64] | None = None,
+        top_speed_deg_s: float = XL330_TOP_SPEED_DEG_S,
+        n_remembered: int = 20_000,
+    ) -> None:
+        """Servos standing limp at `start_deg`, (n_servos,), or in neutral.
+
+        The newest `n_remembered` writes stay in `history`: by default more than ten minutes at
+        30 Hz, and 7 MB with ten servos.
+        """
+        n_servos = len(joints)
+        self._clock = clock
+        self._min_deg = np.array([joint.min_deg for joint in joints]) - RANGE_MARGIN_DEG
+        self._max_deg = np.array([joint.max_deg for joint in joints]) + RANGE_MARGIN_DEG
+        self._top_speed_deg_s = top_speed_deg_s
+        self._positions_deg = np.zeros(n_servos) if start_deg is None else start_deg.copy()
+        self._goals_deg = np.zeros(n_servos)
+        self._errors = np.zeros(n_servos, dtype=np.uint8)
+        self._torque_on = False
+        self._is_open = False
+        self._moved_until_s = clock.now()
+        self._history: deque[Motion] = deque(maxlen=n_remembered)
+
+    @property
+    def history(self) -> tuple[Motion, ...]:
+        """The servos at each write, oldest first."""
+        return tuple(self._history)
+
+    def set_torque(self, on: bool) -> None:
+        """Hold the last goals, or let go."""
+        self._move()
+        self._torque_on = on
+
+    def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
+        """Set every goal that is inside its servo's range; NaN is not."""
+        if positions_deg.shape != self._goals_deg.shape:
+            raise ValueError(
+                f"expected positions of shape {self._goals_deg.shape}, got {positions_deg.shape}"
+            )
+        self._move()
+        taken = (self._min_deg <= positions_deg) & (positions_deg <= self._max_deg)
+        self._goals_deg = np.where(taken, positions_deg, self._goals_deg)
+        self._errors = np.where(taken, 0, DATA_LIMIT_ERROR).astype(np.uint8)
+        self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
+
+    def read(self) -> Readings:
+        """Every servo, at the clock's present time."""
+        self._move()
+        return Readings(
+            time_s=self._moved_until_s,
+            positions_deg=self._positions_deg,
+            goals_deg=self._goals_deg,
+            torque_on=np.full(self._goals_deg.shape, self._torque_on),
+            errors=self._errors,
+        )
+
+    def __enter__(self) -> Self:
+        self._is_open = True
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.set_torque(False)
+        self._is_open = False
+
+    def _move(self) -> None:
+        """Bring the servos to the present: they are looked at only now, so the motion is exact.
+
+        Arrays are replaced, never written, since readings and history hold on to them.
+        """
+        if not self._is_open:
+            raise PortError("the bus is used outside its `with` block")
+        now_s = self._clock.now()
+        if self._torque_on:
+            reach_deg = self._top_speed_deg_s * (now_s - self._moved_until_s)
+            self._positions_deg = np.clip(
+                self._goals_deg, self._positions_deg - reach_deg, self._positions_deg + reach_deg
+            )
+        self._moved_until_s = now_s

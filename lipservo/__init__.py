@@ -1,0 +1,1 @@
+"""The program: puts the street together, from sound to servos."""

@@ -1,0 +1,33 @@
+"""The command `lipservo`."""
+
+import sys
+
+import typer
+
+from firmware_bridge.bus import BusError
+from lipservo.commands import street, training
+
+app = typer.Typer(
+    name="lipservo",
+    help="Live speech moves a physical mouth.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+for command in (street.run, street.daemon, street.replay, training.train, training.calibrate):
+    app.command()(command)
+
+_INTERRUPTED = 130
+
+
+def main() -> None:
+    """Run the command line. What the user can mend ends in clear lines and status 1."""
+    try:
+        app()
+    # Every error that a user can cause is a ValueError or BusError of ours with a clear text.
+    except (ValueError, BusError) as error:
+        for line in str(error).splitlines():
+            sys.stderr.write(f"lipservo: {line}\n")
+        sys.exit(1)
+    except KeyboardInterrupt:
+        sys.exit(_INTERRUPTED)

@@ -1,0 +1,1 @@
+"""The bundled clip that `lipservo run` plays when it is given nothing else."""

@@ -1,0 +1,42 @@
+"""Options that several commands share, and how results leave the program."""
+
+import json
+import platform
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+#: Results go to stdout; everything else, progress and logs and complaints, to stderr.
+RESULTS = Console()
+MESSAGES = Console(stderr=True)
+
+Config = Annotated[
+    str, typer.Option(help="Face: the name of a shipped one, or the path of a YAML file.")
+]
+Model = Annotated[
+    Path | None,
+    typer.Option(help="Face model (.npz); default: the shipped one.", show_default=False),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no messages.")]
+SkipBad = Annotated[
+    bool, typer.Option("--skip-bad", help="Leave out sentences with a bad file, and list them.")
+]
+
+DEFAULT_FACE = "face_sim"
+
+
+def print_json(result: Mapping[str, object]) -> None:
+    """One object on one line of stdout."""
+    sys.stdout.write(json.dumps(result) + "\n")
+
+
+def machine_class() -> str:
+    """What kind of machine measured: processor architecture, cores, Python."""
+    import os
+
+    return f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"

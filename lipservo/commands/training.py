@@ -1,0 +1,110 @@
+"""`train` and `calibrate`: what is made once, before a face runs."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import Progress
+
+from lipservo.commands.options import (
+    DEFAULT_FACE,
+    MESSAGES,
+    RESULTS,
+    Config,
+    Json,
+    Model,
+    Quiet,
+    SkipBad,
+    print_json,
+)
+
+
+def train(
+    corpus: Annotated[Path, typer.Argument(help="Folder laid out like grid_s1.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    animphos: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="How many AnimPhos; default: so many that each has 3.45 successors."
+        ),
+    ] = None,
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn a face model from recorded speech with mouth motion."""
+    if not output.parent.is_dir():
+        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
+    from lipsync.animpho.model import save_model
+    from lipsync.animpho.training import train as train_model
+    from lipsync.corpus.grid import read_grid
+
+    with _progress(quiet=quiet) as progress:
+        reading = progress.add_task("reading", total=None)
+
+        def read(names: list[str]) -> Iterable[str]:
+            yield from progress.track(names, task_id=reading)
+
+        sentences = read_grid(corpus, skip_bad=skip_bad, progress=read)
+        learning = progress.add_task("training", total=None)
+        trained = train_model(
+            sentences,
+            seed=seed,
+            n_animphos=animphos,
+            progress=lambda step: progress.update(learning, description=step),
+        )
+    save_model(trained.model, output)
+    for line in sentences.skipped:
+        MESSAGES.print(f"left out: {line}", soft_wrap=True)
+    figures: dict[str, object] = {
+        "model": str(output),
+        "sentences": len(trained.model.training_sentences),
+        "segments": trained.n_segments,
+        "animphos": len(trained.model.animphos),
+        "mean_successors": trained.model.mean_successors,
+        "variance_held": trained.variance_held,
+        "skipped": len(sentences.skipped),
+    }
+    if as_json:
+        print_json(figures)
+        return
+    RESULTS.print(
+        f"{output}: {figures['animphos']} AnimPhos from {figures['segments']} segments of "
+        f"{figures['sentences']} sentences, {trained.model.mean_successors:.2f} successors on "
+        f"average (the paper: 3.45), {trained.variance_held:.1%} of the variance held",
+        soft_wrap=True,
+    )
+
+
+def calibrate(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration to write.")],
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    as_json: Json = False,
+) -> None:
+    """Fit the simulated face to a model: PCA coefficients to servo angles, with hold-out errors."""
+    if not output.parent.is_dir():
+        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
+    from calibration.calibration_file import save_calibration
+    from calibration.fitting import JointRange, fit_calibration
+    from lipservo.assembly import load_face_model, load_settings
+
+    settings, _ = load_settings(config)
+    joints = [JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()]
+    with MESSAGES.status("fitting"):
+        fitted = fit_calibration(load_face_model(model), joints, settings.checksum)
+    save_calibration(fitted, output)
+    if as_json:
+        print_json({"calibration": str(output), **asdict(fitted.errors)})
+    else:
+        RESULTS.print(f"{output}: {fitted.errors}", soft_wrap=True)
+
+
+@contextmanager
+def _progress(*, quiet: bool) -> Iterator[Progress]:
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        yield progress

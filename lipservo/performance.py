@@ -1,0 +1,94 @@
+"""One face playing one source from beginning to end, on whatever clock it is given."""
+
+import math
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from firmware_bridge.clock import Clock, ManualClock
+from lipservo.assembly import Face, assemble_face, make_bus, make_street
+from lipservo.commands.options import MESSAGES
+from lipservo.daemon import play
+from lipservo.pipeline import Street, TickObserver
+from lipservo.summary import Summary, Tally
+from lipservo.trace import BackgroundTrace, TraceFile
+from lipsync.audio.source import AudioSource
+
+#: The mouth closes after the last sound; then the run is over.
+_TAIL_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Performance:
+    """What the user asked for, apart from the sound.
+
+    live: draw the face in the terminal; endless: go on in silence when the source is over.
+    """
+
+    config: str
+    model: Path | None
+    trace: Path | None
+    rate_hz: float | None
+    live: bool
+    quiet: bool
+    endless: bool = False
+
+    def play(self, source: AudioSource, clock: Clock, stop: threading.Event) -> Summary:
+        """Play an entered source to its end or until stopped; the face is limp afterwards."""
+        began_s = time.perf_counter()
+        face = assemble_face(self.config, self.model)
+        rate_hz = face.settings.rate_hz if self.rate_hz is None else self.rate_hz
+        length_s = math.inf if self.endless or source.duration_s is None else source.duration_s
+        with make_bus(face, clock) as bus:
+            zero_s = clock.now()
+            street = make_street(face, source, bus, rate_hz, zero_s)
+            delay = street.speech.delay
+            if not self.quiet:
+                MESSAGES.print(f"delay from sound to face: {delay}")
+            tally = Tally(clock, street)
+            with self._observers(face, street, source, clock, rate_hz) as observers:
+                play(
+                    street,
+                    clock,
+                    rate_hz=rate_hz,
+                    until_s=zero_s + length_s + delay.total_s + _TAIL_S,
+                    stop=stop,
+                    tally=tally,
+                    observers=observers,
+                )
+            heard_s = min(length_s, clock.now() - zero_s)
+        took_s = time.perf_counter() - began_s
+        return tally.summary(source.name, heard_s, took_s, source.lost_blocks)
+
+    @contextmanager
+    def _observers(
+        self, face: Face, street: Street, source: AudioSource, clock: Clock, rate_hz: float
+    ) -> Iterator[list[TickObserver]]:
+        """Who watches: the trace, and the view when somebody looks at a terminal."""
+        with ExitStack() as stack:
+            observers: list[TickObserver] = []
+            if self.trace is not None:
+                header = {
+                    "source": source.name,
+                    "face": face.settings.name,
+                    "servos": [joint.name for joint in face.joints],
+                    "rate_hz": rate_hz,
+                    "model": face.model.checksum,
+                    "delay_s": round(street.speech.delay.total_s, 6),
+                }
+                file = TraceFile(self.trace, header)
+                # Where nobody waits for a tick, none may be dropped.
+                patient = isinstance(clock, ManualClock)
+                watcher = file if patient else BackgroundTrace(file)
+                stack.enter_context(watcher)
+                observers.append(watcher)
+            if self.live:
+                from lipservo.view import TerminalView
+
+                title = f"{source.name} -> {face.settings.name}"
+                view = TerminalView(MESSAGES, title, face.joints, face.model)
+                observers.append(stack.enter_context(view))
+            yield observers

@@ -1,0 +1,148 @@
+"""One tick of the street: sound in, servo goals out. No threads, no sleep, no I/O of its own.
+
+Live running and `replay` share it; they differ in the clock and in who watches.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import Calibration
+from firmware_bridge.bridge import Bridge, TickReport
+from firmware_bridge.targets import ServoTargets, TargetChannel
+from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.audio.block import BLOCK_S
+from lipsync.audio.source import AudioSource
+from lipsync.phonemes import SILENCE, LiveRecognizer
+
+Array = NDArray[np.float64]
+
+#: The speech side publishes at 100 Hz (architecture.md, Time).
+PUBLISH_PERIOD_S = 0.010
+#: After a stall, targets that would be shown longer ago than this are not computed any more.
+_OLDEST_WORTH_SHOWING_S = 0.100
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """How much later than its sound a face is shown, part by part. Added up here and only here."""
+
+    recognizer_s: float
+    longest_phone_s: float
+    sound_block_s: float = BLOCK_S
+    publish_period_s: float = PUBLISH_PERIOD_S
+    actuation_s: float = 0.0
+
+    @property
+    def synthesis_s(self) -> float:
+        """How much sound must have been heard after an instant before its face is computed."""
+        return self.recognizer_s + self.longest_phone_s + self.sound_block_s
+
+    @property
+    def total_s(self) -> float:
+        """Display time minus sound time."""
+        return self.synthesis_s + self.publish_period_s + self.actuation_s
+
+    def __str__(self) -> str:
+        parts = {
+            "recogniser": self.recognizer_s,
+            "longest phone": self.longest_phone_s,
+            "sound block": self.sound_block_s,
+            "publishing": self.publish_period_s,
+            "actuation": self.actuation_s,
+        }
+        listed = " + ".join(f"{name} {s * 1e3:.0f}" for name, s in parts.items() if s)
+        return f"{self.total_s * 1e3:.0f} ms = {listed}"
+
+
+class Speech:
+    """The speech side: hears sound, publishes targets for times still to come."""
+
+    def __init__(
+        self,
+        source: AudioSource,
+        recognizer: LiveRecognizer,
+        synthesizer: PublishedSynthesizer,
+        calibration: Calibration,
+        channel: TargetChannel,
+    ) -> None:
+        self._source = source
+        self._recognizer = recognizer
+        self._synthesizer = synthesizer
+        self._calibration = calibration
+        self._channel = channel
+        self.delay = Delay(recognizer.latency_s, synthesizer.longest_phone_s)
+        # The first sound is shown a delay late; until then the closed mouth is published.
+        self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
+
+    @property
+    def phonemes_planned(self) -> int:
+        """Phonemes that moved the mouth so far."""
+        return self._synthesizer.phonemes_planned
+
+    def advance(self, now_s: float, zero_s: float) -> None:
+        """Hear and publish all that is due at monotonic `now_s`; the sound began at `zero_s`."""
+        heard_s = now_s - zero_s
+        for block in self._source.blocks(heard_s):
+            self._recognizer.feed(block)
+        for update in self._recognizer.updates(heard_s):
+            self._synthesizer.push(update)
+        # Half a nanosecond of grace, or rounding would hold a target back for a whole period.
+        n_due = math.floor((heard_s - self.delay.synthesis_s + 5e-10) / PUBLISH_PERIOD_S) + 1
+        n_too_old = n_due - round(_OLDEST_WORTH_SHOWING_S / PUBLISH_PERIOD_S)
+        for n in range(max(self._n_published, n_too_old), n_due):
+            self._publish(n * PUBLISH_PERIOD_S, zero_s)
+        self._n_published = max(self._n_published, n_due)
+
+    def shown_at(self, sound_s: float) -> tuple[str, Array]:
+        """The phoneme and the face (n_components,) of a sound time that was published."""
+        event = self._synthesizer.event_at(sound_s)
+        phoneme = SILENCE if event is None else event.phoneme
+        return phoneme, self._synthesizer.coefficients_at(sound_s)
+
+    def _publish(self, sound_s: float, zero_s: float) -> None:
+        coefficients = self._synthesizer.coefficients_at(sound_s)
+        display_s = zero_s + sound_s + self.delay.total_s
+        positions_deg = self._calibration.positions_deg(coefficients)
+        self._channel.publish(ServoTargets(display_s, positions_deg))
+
+
+@dataclass(frozen=True, slots=True)
+class StreetTick:
+    """What one tick of the street showed. sound_s is negative before the first sound is shown."""
+
+    sound_s: float
+    phoneme: str
+    coefficients: Array
+    report: TickReport
+
+
+class TickObserver(Protocol):
+    """Somebody who watches every tick; must return at once."""
+
+    def observe(self, tick: StreetTick) -> None:
+        """See one tick."""
+
+
+class Street:
+    """Speech and bridge in one process, joined by a target channel."""
+
+    def __init__(self, speech: Speech, bridge: Bridge, zero_s: float) -> None:
+        self.speech = speech
+        self.bridge = bridge
+        self._zero_s = zero_s
+
+    def sound_time_s(self, display_s: float) -> float:
+        """The sound time whose face belongs to monotonic display time `display_s`."""
+        return display_s - self._zero_s - self.speech.delay.total_s
+
+    def tick(self, time_s: float, late: int) -> StreetTick:
+        """Everything that happens at monotonic grid time `time_s`."""
+        self.speech.advance(time_s, self._zero_s)
+        report = self.bridge.tick(time_s, late)
+        sound_s = self.sound_time_s(time_s)
+        phoneme, coefficients = self.speech.shown_at(max(0.0, sound_s))
+        return StreetTick(sound_s, phoneme, coefficients, report)

@@ -1,0 +1,223 @@
+"""The face YAML: its schema, how it is read, and how a mistake in it is explained."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    StringConstraints,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
+
+from firmware_bridge.joints import Joint
+from lipservo.mistakes import explain
+from lipservo.strict_yaml import SettingsError, read_mapping
+
+__all__ = [
+    "BusSettings",
+    "FaceSettings",
+    "ServoSettings",
+    "SettingsError",
+    "calibration_file",
+    "load_face",
+    "load_shipped_face",
+    "shipped_faces",
+]
+
+_CALIBRATION_SUFFIX = ".calibration.yaml"
+
+
+def _within(low: float, high: float) -> AfterValidator:
+    """Accept numbers from `low` to `high`; one check, so that the message can name both ends."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"{value:g} is outside {low:g}..{high:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _check_sign(value: int) -> int:
+    if value not in (1, -1):
+        raise ValueError(f"{value} is neither 1 nor -1")
+    return value
+
+
+#: Ids a Dynamixel may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
+ServoId = Annotated[int, _within(0, 252)]
+#: Half a turn to each side is all that position control reaches (control mode 3, one turn).
+Degrees = Annotated[float, _within(-180.0, 180.0)]
+#: The fastest servo below, XL330-M077-T, makes 383 rev/min without load at 5 V (its e-manual page).
+#: Slower than 1 deg/s no mouth speaks, and Ctrl-C would not bring it home.
+Speed = Annotated[float, _within(1.0, 2298.0)]
+#: Not a Literal: that would take `true` for 1.
+Sign = Annotated[int, AfterValidator(_check_sign)]
+#: 30 Hz is the slowest that looks smooth; above 200 Hz ten servos fill a 1 Mbaud bus.
+RateHz = Annotated[float, _within(30.0, 200.0)]
+#: One word in every file, table and command: no spaces, dots or capitals to get wrong.
+JointName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+#: A file beside the face or among the shipped ones, never a path.
+CalibrationName = Annotated[str, StringConstraints(pattern=r"^[\w.-]+\.yaml$")]
+Text = Annotated[str, StringConstraints(min_length=1)]
+
+ServoModel = Literal[
+    "XL330-M077",
+    "XL330-M288",
+    "XC330-M288",
+    "XC330-T288",
+    "XL430-W250",
+    "XM430-W210",
+    "XM430-W350",
+]
+
+
+class _Strict(BaseModel):
+    """No unknown key, no conversion between types, no change after reading."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class BusSettings(_Strict):
+    """How the servos are reached."""
+
+    kind: Literal["simulated"] = "simulated"
+
+
+class ServoSettings(_Strict):
+    """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.
+
+    `positive` says in a word what a positive angle does. The servo's own angle is
+    sign x (joint angle + zero_offset_deg).
+    """
+
+    id: ServoId
+    model: ServoModel
+    positive: Text
+    min_deg: Degrees
+    max_deg: Degrees
+    max_speed_deg_s: Speed
+    sign: Sign = 1
+    zero_offset_deg: Degrees = 0.0
+
+    @model_validator(mode="after")
+    def _neutral_is_within_reach(self) -> Self:
+        if not self.min_deg <= 0.0 <= self.max_deg:
+            raise ValueError(
+                f"needs min_deg <= 0 <= max_deg, got {self.min_deg:g} and {self.max_deg:g}"
+            )
+        return self
+
+
+class FaceSettings(_Strict):
+    """A whole face. The order of `servos` is the order of positions everywhere."""
+
+    name: Text
+    rate_hz: RateHz
+    servos: Mapping[JointName, ServoSettings]
+    bus: BusSettings = BusSettings()
+    calibration: CalibrationName | None = None
+
+    @field_validator("servos")
+    @classmethod
+    def _every_servo_has_its_own_id(
+        cls, servos: Mapping[str, ServoSettings]
+    ) -> Mapping[str, ServoSettings]:
+        if not servos:
+            raise ValueError("needs at least one servo")
+        first: dict[int, str] = {}
+        mistakes = [
+            f"{first[servo.id]} and {name} both have id {servo.id}; every servo needs its own"
+            for name, servo in servos.items()
+            if first.setdefault(servo.id, name) != name
+        ]
+        if mistakes:
+            raise ValueError("\n".join(mistakes))
+        return servos
+
+    @property
+    def checksum(self) -> str:
+        """16 hex digits over all that a calibration depends on: the joints, in order, and limits.
+
+        Speeds, ids and mounting (`sign`, `zero_offset_deg`) may change under a calibration, which
+        speaks of joint angles only.
+        """
+        matter = [(name, servo.min_deg, servo.max_deg) for name, servo in self.servos.items()]
+        return hashlib.sha256(json.dumps(matter).encode()).hexdigest()[:16]
+
+    def joints(self) -> tuple[Joint, ...]:
+        """Return the joints in the order of the YAML."""
+        return tuple(
+            Joint(
+                name=name,
+                servo_id=servo.id,
+                min_deg=servo.min_deg,
+                max_deg=servo.max_deg,
+                max_speed_deg_s=servo.max_speed_deg_s,
+            )
+            for name, servo in self.servos.items()
+        )
+
+
+def load_face(path: Path) -> FaceSettings:
+    """Read a face YAML. Raises SettingsError with one line for each mistake in it."""
+    return _load(path)
+
+
+def load_shipped_face(name: str) -> FaceSettings:
+    """Read a face that comes with lipservo, `face_sim` for one. Raises SettingsError."""
+    if name not in shipped_faces():
+        raise SettingsError(
+            f"no face {name!r} is shipped; known here: {', '.join(shipped_faces())}"
+        )
+    return _load(_shipped() / f"{name}.yaml")
+
+
+def shipped_faces() -> tuple[str, ...]:
+    """Names of the faces that come with lipservo."""
+    names = sorted(file.name for file in _shipped().iterdir() if file.name.endswith(".yaml"))
+    return tuple(n.removesuffix(".yaml") for n in names if not n.endswith(_CALIBRATION_SUFFIX))
+
+
+def calibration_file(face: FaceSettings, beside: Path | None = None) -> Traversable:
+    """Find the calibration that `face` names: in the folder `beside`, else among the shipped.
+
+    Raises SettingsError when the face names none, or none of that name is there.
+    """
+    if face.calibration is None:
+        raise SettingsError(
+            f"face {face.name!r} has no calibration; write `calibration: <file>` into its YAML"
+        )
+    folders: list[Traversable] = [_shipped()] if beside is None else [beside, _shipped()]
+    for folder in folders:
+        file = folder.joinpath(face.calibration)
+        if file.is_file():
+            return file
+    looked_in = "among the shipped ones" if beside is None else f"in {beside} or among the shipped"
+    raise SettingsError(f"face {face.name!r}: no calibration {face.calibration!r} {looked_in}")
+
+
+def _shipped() -> Traversable:
+    return files("lipservo.config")
+
+
+def _load(file: Traversable) -> FaceSettings:
+    try:
+        text = file.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise SettingsError(f"{file.name}: not UTF-8 text (byte {error.start})") from error
+    except OSError as error:
+        raise SettingsError(f"{file}: cannot be read: {error.strerror}") from error
+    try:
+        return FaceSettings.model_validate(read_mapping(text, file.name))
+    except ValidationError as error:
+        raise SettingsError("\n".join(explain(error, FaceSettings, file.name))) from error

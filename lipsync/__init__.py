@@ -1,0 +1,4 @@
+"""Speech becomes face motion: sound, phonemes, AnimPhos, face frames.
+
+The first half of the street. Knows no servo and reads no YAML.
+"""

@@ -1,0 +1,43 @@
+"""From a chosen AnimPho to five samples that join the motion so far.
+
+Samples are numbered 1..5 as in the paper in the formulas, 0..4 in the code.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.animpho.model import SAMPLES_PER_ANIMPHO, FaceModel
+
+Array = NDArray[np.float64]
+
+
+def choose_connected(model: FaceModel, previous: int, chosen: int) -> int:
+    """b_t: the AnimPho that really follows a_{t-1} and moves most like a_t. Wei and Deng, eq. (3).
+
+    a_t itself when it follows a_{t-1}, or when nothing does (the last AnimPho of a sentence).
+    """
+    followers = model.successors[previous]
+    if len(followers) == 0 or chosen in followers:
+        return chosen
+    difference = model.animphos[followers] - model.animphos[chosen]
+    return int(followers[np.argmin((difference**2).sum(axis=(1, 2)))])
+
+
+def translate(animpho: Array, start: Array) -> Array:
+    """b'_t: the AnimPho (5, n_components) moved so that it begins at `start` (n_components,)."""
+    return np.asarray(animpho + (start - animpho[0]))
+
+
+def blend(connected: Array, chosen: Array) -> Array:
+    """m_t: begins as b'_t, ends as a_t; both (5, n_components). Wei and Deng, eq. (4)."""
+    weight = np.linspace(0.0, 1.0, SAMPLES_PER_ANIMPHO)[:, None]
+    return (1.0 - weight) * connected + weight * chosen
+
+
+def sample_derivatives(samples: Array, first: Array) -> Array:
+    """d_t per sample spacing (5, n_components), `first` carried over. Wei and Deng, eq. (5)."""
+    derivatives = np.empty_like(samples)
+    derivatives[0] = first
+    derivatives[1:-1] = (samples[2:] - samples[:-2]) / 2.0
+    derivatives[-1] = samples[-1] - samples[-2]
+    return derivatives

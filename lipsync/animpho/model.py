@@ -1,0 +1,258 @@
+"""The trained face: basis, AnimPhos, and the two tables that say what follows and what fits.
+
+Data only. One `.npz` without pickle; float32 on disk, float64 in the arithmetic.
+"""
+
+import hashlib
+import io
+import json
+import os
+import zipfile
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.phonemes import PHONEMES
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Raised whenever the meaning of a stored field changes; older files are refused, not guessed at.
+MODEL_VERSION = 1
+SAMPLES_PER_ANIMPHO = 5
+SHIPPED_MODEL = "grid_s1"
+
+
+class ModelError(ValueError):
+    """A model file that cannot be used: says which, why, and what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class IndexLists:
+    """A list of indices for each of n rows, stored end to end (the 0/1 tables of the paper).
+
+    starts: (n + 1,); indices: (starts[-1],), ascending within a row.
+    """
+
+    starts: Indices
+    indices: Indices
+
+    @classmethod
+    def from_pairs(cls, rows: Indices, columns: Indices, n_rows: int) -> "IndexLists":
+        """From the table's non-zero places, given in any order and any number of times."""
+        pairs = np.unique(np.stack([rows, columns], axis=1), axis=0).astype(np.int64)
+        starts = np.searchsorted(pairs[:, 0], np.arange(n_rows + 1)).astype(np.int64)
+        return cls(starts, np.ascontiguousarray(pairs[:, 1]))
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, row: int) -> Indices:
+        return self.indices[self.starts[row] : self.starts[row + 1]]
+
+    def transposed(self, n_rows: int) -> "IndexLists":
+        """The same table read by columns; n_rows is the number of columns here."""
+        return IndexLists.from_pairs(self.indices, self.rows(), n_rows)
+
+    def rows(self) -> Indices:
+        """The row of every stored index."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
+
+@dataclass(frozen=True, slots=True)
+class FaceModel:
+    """One talker's mouth.
+
+    marker_names: n_markers names; mean_mm (n_markers, 3); basis (n_components, 3 n_markers), rows
+    orthonormal; head_reference_mm (n_rigid, 3), the pose that all motion was fitted to.
+    rest: (n_components,), the closed mouth of silence.
+    animphos: (m, 5, n_components). successors: T of the paper, `successors[i]` = T(a_i).
+    phoneme_table: L of the paper, a row for each of `PHONEMES`.
+    """
+
+    marker_names: tuple[str, ...]
+    mean_mm: Array
+    basis: Array
+    head_reference_mm: Array
+    rest: Array
+    animphos: Array
+    successors: IndexLists
+    predecessors: IndexLists
+    phoneme_table: IndexLists
+    training_sentences: tuple[str, ...]
+    provenance: dict[str, str | int | float]
+
+    @property
+    def n_components(self) -> int:
+        """Number of principal components."""
+        return len(self.basis)
+
+    @property
+    def known_phonemes(self) -> frozenset[str]:
+        """The phonemes that training heard; others are played by a stand-in."""
+        return frozenset(p for i, p in enumerate(PHONEMES) if len(self.phoneme_table[i]))
+
+    @property
+    def mean_successors(self) -> float:
+        """How many AnimPhos follow one on average; the paper: 3.45."""
+        return len(self.successors.indices) / len(self.animphos)
+
+    def of_phoneme(self, phoneme: str) -> Indices:
+        """L(p): the AnimPhos of a phoneme."""
+        return self.phoneme_table[PHONEMES.index(phoneme)]
+
+    def coefficients(self, markers_mm: NDArray[np.floating]) -> Array:
+        """(n_frames, n_markers, 3) -> (n_frames, n_components)."""
+        flat = (markers_mm - self.mean_mm).reshape(len(markers_mm), -1)
+        return np.asarray(flat @ self.basis.T, dtype=np.float64)
+
+    def markers_mm(self, coefficients: Array) -> Array:
+        """(n_frames, n_components) -> (n_frames, n_markers, 3)."""
+        return self.mean_mm + (coefficients @ self.basis).reshape(-1, *self.mean_mm.shape)
+
+    def lip_gap_mm(self, coefficients: Array) -> float:
+        """Distance between the middle points of the inner lips for one frame (n_components,)."""
+        basis = self.basis.reshape(self.n_components, -1, 3)
+        upper = self.mean_mm[UPPER_INNER_LIP] + coefficients @ basis[:, UPPER_INNER_LIP]
+        lower = self.mean_mm[LOWER_INNER_LIP] + coefficients @ basis[:, LOWER_INNER_LIP]
+        return float(np.linalg.norm(upper - lower))
+
+    @property
+    def checksum(self) -> str:
+        """16 hex digits over what a calibration depends on: marker names, mean face, basis."""
+        digest = hashlib.sha256("\n".join(self.marker_names).encode())
+        for array in (self.mean_mm, self.basis):
+            digest.update(np.ascontiguousarray(array, dtype="<f4").tobytes())
+        return digest.hexdigest()[:16]
+
+
+def save_model(model: FaceModel, path: Path) -> None:
+    """Write the model whole or not at all."""
+    about = {
+        "version": MODEL_VERSION,
+        "marker_names": model.marker_names,
+        "phonemes": PHONEMES,
+        "training_sentences": model.training_sentences,
+        "provenance": model.provenance,
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(
+        buffer,
+        about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
+        mean_mm=model.mean_mm.astype(np.float32),
+        basis=model.basis.astype(np.float32),
+        head_reference_mm=model.head_reference_mm.astype(np.float32),
+        rest=model.rest.astype(np.float32),
+        animphos=model.animphos.astype(np.float32),
+        successor_starts=model.successors.starts.astype(np.int32),
+        successors=model.successors.indices.astype(np.int32),
+        phoneme_starts=model.phoneme_table.starts.astype(np.int32),
+        phoneme_animphos=model.phoneme_table.indices.astype(np.int32),
+    )
+    partial = path.with_name(path.name + ".partial")
+    partial.write_bytes(buffer.getvalue())
+    os.replace(partial, path)
+
+
+def load_model(path: Path) -> FaceModel:
+    """Read a model file. Raises ModelError for a missing, damaged or foreign file."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise ModelError(f"{path}: no such model file; train one with `lipservo train`") from None
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read: {error.strerror}") from error
+    return _parse(content, str(path))
+
+
+def load_shipped_model(name: str = SHIPPED_MODEL) -> FaceModel:
+    """The model that comes with the package."""
+    file = resources.files("lipsync.models") / f"{name}.npz"
+    try:
+        return _parse(file.read_bytes(), f"shipped model {name}")
+    except FileNotFoundError:
+        raise ModelError(f"no shipped model {name!r}; reinstall lipservo") from None
+
+
+def _parse(content: bytes, name: str) -> FaceModel:
+    damaged = f"{name}: damaged or not a lipservo model; get a fresh copy or train one again"
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+        about = json.loads(arrays["about"].tobytes())
+        version = about["version"]
+    except (ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile) as error:
+        raise ModelError(damaged) from error
+    if version != MODEL_VERSION:
+        raise ModelError(
+            f"{name}: model version {version}, this lipservo reads version {MODEL_VERSION}; "
+            "train it again with `lipservo train`"
+        )
+    try:
+        model = _assemble(about, arrays)
+        _check(model)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        raise ModelError(f"{damaged} ({error})") from error
+    return model
+
+
+def _assemble(about: dict[str, object], arrays: dict[str, NDArray[np.generic]]) -> FaceModel:
+    def floats(key: str) -> Array:
+        return np.asarray(arrays[key], dtype=np.float64)
+
+    def lists(starts: str, indices: str) -> IndexLists:
+        return IndexLists(arrays[starts].astype(np.int64), arrays[indices].astype(np.int64))
+
+    if about["phonemes"] != list(PHONEMES):
+        raise ValueError("its phoneme inventory differs")
+    successors = lists("successor_starts", "successors")
+    names, sentences = about["marker_names"], about["training_sentences"]
+    provenance = about["provenance"]
+    if not (isinstance(names, list) and isinstance(sentences, list)):
+        raise TypeError("names are missing")
+    if not isinstance(provenance, dict):
+        raise TypeError("provenance is missing")
+    return FaceModel(
+        marker_names=tuple(names),
+        mean_mm=floats("mean_mm"),
+        basis=floats("basis"),
+        head_reference_mm=floats("head_reference_mm"),
+        rest=floats("rest"),
+        animphos=floats("animphos"),
+        successors=successors,
+        predecessors=successors.transposed(len(arrays["animphos"])),
+        phoneme_table=lists("phoneme_starts", "phoneme_animphos"),
+        training_sentences=tuple(sentences),
+        provenance=provenance,
+    )
+
+
+def _check(model: FaceModel) -> None:
+    """Shapes agree and every number is finite; raises ValueError naming the field that is wrong."""
+    n_markers, n_components, m = len(model.marker_names), model.n_components, len(model.animphos)
+    shapes = {
+        "mean_mm": (model.mean_mm.shape, (n_markers, 3)),
+        "basis": (model.basis.shape, (n_components, 3 * n_markers)),
+        "rest": (model.rest.shape, (n_components,)),
+        "animphos": (model.animphos.shape, (m, SAMPLES_PER_ANIMPHO, n_components)),
+        "successors": ((len(model.successors),), (m,)),
+        "phoneme_table": ((len(model.phoneme_table),), (len(PHONEMES),)),
+    }
+    for field, (found, expected) in shapes.items():
+        if found != expected:
+            raise ValueError(f"{field} has shape {found}, expected {expected}")
+    for field in ("mean_mm", "basis", "rest", "animphos"):
+        if not np.isfinite(getattr(model, field)).all():
+            raise ValueError(f"{field} holds values that are not finite")
+    for lists in (model.successors, model.phoneme_table):
+        ends_right = lists.starts[0] == 0 and lists.starts[-1] == len(lists.indices)
+        if not ends_right or (np.diff(lists.starts) < 0).any():
+            raise ValueError("a table's rows are out of order")
+        if len(lists.indices) and not 0 <= lists.indices.min() <= lists.indices.max() < m:
+            raise ValueError("a table points outside the AnimPhos")
+    if m == 0 or not model.known_phonemes:
+        raise ValueError("it holds no AnimPhos")

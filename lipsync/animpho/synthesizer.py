@@ -1,0 +1,189 @@
+"""The published live method, end to end: phonemes in, face coefficients at any time out.
+
+A phoneme is planned once, when its first instant is asked for; what was shown is never taken back.
+The caller shows sound `longest_phone_s` late, so that the end of every phoneme up to that length
+is known by then; a longer one plays for that long and is then held.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
+from lipsync.animpho.model import FaceModel
+from lipsync.animpho.selection import Choice, PrioritySelection, SelectionStrategy
+from lipsync.animpho.trajectory import Trajectory, ease
+from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate, stand_in
+from lipsync.timeline import PhonemeTimeline
+
+Array = NDArray[np.float64]
+
+#: Phones longer than this are held (architecture.md, Time).
+LONGEST_PHONE_S = 0.35
+#: A longer silence closes the mouth and ends the chain of AnimPhos.
+PAUSE_S = 0.30
+#: How long the lips take to close in a pause, or to settle in a held phone. The mouth of grid_s1
+#: closes within this after the last phone of nine sentences in ten.
+SETTLE_S = 0.25
+#: What is left of a phoneme after a late revision is not worth an AnimPho below this.
+_SHORTEST_PHONE_S = 0.02
+#: Stretches of motion kept for times asked for again; a tick asks at most 50 ms back.
+_KEPT = 16
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """One planned piece of motion.
+
+    until_s: when the next piece takes over. Infinite while it rests: then the first known event
+    that starts after `after_s` ends it.
+    """
+
+    trajectory: Trajectory
+    until_s: float
+    after_s: float
+
+
+class PublishedSynthesizer:
+    """Wei and Deng's synthesis and blending over a revisable stream of phonemes.
+
+    published_derivatives: keep eq. (5)'s derivative per sample spacing at a joint, so that the
+    speed jumps when durations differ; by default the speed per second is continuous.
+    """
+
+    def __init__(
+        self,
+        model: FaceModel,
+        strategy: SelectionStrategy | None = None,
+        *,
+        published_derivatives: bool = False,
+        longest_phone_s: float = LONGEST_PHONE_S,
+    ) -> None:
+        self._model = model
+        self._known = model.known_phonemes
+        self._strategy = strategy or PrioritySelection()
+        self._published_derivatives = published_derivatives
+        self.longest_phone_s = longest_phone_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        rest = self._model.rest
+        closed = ease(0.0, SETTLE_S, rest, np.zeros_like(rest), rest)
+        self._timeline = PhonemeTimeline()
+        self._stretches = deque([_Stretch(closed, math.inf, -math.inf)], maxlen=_KEPT)
+        self._choice: Choice | None = None
+        self._shown_until_s = 0.0
+        self.phonemes_planned = 0
+        self.misses = 0
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Believe a recogniser; what has been shown stays as it is."""
+        self._timeline.apply(update)
+
+    def coefficients_at(self, time_s: float) -> Array:
+        """The face (n_components,) at sound time `time_s`; the same time gives the same face.
+
+        Times may step back by a few phonemes, not more.
+        """
+        while (until_s := self._end_of_plan_s()) <= time_s:
+            self._plan(until_s)
+        self._shown_until_s = max(self._shown_until_s, time_s)
+        for stretch in reversed(self._stretches):
+            if stretch.trajectory.start_s <= time_s:
+                return stretch.trajectory.at(time_s)[0]
+        return self._model.rest
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""
+        return self._timeline.event_at(time_s)
+
+    def _end_of_plan_s(self) -> float:
+        """When the newest stretch gives way to a phoneme that is already known."""
+        newest = self._stretches[-1]
+        if math.isfinite(newest.until_s):
+            return newest.until_s
+        earliest_s = max(newest.trajectory.start_s, self._shown_until_s)
+        for event in self._timeline.events_after(newest.after_s):
+            if event.end_s is None or event.end_s > earliest_s:
+                return max(event.start_s, earliest_s)
+        return math.inf
+
+    def _plan(self, start_s: float) -> None:
+        """Decide the motion from `start_s` on, for the phoneme that is heard there."""
+        event = self._timeline.event_at(start_s)
+        end_s = math.inf if event is None or event.end_s is None else event.end_s
+        remaining_s = end_s - start_s
+        if event is None or (event.phoneme == SILENCE and self._is_pause(remaining_s)):
+            self._choice = None
+            self._rest(start_s, event, self._model.rest)
+        elif remaining_s < _SHORTEST_PHONE_S:
+            self._rest(start_s, event, self._state_at(start_s)[0])
+        else:
+            played_s = min(remaining_s, self.longest_phone_s)
+            self._speak(event.phoneme, start_s, played_s)
+            if played_s < remaining_s:
+                self._rest(start_s + played_s, event, self._stretches[-1].trajectory.samples[-1])
+
+    def _is_pause(self, duration_s: float) -> bool:
+        return duration_s > PAUSE_S or SILENCE not in self._known
+
+    def _rest(self, start_s: float, event: PhonemeEvent | None, position: Array) -> None:
+        """Settle at a position until the next event."""
+        after_s = -math.inf if event is None else event.start_s
+        trajectory = ease(start_s, SETTLE_S, *self._state_at(start_s), position)
+        self._stretches.append(_Stretch(trajectory, math.inf, after_s))
+
+    def _speak(self, phoneme: str, start_s: float, duration_s: float) -> None:
+        """Play a phoneme, or its stand-ins one after the other in equal shares."""
+        parts = stand_in(phoneme, self._known)
+        share_s = duration_s / len(parts)
+        for number, part in enumerate(parts):
+            self._play_animpho(part, start_s + number * share_s, share_s)
+
+    def _play_animpho(self, phoneme: str, start_s: float, duration_s: float) -> None:
+        position, velocity = self._state_at(start_s)
+        if self._choice is None:
+            # Out of silence b_1 = a_1 and d_1[1] = 0 (the paper is silent; live-lip-sync.md).
+            chosen = self._strategy.first(self._model, phoneme)
+            connected = chosen.animpho
+        else:
+            chosen = self._strategy.following(self._model, phoneme, self._choice)
+            connected = choose_connected(self._model, self._choice.animpho, chosen.animpho)
+        animphos = self._model.animphos
+        samples = blend(translate(animphos[connected], position), animphos[chosen.animpho])
+        spacing_s = duration_s / (len(samples) - 1)
+        first = velocity * spacing_s
+        if self._published_derivatives:
+            previous = self._stretches[-1].trajectory
+            first = np.zeros_like(position) if self._choice is None else previous.derivatives[-1]
+        trajectory = Trajectory(start_s, duration_s, samples, sample_derivatives(samples, first))
+        self._stretches.append(_Stretch(trajectory, start_s + duration_s, start_s))
+        self._choice = chosen
+        self.phonemes_planned += 1
+        self.misses += chosen.missed
+
+    def _state_at(self, time_s: float) -> tuple[Array, Array]:
+        """Position and velocity per second at the end of what is planned."""
+        return self._stretches[-1].trajectory.at(time_s)
+
+
+def render(
+    synthesizer: PublishedSynthesizer, events: tuple[PhonemeEvent, ...], rate_hz: float
+) -> Array:
+    """A whole sentence at once: (n_frames, n_components), frame k at k / rate_hz.
+
+    Frames are those whose grid time falls in [0, end of the last event); that end must be known.
+    """
+    end_s = events[-1].end_s if events else 0.0
+    if end_s is None:
+        raise ValueError(f"the last event {events[-1].phoneme} has no end")
+    synthesizer.reset()
+    synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, events))
+    n_frames = math.ceil(end_s * rate_hz - 1e-9)
+    times_s = np.arange(n_frames) / rate_hz
+    frames = [synthesizer.coefficients_at(float(time_s)) for time_s in times_s]
+    return np.array(frames).reshape(n_frames, -1)

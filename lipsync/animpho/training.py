@@ -1,0 +1,184 @@
+"""A corpus becomes a face model: PCA, segments, k-means, and the two tables.
+
+Wei and Deng, sections "data preprocessing" and "AnimPho". The only module of this package that
+loads scikit-learn.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import KMeans
+from sklearn.decomposition import PCA
+from threadpoolctl import threadpool_limits
+
+from lipsync.animpho.model import SAMPLES_PER_ANIMPHO, FaceModel, IndexLists
+from lipsync.corpus.utterance import Corpus, Utterance
+from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
+
+Array = NDArray[np.float64]
+Progress = Callable[[str], None]
+
+N_COMPONENTS = 5
+#: Successors of an AnimPho on average in the paper; decides how many AnimPhos there are.
+TARGET_SUCCESSORS = 3.45
+_SUCCESSORS_TOLERANCE = 0.05
+_SEARCH_ROUNDS = 6
+#: Where the search starts: m / n that gave 3.3 successors on grid_s1.
+_FIRST_RATIO = 0.25
+_KMEANS_ITERATIONS = 50
+#: Lips count as closed at this inner gap; 98 % of P closures in grid_s1 get there.
+CLOSED_GAP_MM = 1.0
+
+
+class TrainingError(ValueError):
+    """The corpus cannot teach a face: says what is missing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segments:
+    """The corpus cut at its phoneme boundaries.
+
+    samples: (n, 5, n_components); phonemes: n indices into PHONEMES; sentence: n sentence numbers.
+    Segments follow one another in order of time within a sentence.
+    """
+
+    samples: Array
+    phonemes: NDArray[np.int64]
+    sentence: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """A model and what training can tell about it."""
+
+    model: FaceModel
+    variance_held: float
+    n_segments: int
+
+
+def train(
+    corpus: Corpus,
+    *,
+    seed: int = 0,
+    n_animphos: int | None = None,
+    progress: Progress = lambda _: None,
+) -> Trained:
+    """Learn a model from every labelled sentence; the same corpus and seed give the same model.
+
+    n_animphos: None searches for the number that gives an AnimPho 3.45 successors, as in the paper.
+    Raises TrainingError for a corpus without labelled motion, or with too little of it.
+    """
+    labelled = corpus.labelled()
+    if not labelled.utterances:
+        raise TrainingError(f"corpus {corpus.name}: no sentence has a phones tier")
+    progress("principal components")
+    frames = np.concatenate([_flat(u) for u in labelled.utterances])
+    if len(frames) <= N_COMPONENTS or not frames.std(axis=0).any():
+        raise TrainingError(f"corpus {corpus.name}: the face does not move in {len(frames)} frames")
+    pca = PCA(N_COMPONENTS, svd_solver="covariance_eigh").fit(frames)
+    coefficients = [pca.transform(_flat(u)) for u in labelled.utterances]
+
+    progress("segments")
+    segments = cut_segments(labelled.utterances, coefficients)
+    if len(segments.samples) < 2:
+        raise TrainingError(f"corpus {corpus.name}: only {len(segments.samples)} phoneme in it")
+    with threadpool_limits(limits=1):  # several threads add up in changing order
+        centres, cluster = _cluster(segments, n_animphos, seed, progress)
+    successors = _successors(segments, cluster, len(centres))
+    model = FaceModel(
+        marker_names=corpus.marker_names,
+        mean_mm=pca.mean_.reshape(-1, 3),
+        basis=pca.components_,
+        head_reference_mm=corpus.head_reference_mm,
+        rest=_rest(labelled.utterances, coefficients),
+        animphos=centres.reshape(len(centres), SAMPLES_PER_ANIMPHO, N_COMPONENTS),
+        successors=successors,
+        predecessors=successors.transposed(len(centres)),
+        phoneme_table=IndexLists.from_pairs(segments.phonemes, cluster, len(PHONEMES)),
+        training_sentences=tuple(u.name for u in labelled.utterances),
+        provenance={"corpus": corpus.name, "seed": seed, "frames": len(frames)},
+    )
+    return Trained(model, float(pca.explained_variance_ratio_.sum()), len(segments.samples))
+
+
+def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> Segments:
+    """One segment a phoneme, resampled to five evenly spaced frames.
+
+    coefficients: (n_frames, n_components) for each utterance. Neighbours share exactly one frame:
+    the one at their boundary, interpolated, because a phone may be shorter than a frame at 25 Hz.
+    """
+    samples, phonemes, sentence = [], [], []
+    for number, (utterance, motion) in enumerate(zip(utterances, coefficients, strict=True)):
+        for phone in utterance.phones:
+            samples.append(_five_samples(phone, motion, utterance.frame_rate_hz))
+            phonemes.append(PHONEMES.index(phone.phoneme))
+            sentence.append(number)
+    return Segments(np.array(samples), np.array(phonemes), np.array(sentence))
+
+
+def _five_samples(phone: PhonemeEvent, motion: Array, frame_rate_hz: float) -> Array:
+    """(5, n_components) at even times from the start of the phone to its end."""
+    if phone.end_s is None:
+        raise TrainingError(f"phone {phone.phoneme} at {phone.start_s:.2f} s has no end")
+    frame = np.linspace(phone.start_s, phone.end_s, SAMPLES_PER_ANIMPHO) * frame_rate_hz
+    numbers = np.arange(len(motion))
+    return np.stack([np.interp(frame, numbers, component) for component in motion.T], axis=1)
+
+
+def _cluster(
+    segments: Segments, n_animphos: int | None, seed: int, progress: Progress
+) -> tuple[Array, NDArray[np.int64]]:
+    """AnimPhos (m, 25) and the AnimPho of each segment (n,)."""
+    vectors = segments.samples.reshape(len(segments.samples), -1)
+
+    def cluster(m: int) -> tuple[Array, NDArray[np.int64]]:
+        progress(f"clustering {len(vectors)} segments into {m} AnimPhos")
+        kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed).fit(vectors)
+        return kmeans.cluster_centers_, kmeans.labels_.astype(np.int64)
+
+    n_distinct = len(np.unique(vectors, axis=0))
+    if n_animphos is not None:
+        return cluster(min(n_animphos, n_distinct))
+    # More AnimPhos have fewer successors each, nearly in proportion to 1 / m.
+    m = max(1, min(n_distinct, round(_FIRST_RATIO * len(vectors))))
+    for _ in range(_SEARCH_ROUNDS):
+        centres, labels = cluster(m)
+        mean = len(_successors(segments, labels, m).indices) / m
+        better = max(1, min(n_distinct, round(m * mean / TARGET_SUCCESSORS)))
+        if abs(mean - TARGET_SUCCESSORS) <= _SUCCESSORS_TOLERANCE or better == m:
+            break
+        m = better
+    return centres, labels
+
+
+def _successors(segments: Segments, cluster: NDArray[np.int64], m: int) -> IndexLists:
+    """T: which AnimPho directly follows which in some sentence."""
+    same_sentence = segments.sentence[:-1] == segments.sentence[1:]
+    return IndexLists.from_pairs(cluster[:-1][same_sentence], cluster[1:][same_sentence], m)
+
+
+def _rest(utterances: Iterable[Utterance], coefficients: list[Array]) -> Array:
+    """The mean of all silent frames with closed lips; of the most closed tenth if none touch."""
+    silent, gaps_mm = [], []
+    for utterance, motion in zip(utterances, coefficients, strict=True):
+        times_s = np.arange(len(motion)) / utterance.frame_rate_hz
+        spoken = np.zeros(len(motion), dtype=bool)
+        for phone in utterance.phones:
+            if phone.phoneme != SILENCE and phone.end_s is not None:
+                spoken |= (times_s >= phone.start_s) & (times_s < phone.end_s)
+        lips = utterance.markers_mm[:, UPPER_INNER_LIP] - utterance.markers_mm[:, LOWER_INNER_LIP]
+        silent.append(motion[~spoken])
+        gaps_mm.append(np.linalg.norm(lips[~spoken], axis=1))
+    frames, gap_mm = np.concatenate(silent), np.concatenate(gaps_mm)
+    if not len(frames):
+        frames, gap_mm = np.concatenate(coefficients), np.zeros(sum(map(len, coefficients)))
+    threshold = max(CLOSED_GAP_MM, float(np.quantile(gap_mm, 0.1)))
+    return np.asarray(frames[gap_mm <= threshold].mean(axis=0))
+
+
+def _flat(utterance: Utterance) -> Array:
+    """(n_frames, 3 n_markers)."""
+    return utterance.markers_mm.reshape(len(utterance.markers_mm), -1).astype(np.float64)

@@ -1,0 +1,175 @@
+"""Reader for folders laid out like `grid_s1`: one talker, sound, face landmarks, labels."""
+
+import json
+import zipfile
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+from lipsync.corpus.head_motion import apply_similarity, fit_similarity, refine_mean
+from lipsync.corpus.utterance import Corpus, CorpusError, Utterance, Word
+from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
+from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
+from lipsync.textgrid import Interval, LabelError, read_tiers
+
+Array = NDArray[np.float64]
+Progress = Callable[[list[str]], Iterable[str]]
+
+#: Outer eye corners, and their distance: sets millimetres (corpus README).
+_RIGHT_EYE, _LEFT_EYE, _EYE_DISTANCE_MM = 33, 263, 90.0
+_UNITS_PER_PIXEL = 64.0
+#: The picture has y down and z into it; faces here have y up and z to the viewer.
+_TO_FACE_AXES = np.array([1.0, -1.0, -1.0])
+#: Picture and sound of one sentence may differ by this much in length (grid_s1: up to 0.03 s).
+_LENGTH_TOLERANCE_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """landmarks.json: which rows of a frame are which points of the face."""
+
+    frame_rate_hz: float
+    n_landmarks: int
+    markers: list[int]
+    rigid: list[int]
+    eyes: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class _Sentence:
+    name: str
+    landmarks_px: Array
+    sound_path: Path
+    phones: tuple[PhonemeEvent, ...]
+    words: tuple[Word, ...]
+
+
+def read_grid(
+    folder: Path,
+    *,
+    head_reference_mm: Array | None = None,
+    skip_bad: bool = False,
+    progress: Progress = iter,
+) -> Corpus:
+    """All sentences of the folder, head motion removed, in millimetres.
+
+    head_reference_mm: lay the faces on this head (a model's) rather than on their own mean.
+    skip_bad: leave out sentences with a missing or mismatched file and list them in `skipped`;
+    otherwise the first one raises CorpusError, which names the file.
+    """
+    layout = _read_layout(folder)
+    sentences: list[_Sentence] = []
+    skipped: list[str] = []
+    for name in progress(_sentence_names(folder)):
+        try:
+            sentences.append(_read_sentence(folder, name, layout))
+        except CorpusError as error:
+            if not skip_bad:
+                raise CorpusError(f"{error} (--skip-bad goes on without it)") from error
+            skipped.append(str(error))
+    if not sentences:
+        raise CorpusError(f"{folder}: no usable sentence")
+    rigid = np.concatenate([s.landmarks_px[:, layout.rigid] for s in sentences])
+    if head_reference_mm is None:
+        head_reference_mm = refine_mean(rigid, (*layout.eyes, _EYE_DISTANCE_MM))
+    utterances = tuple(_to_utterance(s, layout, head_reference_mm) for s in sentences)
+    return Corpus(folder.name, MARKER_NAMES, utterances, head_reference_mm, tuple(skipped))
+
+
+def _to_utterance(sentence: _Sentence, layout: _Layout, head_reference_mm: Array) -> Utterance:
+    rigid = sentence.landmarks_px[:, layout.rigid]
+    similarity = fit_similarity(rigid, head_reference_mm)
+    markers_mm = apply_similarity(sentence.landmarks_px[:, layout.markers], *similarity)
+    return Utterance(
+        sentence.name,
+        markers_mm.astype(np.float32),
+        layout.frame_rate_hz,
+        sentence.sound_path,
+        sentence.phones,
+        sentence.words,
+    )
+
+
+def _read_layout(folder: Path) -> _Layout:
+    path = folder / "landmarks.json"
+    try:
+        content = json.loads(path.read_text())
+        row_of = {number: row for row, number in enumerate(content["landmark_ids"])}
+        rigid = content["groups"]["rigid"]
+        return _Layout(
+            float(content["frame_rate_hz"]),
+            len(row_of),
+            [row_of[n] for n in MARKER_LANDMARKS],
+            [row_of[n] for n in rigid],
+            (rigid.index(_RIGHT_EYE), rigid.index(_LEFT_EYE)),
+        )
+    except FileNotFoundError:
+        raise CorpusError(
+            f"{path}: no such file; a corpus folder holds audio/, landmarks/, labels/ and "
+            "landmarks.json"
+        ) from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise CorpusError(f"{path}: not a usable landmark list ({error})") from error
+
+
+def _sentence_names(folder: Path) -> list[str]:
+    """Every sentence that any of the three folders knows, so that a missing file is noticed."""
+    files = [
+        *(folder / "landmarks").glob("*.npz"),
+        *(folder / "labels").glob("*.TextGrid"),
+        *(folder / "audio").glob("*.flac"),
+    ]
+    return sorted({path.stem for path in files})
+
+
+def _read_sentence(folder: Path, name: str, layout: _Layout) -> _Sentence:
+    landmarks_px = _read_landmarks(folder / "landmarks" / f"{name}.npz", layout.n_landmarks)
+    sound_path = folder / "audio" / f"{name}.flac"
+    duration_s = len(landmarks_px) / layout.frame_rate_hz
+    try:
+        sound_s = soundfile.info(sound_path).duration
+    except soundfile.LibsndfileError as error:
+        raise CorpusError(f"{sound_path}: missing or not a sound file") from error
+    if abs(sound_s - duration_s) > _LENGTH_TOLERANCE_S:
+        raise CorpusError(f"{sound_path}: {sound_s:.2f} s of sound, {duration_s:.2f} s of picture")
+    label_path = folder / "labels" / f"{name}.TextGrid"
+    try:
+        tiers = read_tiers(label_path)
+        return _Sentence(
+            name,
+            landmarks_px,
+            sound_path,
+            tuple(_phones(tiers.get("phones", ()), label_path)),
+            tuple(Word(*interval) for interval in tiers.get("words", ()) if interval[0]),
+        )
+    except LabelError as error:
+        raise CorpusError(str(error)) from error
+
+
+def _phones(intervals: Iterable[Interval], path: Path) -> Iterable[PhonemeEvent]:
+    for label, start_s, end_s in intervals:
+        phoneme = label or SILENCE
+        if phoneme not in VISEME_OF:
+            raise CorpusError(f"{path}: {label!r} at {start_s:.2f} s is not an ARPAbet phone")
+        yield PhonemeEvent(phoneme, start_s, end_s)
+
+
+def _read_landmarks(path: Path, n_landmarks: int) -> Array:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            points = file["landmarks_64th_px"]
+    except FileNotFoundError:
+        raise CorpusError(f"{path}: no such file") from None
+    except (KeyError, ValueError, OSError, zipfile.BadZipFile) as error:
+        raise CorpusError(f"{path}: not a landmark file") from error
+    if points.ndim != 3 or points.shape[1:] != (n_landmarks, 3) or len(points) < 2:
+        raise CorpusError(
+            f"{path}: shape {points.shape}; expected (n_frames, {n_landmarks}, 3), n_frames >= 2"
+        )
+    if not np.isfinite(points).all():
+        raise CorpusError(f"{path}: landmarks that are not numbers")
+    return np.asarray(points / _UNITS_PER_PIXEL * _TO_FACE_AXES, dtype=np.float64)

@@ -1,0 +1,59 @@
+"""Removing the motion of the head from the motion of the face.
+
+Every frame is laid on a mean head by the similarity (rotation, translation, scale) that fits its
+bone-fixed points best; the mean is refined until it no longer moves. This is the SVD-based shape
+analysis of Wei and Deng; the closed form is Umeyama's (IEEE PAMI 13(4), 1991, eqs. 39-42).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+# The fit converges by a factor of about ten a round; ten rounds are exact to rounding.
+_ROUNDS = 10
+
+
+def fit_similarity(points: Array, reference: Array) -> tuple[Array, Array, Array]:
+    """Similarities that lay each frame's points on the reference in the least-squares sense.
+
+    points: (n_frames, n_points, 3); reference: (n_points, 3).
+    Returns scale (n_frames,), rotation (n_frames, 3, 3), translation (n_frames, 3) for
+    `scale * points @ rotation.T + translation`. Umeyama, eqs. (40)-(42).
+    """
+    centre = points.mean(axis=1, keepdims=True)
+    reference_centre = reference.mean(axis=0)
+    # a: (n_frames, n_points, 3), b: (n_points, 3)
+    a, b = points - centre, reference - reference_centre
+    u, d, vt = np.linalg.svd(np.einsum("pi,fpj->fij", b, a))
+    # A mirrored head fits better than a turned one when points are few; forbid it.
+    handedness = np.sign(np.linalg.det(u @ vt))
+    u[:, :, 2] *= handedness[:, None]
+    d[:, 2] *= handedness
+    rotation = u @ vt
+    scale = d.sum(axis=1) / (a**2).sum(axis=(1, 2))
+    translation = reference_centre - scale[:, None] * np.einsum(
+        "fij,fj->fi", rotation, centre[:, 0]
+    )
+    return scale, rotation, translation
+
+
+def apply_similarity(points: Array, scale: Array, rotation: Array, translation: Array) -> Array:
+    """`scale * points @ rotation.T + translation`, frame by frame; points (n_frames, n, 3)."""
+    turned: Array = np.einsum("fij,fpj->fpi", rotation, points)
+    return scale[:, None, None] * turned + translation[:, None, :]
+
+
+def refine_mean(points: Array, scale_mm: tuple[int, int, float]) -> Array:
+    """The mean bone-fixed shape of all frames, refined from the first frame on.
+
+    points: (n_frames, n_points, 3); scale_mm: two point indices and their distance in mm, which
+    fixes the size. Returns (n_points, 3), centred on its own mean.
+    """
+    first, second, distance_mm = scale_mm
+    mean: Array = points[0]
+    for _ in range(_ROUNDS):
+        mean = apply_similarity(points, *fit_similarity(points, mean)).mean(axis=0)
+        mean = mean - mean.mean(axis=0)
+        mean = mean * (distance_mm / np.linalg.norm(mean[first] - mean[second]))
+    return mean

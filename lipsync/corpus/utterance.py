@@ -1,0 +1,62 @@
+"""Recorded sentences with mouth motion."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.phonemes import PhonemeEvent
+
+
+class CorpusError(ValueError):
+    """A corpus folder that cannot be read: says which file, what is wrong, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """One spoken word in sound time."""
+
+    text: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Utterance:
+    """One sentence: mouth motion, labels, and where its sound lies.
+
+    markers_mm: (n_frames, n_markers, 3), head motion removed, x to the picture's right, y up,
+    z to the viewer. Frame i is at i / frame_rate_hz. `phones` is empty where alignment failed.
+    """
+
+    name: str
+    markers_mm: NDArray[np.float32]
+    frame_rate_hz: float
+    sound_path: Path
+    phones: tuple[PhonemeEvent, ...]
+    words: tuple[Word, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Corpus:
+    """Sentences of one talker in one common head pose.
+
+    head_reference_mm: (n_rigid, 3), the mean bone-fixed points that every frame was fitted to;
+    hand it to the reader of another folder to bring that one into the same pose.
+    """
+
+    name: str
+    marker_names: tuple[str, ...]
+    utterances: tuple[Utterance, ...]
+    head_reference_mm: NDArray[np.float64]
+    skipped: tuple[str, ...] = ()
+
+    def labelled(self) -> "Corpus":
+        """Only the sentences that have phones."""
+        return self.keep({u.name for u in self.utterances if u.phones})
+
+    def keep(self, names: set[str]) -> "Corpus":
+        """Only the sentences named."""
+        chosen = tuple(u for u in self.utterances if u.name in names)
+        return Corpus(self.name, self.marker_names, chosen, self.head_reference_mm, self.skipped)

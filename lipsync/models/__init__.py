@@ -1,0 +1,1 @@
+"""Shipped models, each with its model card beside it. Data only."""

@@ -1,0 +1,132 @@
+"""The phoneme inventory, the viseme classes, and what a recogniser says about phonemes.
+
+The 39 phones of the CMU pronouncing dictionary plus SIL, upper case, without stress.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Protocol
+
+from lipsync.audio.block import AudioBlock
+
+SILENCE = "SIL"
+
+#: The scoring classes: phones that look alike on the lips are right or wrong together.
+VISEME_CLASSES: tuple[tuple[str, ...], ...] = (
+    (SILENCE,),
+    ("P", "B", "M"),
+    ("F", "V"),
+    ("TH", "DH"),
+    ("T", "D", "N", "S", "Z", "L"),
+    ("SH", "ZH", "CH", "JH"),
+    ("K", "G", "NG"),
+    ("W",),
+    ("R",),
+    ("HH",),
+    ("IY", "IH", "Y"),
+    ("EH", "AE", "EY"),
+    ("AA", "AH", "AY", "AW"),
+    ("AO", "OW", "OY"),
+    ("UW", "UH"),
+    ("ER",),
+)
+
+PHONEMES: tuple[str, ...] = tuple(sorted(p for viseme in VISEME_CLASSES for p in viseme))
+
+VISEME_OF: Mapping[str, int] = MappingProxyType(
+    {phoneme: index for index, viseme in enumerate(VISEME_CLASSES) for phoneme in viseme}
+)
+
+# Tried in order; each entry is a sequence of phones that together make the same mouth movement.
+# Diphthongs become their two ends; NG and ER look like N and R once the tongue is hidden.
+_STAND_INS: Mapping[str, tuple[tuple[str, ...], ...]] = MappingProxyType(
+    {
+        "NG": (("N",), ("K",)),
+        "ER": (("R",), ("AH",)),
+        "OY": (("AO", "IY"), ("OW", "IY"), ("AO",)),
+        "AY": (("AA", "IY"), ("AH", "IY")),
+        "AW": (("AA", "UW"), ("AH", "UW")),
+        "EY": (("EH", "IY"), ("EH",)),
+        "OW": (("AO", "UW"), ("AO",)),
+        "UH": (("UW",), ("OW",), ("W",)),
+        "UW": (("UH",), ("W",), ("OW",)),
+        "W": (("UW",), ("OW",)),
+        "R": (("ER",), ("W",), ("L",)),
+        "HH": (("AH",), ("EH",)),
+        "Y": (("IY",), ("IH",)),
+        "TH": (("DH",), ("T",)),
+        "DH": (("TH",), ("D",)),
+        "K": (("G",), ("NG",), ("T",)),
+        "G": (("K",), ("NG",), ("D",)),
+    }
+)
+
+
+def stand_in(phoneme: str, known: Sequence[str] | frozenset[str]) -> tuple[str, ...]:
+    """Phones of `known` that together look like `phoneme`; `(phoneme,)` when it is known itself.
+
+    A stand-in is a named one (OY as AO then IY), else a phone of the same viseme class, else any
+    known phone, so that every phone of the inventory moves the mouth.
+    Raises ValueError for a phoneme outside the inventory or an empty `known`.
+    """
+    if phoneme not in VISEME_OF:
+        raise ValueError(f"unknown phoneme {phoneme!r}; known here: {' '.join(PHONEMES)}")
+    if not known:
+        raise ValueError("no phoneme is known")
+    if phoneme in known:
+        return (phoneme,)
+    for candidate in _STAND_INS.get(phoneme, ()):
+        if all(part in known for part in candidate):
+            return candidate
+    for sibling in VISEME_CLASSES[VISEME_OF[phoneme]]:
+        if sibling in known:
+            return (sibling,)
+    spoken = sorted(p for p in known if p != SILENCE)
+    return (("AH" if "AH" in spoken else spoken[0]) if spoken else SILENCE,)
+
+
+@dataclass(frozen=True, slots=True)
+class PhonemeEvent:
+    """One phoneme in sound time; `end_s` is None while it is still going on."""
+
+    phoneme: str
+    start_s: float
+    end_s: float | None
+    confidence: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class PhonemeUpdate:
+    """A source's whole belief from `replace_from_s` on, replacing all it said before about it.
+
+    Events are in order of time, do not overlap, and only the last may have no end. The first may
+    have begun before `replace_from_s`: it is then the one going on there, with its true start. The
+    sound was heard until `heard_until_s`; nothing before `final_until_s` changes again.
+    """
+
+    replace_from_s: float
+    heard_until_s: float
+    final_until_s: float
+    events: tuple[PhonemeEvent, ...]
+
+
+class PhonemeSource(Protocol):
+    """Anything that says which phoneme is spoken when: recogniser, speech synthesis, label file."""
+
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """What became known since the last call, with sound heard until `until_s`."""
+
+
+class LiveRecognizer(PhonemeSource, Protocol):
+    """A phoneme source that listens."""
+
+    def feed(self, block: AudioBlock) -> None:
+        """Hear the next block. Blocks of any size; a gap between blocks is heard as silence."""
+
+    def reset(self) -> None:
+        """Forget everything, ready for a new stream at sound time 0."""

@@ -1,0 +1,86 @@
+"""Speech or not, from loudness alone: the door in front of a recogniser that babbles in noise.
+
+The noise floor is the lowest level of the last second or so (minimum statistics, after R. Martin,
+"Noise power spectral density estimation", IEEE Trans. Speech and Audio Processing 9(5), 2001):
+between two sounds speech falls back to the noise, steady noise stays where it is. So a steady sound
+becomes floor within `FLOOR_WINDOW_S`, a held note too: loudness cannot tell them apart.
+"""
+
+import math
+from collections import deque
+
+import numpy as np
+from numpy.typing import NDArray
+
+FRAMES_PER_S = 100
+#: Below it nothing is speech. LibriSpeech turned down by 30 dB keeps 99 % of its loud frames above
+#: it (12 utterances, measured); the rounding noise of 16 bits lies at -98.
+QUIETEST_SPEECH_DB = -85.0
+OPEN_ABOVE_FLOOR_DB = 9.0
+CLOSE_ABOVE_FLOOR_DB = 6.0
+#: A click is shorter, a vowel longer.
+OPEN_AFTER_S = 0.030
+#: The longest stop closures inside a word, with their weak burst.
+HANG_OVER_S = 0.15
+#: Longer than speech goes without falling near the noise.
+FLOOR_WINDOW_S = 1.2
+_FLOOR_STEP_S = 0.1
+#: The level of digital silence; keeps the logarithm finite.
+_NOTHING_DB = -120.0
+
+
+def level_db(frame: NDArray[np.float32]) -> float:
+    """Level of the first difference of samples (n,) in [-1, 1], in dB against full scale.
+
+    The difference takes offset, hum and rumble away and leaves the consonants.
+    """
+    power = float(np.var(np.diff(frame), dtype=np.float64))
+    return max(_NOTHING_DB, 10.0 * math.log10(power)) if power > 0.0 else _NOTHING_DB
+
+
+class SpeechGate:
+    """Hears the level of one 10 ms frame after the other and says whether speech is going on.
+
+    It opens `OPEN_AFTER_S` after the first loud frame, so a listener that wants the onset keeps a
+    pre-roll, and closes `HANG_OVER_S` after the last one.
+    """
+
+    def __init__(self) -> None:
+        # As if it had been quiet before the stream began: speech that starts at once is heard.
+        n_steps = round(FLOOR_WINDOW_S / _FLOOR_STEP_S)
+        self._step_minima_db = deque([_NOTHING_DB] * n_steps, maxlen=n_steps)
+        self._n_in_step = 0
+        self._n_loud = 0
+        self._n_quiet = 0
+        self._is_open = False
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the last frame was within speech."""
+        return self._is_open
+
+    @property
+    def floor_db(self) -> float:
+        """The noise floor now."""
+        return min(self._step_minima_db)
+
+    def hear(self, frame_db: float) -> bool:
+        """Take the next frame's level; True while speech is going on."""
+        self._follow_floor(frame_db)
+        above_floor_db = CLOSE_ABOVE_FLOOR_DB if self._is_open else OPEN_ABOVE_FLOOR_DB
+        if frame_db >= max(QUIETEST_SPEECH_DB, self.floor_db + above_floor_db):
+            self._n_loud, self._n_quiet = self._n_loud + 1, 0
+        else:
+            self._n_loud, self._n_quiet = 0, self._n_quiet + 1
+        if self._is_open:
+            self._is_open = self._n_quiet < round(HANG_OVER_S * FRAMES_PER_S)
+        else:
+            self._is_open = self._n_loud >= round(OPEN_AFTER_S * FRAMES_PER_S)
+        return self._is_open
+
+    def _follow_floor(self, frame_db: float) -> None:
+        if self._n_in_step == 0:
+            self._step_minima_db.append(frame_db)
+        else:
+            self._step_minima_db[-1] = min(self._step_minima_db[-1], frame_db)
+        self._n_in_step = (self._n_in_step + 1) % round(_FLOOR_STEP_S * FRAMES_PER_S)

@@ -1,0 +1,68 @@
+"""Phonemes that are known beforehand, from a label file or a speech synthesiser, told in time."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from os import PathLike
+
+from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent, PhonemeUpdate
+from lipsync.textgrid import LabelError, read_tier
+
+
+def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[PhonemeEvent, ...]:
+    """The phonemes of a TextGrid's tier; stretches without a label are silence.
+
+    Raises LabelError when the file cannot be read or holds a label outside the inventory.
+    """
+    intervals = read_tier(path, tier)
+    for label, start_s, _ in intervals:
+        if label and label not in VISEME_OF:
+            raise LabelError(
+                f"{path}: {label!r} at {start_s:.3f} s in tier {tier!r} is no phoneme; "
+                "use ARPAbet in upper case without stress, SIL for silence"
+            )
+    return tuple(
+        PhonemeEvent(label or SILENCE, start_s, end_s) for label, start_s, end_s in intervals
+    )
+
+
+class ScriptedPhonemes:
+    """A `PhonemeSource` that lets out known events only as a perfect listener would learn them.
+
+    Heard until t, it tells the starts before t + `lookahead_s` and the ends not after it, nothing
+    more; all it tells is final. Raises ValueError for events out of order or overlapping, and for
+    an open one that is not the last.
+    """
+
+    latency_s = 0.0
+
+    def __init__(self, events: Iterable[PhonemeEvent], lookahead_s: float = 0.0) -> None:
+        self._events = tuple(events)
+        for event, following in zip(self._events, self._events[1:], strict=False):
+            if event.end_s is None or not event.start_s < event.end_s <= following.start_s:
+                raise ValueError(f"{event} does not end before {following} begins")
+        self._lookahead_s = lookahead_s
+        self._n_over = 0  # events that were told with their end
+        self._known_until_s = 0.0
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """One update if time went on since the last call, else none."""
+        known_until_s = until_s + self._lookahead_s
+        if known_until_s <= self._known_until_s:
+            return []
+        replace_from_s, self._known_until_s = self._known_until_s, known_until_s
+        told: list[PhonemeEvent] = []
+        for event in self._events[self._n_over :]:
+            if event.start_s >= known_until_s:
+                break
+            is_over = (event.end_s if event.end_s is not None else math.inf) <= known_until_s
+            told.append(event if is_over else replace(event, end_s=None))
+            self._n_over += is_over
+        return [
+            PhonemeUpdate(
+                replace_from_s=replace_from_s,
+                heard_until_s=until_s,
+                final_until_s=known_until_s,
+                events=tuple(told),
+            )
+        ]

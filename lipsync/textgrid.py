@@ -1,0 +1,50 @@
+"""Reading Praat TextGrids: labelled intervals."""
+
+from os import PathLike
+from pathlib import Path
+
+from praatio import textgrid
+from praatio.data_classes.interval_tier import IntervalTier
+from praatio.utilities.errors import PraatioException
+
+
+class LabelError(ValueError):
+    """A label file cannot be used; the message is one line: what, where, what to do."""
+
+
+Interval = tuple[str, float, float]
+
+
+def read_tier(path: str | PathLike[str], tier: str) -> tuple[Interval, ...]:
+    """The intervals of `tier` as (label, start_s, end_s), in order, covering the whole file.
+
+    Labels are stripped of white space; stretches without a label are there, with the label "".
+    Raises LabelError for a missing file, a file that is no TextGrid, and a missing or point tier.
+    """
+    tiers = read_tiers(path)
+    if tier not in tiers:
+        raise LabelError(f"{path}: no interval tier {tier!r}; the file has: {', '.join(tiers)}")
+    return tiers[tier]
+
+
+def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
+    """Every interval tier of the file by name; see `read_tier`."""
+    path = Path(path)
+    if not path.is_file():
+        raise LabelError(f"{path}: no such file; give the path of a Praat TextGrid")
+    try:
+        grid = textgrid.openTextgrid(str(path), includeEmptyIntervals=True, reportingMode="error")
+    # What praatio raises depends on where in the text it loses the thread.
+    except (PraatioException, AssertionError, LookupError, ValueError) as error:
+        raise LabelError(
+            f"{path}: not a readable Praat TextGrid; save it again from Praat as text "
+            f"({type(error).__name__})"
+        ) from error
+    return {
+        tier.name: tuple(
+            (str(label).strip(), float(start_s), float(end_s))
+            for start_s, end_s, label in tier.entries
+        )
+        for tier in grid.tiers
+        if isinstance(tier, IntervalTier)
+    }

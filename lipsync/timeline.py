@@ -1,0 +1,100 @@
+"""What is believed about the phonemes of the last and the next moments."""
+
+import math
+from bisect import bisect_right
+from dataclasses import replace
+
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+
+
+class PhonemeTimeline:
+    """The events of all updates so far, in order of time, not overlapping, with bounded memory.
+
+    `apply` puts an update's belief in place of the older one. What an earlier update called final
+    stays as it is, whatever a later one says; events older than `horizon_s` before what was heard
+    are forgotten.
+    """
+
+    def __init__(self, horizon_s: float = 5.0) -> None:
+        # More than the longest display delay; a caller who is done earlier calls `forget_before`.
+        self._horizon_s = horizon_s
+        self._events: list[PhonemeEvent] = []
+        self._final_until_s = 0.0
+        self._forgotten_until_s = 0.0
+
+    @property
+    def events(self) -> tuple[PhonemeEvent, ...]:
+        """All that is remembered, in order of time; only the last may have no end."""
+        return tuple(self._events)
+
+    @property
+    def final_until_s(self) -> float:
+        """Nothing before it changes again."""
+        return self._final_until_s
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The event that goes on at `time_s`, or None where nothing is known."""
+        index = bisect_right(self._events, time_s, key=_start_s) - 1
+        if index < 0 or _end_s(self._events[index]) <= time_s:
+            return None
+        return self._events[index]
+
+    def events_after(self, time_s: float) -> tuple[PhonemeEvent, ...]:
+        """The events that start later than `time_s`, in order."""
+        return tuple(self._events[bisect_right(self._events, time_s, key=_start_s) :])
+
+    def apply(self, update: PhonemeUpdate) -> None:
+        """Believe `update` from its `replace_from_s` on, but for what is final already.
+
+        An event that goes on across that border keeps the start it has here. Raises ValueError for
+        an update whose events are out of order, overlap, or are open before the last.
+        """
+        _refuse_disorder(update)
+        from_s = max(update.replace_from_s, self._final_until_s, self._forgotten_until_s)
+        going_on = self._cut_at(from_s)
+        for event in update.events:
+            if _end_s(event) <= from_s:
+                continue
+            if event.start_s >= from_s:
+                self._events.append(event)
+            elif going_on is not None and going_on.phoneme == event.phoneme:
+                self._events[-1] = replace(event, start_s=going_on.start_s)
+            else:
+                self._events.append(replace(event, start_s=from_s))
+        self._final_until_s = max(self._final_until_s, update.final_until_s)
+        if math.isfinite(update.heard_until_s):
+            self.forget_before(update.heard_until_s - self._horizon_s)
+
+    def forget_before(self, time_s: float) -> None:
+        """Drop the events that end at or before `time_s`; what was forgotten does not come back."""
+        self._forgotten_until_s = max(self._forgotten_until_s, time_s)
+        n_old = 0
+        while n_old < len(self._events) and _end_s(self._events[n_old]) <= time_s:
+            n_old += 1
+        del self._events[:n_old]
+
+    def _cut_at(self, time_s: float) -> PhonemeEvent | None:
+        """Drop what lies after `time_s`; the event that reached to it or beyond, now cut there."""
+        while self._events and self._events[-1].start_s >= time_s:
+            self._events.pop()
+        if not self._events or _end_s(self._events[-1]) < time_s:
+            return None
+        self._events[-1] = replace(self._events[-1], end_s=time_s)
+        return self._events[-1]
+
+
+def _start_s(event: PhonemeEvent) -> float:
+    return event.start_s
+
+
+def _end_s(event: PhonemeEvent) -> float:
+    return math.inf if event.end_s is None else event.end_s
+
+
+def _refuse_disorder(update: PhonemeUpdate) -> None:
+    for event, following in zip(update.events, update.events[1:], strict=False):
+        if not _end_s(event) <= following.start_s:
+            raise ValueError(f"{following} begins before {event} ends")
+    for event in update.events:
+        if not event.start_s < _end_s(event):
+            raise ValueError(f"{event} ends before it begins")

@@ -1,0 +1,141 @@
+import numpy as np
+import pytest
+
+from firmware_bridge.bus import PortError
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.joints import Joint
+from firmware_bridge.simulator.bus import DATA_LIMIT_ERROR, RANGE_MARGIN_DEG, SimulatedBus
+
+JAW = Joint("jaw", 1, min_deg=-2.0, max_deg=25.0, max_speed_deg_s=300.0)
+LIP = Joint("lip", 2, min_deg=-30.0, max_deg=40.0, max_speed_deg_s=400.0)
+
+
+@pytest.fixture
+def clock():
+    return ManualClock()
+
+
+@pytest.fixture
+def bus(clock):
+    with SimulatedBus([JAW, LIP], clock, top_speed_deg_s=100.0) as bus:
+        yield bus
+
+
+def test_servos_run_to_their_goals_at_top_speed_and_stop_there(bus, clock):
+    bus.set_torque(True)
+    bus.write_positions(np.array([10.0, -20.0]))
+
+    clock.advance(0.05)
+    np.testing.assert_allclose(bus.read().positions_deg, [5.0, -5.0])
+
+    clock.advance(0.1)
+    np.testing.assert_allclose(bus.read().positions_deg, [10.0, -15.0])
+
+    clock.advance(10.0)
+    np.testing.assert_array_equal(bus.read().positions_deg, [10.0, -20.0])
+
+
+def test_how_often_the_bus_is_read_does_not_change_the_motion(clock):
+    def final_deg(n_reads):
+        clock = ManualClock()
+        with SimulatedBus([JAW, LIP], clock, top_speed_deg_s=100.0) as bus:
+            bus.set_torque(True)
+            bus.write_positions(np.array([20.0, -20.0]))
+            for _ in range(n_reads):
+                clock.advance(0.125 / n_reads)
+                bus.read()
+            return bus.read().positions_deg
+
+    np.testing.assert_allclose(final_deg(n_reads=50), final_deg(n_reads=1))
+
+
+def test_a_limp_servo_takes_goals_but_stays(bus, clock):
+    bus.write_positions(np.array([10.0, 10.0]))
+    clock.advance(1.0)
+    readings = bus.read()
+
+    np.testing.assert_array_equal(readings.positions_deg, [0.0, 0.0])
+    np.testing.assert_array_equal(readings.goals_deg, [10.0, 10.0])
+    assert not readings.torque_on.any()
+
+
+def test_torque_off_in_mid_motion_keeps_the_position(bus, clock):
+    bus.set_torque(True)
+    bus.write_positions(np.array([20.0, 20.0]))
+    clock.advance(0.1)
+    bus.set_torque(False)
+    clock.advance(5.0)
+
+    np.testing.assert_allclose(bus.read().positions_deg, [10.0, 10.0])
+
+
+def test_torque_on_runs_to_the_last_goal_as_a_real_servo_does(bus, clock):
+    bus.write_positions(np.array([20.0, 20.0]))
+    bus.set_torque(True)
+    clock.advance(5.0)
+
+    np.testing.assert_array_equal(bus.read().positions_deg, [20.0, 20.0])
+
+
+@pytest.mark.parametrize("goal_deg", [25.0 + RANGE_MARGIN_DEG + 0.01, -7.01, np.nan, np.inf])
+def test_a_goal_outside_the_servos_range_is_refused_by_that_servo_alone(bus, goal_deg):
+    bus.write_positions(np.array([10.0, 10.0]))
+    bus.write_positions(np.array([goal_deg, 12.0]))
+    readings = bus.read()
+
+    np.testing.assert_array_equal(readings.goals_deg, [10.0, 12.0])
+    np.testing.assert_array_equal(readings.errors, [DATA_LIMIT_ERROR, 0])
+
+    bus.write_positions(np.array([25.0 + RANGE_MARGIN_DEG, 12.0]))
+
+    np.testing.assert_array_equal(bus.read().errors, [0, 0])
+
+
+def test_positions_of_the_wrong_shape_are_a_programming_error(bus):
+    with pytest.raises(ValueError, match=r"expected positions of shape \(2,\), got \(1,\)"):
+        bus.write_positions(np.array([1.0]))
+
+
+def test_history_keeps_the_newest_writes_with_time_goals_and_positions(clock):
+    with SimulatedBus([JAW], clock, top_speed_deg_s=100.0, n_remembered=3) as bus:
+        bus.set_torque(True)
+        for goal_deg in range(5):
+            bus.write_positions(np.array([float(goal_deg)]))
+            clock.advance(1.0)
+
+    assert [motion.time_s for motion in bus.history] == [2.0, 3.0, 4.0]
+    assert [motion.goals_deg[0] for motion in bus.history] == [2.0, 3.0, 4.0]
+    assert [motion.positions_deg[0] for motion in bus.history] == [1.0, 2.0, 3.0]
+
+
+def test_what_was_read_does_not_change_afterwards(bus, clock):
+    bus.set_torque(True)
+    before = bus.read()
+    bus.write_positions(np.array([20.0, 20.0]))
+    clock.advance(1.0)
+    bus.read()
+
+    np.testing.assert_array_equal(before.positions_deg, [0.0, 0.0])
+    np.testing.assert_array_equal(before.goals_deg, [0.0, 0.0])
+
+
+def test_the_bus_works_only_inside_its_with_block_and_leaves_the_servos_limp(clock):
+    bus = SimulatedBus([JAW, LIP], clock)
+    with pytest.raises(PortError, match="outside its `with` block"):
+        bus.read()
+    with bus:
+        bus.set_torque(True)
+    with bus:
+        assert not bus.read().torque_on.any()
+
+
+@pytest.mark.parametrize(
+    ("min_deg", "max_deg", "max_speed_deg_s"),
+    [(1.0, 5.0, 100.0), (-5.0, -1.0, 100.0), (5.0, -5.0, 100.0), (-5.0, 5.0, 0.0)]
+    + [(float("nan"), 5.0, 100.0), (-5.0, float("inf"), 100.0), (-5.0, 5.0, float("nan"))],
+)
+def test_a_joint_needs_its_neutral_inside_its_limits_and_a_speed(
+    min_deg, max_deg, max_speed_deg_s
+):
+    with pytest.raises(ValueError, match="joint 'jaw'"):
+        Joint("jaw", 1, min_deg, max_deg, max_speed_deg_s)
