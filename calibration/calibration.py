@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from calibration.hold_out import HoldOutErrors
 from lipsync.animpho.model import FaceModel
+from lipsync.errors import UserError
 
 Array = NDArray[np.float64]
 
@@ -16,7 +17,7 @@ _REMEDY = "run `lipservo calibrate --config FACE -o FILE`"
 _REST_TOLERANCE = 1e-4
 
 
-class CalibrationError(ValueError):
+class CalibrationError(UserError):
     """A calibration that cannot be made or used: says which, why, and what to do."""
 
 

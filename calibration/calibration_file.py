@@ -78,7 +78,8 @@ def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
         if isinstance(value, tuple):  # one for each servo, and written there
             continue
         note = f"  # {about[field.name]}" if field.name in about else ""
-        lines.append(f"  {field.name}: {_rounded(value, 4)}{note}")
+        shown = str(value) if isinstance(value, int) else _rounded(value, 4)
+        lines.append(f"  {field.name}: {shown}{note}")
     return lines
 
 

@@ -17,7 +17,7 @@ from lipsync.animpho.model import FaceModel
 Array = NDArray[np.float64]
 
 HOLD_OUT_SHARE = 0.2
-#: As many AnimPhos as 5 components need by far; twice as many changed no error by 1 %.
+#: Half or twice as many changed the lip error on grid_s1 by less than 0.02 mm; 3 s to fit.
 MAX_ANIMPHOS = 1000
 #: From next to none (coefficients are millimetres, a fit has thousands of frames) to heavy.
 _RIDGE_STRENGTHS = np.logspace(-2, 6, 17)

@@ -44,11 +44,11 @@ POSITIVE_DIRECTIONS: Mapping[str, str] = MappingProxyType(
 #: The hinge lies this far behind and above the closed lips: Bonwill's triangle of the mandible has
 #: sides of 4 inches (condyle, condyle, incisors), so the incisors are 88.0 mm from the hinge line,
 #: tilted 26 degrees (Balkwill's angle): 79 mm back and 39 mm up, plus 11 mm of lip.
-#: grid_s1 agrees: chin and lower lip move as if about a line 90 mm behind and 42 mm above the lips.
+#: grid_s1 agrees: its chin and lower lip turn best about a line 37 mm above, 90 mm behind the lips.
 JAW_AXIS_BEHIND_LIPS_MM = 90.0
 JAW_AXIS_ABOVE_LIPS_MM = 39.0
 #: Width of the blend from head to jaw across the cheek, per millimetre from the middle of the face:
-#: measured on grid_s1 against the chin, within 0.15 for cheeks and jaw line.
+#: chosen on grid_s1, where it is within 0.15 of the share of every cheek and jaw marker.
 JAW_BLEND_WIDTH_PER_MM = 0.45
 #: The smallest blend width: it only keeps the division finite in the middle, where nothing blends.
 _MIN_BLEND_WIDTH_MM = 1.0
@@ -56,8 +56,8 @@ _MIN_BLEND_WIDTH_MM = 1.0
 #: An 8 mm horn turns the 4 to 5 mm that lips travel against the jaw into 30 to 40 degrees: little
 #: backlash (1 degree is 0.14 mm), and far from the dead point at 90 degrees.
 HORN_ARM_MM = 8.0
-#: Standard deviation of the Gaussian around an attachment; in grid_s1 the cheek 15 to 17 mm from
-#: the lip corner follows about 0.55 of the corner's sideways motion.
+#: Standard deviation of the Gaussian around an attachment; in grid_s1 the right cheek 15 to 17 mm
+#: from the lip corner follows about 0.55 of the corner's sideways motion.
 SKIN_WIDTH_MM = 14.0
 #: Corners slide around the teeth: their way out turns back by 30 degrees from straight sideways.
 _CORNER_OUT = (0.866, 0.0, -0.5)

@@ -14,6 +14,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.safety import (
     EASE_PEAK_SLOPE,
     GateCounts,
+    Limited,
     Limiter,
     StaleLevel,
     StaleRule,
@@ -61,8 +62,9 @@ class TickReport:
 class BridgeStatus:
     """Counts since the bridge was made, for a status line or a dashboard.
 
-    n_stale: ticks with torque on but no fresh target. n_not_armed: ticks that tried to wake a limp
-    face and found a servo unwilling.
+    n_stale: ticks with torque on whose target was no longer fresh; waiting for the first one after
+    arming does not count. n_not_armed: ticks that tried to wake a limp face and found a servo
+    unwilling.
     """
 
     n_ticks: int
@@ -101,7 +103,8 @@ class Bridge:
         self._state = _State.STOPPED
         self._held_deg = np.zeros(len(self._joints))
         self._no_hits = np.zeros(len(self._joints), dtype=np.bool_)
-        self._heard_s = 0.0
+        self._heard_s = 0.0  # display time of the newest target due, or when armed if later
+        self._was_spoken_to = False  # since arming
         self._n_ticks = self._n_late = self._n_stale = self._n_armed = self._n_not_armed = 0
 
     @property
@@ -130,6 +133,7 @@ class Bridge:
         self._limiter.start_from(present_deg, readings.time_s)
         self._held_deg = present_deg
         self._heard_s = readings.time_s
+        self._was_spoken_to = False
         self._bus.set_torque(True)
         self._state = _State.RUNNING
         self._n_armed += 1
@@ -149,11 +153,11 @@ class Bridge:
             self._bus.set_torque(False)
             self._state = _State.LIMP
         wanted_deg = self._held_deg * self._stale.weight(silence_s)
-        if self._state is not _State.RUNNING:
-            return self._limp_report(time_s, late, wanted_deg, silence_s, level)
-        self._n_stale += level is not StaleLevel.FRESH
-        limited = self._limiter.apply(wanted_deg, time_s)
-        self._bus.write_positions(limited.positions_deg)
+        limited = self._nothing_sent()
+        if self._state is _State.RUNNING:
+            self._n_stale += self._was_spoken_to and level is not StaleLevel.FRESH
+            limited = self._limiter.apply(wanted_deg, time_s)
+            self._bus.write_positions(limited.positions_deg)
         return TickReport(
             time_s=time_s,
             late=late,
@@ -161,7 +165,7 @@ class Bridge:
             sent_deg=limited.positions_deg,
             target_age_s=silence_s,
             stale=level,
-            torque_on=True,
+            torque_on=self._state is _State.RUNNING,
             range_hits=limited.range_hits,
             rate_hits=limited.rate_hits,
             rejected=limited.rejected,
@@ -198,6 +202,7 @@ class Bridge:
                 self._n_not_armed += 1
         self._heard_s = max(self._heard_s, time_s - age_s)
         self._held_deg = target_deg
+        self._was_spoken_to = True
 
     def _ease(self, clock: Clock) -> None:
         start_s, start_deg = clock.now(), self._limiter.sent_deg
@@ -215,26 +220,8 @@ class Bridge:
             if at_rest or elapsed_s >= _EASE_LIMIT_S:
                 return
 
-    def _limp_report(
-        self,
-        time_s: float,
-        late: int,
-        wanted_deg: NDArray[np.float64],
-        age_s: float,
-        level: StaleLevel,
-    ) -> TickReport:
-        return TickReport(
-            time_s=time_s,
-            late=late,
-            wanted_deg=wanted_deg,
-            sent_deg=self._limiter.sent_deg,
-            target_age_s=age_s,
-            stale=level,
-            torque_on=False,
-            range_hits=self._no_hits,
-            rate_hits=self._no_hits,
-            rejected=self._no_hits,
-        )
+    def _nothing_sent(self) -> Limited:
+        return Limited(self._limiter.sent_deg, self._no_hits, self._no_hits, self._no_hits)
 
 
 def _check_held(

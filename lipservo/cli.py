@@ -5,7 +5,8 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import street, training
+from lipservo.commands import bench, street, training
+from lipsync.errors import UserError
 
 app = typer.Typer(
     name="lipservo",
@@ -16,6 +17,7 @@ app = typer.Typer(
 )
 for command in (street.run, street.daemon, street.replay, training.train, training.calibrate):
     app.command()(command)
+app.add_typer(bench.app, name="bench")
 
 _INTERRUPTED = 130
 
@@ -24,8 +26,7 @@ def main() -> None:
     """Run the command line. What the user can mend ends in clear lines and status 1."""
     try:
         app()
-    # Every error that a user can cause is a ValueError or BusError of ours with a clear text.
-    except (ValueError, BusError) as error:
+    except (UserError, BusError) as error:
         for line in str(error).splitlines():
             sys.stderr.write(f"lipservo: {line}\n")
         sys.exit(1)

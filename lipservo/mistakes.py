@@ -11,7 +11,7 @@ _WANTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
     "float_type": "a number",
-    "finite_number": "a number with an end",
+    "finite_number": "a finite number",
     "string_type": "text",
     "mapping_type": "settings of its own (`key: value` lines)",
     "dict_type": "settings of its own (`key: value` lines)",

@@ -4,8 +4,10 @@ from collections.abc import Iterator
 
 import yaml
 
+from lipsync.errors import UserError
 
-class SettingsError(ValueError):
+
+class SettingsError(UserError):
     """Settings that cannot be used; one line for each mistake: where, what, what is allowed."""
 
 

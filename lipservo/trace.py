@@ -14,13 +14,14 @@ from pathlib import Path
 from types import TracebackType
 
 from lipservo.pipeline import StreetTick
+from lipsync.errors import UserError
 
 TRACE_VERSION = 1
 #: Ticks that may wait for the disk: a minute at 200 Hz.
 _QUEUE_LENGTH = 12_000
 
 
-class TraceError(ValueError):
+class TraceError(UserError):
     """The trace file cannot be written."""
 
 

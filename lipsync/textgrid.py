@@ -7,8 +7,10 @@ from praatio import textgrid
 from praatio.data_classes.interval_tier import IntervalTier
 from praatio.utilities.errors import PraatioException
 
+from lipsync.errors import UserError
 
-class LabelError(ValueError):
+
+class LabelError(UserError):
     """A label file cannot be used; the message is one line: what, where, what to do."""
 
 

@@ -225,6 +225,12 @@ def test_a_saved_calibration_is_loaded_as_it_was(calibration, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
 
+def test_many_frames_are_still_a_whole_number_in_the_file(calibration):
+    errors = dataclasses.replace(calibration.errors, n_frames=123457)
+    many = dataclasses.replace(calibration, errors=errors)
+    assert parse_calibration(calibration_text(many), "x").errors.n_frames == 123457
+
+
 def test_tiny_weights_are_numbers_in_the_file(calibration):
     tiny = dataclasses.replace(calibration, weights=np.full((10, 5), 1e-7))
     assert parse_calibration(calibration_text(tiny), "x").weights[0, 0] == 1e-7

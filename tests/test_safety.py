@@ -102,9 +102,7 @@ def test_goals_of_the_wrong_shape_leave_every_joint_where_it_is(shape):
 
 def test_a_joint_found_outside_its_range_is_led_back_at_its_own_speed():
     limiter = jaw_at(30.0)
-    sent_deg = [
-        limiter.apply(np.array([30.0]), n * PERIOD_S).positions_deg[0] for n in range(1, 4)
-    ]
+    sent_deg = [limiter.apply(np.array([30.0]), n * PERIOD_S).positions_deg[0] for n in range(1, 4)]
 
     np.testing.assert_allclose(sent_deg, [27.0, 25.0, 25.0])
 

@@ -35,7 +35,7 @@ def test_servos_run_to_their_goals_at_top_speed_and_stop_there(bus, clock):
     np.testing.assert_array_equal(bus.read().positions_deg, [10.0, -20.0])
 
 
-def test_how_often_the_bus_is_read_does_not_change_the_motion(clock):
+def test_how_often_the_bus_is_read_does_not_change_the_motion():
     def final_deg(n_reads):
         clock = ManualClock()
         with SimulatedBus([JAW, LIP], clock, top_speed_deg_s=100.0) as bus:
@@ -96,6 +96,15 @@ def test_positions_of_the_wrong_shape_are_a_programming_error(bus):
         bus.write_positions(np.array([1.0]))
 
 
+def test_limp_joints_give_to_a_hand_and_held_ones_do_not(bus):
+    bus.push_by_hand(np.array([5.0, 6.0]))
+    np.testing.assert_array_equal(bus.read().positions_deg, [5.0, 6.0])
+
+    bus.set_torque(True)
+    bus.push_by_hand(np.array([9.0, 9.0]))
+    np.testing.assert_array_equal(bus.read().positions_deg, [5.0, 6.0])
+
+
 def test_history_keeps_the_newest_writes_with_time_goals_and_positions(clock):
     with SimulatedBus([JAW], clock, top_speed_deg_s=100.0, n_remembered=3) as bus:
         bus.set_torque(True)
@@ -131,11 +140,16 @@ def test_the_bus_works_only_inside_its_with_block_and_leaves_the_servos_limp(clo
 
 @pytest.mark.parametrize(
     ("min_deg", "max_deg", "max_speed_deg_s"),
-    [(1.0, 5.0, 100.0), (-5.0, -1.0, 100.0), (5.0, -5.0, 100.0), (-5.0, 5.0, 0.0)]
-    + [(float("nan"), 5.0, 100.0), (-5.0, float("inf"), 100.0), (-5.0, 5.0, float("nan"))],
+    [
+        (1.0, 5.0, 100.0),
+        (-5.0, -1.0, 100.0),
+        (5.0, -5.0, 100.0),
+        (float("nan"), 5.0, 100.0),
+        (-5.0, float("inf"), 100.0),
+        (-5.0, 5.0, 0.0),
+        (-5.0, 5.0, float("nan")),
+    ],
 )
-def test_a_joint_needs_its_neutral_inside_its_limits_and_a_speed(
-    min_deg, max_deg, max_speed_deg_s
-):
+def test_a_joint_needs_its_neutral_inside_its_limits_and_a_speed(min_deg, max_deg, max_speed_deg_s):
     with pytest.raises(ValueError, match="joint 'jaw'"):
         Joint("jaw", 1, min_deg, max_deg, max_speed_deg_s)

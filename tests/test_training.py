@@ -22,12 +22,12 @@ def corpus(tmp_path_factory) -> Corpus:
 
 def test_training_twice_gives_the_same_model(corpus, tmp_path):
     for name in ("a.npz", "b.npz"):
-        save_model(train(corpus, seed=3).model, tmp_path / name)
+        save_model(train(corpus, seed=3), tmp_path / name)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
 
 
 def test_a_saved_model_comes_back_as_it_was_to_float32(corpus, tmp_path):
-    model = train(corpus).model
+    model = train(corpus)
     save_model(model, tmp_path / "m.npz")
     again = load_model(tmp_path / "m.npz")
     assert again.checksum == model.checksum
@@ -49,9 +49,9 @@ def test_segments_are_five_even_samples_and_neighbours_share_one(corpus):
 
 def test_tables_say_what_the_corpus_says(corpus):
     """With an AnimPho for every segment the tables are the corpus itself."""
-    trained = train(corpus, n_animphos=10_000)
-    model = trained.model
-    assert len(model.animphos) == trained.n_segments == 72
+    model = train(corpus, n_animphos=10_000)
+
+    assert len(model.animphos) == model.provenance["segments"] == 72
     assert len(model.successors.indices) == 12 * 5, "five joints in each of twelve sentences"
     for phoneme in ("B", "AA"):
         assert len(model.of_phoneme(phoneme)) == 12
@@ -62,7 +62,7 @@ def test_tables_say_what_the_corpus_says(corpus):
 
 
 def test_the_basis_is_orthonormal_and_the_rest_is_a_closed_mouth(corpus):
-    model = train(corpus).model
+    model = train(corpus)
     np.testing.assert_allclose(model.basis @ model.basis.T, np.eye(5), atol=1e-9)
     frames = np.concatenate([u.markers_mm for u in corpus.utterances])
     gaps = [model.lip_gap_mm(c) for c in model.coefficients(frames)]
@@ -83,13 +83,13 @@ def test_a_corpus_without_labels_or_motion_is_refused(corpus):
 
 
 def test_one_sentence_is_enough(corpus):
-    assert len(train(corpus.keep({"s0"})).model.animphos) >= 1
+    assert len(train(corpus.keep({"s0"})).animphos) >= 1
 
 
 @pytest.fixture
 def saved(corpus, tmp_path) -> Path:
     path = tmp_path / "m.npz"
-    save_model(train(corpus).model, path)
+    save_model(train(corpus), path)
     return path
 
 

@@ -102,6 +102,12 @@ class SimulatedBus:
             errors=self._errors,
         )
 
+    def push_by_hand(self, positions_deg: NDArray[np.float64]) -> None:
+        """Put limp joints somewhere, (n_servos,), as a person would; held ones do not give."""
+        self._move()
+        if not self._torque_on:
+            self._positions_deg = positions_deg.copy()
+
     def __enter__(self) -> Self:
         self._is_open = True
         return self

@@ -51,31 +51,30 @@ def train(
 
         sentences = read_grid(corpus, skip_bad=skip_bad, progress=read)
         learning = progress.add_task("training", total=None)
-        trained = train_model(
+        model = train_model(
             sentences,
             seed=seed,
             n_animphos=animphos,
             progress=lambda step: progress.update(learning, description=step),
         )
-    save_model(trained.model, output)
+    save_model(model, output)
     for line in sentences.skipped:
         MESSAGES.print(f"left out: {line}", soft_wrap=True)
     figures: dict[str, object] = {
         "model": str(output),
-        "sentences": len(trained.model.training_sentences),
-        "segments": trained.n_segments,
-        "animphos": len(trained.model.animphos),
-        "mean_successors": trained.model.mean_successors,
-        "variance_held": trained.variance_held,
+        "sentences": len(model.training_sentences),
+        "animphos": len(model.animphos),
+        "mean_successors": model.mean_successors,
         "skipped": len(sentences.skipped),
+        **model.provenance,
     }
     if as_json:
         print_json(figures)
         return
     RESULTS.print(
-        f"{output}: {figures['animphos']} AnimPhos from {figures['segments']} segments of "
-        f"{figures['sentences']} sentences, {trained.model.mean_successors:.2f} successors on "
-        f"average (the paper: 3.45), {trained.variance_held:.1%} of the variance held",
+        f"{output}: {len(model.animphos)} AnimPhos from {model.provenance['segments']} segments of "
+        f"{len(model.training_sentences)} sentences, {model.mean_successors:.2f} successors on "
+        f"average (the paper: 3.45), {model.provenance['variance_held']:.1%} of the variance held",
         soft_wrap=True,
     )
 

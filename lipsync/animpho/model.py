@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.errors import UserError
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 from lipsync.phonemes import PHONEMES
 
@@ -27,7 +28,7 @@ SAMPLES_PER_ANIMPHO = 5
 SHIPPED_MODEL = "grid_s1"
 
 
-class ModelError(ValueError):
+class ModelError(UserError):
     """A model file that cannot be used: says which, why, and what to do."""
 
 

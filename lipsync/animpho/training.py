@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from lipsync.animpho.model import SAMPLES_PER_ANIMPHO, FaceModel, IndexLists
 from lipsync.corpus.utterance import Corpus, Utterance
+from lipsync.errors import UserError
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 
@@ -33,7 +34,7 @@ _KMEANS_ITERATIONS = 50
 CLOSED_GAP_MM = 1.0
 
 
-class TrainingError(ValueError):
+class TrainingError(UserError):
     """The corpus cannot teach a face: says what is missing."""
 
 
@@ -50,22 +51,13 @@ class Segments:
     sentence: NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
-class Trained:
-    """A model and what training can tell about it."""
-
-    model: FaceModel
-    variance_held: float
-    n_segments: int
-
-
 def train(
     corpus: Corpus,
     *,
     seed: int = 0,
     n_animphos: int | None = None,
     progress: Progress = lambda _: None,
-) -> Trained:
+) -> FaceModel:
     """Learn a model from every labelled sentence; the same corpus and seed give the same model.
 
     n_animphos: None searches for the number that gives an AnimPho 3.45 successors, as in the paper.
@@ -88,7 +80,7 @@ def train(
     with threadpool_limits(limits=1):  # several threads add up in changing order
         centres, cluster = _cluster(segments, n_animphos, seed, progress)
     successors = _successors(segments, cluster, len(centres))
-    model = FaceModel(
+    return FaceModel(
         marker_names=corpus.marker_names,
         mean_mm=pca.mean_.reshape(-1, 3),
         basis=pca.components_,
@@ -99,9 +91,14 @@ def train(
         predecessors=successors.transposed(len(centres)),
         phoneme_table=IndexLists.from_pairs(segments.phonemes, cluster, len(PHONEMES)),
         training_sentences=tuple(u.name for u in labelled.utterances),
-        provenance={"corpus": corpus.name, "seed": seed, "frames": len(frames)},
+        provenance={
+            "corpus": corpus.name,
+            "seed": seed,
+            "frames": len(frames),
+            "segments": len(segments.samples),
+            "variance_held": round(float(pca.explained_variance_ratio_.sum()), 6),
+        },
     )
-    return Trained(model, float(pca.explained_variance_ratio_.sum()), len(segments.samples))
 
 
 def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> Segments:
@@ -142,12 +139,14 @@ def _cluster(
     n_distinct = len(np.unique(vectors, axis=0))
     if n_animphos is not None:
         return cluster(min(n_animphos, n_distinct))
-    # More AnimPhos have fewer successors each, nearly in proportion to 1 / m.
-    m = max(1, min(n_distinct, round(_FIRST_RATIO * len(vectors))))
+    # More AnimPhos have fewer successors each, nearly in proportion to 1 / m. A tiny corpus cannot
+    # give 3.45 each, but every phoneme deserves an AnimPho of its own.
+    fewest = min(n_distinct, len(np.unique(segments.phonemes)))
+    m = max(fewest, min(n_distinct, round(_FIRST_RATIO * len(vectors))))
     for _ in range(_SEARCH_ROUNDS):
         centres, labels = cluster(m)
         mean = len(_successors(segments, labels, m).indices) / m
-        better = max(1, min(n_distinct, round(m * mean / TARGET_SUCCESSORS)))
+        better = max(fewest, min(n_distinct, round(m * mean / TARGET_SUCCESSORS)))
         if abs(mean - TARGET_SUCCESSORS) <= _SUCCESSORS_TOLERANCE or better == m:
             break
         m = better

@@ -52,7 +52,7 @@ class SilenceAfter:
         return self._source.name
 
     @property
-    def duration_s(self) -> float | None:
+    def duration_s(self) -> float:
         """The source's length, without the silence."""
         return self._end_s
 

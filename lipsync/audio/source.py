@@ -3,9 +3,10 @@
 from typing import Protocol
 
 from lipsync.audio.block import AudioBlock
+from lipsync.errors import UserError
 
 
-class SoundError(ValueError):
+class SoundError(UserError):
     """Sound cannot be had; the message is one line: what, where, what to do."""
 
 

@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.errors import UserError
 from lipsync.phonemes import PhonemeEvent
 
 
-class CorpusError(ValueError):
+class CorpusError(UserError):
     """A corpus folder that cannot be read: says which file, what is wrong, what to do."""
 
 

@@ -1,0 +1,5 @@
+"""`python -m lipservo`."""
+
+from lipservo.cli import main
+
+main()

@@ -1,0 +1,78 @@
+"""`lipservo bench NAME`: the figures that this project claims, measured here and now."""
+
+import time
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import Progress
+
+from lipservo.commands.options import (
+    MESSAGES,
+    RESULTS,
+    Json,
+    Quiet,
+    machine_class,
+    print_json,
+)
+
+app = typer.Typer(no_args_is_help=True)
+
+#: Where the corpora lie for those who develop: beside the checkout.
+_CORPORA = Path("../shared/corpus")
+#: What the replay figure replays: a sentence of 3 s and an utterance of 20 s.
+_REPLAYED = ("grid_s1/audio/bbaf3s.flac", "librispeech/audio/1089-134691-0011.opus")
+
+Corpora = Annotated[Path, typer.Option(help="Folder that holds grid_s1 and librispeech.")]
+
+
+@app.callback()
+def bench() -> None:
+    """Measure what the documentation claims."""
+
+
+@app.command()
+def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Measure the speed of the street and the miss rates of the published selection.
+
+    Without the corpora: the speeds on the bundled clip, and no miss rates.
+    """
+    from lipservo import synthesis_figures as measure
+    from lipsync.animpho.model import load_shipped_model
+
+    began_s = time.perf_counter()
+    model = load_shipped_model()
+    grid = corpora / "grid_s1"
+    figures: dict[str, float] = {
+        "mean_successors": model.mean_successors,
+        "variance_held": float(model.provenance["variance_held"]),
+    }
+    with (
+        resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
+        Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
+    ):
+        steps = progress.add_task("synthesis", total=4)
+        figures |= measure.synthesis_times_ms(model, [measure.recognized_phonemes(clip)])
+        progress.advance(steps)
+        recordings = [path for name in _REPLAYED if (path := corpora / name).is_file()]
+        figures["replay_speed"] = measure.replay_speed(recordings or [clip])
+        progress.advance(steps)
+        figures |= measure.live_figures()
+        progress.advance(steps)
+        if grid.is_dir():
+            figures |= measure.miss_rates(grid)
+        else:
+            MESSAGES.print(f"no corpus at {grid}: no miss rates (--corpora says where it is)")
+        progress.advance(steps)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+def _print(figures: Mapping[str, float], seconds: float, *, as_json: bool) -> None:
+    result = {**figures, "machine": machine_class(), "seconds": seconds}
+    if as_json:
+        print_json(result)
+        return
+    for name, value in result.items():
+        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
