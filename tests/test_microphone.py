@@ -58,7 +58,7 @@ class FakeSoundDevice:
             raise ValueError(f"No input device matching {device!r}")
         return found[0]
 
-    def check_input_settings(self, *, device, channels, dtype, samplerate):
+    def check_input_settings(self, *, samplerate, **_settings):
         if samplerate not in self.rates_hz:
             raise self.PortAudioError("Invalid sample rate")
 

@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import numpy as np
@@ -87,14 +88,14 @@ def test_each_update_is_a_contiguous_belief_with_its_last_event_open(clip_update
     for update in clip_updates:
         events = update.events
         assert events[0].start_s <= update.replace_from_s
-        assert all(a.end_s == b.start_s for a, b in zip(events, events[1:], strict=False))
-        assert all(a.phoneme != b.phoneme for a, b in zip(events, events[1:], strict=False))
+        assert all(a.end_s == b.start_s for a, b in itertools.pairwise(events))
+        assert all(a.phoneme != b.phoneme for a, b in itertools.pairwise(events))
         assert events[-1].end_s is None
         assert events[-1].start_s < update.heard_until_s
 
 
 def test_an_update_reaches_back_to_what_was_final_and_not_before(clip_updates):
-    for update, following in zip(clip_updates, clip_updates[1:], strict=False):
+    for update, following in itertools.pairwise(clip_updates):
         assert following.replace_from_s == update.final_until_s
         assert update.final_until_s == pytest.approx(max(0.0, update.heard_until_s - 0.15))
 
@@ -214,10 +215,10 @@ def test_blocks_at_another_rate_or_going_back_are_refused():
 
     with pytest.raises(ValueError, match="48000 Hz; 16000 Hz is needed"):
         recognizer.feed(AudioBlock(np.zeros(480, np.float32), 0.02, 48_000))
-    with pytest.raises(ValueError, match=r"starts at 0.01 s, but sound was heard until 0.02 s"):
+    with pytest.raises(ValueError, match=r"starts at 0\.01 s, but sound was heard until 0\.02 s"):
         recognizer.feed(AudioBlock(np.zeros(160, np.float32), 0.01))
 
 
 def test_a_negative_latency_is_refused():
-    with pytest.raises(ValueError, match="latency_s is -0.1"):
+    with pytest.raises(ValueError, match=r"latency_s is -0\.1"):
         PocketsphinxRecognizer(latency_s=-0.1)

@@ -148,12 +148,6 @@ def make_directory(path):
     path.mkdir()
 
 
-def write_damaged_flac(path):
-    soundfile.write(path, np.random.default_rng(0).uniform(-1, 1, 160_000), 16_000, format="FLAC")
-    whole = path.read_bytes()
-    path.write_bytes(whole[:8_000] + bytes(len(whole) - 8_000))
-
-
 BAD_FILES = [
     (lambda _: None, "no such file"),
     (make_directory, "is a directory"),
@@ -183,14 +177,12 @@ def test_a_bad_file_is_refused_in_one_line_that_names_it(tmp_path, read, write, 
     assert "\n" not in message
 
 
-def test_a_damaged_file_is_refused_or_read_up_to_the_damage(tmp_path):
-    path = tmp_path / "damaged.flac"
-    write_damaged_flac(path)
+def test_a_file_cut_short_is_read_as_far_as_it_goes(tmp_path):
+    soundfile.write(tmp_path / "cut.wav", tone(16_000), 16_000)
+    whole = (tmp_path / "cut.wav").read_bytes()
+    (tmp_path / "cut.wav").write_bytes(whole[: len(whole) // 2])
 
-    try:
-        assert FileSource(path).duration_s <= 10.0
-    except SoundError as refusal:
-        assert str(refusal).startswith(f"{path}: ")
+    assert FileSource(tmp_path / "cut.wav").duration_s == pytest.approx(0.25, abs=0.01)
 
 
 def test_silence_goes_on_for_ever_in_blocks_of_10_ms():

@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -117,7 +119,7 @@ def test_any_stream_leaves_events_in_order_bounded_and_final_ones_as_they_were(s
         events = timeline.events
 
         assert all(e.end_s is not None and e.start_s < e.end_s for e in events[:-1])
-        assert all(a.end_s <= b.start_s for a, b in zip(events, events[1:], strict=False))
+        assert all(a.end_s <= b.start_s for a, b in itertools.pairwise(events))
         oldest = round(max(0.0, each.heard_until_s - 0.5) * 100)
         assert all((e.end_s or 1e9) > oldest / 100 - 1e-9 for e in events)
         for frame in range(oldest, round(timeline.final_until_s * 100)):

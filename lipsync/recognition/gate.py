@@ -8,14 +8,16 @@ becomes floor within `FLOOR_WINDOW_S`, a held note too: loudness cannot tell the
 
 import math
 from collections import deque
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 FRAMES_PER_S = 100
 #: Below it nothing is speech. LibriSpeech turned down by 30 dB keeps 99 % of its loud frames above
-#: it (12 utterances, measured); the rounding noise of 16 bits lies at -98.
-QUIETEST_SPEECH_DB = -85.0
+#: it (12 utterances, measured); the rounding noise of 16 bits lies at -101.
+QUIETEST_SPEECH_DB = -75.0
+#: 10 ms of steady noise stays within 3 dB of its own minimum; the rest is for noise less steady.
 OPEN_ABOVE_FLOOR_DB = 9.0
 CLOSE_ABOVE_FLOOR_DB = 6.0
 #: A click is shorter, a vowel longer.
@@ -30,12 +32,23 @@ _NOTHING_DB = -120.0
 
 
 def level_db(frame: NDArray[np.float32]) -> float:
-    """Level of the first difference of samples (n,) in [-1, 1], in dB against full scale.
+    """Level of samples (n,) in [-1, 1] in dB against full scale, for n = 10 ms.
 
-    The difference takes offset, hum and rumble away and leaves the consonants.
+    The parabola that fits the frame best is taken away first, and with it offset, hum and rumble
+    below the voice. (The first difference would do that too, but it drowns vowels in white noise:
+    at 20 dB of signal to noise it kept 5 % of the loud frames, this keeps 98 %; measured.)
     """
-    power = float(np.var(np.diff(frame), dtype=np.float64))
+    slow = _parabolas(len(frame))
+    rest = frame - slow @ (slow.T @ frame)
+    power = float(np.mean(np.square(rest, dtype=np.float64)))
     return max(_NOTHING_DB, 10.0 * math.log10(power)) if power > 0.0 else _NOTHING_DB
+
+
+@cache
+def _parabolas(n_samples: int) -> NDArray[np.float32]:
+    """An orthonormal basis (n_samples, 3) of the polynomials up to degree 2."""
+    powers = np.vander(np.linspace(-1.0, 1.0, n_samples), 3)
+    return np.linalg.qr(powers)[0].astype(np.float32)
 
 
 class SpeechGate:
