@@ -26,8 +26,6 @@ for command in (
     app.command()(command)
 app.add_typer(bench.app, name="bench")
 
-_INTERRUPTED = 130
-
 
 def main() -> None:
     """Run the command line. What the user can mend ends in clear lines and status 1."""
@@ -37,8 +35,6 @@ def main() -> None:
         for line in str(error).splitlines():
             sys.stderr.write(f"lipservo: {line}\n")
         sys.exit(1)
-    except KeyboardInterrupt:
-        sys.exit(_INTERRUPTED)
 
 
 def _with_default_microphone(arguments: list[str]) -> list[str]:

@@ -69,7 +69,7 @@ def test_the_live_path_starts_without_heavy_libraries(module):
 def test_a_whole_replay_loads_no_training_library():
     script = (
         "import sys; sys.argv[1:] = ['replay', 'lipservo/clips/welcome.flac', '-q']\n"
-        "from lipservo.cli import main\n"
+        "from lipservo.__main__ import main\n"
         "try:\n    main()\n"
         "except SystemExit as end:\n    assert not end.code\n"
         "print(*sorted({'sklearn', 'scipy', 'torch', 'sounddevice'} & set(sys.modules)))"
