@@ -1,7 +1,9 @@
 """Puts a street together from files: face, model, calibration, recogniser, bus."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from calibration.calibration import Calibration, check_calibration
 from calibration.calibration_file import parse_calibration
@@ -17,6 +19,13 @@ from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.ladder import RecognizerLadder, Rung
+
+#: Which recogniser is tried first.
+Engine = Literal["network", "pocketsphinx"]
+#: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
+LATENCY_S = 0.095
+_POCKETSPHINX_LATENCY_S = 0.09
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,17 +70,57 @@ def make_bus(face: Face, clock: Clock) -> ServoBus:
 
 
 def make_street(
-    face: Face, source: AudioSource, bus: ServoBus, rate_hz: float, zero_s: float
+    face: Face,
+    source: AudioSource,
+    bus: ServoBus,
+    rate_hz: float,
+    zero_s: float,
+    recognizer: LiveRecognizer | None = None,
 ) -> Street:
-    """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
+    """Everything between an entered source and an entered bus; the sound begins at `zero_s`.
+
+    recognizer: None for the default one.
+    """
     channel = MemoryTargetChannel()
     synthesizer = PublishedSynthesizer(face.model)
-    speech = Speech(source, make_recognizer(), synthesizer, face.calibration, channel)
+    recognizer = make_recognizer() if recognizer is None else recognizer
+    speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
     return Street(speech, Bridge(bus, face.joints, channel, rate_hz=rate_hz), zero_s)
 
 
-def make_recognizer() -> LiveRecognizer:
-    """The live recogniser."""
+def make_recognizer(
+    engine: Engine = "network", timer_s: Callable[[], float] | None = None
+) -> RecognizerLadder:
+    """The live recogniser, from the engine's rung of the ladder down.
+
+    timer_s: a clock in seconds, to see that a rung takes longer than the sound lasts; None where
+    nobody waits for it.
+    """
+    first = [rung.name for rung in _RUNGS].index(engine)
+    return RecognizerLadder(_RUNGS[first:], LATENCY_S, timer_s)
+
+
+def _network() -> LiveRecognizer:
+    from lipsync.recognition.live import NetworkRecognizer
+    from lipsync.recognition.weights import load_shipped_weights
+
+    return NetworkRecognizer(load_shipped_weights(), LATENCY_S)
+
+
+def _pocketsphinx() -> LiveRecognizer:
     from lipsync.recognition.allphone import PocketsphinxRecognizer
 
-    return PocketsphinxRecognizer()
+    return PocketsphinxRecognizer(_POCKETSPHINX_LATENCY_S)
+
+
+def _loudness() -> LiveRecognizer:
+    from lipsync.recognition.loudness import LoudnessRecognizer
+
+    return LoudnessRecognizer()
+
+
+_RUNGS = (
+    Rung("network", _network),
+    Rung("pocketsphinx", _pocketsphinx),
+    Rung("loudness", _loudness),
+)

@@ -5,7 +5,7 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import bench, street, training
+from lipservo.commands import bench, bench_recognition, recognition, street, training
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -22,8 +22,13 @@ for command in (
     street.devices,
     training.train,
     training.calibrate,
+    recognition.align,
+    recognition.recognize,
+    recognition.train_recognizer,
 ):
     app.command()(command)
+bench.app.command("recognition")(bench_recognition.recognition)
+bench.app.command("listening")(bench_recognition.listening)
 app.add_typer(bench.app, name="bench")
 
 

@@ -5,11 +5,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
-from lipservo.assembly import Face, assemble_face, make_bus, make_street
+from lipservo.assembly import Engine, Face, assemble_face, make_bus, make_recognizer, make_street
 from lipservo.commands.options import MESSAGES
 from lipservo.daemon import play
 from lipservo.pipeline import Street, TickObserver
@@ -35,6 +35,7 @@ class Performance:
     live: bool
     quiet: bool
     endless: bool = False
+    engine: Engine = "network"
 
     def play(self, source: AudioSource, clock: Clock, stop: threading.Event) -> Summary:
         """Play an entered source to its end or until stopped; the face is limp afterwards."""
@@ -44,7 +45,10 @@ class Performance:
         length_s = math.inf if self.endless or source.duration_s is None else source.duration_s
         with make_bus(face, clock) as bus:
             zero_s = clock.now()
-            street = make_street(face, source, bus, rate_hz, zero_s)
+            # On a clock of its own nobody waits, and the same file must give the same trace.
+            timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
+            recognizer = make_recognizer(self.engine, timer_s)
+            street = make_street(face, source, bus, rate_hz, zero_s, recognizer)
             delay = street.speech.delay
             if not self.quiet:
                 MESSAGES.print(f"delay from sound to face: {delay}")
@@ -61,7 +65,10 @@ class Performance:
                 )
             heard_s = min(length_s, clock.now() - zero_s)
         took_s = time.perf_counter() - began_s
-        return tally.summary(source.name, heard_s, took_s, source.lost_blocks)
+        for reason in recognizer.reasons:
+            MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
+        summary = tally.summary(source.name, heard_s, took_s, source.lost_blocks)
+        return replace(summary, recognizer=recognizer.level)
 
     @contextmanager
     def _observers(

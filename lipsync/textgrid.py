@@ -50,3 +50,19 @@ def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
         for tier in grid.tiers
         if isinstance(tier, IntervalTier)
     }
+
+
+def write_tiers(path: str | PathLike[str], tiers: dict[str, tuple[Interval, ...]]) -> None:
+    """Write interval tiers as a Praat TextGrid in long form; stretches between are left empty.
+
+    Raises LabelError when the file cannot be written.
+    """
+    grid = textgrid.Textgrid()
+    for name, intervals in tiers.items():
+        entries = [(start_s, end_s, label) for label, start_s, end_s in intervals]
+        end_s = max((end for _, end, _ in entries), default=0.0)
+        grid.addTier(IntervalTier(name, entries, 0.0, end_s), reportingMode="silence")
+    try:
+        grid.save(str(path), format="long_textgrid", includeBlankSpaces=True)
+    except OSError as error:
+        raise LabelError(f"{path}: cannot be written ({error.strerror})") from error

@@ -13,6 +13,7 @@ from lipservo.commands.options import (
     MESSAGES,
     RESULTS,
     Config,
+    EngineChoice,
     Json,
     Model,
     Quiet,
@@ -58,12 +59,15 @@ def run(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    engine: EngineChoice = "network",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     quiet = quiet or as_json
-    performance = Performance(config, model, trace, rate_hz, live=not quiet, quiet=quiet)
+    performance = Performance(
+        config, model, trace, rate_hz, live=not quiet, quiet=quiet, engine=engine
+    )
     with stopped_by_signals() as stop, _source(wav, mic) as source:
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
@@ -79,11 +83,14 @@ def daemon(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    engine: EngineChoice = "network",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run until stopped; with nothing to hear the mouth rests closed. What a service starts."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=quiet, endless=True)
+    performance = Performance(
+        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, engine=engine
+    )
     idle = wav is None and mic is None
     with (
         stopped_by_signals() as stop,
@@ -99,11 +106,12 @@ def replay(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    engine: EngineChoice = "network",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True)
+    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, engine=engine)
     with stopped_by_signals() as stop, _source(sound, None) as source:
         summary = performance.play(source, ManualClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)

@@ -56,7 +56,8 @@ def no_speech(rng: np.random.Generator, n: int) -> Array:
     if rng.random() < 0.5:
         first, last = np.sort(rng.integers(0, n, 2))
         samples[first:last] *= np.float32(10.0 ** (-rng.uniform(0.0, 100.0) / 20))
-    return np.clip(samples, -1.0, 1.0).astype(np.float32)
+    clipped: Array = np.clip(samples, -1.0, 1.0)
+    return clipped.astype(np.float32)
 
 
 def _at_speed(rng: np.random.Generator, clean: Heard) -> Heard:
@@ -72,4 +73,5 @@ def _at_speed(rng: np.random.Generator, clean: Heard) -> Heard:
 def _at_level(rng: np.random.Generator, samples: Array, low_db: float, high_db: float) -> Array:
     gain = np.float32(10.0 ** (rng.uniform(low_db, high_db) / 20.0))
     # Microphones hand out 16 bits: very quiet speech is rounded.
-    return (np.rint(np.clip(samples * gain, -1.0, 1.0) * 32767.0) / 32767.0).astype(np.float32)
+    rounded: Array = np.rint(np.clip(samples * gain, -1.0, 1.0) * 32767.0) / 32767.0
+    return rounded.astype(np.float32)

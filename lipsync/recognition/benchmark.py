@@ -8,6 +8,7 @@ import numpy as np
 from lipsync.audio.block import SAMPLE_RATE_HZ
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition import noise
 from lipsync.recognition.alignment_cache import AlignedUtterance
 from lipsync.recognition.conditions import Condition
 from lipsync.recognition.listening import listen
@@ -103,3 +104,15 @@ def false_speech(recognizer: LiveRecognizer, samples: np.ndarray) -> float:
     recognizer.reset()
     labels = listen(recognizer, samples.astype(np.float32)).labels
     return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
+
+
+def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Half a minute each of sounds that hold no speech, by name."""
+    n = 30 * SAMPLE_RATE_HZ
+    white = noise.white(rng, n)
+    return {
+        "digital_silence": np.zeros(n, np.float32),
+        "white_-50_dbfs": white * np.float32(10.0 ** (-50 / 20)),
+        "white_-26_dbfs": white * np.float32(10.0 ** (-26 / 20)),
+        "music_-26_dbfs": noise.band(rng, n) * np.float32(10.0 ** (-26 / 20)),
+    }

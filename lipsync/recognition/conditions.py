@@ -34,12 +34,14 @@ class Condition:
         """
         rng = np.random.default_rng(zlib.crc32(name.encode()))
         if self.kind == "level":
-            return (samples * np.float32(10.0 ** (self.db / 20.0))).astype(np.float32)
+            return samples * np.float32(10.0 ** (self.db / 20.0))
         if self.kind == "telephone":
             return noise.telephone(samples)
         if self.kind == "clipped":
             # Ten times over full scale (design measurement).
-            return np.clip(samples * np.float32(10.0 / np.abs(samples).max()), -1.0, 1.0)
+            gain = np.float32(10.0 / max(np.abs(samples).max(), 1e-9))
+            clipped: Array = np.clip(samples * gain, -1.0, 1.0)
+            return clipped
         maker = {"white": noise.white, "music": noise.band, "babble": noise.babble(voices)}
         return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)
 

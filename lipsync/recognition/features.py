@@ -50,7 +50,8 @@ def log_mel(emphasised: Array) -> Array:
     frames = np.lib.stride_tricks.sliding_window_view(emphasised, WINDOW)[::HOP]
     spectrum = np.fft.rfft(frames * _window(), _N_FFT).astype(np.complex64)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
-    return np.log(power @ _mel_filters() + _POWER_FLOOR)
+    logs: Array = np.log(power @ _mel_filters() + _POWER_FLOOR)
+    return logs
 
 
 class LogMelStream:

@@ -78,7 +78,8 @@ class _StreamingLayer:
         for tap in range(_TAPS):
             age = (_TAPS - 1 - tap) * self._layer.dilation
             self._taps[tap * n_in : (tap + 1) * n_in] = self._past[(self._newest - age) % n_ring]
-        return np.maximum(self._taps @ self._layer.kernel + self._layer.bias, np.float32(0.0))
+        output: Array = self._taps @ self._layer.kernel + self._layer.bias
+        return np.maximum(output, np.float32(0.0), out=output)
 
 
 def batch_posteriors(weights: NetworkWeights, features: Array) -> Array:
@@ -94,7 +95,8 @@ def _convolved(layer: Layer, frames: Array) -> Array:
         (np.zeros(((_TAPS - 1) * layer.dilation, frames.shape[1]), np.float32), frames)
     )
     taps = [padded[tap * layer.dilation :][: len(frames)] for tap in range(_TAPS)]
-    return np.maximum(np.concatenate(taps, axis=1) @ layer.kernel + layer.bias, np.float32(0.0))
+    output: Array = np.concatenate(taps, axis=1) @ layer.kernel + layer.bias
+    return np.maximum(output, np.float32(0.0), out=output)
 
 
 def _posteriors(logits: Array, weights: NetworkWeights) -> Array:

@@ -102,9 +102,8 @@ def edit_distance(said: Sequence[int], spoken: Sequence[int]) -> int:
     steps = np.arange(len(spoken) + 1)
     costs = steps.copy()
     for index, phone in enumerate(said, start=1):
-        best = np.concatenate(
-            ([index], np.minimum(costs[:-1] + (spoken_row != phone), costs[1:] + 1))
-        )
+        steps_down = np.minimum(costs[:-1] + (spoken_row != phone), costs[1:] + 1)
+        best = np.concatenate(([index], steps_down))
         # Deletions run along the row: the least of what stands to the left plus the way from there.
         costs = np.minimum.accumulate(best - steps) + steps
     return int(costs[-1])

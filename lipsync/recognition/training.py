@@ -6,6 +6,7 @@ from (seed, step), so that a run that was interrupted goes on exactly as it woul
 """
 
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,6 +57,7 @@ class _Residual(nn.Module):
         self.padding = 2 * dilation
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """(b, channels, n) to the same."""
         return x + torch.relu(self.norm(self.conv(nn.functional.pad(x, (self.padding, 0)))))
 
 
@@ -70,6 +72,7 @@ class TorchNetwork(nn.Module):
         self.exit = nn.Conv1d(plan.channels, self.n_heads * len(PHONEMES), 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """See the class."""
         logits = self.exit(self.body(torch.relu(self.entry(nn.functional.pad(x, (2, 0))))))
         return logits.unflatten(1, (self.n_heads, len(PHONEMES)))
 
@@ -163,13 +166,14 @@ def _learn(
     loss.backward()
     nn.utils.clip_grad_norm_(network.parameters(), 2.0)
     optimizer.step()
-    return float(loss)
+    value: float = loss.item()
+    return value
 
 
 def _windows(
     arrays: Sequence[TrainingArray], plan: TrainingPlan, rng: np.random.Generator
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Features (batch, 40, window) with some bands blanked, and targets (batch, n_heads, window)."""
+    """Features (batch, 40, window), some bands blanked; targets (batch, n_heads, window)."""
     features = np.empty((plan.batch, N_BANDS, plan.window), np.float32)
     targets = np.empty((plan.batch, len(plan.delays), plan.window), np.int64)
     for index in range(plan.batch):
@@ -190,7 +194,8 @@ def _rate(plan: TrainingPlan, step: int) -> float:
     warm = max(1, round(0.04 * plan.n_steps))
     if step < warm:
         return plan.peak_rate * (step + 1) / warm
-    return plan.peak_rate * 0.5 * (1 + np.cos(np.pi * (step - warm) / (plan.n_steps - warm)))
+    share = (step - warm) / (plan.n_steps - warm)
+    return plan.peak_rate * 0.5 * (1.0 + math.cos(math.pi * share))
 
 
 def _loss(logits: torch.Tensor, targets: torch.Tensor, plan: TrainingPlan) -> torch.Tensor:

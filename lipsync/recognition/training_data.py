@@ -7,6 +7,7 @@ array, every utterance beginning as a stream does, with a fresh level and mean.
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,7 +100,7 @@ def training_arrays(
             progress(len(arrays))
         return arrays
     # Forked workers see the recordings without copying them.
-    with ProcessPoolExecutor(n_processes, mp_context=_fork()) as pool:
+    with ProcessPoolExecutor(n_processes, mp_context=get_context("fork")) as pool:
         for array in pool.map(_one_array, jobs):
             arrays.append(array)
             progress(len(arrays))
@@ -107,12 +108,6 @@ def training_arrays(
 
 
 _SHARED: list[Heard] = []
-
-
-def _fork():
-    import multiprocessing
-
-    return multiprocessing.get_context("fork")
 
 
 def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingArray:

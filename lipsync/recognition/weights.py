@@ -90,7 +90,9 @@ def _mistake(weights: NetworkWeights) -> str:
     """What does not fit together, or nothing."""
     n_channels = len(weights.entry.bias)
     n_outputs = len(weights.delays) * len(weights.phonemes)
-    shapes = [(weights.entry.kernel, (3 * N_BANDS, n_channels))]
+    shapes: list[tuple[NDArray[np.float32], tuple[int, ...]]] = [
+        (weights.entry.kernel, (3 * N_BANDS, n_channels))
+    ]
     shapes += [(layer.kernel, (3 * n_channels, n_channels)) for layer in weights.residuals]
     shapes += [(layer.bias, (n_channels,)) for layer in weights.residuals]
     shapes += [(weights.output, (n_channels, n_outputs)), (weights.output_bias, (n_outputs,))]
