@@ -48,6 +48,7 @@ class ForcedAligner:
     def __init__(self, pronouncer: Callable[[str], tuple[str, ...]] = pronounce) -> None:
         self._pronouncer = pronouncer
         self._decoders: dict[Beams, Decoder] = {}
+        self._taught: set[str] = set()
 
     def align(self, samples: NDArray[np.float32], text: str) -> Alignment:
         """Align samples (n,) at 16 kHz in [-1, 1] with the words of `text`.
@@ -78,12 +79,11 @@ class ForcedAligner:
             options = _TIGHT if beams == "tight" else {}
             self._decoders[beams] = Decoder(lm=None, cmn="batch", loglevel="FATAL", **options)
         decoder = self._decoders[beams]
-        guessed = []
         for word in dict.fromkeys(words):
             if decoder.lookup_word(word) is None:
                 decoder.add_word(word, " ".join(self._pronouncer(word)), False)
-                guessed.append(word)
-        return tuple(guessed)
+                self._taught.add(word)
+        return tuple(word for word in dict.fromkeys(words) if word in self._taught)
 
 
 def words_of(text: str) -> list[str]:

@@ -1,7 +1,7 @@
 """One training from corpora to weights: align, split by speaker, disturb, learn, write a log."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +50,7 @@ class TrainingRun:
     n_steps: int
     n_copies: int
     n_processes: int
-    plan: TrainingPlan = TrainingPlan()
+    plan: TrainingPlan = field(default_factory=TrainingPlan)
 
 
 def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:

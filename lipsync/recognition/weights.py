@@ -44,8 +44,9 @@ def save_weights(weights: NetworkWeights, path: str | PathLike[str]) -> None:
 def load_weights(path: str | PathLike[str]) -> NetworkWeights:
     """Read weights; WeightsError for a file that is missing, damaged or does not fit together."""
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        # Opened here: where numpy fails to read a file it leaves it open.
+        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file; check the path") from error
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
