@@ -53,7 +53,7 @@ def test_a_word_outside_the_dictionary_is_guessed_and_named(clip):
     first = words_of(text)[0]
     guesses = {
         "zzyx": ("HH", "AH", "L", "OW"),
-        "lipservo": tuple(["L", "IH", "P", "S", "ER", "V", "OW"]),
+        "lipservo": ("L", "IH", "P", "S", "ER", "V", "OW"),
     }
     aligner = ForcedAligner(pronouncer=guesses.__getitem__)
     for _ in range(2):  # also when it was taught by the utterance before
