@@ -56,10 +56,9 @@ def _settled(
 ) -> Iterator[PhonemeEvent]:
     """Events not told yet that ended before the border; the last one is cut at the sound's end."""
     for event in timeline.events:
-        end_s = math.inf if event.end_s is None else event.end_s
+        end_s = min(math.inf if event.end_s is None else event.end_s, length_s)
         if end_s <= told_until_s + 1e-9 or event.start_s >= length_s:
             continue
-        if end_s < timeline.final_until_s - 1e-9:
-            yield replace(event, end_s=min(end_s, length_s))
-        elif timeline.final_until_s >= length_s:
-            yield replace(event, end_s=length_s)
+        # At the border an event may yet go on, but not beyond the sound's end.
+        if end_s < timeline.final_until_s - 1e-9 or timeline.final_until_s >= length_s:
+            yield replace(event, end_s=end_s)
