@@ -28,10 +28,15 @@ class DecoderSettings:
     phone_weight: of the phone within its viseme class, against the class itself.
     """
 
-    switch_penalty: float = 1.0
-    closure_penalty: float = 0.5
+    switch_penalty: float = 2.0
+    closure_penalty: float = 1.0
     closure_bonus: float = 0.0
     phone_weight: float = 0.6
+
+
+#: Where nothing is heard beyond the frame that is due, a penalty mostly delays every change.
+QUICK = DecoderSettings(switch_penalty=0.3, closure_penalty=0.15)
+SMOOTH = DecoderSettings()
 
 
 class SwitchDecoder:

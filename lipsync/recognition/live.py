@@ -7,7 +7,7 @@ from lipsync.audio.block import AudioBlock
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeUpdate
 from lipsync.recognition.activity import VoiceActivity
 from lipsync.recognition.belief import FrameBelief
-from lipsync.recognition.decoder import DecoderSettings, SwitchDecoder
+from lipsync.recognition.decoder import QUICK, SMOOTH, DecoderSettings, SwitchDecoder
 from lipsync.recognition.features import FRAMES_PER_S, LevelNormalizer, LogMelStream
 from lipsync.recognition.intake import SoundIntake
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
@@ -28,17 +28,19 @@ class NetworkRecognizer:
 
     latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may change its
     mind only about what is not final. Memory stays bounded as long as `updates` is called.
+    settings: of the decoder; None for those that fit the latency.
     """
 
     def __init__(
         self,
         weights: NetworkWeights,
         latency_s: float = LATENCY_S,
-        settings: DecoderSettings = DecoderSettings(),  # noqa: B008 - frozen
+        settings: DecoderSettings | None = None,
     ) -> None:
         self._weights = weights
         self._delay = int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
-        self._decoder_settings = settings
+        has_lookahead = self._delay > weights.delays[0]
+        self._settings = settings or (SMOOTH if has_lookahead else QUICK)
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
         if latency_s < least_s - 1e-9:
             raise ValueError(f"latency_s is {latency_s}; the network needs at least {least_s}")
@@ -60,7 +62,7 @@ class NetworkRecognizer:
         self._log_mel = LogMelStream()
         self._normalizer = LevelNormalizer(self._weights.scale)
         self._network = StreamingNetwork(self._weights)
-        self._decoder = SwitchDecoder(self._weights.delays, self._delay, self._decoder_settings)
+        self._decoder = SwitchDecoder(self._weights.delays, self._delay, self._settings)
         self._activity = VoiceActivity()
         self._belief = FrameBelief(FRAMES_PER_S, self._delay + 1)
         self._n_heard = 0  # frames whose window was heard, those jumped over among them
