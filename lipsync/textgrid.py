@@ -58,10 +58,10 @@ def write_tiers(path: str | PathLike[str], tiers: dict[str, tuple[Interval, ...]
     Raises LabelError when the file cannot be written.
     """
     grid = textgrid.Textgrid()
+    file_end_s = max((end_s for tier in tiers.values() for _, _, end_s in tier), default=0.0)
     for name, intervals in tiers.items():
         entries = [(start_s, end_s, label) for label, start_s, end_s in intervals]
-        end_s = max((end for _, end, _ in entries), default=0.0)
-        grid.addTier(IntervalTier(name, entries, 0.0, end_s), reportingMode="silence")
+        grid.addTier(IntervalTier(name, entries, 0.0, file_end_s))
     try:
         grid.save(str(path), format="long_textgrid", includeBlankSpaces=True)
     except OSError as error:

@@ -107,9 +107,10 @@ def test_a_stop_gap_is_no_end_of_speech(weights, clip):
         (clip[:first], np.zeros(int(0.12 * RATE_HZ)), clip[first : first + 4_000], np.zeros(8_000))
     )
 
-    listen(
-        recognizer, samples, lambda end_s: spoken.update({round(end_s, 2): recognizer.is_speaking})
-    )
+    def watch(_timeline, end_s):
+        spoken[round(end_s, 2)] = recognizer.is_speaking
+
+    listen(recognizer, samples, watch)
     assert all(spoken[t] for t in np.arange(6.0, 6.3, 0.01).round(2))
     assert not spoken[max(spoken)]
 

@@ -29,6 +29,7 @@ class Figures:
     n_revisions: int
     n_phones_said: int
     cost_s: float
+    block_cost_p50_s: float
     block_cost_p99_s: float
     n_default: int
     n_tight: int
@@ -46,6 +47,7 @@ class Figures:
             "seconds": self.duration_s,
             "alignment": {"default": self.n_default, "tight_not_scored": self.n_tight},
             "failed_alignments": self.n_failed,
+            "block_ms_p50": 1e3 * self.block_cost_p50_s,
             "block_ms_p99": 1e3 * self.block_cost_p99_s,
             "agreement_min_median_max": [least, median, most],
         }
@@ -89,6 +91,7 @@ def measure(
         n_revisions=n_revisions,
         n_phones_said=n_said,
         cost_s=float(all_costs.sum()),
+        block_cost_p50_s=float(np.median(all_costs)),
         block_cost_p99_s=float(np.percentile(all_costs, 99)),
         n_default=len(scored),
         n_tight=sum(alignments[u.name].beams == "tight" for u in utterances),
