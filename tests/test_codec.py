@@ -123,15 +123,22 @@ def damaged(raw, rng):
 
 
 def check_damage(n_streams, seed):
-    """A damaged packet costs that packet and no other, wherever it is."""
+    """A damaged packet costs that packet and no other, wherever it is.
+
+    But for one in 65,536 of the damaged ones, whose CRC holds by chance: 16 bits tell no more.
+    """
     rng = random.Random(seed)
+    n_by_chance = 0
     for _ in range(n_streams):
         packets = [codec.status(n, 0, nasty_bytes(rng)) for n in range(10)]
         victim = rng.randrange(9)
         packets[victim] = damaged(packets[victim], rng)
         frames = FrameParser().feed(b"".join(packets))
         others = [n for n in range(10) if n != victim]
-        assert [f.packet_id for f in frames if f.packet_id != victim] == others
+        found = [f.packet_id for f in frames if f.packet_id != victim]
+        n_by_chance += found != others
+        assert found == others or victim in [f.packet_id for f in frames]
+    assert n_by_chance <= 1 + 5 * n_streams / 65_536
 
 
 def nasty_bytes(rng):
