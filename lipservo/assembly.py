@@ -1,6 +1,6 @@
 """Puts a street together from files: face, model, calibration, recogniser, bus."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from calibration.calibration import Calibration, check_calibration
@@ -10,8 +10,8 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
-from firmware_bridge.simulator.bus import SimulatedBus
 from lipservo.pipeline import Speech, Street
+from lipservo.servos import bus_for, prevent_rules
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.animpho.synthesizer import PublishedSynthesizer
@@ -55,19 +55,38 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     return Face(settings, model, calibration, settings.joints())
 
 
+def at_port(face: Face, port: str | None) -> Face:
+    """The same face with its servos at a serial port; None: where its YAML says."""
+    return face if port is None else replace(face, settings=settings_at_port(face.settings, port))
+
+
+def settings_at_port(settings: FaceSettings, port: str) -> FaceSettings:
+    """The same face with its servos at a serial port."""
+    bus = settings.bus.model_copy(update={"kind": "dynamixel", "port": port})
+    return settings.model_copy(update={"bus": bus})
+
+
 def make_bus(face: Face, clock: Clock) -> ServoBus:
     """The bus that the face's YAML asks for; use it as a context manager."""
-    return SimulatedBus(face.joints, clock)
+    return bus_for(face.settings, clock)
 
 
 def make_street(
-    face: Face, source: AudioSource, bus: ServoBus, rate_hz: float, zero_s: float
+    face: Face,
+    source: AudioSource,
+    bus: ServoBus,
+    rate_hz: float,
+    zero_s: float,
+    *,
+    dry_run: bool = False,
 ) -> Street:
     """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
     channel = MemoryTargetChannel()
     synthesizer = PublishedSynthesizer(face.model)
     speech = Speech(source, make_recognizer(), synthesizer, face.calibration, channel)
-    return Street(speech, Bridge(bus, face.joints, channel, rate_hz=rate_hz), zero_s)
+    prevent = prevent_rules(face.settings)
+    bridge = Bridge(bus, face.joints, channel, rate_hz=rate_hz, prevent=prevent, dry_run=dry_run)
+    return Street(speech, bridge, zero_s)
 
 
 def make_recognizer() -> LiveRecognizer:

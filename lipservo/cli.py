@@ -5,7 +5,7 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import bench, street, training
+from lipservo.commands import bench, sim_bus, street, training
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -17,6 +17,7 @@ app = typer.Typer(
 )
 for command in (street.run, street.daemon, street.replay, training.train, training.calibrate):
     app.command()(command)
+app.command("sim-bus")(sim_bus.sim_bus)
 app.add_typer(bench.app, name="bench")
 
 _INTERRUPTED = 130

@@ -5,7 +5,7 @@ from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.joints import Joint
-from firmware_bridge.simulator.chain import SimulatedChain
+from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.memory_transport import MemoryTransport
 
 BAUD_RATE = 1_000_000
@@ -31,19 +31,7 @@ class MemoryFace:
         self.clock = ManualClock()
         self.servos = mounted(n) if servos is None else servos
         chain_options.setdefault("baud_rate", BAUD_RATE)
-        self.chain = SimulatedChain(
-            [servo.model for servo in self.servos],
-            [servo.joint.servo_id for servo in self.servos],
-            **chain_options,
-        )
-        for servo, simulated in zip(self.servos, self.chain.servos, strict=True):
-            # Limits as `setup-servos` writes them: a little outside the joint's own.
-            low, high = servo.pulse_range()
-            simulated["min_position_limit"] = low - 57
-            simulated["max_position_limit"] = high + 57
-            place = servo.pulse(0.0)
-            self.chain.motors.position[simulated.index] = place
-            simulated["goal_position"] = place
+        self.chain = chain_for(self.servos, **chain_options)
         self.written = []
         self.bus = DynamixelBus(self.servos, self.open, strict=strict, watchdog_s=watchdog_s)
 

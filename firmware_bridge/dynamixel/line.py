@@ -70,6 +70,7 @@ class Line:
         self.return_delay_s = return_delay_s
         self.latency = LearntLatency()
         self.n_bad = 0
+        self.heard_noise = False  # something came last time, but nothing that makes sense
         self._clock = transport.clock
         self._parser = FrameParser()
         self._free_s = 0.0
@@ -183,11 +184,14 @@ class Line:
                 if statuses is not None:
                     self._free_s = clock.now()
                     self.latency.learn(self._free_s - due_s)
+                    self.heard_noise = False
                     return statuses
             more = transport.read(deadline_s)
             if not more:
                 self._free_s = max(wire_end_s, clock.now())
-                return take(stream, last=True)
+                statuses = take(stream, last=True)
+                self.heard_noise = bool(stream) and not statuses
+                return statuses
             stream += more
 
     def _statuses(self, stream: bytes) -> list[Status]:

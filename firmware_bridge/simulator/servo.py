@@ -168,12 +168,10 @@ class SimulatedServo:
         at = address
         while at < end:
             register = self._by_address.get(at)
-            if register is None:
+            if register is None or not register.writable:
                 return StatusError.ACCESS
             if register.end > end:
                 return StatusError.DATA_LENGTH
-            if not register.writable:
-                return StatusError.ACCESS
             pieces.append((register, register.decode(data[at - address : register.end - address])))
             at = register.end
         return pieces

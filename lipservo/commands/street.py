@@ -19,6 +19,7 @@ from lipservo.commands.options import (
 )
 from lipservo.daemon import stopped_by_signals
 from lipservo.performance import Performance
+from lipservo.sim_process import servo_port
 from lipservo.summary import Summary, print_summary
 from lipsync.audio.file import FileSource
 from lipsync.audio.silence import SilenceAfter, SilentSource
@@ -44,6 +45,16 @@ Rate = Annotated[
     ),
 ]
 
+Port = Annotated[
+    str | None,
+    typer.Option(help="Serial port of the servos, /dev/ttyUSB0 for one.", show_default=False),
+]
+Sim = Annotated[
+    str | None,
+    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Read the servos, never move them.")]
+
 #: Stopped by Ctrl-C: 128 + SIGINT, as shells count.
 _INTERRUPTED = 130
 
@@ -55,13 +66,29 @@ def run(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    port: Port = None,
+    sim: Sim = None,
+    dry_run: DryRun = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     quiet = quiet or as_json
-    performance = Performance(config, model, trace, rate_hz, live=not quiet, quiet=quiet)
-    with stopped_by_signals() as stop, _source(wav, mic) as source:
+    with (
+        servo_port(port, sim, config) as at_port,
+        stopped_by_signals() as stop,
+        _source(wav, mic) as source,
+    ):
+        performance = Performance(
+            config,
+            model,
+            trace,
+            rate_hz,
+            live=not quiet,
+            quiet=quiet,
+            port=at_port,
+            dry_run=dry_run,
+        )
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
     if stop.is_set():
