@@ -142,7 +142,8 @@ class Limiter:
         self._rejected += limited.rejected
         self._prevented += limited.prevented
         self._sent_deg = sent_deg
-        self._sent_at_s = time_s
+        # Never back in time: arming takes longer than the tick it happens in.
+        self._sent_at_s = max(self._sent_at_s, time_s)
         return limited
 
 

@@ -67,13 +67,12 @@ def test_the_sdk_reads_and_writes_groups(sdk, fast):
 
 def test_the_sdk_reboots_and_resets_a_servo(sdk):
     handler, packets = sdk
-    packets.write1ByteTxRx(handler, 5, 68, 1)
-
+    assert packets.write1ByteTxRx(handler, 5, 65, 1) == (0, 0)
     assert packets.reboot(handler, 5) == (0, 0)
     assert packets.ping(handler, 5)[1] != 0
     while packets.ping(handler, 5)[1] != 0:
         pass
-    assert packets.read1ByteTxRx(handler, 5, 68) == (2, 0, 0)
+    assert packets.read1ByteTxRx(handler, 5, 65) == (0, 0, 0)
 
 
 def test_pyserial_gets_the_bytes_of_a_status_packet(port):

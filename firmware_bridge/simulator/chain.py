@@ -81,13 +81,11 @@ class SimulatedChain:
         if not self.plugged:
             self._wire.clear()
             self._parser.reset()
-        trip_s = min((servo.watchdog_trips_s for servo in self.servos), default=float("inf"))
-        while trip_s <= now_s:
-            self.motors.advance(trip_s)
-            for servo in self.servos:
-                if servo.watchdog_trips_s <= trip_s:
-                    servo.trip_watchdog()
-            trip_s = min(servo.watchdog_trips_s for servo in self.servos)
+        for servo in self.servos:
+            trip_s = servo.heard_s + servo.patience_s
+            if trip_s <= now_s:
+                self.motors.advance(trip_s)
+                servo.trip_watchdog()
         self.motors.advance(now_s)
         if now_s - self._checked_s >= _CHECK_S:
             self._checked_s = now_s
@@ -100,8 +98,10 @@ class SimulatedChain:
         byte_s = BITS_PER_BYTE / baud_rate
         heard, start_s = self._wire.host_speaks(data, now_s, byte_s)
         n_bad = self._parser.n_bad
-        end_s = start_s - len(self._parser.pending) * byte_s
-        for frame in self._parser.feed(heard):
+        frames = self._parser.feed(heard)
+        end_s = start_s + (len(heard) - len(self._parser.pending)) * byte_s
+        end_s -= sum(len(frame.raw) for frame in frames) * byte_s
+        for frame in frames:
             end_s += len(frame.raw) * byte_s
             self._hear(frame, max(end_s, start_s), byte_s, baud_rate)
         self.counts.bad_instructions += self._parser.n_bad - n_bad
@@ -192,7 +192,7 @@ def _by_id(awake: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
     """Who answers to which id; more than one when an id was given twice."""
     by_id: dict[int, list[SimulatedServo]] = {}
     for servo in awake:
-        if servo["status_return_level"] >= 1:
+        if servo.answers_reads:
             by_id.setdefault(servo.servo_id, []).append(servo)
     return by_id
 

@@ -11,8 +11,13 @@ from firmware_bridge.dynamixel.control_table import ServoModel
 Array = NDArray[np.float64]
 
 PULSES_PER_DEG = 4096 / 360.0
+#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108 and the next entry
+VELOCITY_UNIT = 0.229 * 6.0 * PULSES_PER_DEG
+ACCELERATION_UNIT = 214.577 * 6.0 * PULSES_PER_DEG / 60.0
 #: Longest step of the integration. Short against any profile, long enough for 20 servos at 200 Hz.
 _STEP_S = 0.005
+#: Times closer together than this are one: several servos are read within a packet's time.
+_SHORTEST_S = 0.0005
 #: How fast the position loop closes an error, 1/s. Ours: lag of a tenth of a second feels like an
 #: XL330 with factory gains; not measured.
 _POSITION_LOOP_PER_S = 40.0
@@ -73,6 +78,34 @@ class Motors:
         self.voltage_v = self.supply_v.copy()
         self.overload_s = np.zeros(n)
         self.now_s = 0.0
+        units = [m.current_unit_ma for m in models]
+        self._current_scale = np.array([1e3 / unit if unit else 0.0 for unit in units])
+        self._load_scale = np.array([0.0 if unit else 1e3 for unit in units])
+        self._shown: list[list[int]] = []
+        self._shown_at_s = -1.0
+
+    def register_values(self) -> list[list[int]]:
+        """Per servo: moving, current, velocity, position, both trajectories, voltage, temperature.
+
+        In the units of the registers, of the time that was advanced to.
+        """
+        if self._shown_at_s != self.now_s:
+            self._shown_at_s = self.now_s
+            values = np.stack(
+                [
+                    self.goal != self.trajectory,
+                    self.current_a * self._current_scale + self.load * self._load_scale,
+                    self.velocity / VELOCITY_UNIT,
+                    self.position,
+                    self.trajectory_velocity / VELOCITY_UNIT,
+                    self.trajectory,
+                    self.voltage_v * 10.0,
+                    self.temperature,
+                ],
+                axis=1,
+            )
+            self._shown = np.rint(values).astype(np.int64).tolist()
+        return self._shown
 
     def set_profile(self, index: int, velocity: float, acceleration: float) -> None:
         """Pulses a second (squared); 0 = no bound, as in the registers."""
@@ -85,9 +118,9 @@ class Motors:
         self.trajectory_velocity[index] = 0.0
 
     def advance(self, now_s: float) -> None:
-        """Let time pass until `now_s`; nothing happens when that has passed."""
+        """Let time pass until `now_s`; nothing happens before half a millisecond is over."""
         left_s = now_s - self.now_s
-        if left_s <= 0.0:
+        if left_s < _SHORTEST_S:
             return
         if self._at_rest():
             self._supply_and_heat(left_s, np.zeros_like(self.load))

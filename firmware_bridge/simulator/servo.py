@@ -1,19 +1,27 @@
 """One simulated servo: its control table, and what it answers to an instruction."""
 
+import math
 import struct
 from collections.abc import Mapping
 from typing import Final
 
 from firmware_bridge.dynamixel.codec import ALERT_BIT, Instruction, StatusError
-from firmware_bridge.dynamixel.control_table import IndirectBlock, Register, ServoModel, baud_rates
-from firmware_bridge.simulator.motors import PULSES_PER_DEG, Motors
+from firmware_bridge.dynamixel.control_table import (
+    IndirectBlock,
+    Register,
+    ServoModel,
+    baud_rates,
+    register,
+)
+from firmware_bridge.simulator.motors import ACCELERATION_UNIT, VELOCITY_UNIT, Motors
 
 #: Modes that are simulated: position, and position with limited current.
 MODES: Final = (3, 5)
-#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108
-_VELOCITY_UNIT: Final = 0.229 * 6.0 * PULSES_PER_DEG
-_ACCELERATION_UNIT: Final = 214.577 * 6.0 * PULSES_PER_DEG / 60.0
 _WATCHDOG_UNIT_S: Final = 0.020
+_MODE, _LIMITS = register("operating_mode").address, register("max_position_limit").address
+_WATCHDOG, _GOAL = register("bus_watchdog").address, register("goal_position").address
+#: realtime_tick .. present_temperature
+_PRESENT: Final = struct.Struct("<HBBhhiiiiHB")
 _WATCHDOG_TRIPPED: Final = -1
 #: Not in the manual: how long a restart takes, and that a reset takes as long.
 BOOT_S: Final = 0.5
@@ -42,6 +50,7 @@ class SimulatedServo:
         self.deaf_until_s = 0.0
         self.booted_s = 0.0
         self.heard_s = 0.0
+        self.patience_s = math.inf  # silence after which the watchdog trips; infinity while off
         self._factory_settings()
         self["id"] = servo_id
         self._restart(0.0)
@@ -75,16 +84,14 @@ class SimulatedServo:
         return self._memory[64] == 1
 
     @property
-    def watchdog_trips_s(self) -> float:
-        """When its watchdog will trip if it hears nothing more; infinity while off."""
-        setting = self["bus_watchdog"]
-        if setting <= 0 or not self.torque_on:
-            return float("inf")
-        return self.heard_s + setting * _WATCHDOG_UNIT_S
+    def answers_reads(self) -> bool:
+        """Whether its status return level lets it."""
+        return self._memory[68] >= 1
 
     def trip_watchdog(self) -> None:
         """Stop where it is; goals are refused until 0 is written. Torque stays on."""
         self["bus_watchdog"] = _WATCHDOG_TRIPPED
+        self._set_patience()
         self._motors.stop(self.index)
 
     def latch(self, bits: int) -> None:
@@ -136,16 +143,23 @@ class SimulatedServo:
         if len(parameters) < 3:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
+        if address == _GOAL and len(data) == 4:  # what nearly every write is
+            goal = int.from_bytes(data, "little", signed=True)
+            error = self._goal_refusal("goal_position", goal)
+            if not error:
+                self._memory[_GOAL : _GOAL + 4] = data
+                self._take_effect("goal_position", goal)
+            return error
         pieces = self._pieces(address, data)
         if isinstance(pieces, StatusError):
             return pieces
-        for register, value in pieces:
-            error = self._refusal(register, value)
+        for entry, value in pieces:
+            error = self._refusal(entry, value)
             if error:
                 return error
-        for register, value in pieces:
-            self[register.name] = value
-            self._take_effect(register.name, value)
+        for entry, value in pieces:
+            self[entry.name] = value
+            self._take_effect(entry.name, value)
         return 0
 
     def _error(self, error: int = 0) -> int:
@@ -188,15 +202,15 @@ class SimulatedServo:
             at = block.addresses + 2 * number
             shown[self._memory[at] | self._memory[at + 1] << 8] = byte
         pieces = []
-        for register in self._registers.values():
-            behind = [n for n in range(register.address, register.end) if n in shown]
+        for entry in self._registers.values():
+            behind = [n for n in range(entry.address, entry.end) if n in shown]
             if not behind:
                 continue
-            if not register.writable:
+            if not entry.writable:
                 return StatusError.ACCESS
-            if len(behind) < register.size:
+            if len(behind) < entry.size:
                 return StatusError.DATA_LENGTH
-            pieces.append((register, register.decode(bytes(shown[n] for n in behind))))
+            pieces.append((entry, entry.decode(bytes(shown[n] for n in behind))))
         return pieces
 
     def _map_indirect(
@@ -233,19 +247,19 @@ class SimulatedServo:
         if name == "operating_mode" and value not in MODES:
             return StatusError.DATA_RANGE
         if name.startswith("goal_"):
-            if self["bus_watchdog"] == _WATCHDOG_TRIPPED:
-                return StatusError.DATA_RANGE
             return self._goal_refusal(name, value)
         if name == "torque_enable" and value and self.hardware_error & self["shutdown"]:
             return StatusError.ACCESS
         return 0
 
     def _goal_refusal(self, name: str, value: int) -> int:
+        if self._memory[_WATCHDOG] == 0xFF:
+            return StatusError.DATA_RANGE
         if name == "goal_position":
             # Mode 5 counts turns: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#goal-position116
             low, high = -1_048_575, 1_048_575
-            if self["operating_mode"] == 3:
-                low, high = self["min_position_limit"], self["max_position_limit"]
+            if self._memory[_MODE] == 3:
+                high, low = struct.unpack_from("<II", self._memory, _LIMITS)
         else:
             limit = {"goal_velocity": "velocity_limit", "goal_current": "current_limit"}
             high = self[limit.get(name, "pwm_limit")]
@@ -257,13 +271,15 @@ class SimulatedServo:
         if name == "goal_position":
             if self.torque_on:
                 motors.goal[i] = value
+        elif name == "bus_watchdog":
+            self._set_patience()
         elif name == "torque_enable":
             self._set_torque(on=bool(value))
         elif name in ("profile_velocity", "profile_acceleration"):
             motors.set_profile(
                 i,
-                self["profile_velocity"] * _VELOCITY_UNIT,
-                self["profile_acceleration"] * _ACCELERATION_UNIT,
+                self["profile_velocity"] * VELOCITY_UNIT,
+                self["profile_acceleration"] * ACCELERATION_UNIT,
             )
         elif name in ("goal_current", "operating_mode") and "goal_current" in self._registers:
             limited = self["operating_mode"] == 5
@@ -273,6 +289,7 @@ class SimulatedServo:
     def _set_torque(self, *, on: bool) -> None:
         motors, i = self._motors, self.index
         self["torque_enable"] = int(on)
+        self._set_patience()
         motors.torque_on[i] = on
         if on:
             motors.trajectory[i] = motors.position[i]
@@ -280,28 +297,15 @@ class SimulatedServo:
 
     def _refresh(self) -> None:
         """Bring the registers of the present up to date."""
-        m, i = self._motors, self.index
-        moving = m.goal[i] != m.trajectory[i]
-        if self.model.current_unit_ma is None:
-            current = m.load[i] * 1000.0
-        else:
-            current = (m.current_a[i] * 1e3) / self.model.current_unit_ma
-        struct.pack_into(
-            "<HBBhhiiiiHB",
-            self._memory,
-            120,
-            int((m.now_s - self.booted_s) * 1e3) % 32768,
-            bool(moving),
-            (0x02 if moving else 0x01) | (0x30 if moving else 0),
-            0,
-            round(current),
-            round(m.velocity[i] / _VELOCITY_UNIT),
-            round(m.position[i]),
-            round(m.trajectory_velocity[i] / _VELOCITY_UNIT),
-            round(m.trajectory[i]),
-            round(m.voltage_v[i] * 10.0),
-            round(m.temperature[i]),
-        )
+        moving, *values = self._motors.register_values()[self.index]
+        tick_ms = int((self._motors.now_s - self.booted_s) * 1e3) % 32768
+        status = 0x32 if moving else 0x01
+        _PRESENT.pack_into(self._memory, 120, tick_ms, moving, status, 0, *values)
+
+    def _set_patience(self) -> None:
+        setting = self["bus_watchdog"]
+        armed = setting > 0 and self.torque_on
+        self.patience_s = setting * _WATCHDOG_UNIT_S if armed else math.inf
 
     def _factory_settings(self, keep: Mapping[str, int] | None = None) -> None:
         self._memory[:] = bytes(len(self._memory))
@@ -324,6 +328,7 @@ class SimulatedServo:
         if "goal_current" in self._registers:
             self["goal_current"] = self["current_limit"]
         self.hardware_error = 0
+        self.patience_s = math.inf
         self.booted_s = now_s
         motors, i = self._motors, self.index
         motors.torque_on[i] = False
