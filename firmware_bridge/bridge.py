@@ -33,7 +33,7 @@ _EASE_LIMIT_S = 2.0
 
 
 #: First wait before a lost port is tried again, and the longest; it doubles in between.
-_RETRY_S, _LONGEST_RETRY_S = 0.1, 1.0
+_RETRY_S, _LONGEST_RETRY_S = 0.1, 0.5
 
 
 class _State(Enum):
@@ -247,6 +247,7 @@ class Bridge:
 
     def _unplug(self, time_s: float) -> None:
         self._state = _State.UNPLUGGED
+        self._care.lose_all(time_s)
         self._n_unplugged += 1
         self._retry_wait_s = _RETRY_S
         self._retry_at_s = time_s + _RETRY_S

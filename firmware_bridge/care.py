@@ -88,6 +88,11 @@ class ServoCare:
         self.states[index] = ServoState.DRIVEN if willing else ServoState.WAITING
         self._until_s[index] = time_s + _RETRY_S
 
+    def lose_all(self, time_s: float) -> None:
+        """The port is gone: nobody is driven."""
+        self.states[self.states != ServoState.FAILED] = ServoState.WAITING
+        self._until_s[:] = time_s
+
     def scale(self, feedback: Feedback, health: Health) -> NDArray[np.float64]:
         """By how much each joint's amplitude shrinks, 0.3..1: heat now, and heat to come."""
         if self._duty_at_s is not None:

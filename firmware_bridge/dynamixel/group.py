@@ -32,6 +32,7 @@ class SpanGroup:
         self._silent = dict.fromkeys(self._ids, 0)
         self._order = list(self._ids)
         self.answers: list[Status] = []
+        self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
         self._n_asked = self._n_bad = self._slow_until = 0
         self._prepare()
 
@@ -44,7 +45,7 @@ class SpanGroup:
         """Ask; the answers that came, whole ones only, in no particular order."""
         if self._n_asked == self._slow_until or self._n_asked % _RETRY_EVERY == 0:
             self._prepare(retry=self._n_asked % _RETRY_EVERY == 0)
-        span = self._span
+        span = self.asked = self._span
         statuses = line.sync_read(span)
         self._n_asked += 1
         if len(statuses) == len(span.ids):

@@ -62,11 +62,11 @@ def sim_bus(
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, stop)
+    if on_time:
+        run_on_time()
     sys.stdout.write(f"{link or host.port}\n")
     sys.stdout.flush()
     try:
-        if on_time:
-            run_on_time()
         host.serve(lambda: stopped, sys.stdin.fileno() if until_stdin_closes else None)
     finally:
         host.close()
