@@ -5,6 +5,7 @@ import ctypes
 import gc
 import os
 import signal
+from collections.abc import Iterator
 from typing import Final
 
 #: linux/prctl.h: the signal that a process gets when its parent dies.
@@ -22,6 +23,17 @@ def die_with_parent(number: int = signal.SIGTERM) -> None:
 def parent_is_alive(parent: int) -> bool:
     """Whether `parent` is still ours; it may have died before `die_with_parent`."""
     return os.getppid() == parent
+
+
+@contextlib.contextmanager
+def on_time() -> Iterator[bool]:
+    """`run_on_time` for a while; gives back the ordinary scheduling."""
+    granted = run_on_time()
+    try:
+        yield granted
+    finally:
+        if granted:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def run_on_time() -> bool:

@@ -18,10 +18,12 @@ from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.group import SpanGroup
-from firmware_bridge.dynamixel.line import Line, SpanRead
+from firmware_bridge.dynamixel.line import GoalWrite, Line, SpanRead
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
+from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.joints import Joint
+from firmware_bridge.process import on_time
 from firmware_bridge.targets import ServoTargets
 from lipservo.sim_process import simulated_port
 
@@ -52,15 +54,15 @@ def cpu_ratios() -> dict[str, float]:
 
 def _own_calls(port: str) -> dict[str, Callable[[], object]]:
     """Write 20 goals; read 20 x 3 values, a frame each; and both, read in one frame."""
-    line = Line(open_port(port, 4_000_000), return_delay_s=0.0)
+    line = Line(_NoWire(open_port(port, 4_000_000)), return_delay_s=0.0)
     goals = np.full(N_SERVOS, 2048)
     plain = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
     fast = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
 
+    goal_write = GoalWrite(_IDS, 116)
+
     def write() -> None:
-        data = goals.astype("<i4").tobytes()
-        blocks = [(each, data[4 * n : 4 * n + 4]) for n, each in enumerate(_IDS)]
-        line.tell(codec.sync_write(116, 4, blocks))
+        line.tell(goal_write.request(goals.tolist()))
 
     def read(span: SpanRead = plain) -> list[list[int]]:
         values = np.frombuffer(b"".join([s.data for s in line.sync_read(span)]), dtype=_MOTION)
@@ -71,6 +73,19 @@ def _own_calls(port: str) -> dict[str, Callable[[], object]]:
         read(fast)
 
     return {"own write": write, "own read": read, "own cycle": cycle}
+
+
+class _NoWire:
+    """A transport whose bytes take no time, so that only work is measured and no waiting."""
+
+    baud_rate = 10**12
+
+    def __init__(self, transport: Transport) -> None:
+        self.clock = transport.clock
+        self.write = transport.write
+        self.read = transport.read
+        self.discard_input = transport.discard_input
+        self.close = transport.close
 
 
 def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
@@ -119,7 +134,7 @@ def _canned_peer() -> Iterator[str]:
 
 def wire_figures(seconds: float = 4.0) -> dict[str, float]:
     """Reads against their time on the wire; write and read as fast as they go, with the CPU."""
-    with _simulated(BAUD_RATE) as line:
+    with on_time(), _simulated(BAUD_RATE) as line:
         span = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
         read_wire_s = (len(span.request) + span.reply_size) * line.byte_s
         write = codec.sync_write(116, 4, [(each, b"\0\x08\0\0") for each in _IDS])
@@ -160,7 +175,7 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float]:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "faults.yaml"
         path.write_text(script)
-        with _simulated(BAUD_RATE, "--faults", str(path)) as line:
+        with on_time(), _simulated(BAUD_RATE, "--faults", str(path)) as line:
             plain = SpanRead(ids, _ADDRESS, _SIZE, fast=False)
             for _ in range(200):  # the line learns how late this computer is
                 line.sync_read(plain)

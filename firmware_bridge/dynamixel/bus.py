@@ -13,7 +13,7 @@ from firmware_bridge.dynamixel.codec import Status, StatusError
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.group import SpanGroup
 from firmware_bridge.dynamixel.handshake import introduce_all
-from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S, Line
+from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S, GoalWrite, Line
 from firmware_bridge.dynamixel.mounting import VELOCITY_UNIT_DEG_S, MountedServo, Mounting
 from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.health import Feedback, Health
@@ -88,7 +88,7 @@ class DynamixelBus:
         self._room_degc = np.full(n, 45.0)
         self._voltage_v = np.full(n, np.nan)
         self._soft_until_s = np.full(n, np.inf)
-        self._pack_goals = struct.Struct("<" + "Bi" * n)
+        self._goal_write = GoalWrite(self._ids, _GOAL)
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
         self._whole = SpanGroup(self._ids, _GOAL, _MOTION_SIZE)
         self._holding = SpanGroup(self._ids, _TORQUE, 1)
@@ -134,18 +134,14 @@ class DynamixelBus:
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._low <= pulses) & (pulses <= self._high)
         self._errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
-        if taken.all():
-            flat: list[int] = [0] * (2 * len(self._ids))
-            flat[::2], flat[1::2] = self._ids, pulses.astype(np.int64).tolist()
-            blocks = self._pack_goals.pack(*flat)
-        else:
-            blocks = b"".join(
-                struct.pack("<Bi", self._ids[n], int(pulses[n])) for n in np.flatnonzero(taken)
-            )
         self._goals = np.where(taken, pulses, self._goals)
-        if blocks:
-            parameters = struct.pack("<HH", _GOAL, 4) + blocks
-            line.tell(codec.packet(codec.BROADCAST_ID, codec.Instruction.SYNC_WRITE, parameters))
+        if taken.all():
+            line.tell(self._goal_write.request(pulses.astype(np.int64).tolist()))
+        elif taken.any():
+            blocks = [
+                (self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)
+            ]
+            line.tell(codec.sync_write(_GOAL, 4, blocks))
 
     def read(self) -> Readings:
         """Two questions to all: goals and places, then torque."""
@@ -206,6 +202,8 @@ class DynamixelBus:
                 self._room_degc[turn] = self._hottest[turn] - status.data[2]
         if status is not None:
             self._note([status])
+            for group in (self._motion, self._whole, self._holding):
+                group.trust(servo_id)
         self._harden(line)
         return Health(
             silent_s=np.maximum(0.0, line.transport.clock.now() - self._heard_s),

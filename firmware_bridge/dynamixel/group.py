@@ -10,7 +10,7 @@ from firmware_bridge.dynamixel.line import Line, SpanRead
 _SUSPECT_AFTER: Final = 2
 #: Silent this often in a row: not asked at all, but for a try now and then.
 _ABSENT_AFTER: Final = 5
-_RETRY_EVERY: Final = 50
+_RETRY_EVERY: Final = 200
 #: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
 #: servo gets a frame of its own again; after a while the fast way is tried once more.
 _BAD_FAST_READS: Final = 3
@@ -55,6 +55,12 @@ class SpanGroup:
             self._judge(span, statuses)
         self.answers = statuses
         return statuses
+
+    def trust(self, servo_id: int) -> None:
+        """It has been heard elsewhere: ask it again, if it was left out."""
+        if self._silent[servo_id] >= _ABSENT_AFTER:
+            self._silent[servo_id] = 0
+            self._prepare()
 
     def _judge(self, span: SpanRead, statuses: list[Status]) -> None:
         answered = {status.servo_id for status in statuses}

@@ -6,7 +6,7 @@ from typing import Final
 _UNKNOWN_S: Final = 0.018
 #: A computer that does other things wakes up this late once in a hundred times; measured on a
 #: loaded two-core machine over a pseudo-terminal.
-_LEAST_S: Final = 0.003
+_LEAST_S: Final = 0.004
 _MOST_S: Final = 0.025
 _RISE, _FALL = 0.5, 0.05
 _MARGIN_S: Final = 0.001

@@ -15,6 +15,29 @@ BITS_PER_BYTE: Final = 10
 FACTORY_RETURN_DELAY_S: Final = 0.0005
 
 
+class GoalWrite:
+    """A prepared sync write of one four-byte register of several servos."""
+
+    def __init__(self, ids: Sequence[int], address: int) -> None:
+        self._flat = [each for servo_id in ids for each in (servo_id, 0)]
+        self._pack = struct.Struct("<" + "Bi" * len(ids)).pack
+        parameters = struct.pack("<HH", address, 4)
+        length = len(parameters) + 5 * len(ids) + 3
+        head = struct.pack("<BHB", BROADCAST_ID, length, Instruction.SYNC_WRITE)
+        self._head = codec.HEADER + head + parameters
+        self._address = address
+
+    def request(self, values: Sequence[int]) -> bytes:
+        """The packet that sets these values, one a servo, in the order of the ids."""
+        self._flat[1::2] = values
+        blocks = self._pack(*self._flat)
+        if b"\xff\xff\xfd" in blocks:
+            parameters = self._head[8:] + blocks
+            return codec.packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
+        raw = self._head + blocks
+        return raw + crc16(raw).to_bytes(2, "little")
+
+
 class SpanRead:
     """A prepared question to several servos for the same `size` bytes from `address` on."""
 
@@ -73,7 +96,8 @@ class Line:
         self.heard_noise = False  # something came last time, but nothing that makes sense
         self._clock = transport.clock
         self._parser = FrameParser()
-        self._free_s = 0.0
+        self._quiet_s = 0.0  # from here on no reply is on the wire any more
+        self._sent_s = 0.0  # here our own last byte is
 
     @property
     def byte_s(self) -> float:
@@ -153,14 +177,13 @@ class Line:
         return found[0] if found else None
 
     def _send(self, request: bytes) -> float:
-        """When the last byte will be on the wire."""
-        transport, clock = self.transport, self._clock
-        clock.sleep_until(self._free_s)
-        transport.discard_input()
-        now_s = clock.now()
-        transport.write(request)
-        self._free_s = max(now_s, self._free_s) + len(request) * self.byte_s
-        return self._free_s
+        """When the last byte will be on the wire; our own bytes queue up and need no waiting."""
+        clock = self._clock
+        if clock.now() < self._quiet_s:
+            clock.sleep_until(self._quiet_s)
+        self.transport.write(request)
+        self._sent_s = max(clock.now(), self._sent_s) + len(request) * self.byte_s
+        return self._sent_s
 
     def _converse(
         self,
@@ -173,6 +196,7 @@ class Line:
     ) -> list[Status] | None:
         """Send, then read until `take` is content or the time of the reply is over."""
         transport, clock = self.transport, self._clock
+        transport.discard_input()
         due_s = self._send(request) + reply_size * self.byte_s
         wire_end_s = due_s + n_turns * self.return_delay_s
         deadline_s = wire_end_s + self.latency.slack_s + patience_s
@@ -182,13 +206,13 @@ class Line:
             if len(stream) >= reply_size:
                 statuses = take(stream, last=False)
                 if statuses is not None:
-                    self._free_s = clock.now()
-                    self.latency.learn(self._free_s - due_s)
+                    self._quiet_s = clock.now()
+                    self.latency.learn(self._quiet_s - due_s)
                     self.heard_noise = False
                     return statuses
             more = transport.read(deadline_s)
             if not more:
-                self._free_s = max(wire_end_s, clock.now())
+                self._quiet_s = max(wire_end_s, clock.now())
                 statuses = take(stream, last=True)
                 self.heard_noise = bool(stream) and not statuses
                 return statuses
