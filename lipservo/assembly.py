@@ -10,6 +10,7 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
+from firmware_bridge.targets import TargetChannel
 from lipservo.pipeline import Speech, Street
 from lipservo.servos import bus_for, prevent_rules
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
@@ -82,11 +83,16 @@ def make_street(
 ) -> Street:
     """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
     channel = MemoryTargetChannel()
-    synthesizer = PublishedSynthesizer(face.model)
-    speech = Speech(source, make_recognizer(), synthesizer, face.calibration, channel)
+    speech = make_speech(face, source, channel)
     prevent = prevent_rules(face.settings)
     bridge = Bridge(bus, face.joints, channel, rate_hz=rate_hz, prevent=prevent, dry_run=dry_run)
     return Street(speech, bridge, zero_s)
+
+
+def make_speech(face: Face, source: AudioSource, channel: TargetChannel) -> Speech:
+    """The speech side between an entered source and a channel to the bridge."""
+    synthesizer = PublishedSynthesizer(face.model)
+    return Speech(source, make_recognizer(), synthesizer, face.calibration, channel)
 
 
 def make_recognizer() -> LiveRecognizer:

@@ -91,6 +91,7 @@ class Line:
         """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
         self.transport = transport
         self.return_delay_s = return_delay_s
+        self.byte_s = BITS_PER_BYTE / transport.baud_rate
         self.latency = LearntLatency()
         self.n_bad = 0
         self.heard_noise = False  # something came last time, but nothing that makes sense
@@ -100,9 +101,14 @@ class Line:
         self._sent_s = 0.0  # here our own last byte is
 
     @property
-    def byte_s(self) -> float:
-        """Seconds a byte takes."""
-        return BITS_PER_BYTE / self.transport.baud_rate
+    def baud_rate(self) -> int:
+        """Bits a second on the wire."""
+        return self.transport.baud_rate
+
+    @baud_rate.setter
+    def baud_rate(self, baud_rate: int) -> None:
+        self.transport.baud_rate = baud_rate
+        self.byte_s = BITS_PER_BYTE / baud_rate
 
     def ping(self, servo_id: int) -> Status | None:
         """Model number (2 bytes) and firmware version (1)."""

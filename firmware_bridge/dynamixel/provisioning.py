@@ -103,7 +103,7 @@ def set_up(
         if change.name == "id":
             servo_id = change.wanted
         else:
-            line.transport.baud_rate = baud_rates()[change.wanted]
+            line.baud_rate = baud_rates()[change.wanted]
     if differences(read_settings(line, servo_id, model, wanted), wanted):
         raise ServoError(f"servo id {servo_id} does not keep its settings; power it off and on")
     return changes
@@ -112,7 +112,7 @@ def set_up(
 def scan(line: Line, rates: Iterable[int] = SCANNED_RATES) -> Iterator[tuple[int, dict[int, int]]]:
     """Every rate in turn with the servos found at it, {id: model number}. Stop when content."""
     for rate in dict.fromkeys(rates):
-        line.transport.baud_rate = rate
+        line.baud_rate = rate
         line.transport.discard_input()
         found = {s.servo_id: int.from_bytes(s.data[:2], "little") for s in line.ping_all()}
         yield rate, found

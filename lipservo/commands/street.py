@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
+from lipservo.assembly import load_settings
 from lipservo.commands.options import (
     DEFAULT_FACE,
     MESSAGES,
@@ -17,6 +18,7 @@ from lipservo.commands.options import (
     Quiet,
     print_json,
 )
+from lipservo.commands.processes import Control, supervise
 from lipservo.daemon import stopped_by_signals
 from lipservo.performance import Performance
 from lipservo.sim_process import servo_port
@@ -103,10 +105,22 @@ def daemon(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    port: Port = None,
+    sim: Sim = None,
+    control: Control = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run until stopped; with nothing to hear the mouth rests closed. What a service starts."""
+    """Run until stopped; with nothing to hear the mouth rests closed. What a service starts.
+
+    With servos at a port, bridge and speech are processes of their own, watched over.
+    """
+    with servo_port(port, sim, config) as at_port:
+        if at_port is None:
+            bus = load_settings(config)[0].bus
+            at_port = bus.port if bus.kind == "dynamixel" else None
+        if at_port is not None:
+            raise typer.Exit(supervise(config, model, at_port, wav, mic, rate_hz, control))
     performance = Performance(config, model, trace, rate_hz, live=False, quiet=quiet, endless=True)
     idle = wav is None and mic is None
     with (
