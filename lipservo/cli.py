@@ -5,7 +5,7 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import bench, processes, sim_bus, street, training
+from lipservo.commands import bench, builder, processes, sim_bus, street, training
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -18,6 +18,11 @@ app = typer.Typer(
 for command in (street.run, street.daemon, street.replay, training.train, training.calibrate):
     app.command()(command)
 app.command("sim-bus")(sim_bus.sim_bus)
+app.command("doctor")(builder.doctor)
+app.command("jog")(builder.jog)
+app.command("neutral")(builder.neutral)
+app.command("setup-servos")(builder.setup_servos)
+app.command("new-face")(builder.new_face)
 app.command("bridge-process", hidden=True)(processes.bridge_process)
 app.command("speech-process", hidden=True)(processes.speech_process)
 app.command("stop")(processes.stop)

@@ -184,7 +184,9 @@ class Wire:
             if other.start_s < end_s - 1e-12 and start_s < other.end_s - 1e-12:
                 self.counts.contention += not (uninvited or other.uninvited)
                 n = min(len(raw), len(other.data))
-                raw = bytes(a & b for a, b in zip(raw, other.data, strict=False)) + raw[n:]
+                mixed = bytes(a & b for a, b in zip(raw, other.data, strict=False))
+                # Two transmitters are never in step: bits are lost even where both say the same.
+                raw = mixed[:-1] + bytes(each ^ 0xFF for each in mixed[-1:]) + raw[n:]
                 other.data = b""
         if self.host_until_s > start_s + 1e-12:
             self.counts.contention += 1
