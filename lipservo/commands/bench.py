@@ -91,6 +91,17 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
 
 
 @app.command()
+def loop(as_json: Json = False) -> None:
+    """Measure how late the loop begins its ticks while every core is busy."""
+    from lipservo.loop_figures import lateness_figures
+
+    began_s = time.perf_counter()
+    with MESSAGES.status("measuring"):
+        figures = lateness_figures()
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+@app.command()
 def faults(
     every: Annotated[int, typer.Option(min=1, help="Play only one case in so many.")] = 1,
     as_json: Json = False,
