@@ -15,7 +15,14 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (street.run, street.daemon, street.replay, training.train, training.calibrate):
+for command in (
+    street.run,
+    street.daemon,
+    street.replay,
+    street.devices,
+    training.train,
+    training.calibrate,
+):
     app.command()(command)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(builder.doctor)
@@ -28,16 +35,22 @@ app.command("speech-process", hidden=True)(processes.speech_process)
 app.command("stop")(processes.stop)
 app.add_typer(bench.app, name="bench")
 
-_INTERRUPTED = 130
-
 
 def main() -> None:
     """Run the command line. What the user can mend ends in clear lines and status 1."""
     try:
-        app()
+        app(_with_default_microphone(sys.argv[1:]))
     except (UserError, BusError) as error:
         for line in str(error).splitlines():
             sys.stderr.write(f"lipservo: {line}\n")
         sys.exit(1)
-    except KeyboardInterrupt:
-        sys.exit(_INTERRUPTED)
+
+
+def _with_default_microphone(arguments: list[str]) -> list[str]:
+    """`--mic` alone means the default device; typer options cannot leave out their value."""
+    completed: list[str] = []
+    for argument, following in zip(arguments, [*arguments[1:], "-"], strict=True):
+        completed.append(argument)
+        if argument == "--mic" and following.startswith("-"):
+            completed.append("default")
+    return completed

@@ -3,17 +3,22 @@
 from collections import deque
 from collections.abc import Sequence
 
+import numpy as np
 from rich.console import Console, Group, RenderableType
 from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
 from firmware_bridge.joints import Joint
+from lipservo.mouth_drawing import draw_mouth
 from lipservo.pipeline import StreetTick
 from lipsync.animpho.model import FaceModel
+from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 
 _REFRESH_HZ = 10
-_BAR_WIDTH = 41
+_BAR_WIDTH = 31
+#: The mouth opens downwards: the closed one is drawn so far above the middle.
+_LOOK_BELOW_MM = np.array([0.0, 8.0, 0.0])
 #: A widely opened mouth; 99 % of the frames of grid_s1 stay below.
 _WIDEST_GAP_MM = 18.0
 _PHONEMES_SHOWN = 12
@@ -28,6 +33,8 @@ class TerminalView:
         self._title = title
         self._joints = joints
         self._model = model
+        rest_mm = model.markers_mm(model.rest[None])[0]
+        self._centre_mm = rest_mm[[UPPER_INNER_LIP, LOWER_INNER_LIP]].mean(axis=0) - _LOOK_BELOW_MM
         self._tick: StreetTick | None = None
         self._phonemes: deque[str] = deque(maxlen=_PHONEMES_SHOWN)
         self._live = Live(
@@ -63,7 +70,11 @@ class TerminalView:
             where = (sent_deg - joint.min_deg) / (joint.max_deg - joint.min_deg)
             servos.add_row(joint.name, _needle(where), f"{sent_deg:6.1f} deg")
         torque = "" if tick.report.torque_on else "   torque off"
-        return Group(Text(self._title + torque, style="bold"), head, Text(""), servos)
+        markers_mm = self._model.markers_mm(tick.coefficients[None])[0]
+        mouth = Text("\n".join(draw_mouth(markers_mm, self._centre_mm)), style="red")
+        face = Table.grid(padding=(0, 3))
+        face.add_row(mouth, servos)
+        return Group(Text(self._title + torque, style="bold"), head, face)
 
 
 def _bar(share: float) -> Text:

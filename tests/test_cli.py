@@ -235,7 +235,7 @@ def test_train_names_the_bad_file_and_goes_on_with_skip_bad(tmp_path):
 def test_without_portaudio_the_microphone_names_the_debian_package(tmp_path):
     """A sounddevice module that fails as the real one does without its library."""
     (tmp_path / "sounddevice.py").write_text("raise OSError('PortAudio library not found')\n")
-    done = lipservo("run", "--mic", "default", env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    done = lipservo("run", "--mic", env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert done.returncode == 1
     assert "libportaudio2" in done.stderr
     assert "Traceback" not in done.stderr

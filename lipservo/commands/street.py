@@ -1,5 +1,6 @@
 """`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
 
+from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -37,7 +38,9 @@ Wav = Annotated[
 Mic = Annotated[
     str | None,
     typer.Option(
-        help="Listen to a microphone: `default`, a number, or part of a name.", show_default=False
+        metavar="[DEVICE]",
+        help="Listen to a microphone: the default one, or a number or part of a name.",
+        show_default=False,
     ),
 ]
 Rate = Annotated[
@@ -147,6 +150,21 @@ def replay(
     _report(summary, as_json=as_json, quiet=quiet)
     if stop.is_set():
         raise typer.Exit(_INTERRUPTED)
+
+
+def devices(as_json: Json = False) -> None:
+    """List the microphones that `run --mic DEVICE` can listen to."""
+    from lipsync.audio.microphone import input_devices
+
+    found = input_devices()
+    if as_json:
+        print_json({"devices": [asdict(device) for device in found]})
+        return
+    for device in found:
+        mark = "*" if device.is_default else " "
+        RESULTS.print(f"{mark} {device.index:3d}  {device.name}, {device.sample_rate_hz} Hz")
+    if not found:
+        MESSAGES.print("no microphone found")
 
 
 def _source(wav: Path | None, mic: str | None) -> AudioSource:

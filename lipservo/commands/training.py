@@ -100,7 +100,14 @@ def calibrate(
     if as_json:
         print_json({"calibration": str(output), **asdict(fitted.errors)})
     else:
-        RESULTS.print(f"{output}: {fitted.errors}", soft_wrap=True)
+        errors = fitted.errors
+        RESULTS.print(
+            f"{output}: on {errors.n_frames} frames left out the lips are "
+            f"{errors.lip_rms_mm:.2f} mm off (the nearest poses of this face: "
+            f"{errors.nearest_lip_rms_mm:.2f}), the lip gap {errors.gap_rms_mm:.2f} mm; "
+            f"{errors.clipped_share:.1%} of the frames reach a limit",
+            soft_wrap=True,
+        )
 
 
 @contextmanager
