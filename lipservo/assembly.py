@@ -1,7 +1,7 @@
 """Puts a street together from files: face, model, calibration, recogniser, bus."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,8 +12,9 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
-from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.targets import TargetChannel
 from lipservo.pipeline import Speech, Street
+from lipservo.servos import bus_for, prevent_rules
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.animpho.synthesizer import PublishedSynthesizer
@@ -64,9 +65,20 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     return Face(settings, model, calibration, settings.joints())
 
 
+def at_port(face: Face, port: str | None) -> Face:
+    """The same face with its servos at a serial port; None: where its YAML says."""
+    return face if port is None else replace(face, settings=settings_at_port(face.settings, port))
+
+
+def settings_at_port(settings: FaceSettings, port: str) -> FaceSettings:
+    """The same face with its servos at a serial port."""
+    bus = settings.bus.model_copy(update={"kind": "dynamixel", "port": port})
+    return settings.model_copy(update={"bus": bus})
+
+
 def make_bus(face: Face, clock: Clock) -> ServoBus:
     """The bus that the face's YAML asks for; use it as a context manager."""
-    return SimulatedBus(face.joints, clock)
+    return bus_for(face.settings, clock)
 
 
 def make_street(
@@ -75,17 +87,34 @@ def make_street(
     bus: ServoBus,
     rate_hz: float,
     zero_s: float,
+    *,
     recognizer: LiveRecognizer | None = None,
+    dry_run: bool = False,
 ) -> Street:
     """Everything between an entered source and an entered bus; the sound begins at `zero_s`.
 
     recognizer: None for the default one.
     """
     channel = MemoryTargetChannel()
+    speech = make_speech(face, source, channel, recognizer)
+    prevent = prevent_rules(face.settings)
+    bridge = Bridge(bus, face.joints, channel, rate_hz=rate_hz, prevent=prevent, dry_run=dry_run)
+    return Street(speech, bridge, zero_s)
+
+
+def make_speech(
+    face: Face,
+    source: AudioSource,
+    channel: TargetChannel,
+    recognizer: LiveRecognizer | None = None,
+) -> Speech:
+    """The speech side between an entered source and a channel to the bridge.
+
+    recognizer: None for the default one.
+    """
     synthesizer = PublishedSynthesizer(face.model)
     recognizer = make_recognizer() if recognizer is None else recognizer
-    speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
-    return Street(speech, Bridge(bus, face.joints, channel, rate_hz=rate_hz), zero_s)
+    return Speech(source, recognizer, synthesizer, face.calibration, channel)
 
 
 def make_recognizer(

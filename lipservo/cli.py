@@ -5,7 +5,16 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import bench, bench_recognition, recognition, street, training
+from lipservo.commands import (
+    bench,
+    bench_recognition,
+    builder,
+    processes,
+    recognition,
+    sim_bus,
+    street,
+    training,
+)
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -29,6 +38,15 @@ for command in (
     app.command()(command)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
+app.command("sim-bus")(sim_bus.sim_bus)
+app.command("doctor")(builder.doctor)
+app.command("jog")(builder.jog)
+app.command("neutral")(builder.neutral)
+app.command("setup-servos")(builder.setup_servos)
+app.command("new-face")(builder.new_face)
+app.command("bridge-process", hidden=True)(processes.bridge_process)
+app.command("speech-process", hidden=True)(processes.speech_process)
+app.command("stop")(processes.stop)
 app.add_typer(bench.app, name="bench")
 
 
