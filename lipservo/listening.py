@@ -16,15 +16,6 @@ from lipsync.timeline import PhonemeTimeline
 _ASK_EVERY_S = 0.02
 
 
-def live_source(device: str | None) -> AudioSource:
-    """A microphone by number, by name, or the default one."""
-    from lipsync.audio.microphone import MicrophoneSource
-
-    if device is None or device == "default":
-        return MicrophoneSource(None)
-    return MicrophoneSource(int(device) if device.isdigit() else device)
-
-
 def heard_events(source: AudioSource, engine: Engine) -> Iterator[PhonemeEvent]:
     """Every phoneme of the source with its start and end, as soon as its end is settled.
 

@@ -137,16 +137,14 @@ def speech_process(
     from firmware_bridge.process import parent_is_alive
     from firmware_bridge.socket_channel import SocketTargetChannel
     from lipservo.assembly import assemble_face, make_recognizer, make_speech
-    from lipservo.commands.street import _source
     from lipservo.daemon import stopped_by_signals
-    from lipsync.audio.silence import SilentSource
+    from lipservo.sources import open_source_or_silence
 
     face = assemble_face(config, model)
-    idle = wav is None and mic is None
     with (
         stopped_by_signals() as stop,
         socket.socket(fileno=fd) as end,
-        SilentSource() if idle else _source(wav, mic) as source,
+        open_source_or_silence(wav, mic) as source,
     ):
         recognizer = make_recognizer(engine, time.perf_counter)
         speech = make_speech(face, source, SocketTargetChannel(end), recognizer)
