@@ -115,6 +115,7 @@ def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
     white = noise.white(rng, n)
     return {
         "digital_silence": np.zeros(n, np.float32),
+        "white_-80_dbfs": white * np.float32(10.0 ** (-80 / 20)),
         "white_-50_dbfs": white * np.float32(10.0 ** (-50 / 20)),
         "white_-26_dbfs": white * np.float32(10.0 ** (-26 / 20)),
         "music_-26_dbfs": noise.band(rng, n) * np.float32(10.0 ** (-26 / 20)),
