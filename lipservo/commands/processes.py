@@ -132,8 +132,8 @@ def speech_process(
     from firmware_bridge.process import parent_is_alive
     from firmware_bridge.socket_channel import SocketTargetChannel
     from lipservo.assembly import assemble_face, make_speech
-    from lipservo.commands.street import _source
     from lipservo.daemon import stopped_by_signals
+    from lipservo.sources import open_source
     from lipsync.audio.silence import SilentSource
 
     face = assemble_face(config, model)
@@ -141,7 +141,7 @@ def speech_process(
     with (
         stopped_by_signals() as stop,
         socket.socket(fileno=fd) as end,
-        SilentSource() if idle else _source(wav, mic) as source,
+        SilentSource() if idle else open_source(wav, mic) as source,
     ):
         speech = make_speech(face, source, SocketTargetChannel(end))
         clock = MonotonicClock()

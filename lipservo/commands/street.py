@@ -1,7 +1,6 @@
 """`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
 
 from dataclasses import asdict
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
@@ -23,10 +22,9 @@ from lipservo.commands.processes import Control, supervise
 from lipservo.daemon import stopped_by_signals
 from lipservo.performance import Performance
 from lipservo.sim_process import servo_port
+from lipservo.sources import open_source
 from lipservo.summary import Summary, print_summary
-from lipsync.audio.file import FileSource
-from lipsync.audio.silence import SilenceAfter, SilentSource
-from lipsync.audio.source import AudioSource
+from lipsync.audio.silence import SilentSource
 
 Trace = Annotated[
     Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
@@ -82,7 +80,7 @@ def run(
     with (
         servo_port(port, sim, config) as at_port,
         stopped_by_signals() as stop,
-        _source(wav, mic) as source,
+        open_source(wav, mic) as source,
     ):
         performance = Performance(
             config,
@@ -128,7 +126,7 @@ def daemon(
     idle = wav is None and mic is None
     with (
         stopped_by_signals() as stop,
-        SilentSource() if idle else _source(wav, mic) as source,
+        SilentSource() if idle else open_source(wav, mic) as source,
     ):
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
@@ -145,7 +143,7 @@ def replay(
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
     performance = Performance(config, model, trace, rate_hz, live=False, quiet=True)
-    with stopped_by_signals() as stop, _source(sound, None) as source:
+    with stopped_by_signals() as stop, open_source(sound, None) as source:
         summary = performance.play(source, ManualClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
     if stop.is_set():
@@ -165,21 +163,6 @@ def devices(as_json: Json = False) -> None:
         RESULTS.print(f"{mark} {device.index:3d}  {device.name}, {device.sample_rate_hz} Hz")
     if not found:
         MESSAGES.print("no microphone found")
-
-
-def _source(wav: Path | None, mic: str | None) -> AudioSource:
-    """The file, the microphone, or the bundled clip."""
-    if wav is not None and mic is not None:
-        raise typer.BadParameter("give --wav or --mic, not both")
-    if mic is not None:
-        from lipsync.audio.microphone import MicrophoneSource
-
-        named = None if mic == "default" else int(mic) if mic.isdigit() else mic
-        return MicrophoneSource(named)
-    if wav is not None:
-        return SilenceAfter(FileSource(wav))
-    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        return SilenceAfter(FileSource(clip))
 
 
 def _report(summary: Summary, *, as_json: bool, quiet: bool) -> None:
