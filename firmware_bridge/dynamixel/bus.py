@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,12 +56,14 @@ class DynamixelBus:
         *,
         watchdog_s: float = 0.1,
         strict: bool = True,
+        make_line: Callable[[Any], Line] = Line,
     ) -> None:
         """watchdog_s: how long servos go on without hearing anything; 0 = for ever.
 
         strict: every servo must answer before the first goal; else one critical or none at all
-        missing is enough to go on.
+        missing is enough to go on. make_line: `SdkLine` leaves the packets to dynamixel-sdk.
         """
+        self._make_line = make_line
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
         self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
@@ -238,7 +240,7 @@ class DynamixelBus:
 
     def _open(self, *, strict: bool) -> None:
         transport = self._open_transport()
-        line = Line(transport)
+        line = self._make_line(transport)
         try:
             said = introduce_all(line, self._servos, strict=strict)
         except BaseException:
