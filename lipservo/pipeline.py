@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import Calibration
-from firmware_bridge.bridge import Bridge, TickReport
+from firmware_bridge.bridge import Bridge
+from firmware_bridge.report import TickReport
 from firmware_bridge.targets import ServoTargets, TargetChannel
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.block import BLOCK_S
