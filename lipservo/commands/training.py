@@ -89,7 +89,8 @@ def calibrate(
     if not output.parent.is_dir():
         raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
     from calibration.calibration_file import save_calibration
-    from calibration.fitting import JointRange, fit_calibration
+    from calibration.fitting import fit_calibration
+    from calibration.joint_range import JointRange
     from lipservo.assembly import load_face_model, load_settings
 
     settings, _ = load_settings(config)
