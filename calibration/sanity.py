@@ -17,9 +17,11 @@ from lipsync.markers import MARKER_NAMES
 
 Array = NDArray[np.float64]
 
-#: A joint is dead if over its whole captured range no marker moves by this: three times the
-#: tracker's noise of 0.5 mm would be seen at a glance.
-DEAD_MM = 1.5
+#: A joint is dead if it moves all markers together by no more than chance would: chance gives a
+#: ratio of 1 to 1.2, the joints of simulated robots (seeds 100 to 103) 4 and more.
+_DEAD_RATIO = 2.0
+#: Rounds of filling in lost points; each brings them some ten times closer.
+_FILLING_ROUNDS = 3
 #: A marker seen in fewer poses than this share of them is not worth keeping.
 _LEAST_SEEN = 0.5
 #: Swapped names must explain this part of what a pose leaves unexplained, and at least so much:
@@ -54,10 +56,10 @@ def check_capture(
         )
     lost = _lost_points(capture)
     _check_swapped_everywhere(capture, model)
-    slopes, expected_mm = _straight_lines(capture)
+    slopes, chance_mm, expected_mm = _straight_lines(capture)
     _check_swapped_in_poses(capture, expected_mm)
     for joint, name in enumerate(capture.servo_names):
-        _check_alive(capture, slopes[joint], joint)
+        _check_alive(capture, slopes[joint], chance_mm[joint], joint)
         if positive:
             _check_direction(capture, slopes[joint], name, positive[joint])
     return (*capture.stalled, *lost)
@@ -78,26 +80,31 @@ def _lost_points(capture: Capture) -> tuple[str, ...]:
     return (f"{n_lost} points were lost by the tracker, most often {name} ({1 - seen[worst]:.0%})",)
 
 
-def _straight_lines(capture: Capture) -> tuple[Array, Array]:
+def _straight_lines(capture: Capture) -> tuple[Array, Array, Array]:
     """Slopes (n_servos, n_markers, 3) in mm over a joint's captured range, and where they lead.
 
-    The latter is shaped as captured. Lost points count as where the marker mostly is.
+    Between the two, (n_servos,), the rms in each axis that noise alone would give the slopes. What
+    they lead to is shaped as captured. Lost points count as where these lines lead.
     """
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
     inputs = (capture.goals_deg - low) / np.maximum(high - low, 1e-6)
     inputs = np.hstack([inputs, np.ones((len(inputs), 1))])
     usual_mm = np.nanmedian(capture.markers_mm, axis=0)
-    seen = np.where(np.isfinite(capture.markers_mm), capture.markers_mm, usual_mm)
-    fit = np.linalg.lstsq(inputs, seen.reshape(len(inputs), -1), rcond=None)[0]
-    return fit[:-1].reshape(-1, *usual_mm.shape), (inputs @ fit).reshape(seen.shape)
+    expected_mm = np.broadcast_to(usual_mm, capture.markers_mm.shape)
+    for _ in range(_FILLING_ROUNDS):
+        seen = np.where(np.isfinite(capture.markers_mm), capture.markers_mm, expected_mm)
+        fit = np.linalg.lstsq(inputs, seen.reshape(len(inputs), -1), rcond=None)[0]
+        expected_mm = (inputs @ fit).reshape(seen.shape)
+    noise_mm2 = np.sum((seen - expected_mm) ** 2) / (seen[0].size * (len(seen) - inputs.shape[1]))
+    chance_mm = np.sqrt(noise_mm2 * np.diag(np.linalg.pinv(inputs.T @ inputs))[:-1])
+    return fit[:-1].reshape(-1, *usual_mm.shape), chance_mm, expected_mm
 
 
-def _check_alive(capture: Capture, slope_mm: Array, joint: int) -> None:
-    moved_mm = float(np.linalg.norm(slope_mm, axis=1).max())
-    if moved_mm < DEAD_MM:
+def _check_alive(capture: Capture, slope_mm: Array, chance_mm: float, joint: int) -> None:
+    if np.mean(slope_mm**2) < _DEAD_RATIO * chance_mm**2:
         raise CalibrationError(
-            f"servo {capture.servo_names[joint]!r} moves no marker by more than {moved_mm:.1f} mm "
-            "over its range; check its horn, its linkage and its limits"
+            f"servo {capture.servo_names[joint]!r} moves no marker by more than chance; "
+            "check its horn, its linkage and its limits"
         )
 
 
