@@ -71,7 +71,7 @@ def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
     The strength is chosen by leave-one-out errors within these frames.
     """
     ridge = RidgeCV(_RIDGE_STRENGTHS, fit_intercept=False).fit(from_rest, positions_deg)
-    coefficients = np.asarray(ridge.coef_, dtype=np.float64)
+    coefficients = np.asarray(ridge.coef_, dtype=np.float64).reshape(positions_deg.shape[1], -1)
     rounded = [float(f"{weight:.{SIGNIFICANT_DIGITS}g}") for weight in coefficients.ravel()]
     return np.array(rounded).reshape(coefficients.shape)
 

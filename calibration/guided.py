@@ -150,7 +150,7 @@ def fit_guided(
 def _ridge(x: Array, turned_deg: Array) -> tuple[Array, Array]:
     """Weights (n_servos, n_components) and, for each servo, the leave-one-out error in degrees."""
     ridge = RidgeCV(_STRENGTHS, fit_intercept=False).fit(x, turned_deg)
-    weights = rounded(np.asarray(ridge.coef_, dtype=np.float64))
+    weights = rounded(np.asarray(ridge.coef_, dtype=np.float64).reshape(turned_deg.shape[1], -1))
     normal = x.T @ x + ridge.alpha_ * np.eye(x.shape[1])
     leverage = np.einsum("ni,ni->n", x, np.linalg.solve(normal, x.T).T)
     left_out = (turned_deg - x @ weights.T) / (1.0 - leverage)[:, None]

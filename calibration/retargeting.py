@@ -31,7 +31,7 @@ _MIDDLE_GAP = _GAP_NAMES[0]
 _CORNERS = ("outer_lip_61", "outer_lip_291")
 #: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that
 #: is off by this much still closes.
-PRESS_MM = 0.4
+PRESS_MM = 0.6
 #: The talker's range that is matched; more is rare and would make everything else small.
 _RANGE_QUANTILE = 0.98
 #: A robot may exaggerate its talker by this factor over the ratio of their sizes, not more: its

@@ -5,7 +5,7 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import bench, street, training
+from lipservo.commands import bench, calibration, street, training
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -21,7 +21,7 @@ for command in (
     street.replay,
     street.devices,
     training.train,
-    training.calibrate,
+    calibration.calibrate,
 ):
     app.command()(command)
 app.add_typer(bench.app, name="bench")

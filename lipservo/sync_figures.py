@@ -20,7 +20,7 @@ _RATE_HZ = 100.0
 LOOK_AHEAD_S = 0.200
 #: Phones of speech last about this long (GRID and TIMIT: 80 to 100 ms on average).
 _PHONE_S = 0.09
-_N_PHONES = 220
+_N_PHONES, _PHONES_A_WALK = 220, 8
 #: The error is taken in windows of this length, twice as many as fit end to end.
 _WINDOW_S = 2.0
 
@@ -62,14 +62,19 @@ def sync_errors(
 
 
 def _motion(model: FaceModel, rng: np.random.Generator) -> Array:
-    """(n, n_components) at 100 Hz: a walk without pauses through AnimPhos that may follow."""
+    """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
+
+    Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
+    nobody can say how late it is.
+    """
     speaking = np.setdiff1d(np.arange(len(model.animphos)), model.of_phoneme(SILENCE))
     animpho = int(rng.choice(speaking))
     frames = [model.rest[None]]
-    for _ in range(_N_PHONES):
+    for phone in range(_N_PHONES):
         frames.append(model.animphos[animpho, 1:-1])
         following = np.intersect1d(model.successors[animpho], speaking)
-        animpho = int(rng.choice(following if len(following) else speaking))
+        goes_on = len(following) > 0 and (phone + 1) % _PHONES_A_WALK > 0
+        animpho = int(rng.choice(following if goes_on else speaking))
     keys = np.concatenate(frames)
     key_s = np.arange(len(keys)) * _PHONE_S / 3
     times_s = np.arange(0.0, key_s[-1], 1.0 / _RATE_HZ)
