@@ -1,18 +1,22 @@
 """Jaw rotation, viseme trim, and range files of LeRobot."""
 
+import io
 import json
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from rich.console import Console
 from small_model import small_model
 
 from calibration.calibration import CalibrationError
 from calibration.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, talkers_jaw
+from calibration.joint_range import JointRange
 from calibration.lerobot_ranges import check_within_recorded, read_ranges
 from calibration.simulated_face import marker_positions_mm, simulated_face
 from calibration.viseme_trim import VisemeTrim
+from lipservo.guided_calibration import guide
 from lipsync.animpho.model import load_shipped_model
 
 RANGES = {
@@ -120,3 +124,43 @@ def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path)
 def test_a_damaged_range_file_says_where(tmp_path, content, message):
     with pytest.raises(CalibrationError, match=message):
         read_ranges(write(tmp_path, content))
+
+
+def guided_by(keys, tmp_path, keep="kept.json"):
+    moved = []
+    pressed = iter(keys)
+    model = small_model()
+    made = guide(
+        model,
+        [JointRange("jaw", -2.0, 7.0), JointRange("lip_protrusion", -25.0, 40.0)],
+        lambda goal: (moved.append(goal), goal)[1],
+        lambda: next(pressed),
+        Console(file=io.StringIO()),
+        keep=tmp_path / keep,
+        drawn=lambda _: model.markers_mm(model.rest[None])[0],
+    )
+    return made, moved
+
+
+def test_keys_turn_the_chosen_servo_within_its_limits_and_enter_keeps_the_pose(tmp_path):
+    made, moved = guided_by("dd\rDDsaA\rq", tmp_path)
+    assert {name: pose.tolist() for name, pose in made.items()} == {
+        "closed": [2.0, 0.0],
+        "open": [7.0, -6.0],
+    }
+    assert not moved[-1].any()  # left in neutral
+
+
+def test_a_guided_session_goes_on_where_it_was_stopped_and_poses_can_be_left_out(tmp_path):
+    guided_by("d\rq", tmp_path)
+    made, _ = guided_by("xdd\rbA\rq", tmp_path)
+    assert {name: pose.tolist() for name, pose in made.items()} == {
+        "closed": [1.0, 0.0],
+        "wide": [-2.0, 0.0],
+    }
+
+
+def test_kept_poses_of_another_face_are_refused(tmp_path):
+    (tmp_path / "kept.json").write_text('{"closed": {"tail": 1.0}}')
+    with pytest.raises(CalibrationError, match=r"kept\.json: not the poses of this face"):
+        guided_by("q", tmp_path)

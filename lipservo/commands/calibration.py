@@ -53,6 +53,10 @@ Practise = Annotated[
         show_default=False,
     ),
 ]
+Guided = Annotated[
+    bool,
+    typer.Option("--guided", help="No tracker: put the mouth into named poses with keys, by eye."),
+]
 Keep = Annotated[
     Path | None,
     typer.Option(
@@ -68,6 +72,7 @@ def calibrate(
     plan: Plan = None,
     markers: Markers = None,
     practise: Practise = None,
+    guided: Guided = False,
     poses: Annotated[int, typer.Option(help="How many poses a plan has.")] = _POSES,
     keep: Keep = None,
     as_json: Json = False,
@@ -77,7 +82,8 @@ def calibrate(
 
     Measured: --plan FILE writes the poses; move the robot through them, record its markers, and
     come back with --plan FILE --markers FILE -o FILE. --practise SEED does it all on a simulated
-    robot. With neither, the simulated face is fitted, which needs no measuring.
+    robot. --guided needs no tracker. With none of these the simulated face is fitted, which needs
+    no measuring.
     """
     from lipservo.assembly import load_face_model, load_settings
 
@@ -94,6 +100,8 @@ def calibrate(
         if plan is None:
             raise typer.BadParameter("--markers needs the --plan it was recorded with")
         _from_files(settings, face_model, plan, markers, output, as_json=as_json)
+    elif guided:
+        _guided(settings, face_model, keep, output, as_json=as_json)
     elif practise is not None:
         _practise(settings, face_model, practise, poses, keep, output, as_json, quiet)
     else:
@@ -156,6 +164,57 @@ def _from_files(
     with MESSAGES.status("fitting"):
         fit = _fit(settings, model, capture)
     _finish(fit, fit.calibration, output, as_json=as_json)
+
+
+def _guided(
+    settings: "FaceSettings", model: "FaceModel", keep: Path | None, output: Path, *, as_json: bool
+) -> None:
+    import numpy as np
+
+    from calibration.calibration import CalibrationError
+    from calibration.calibration_file import save_calibration
+    from calibration.guided import fit_guided
+    from calibration.joint_range import JointRange
+    from calibration.simulated_face import marker_positions_mm, simulated_face
+    from lipservo.guided_calibration import guide
+
+    if settings.bus.kind != "simulated":
+        raise CalibrationError(
+            f"face {settings.name!r}: --guided moves simulated servos only; for real ones write "
+            "poses with --plan and record markers"
+        )
+    mouth = settings.mouth_servos
+    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
+    face = simulated_face(model.markers_mm(model.rest[None])[0], list(mouth))
+    made_deg = guide(
+        model,
+        joints,
+        lambda goal_deg: goal_deg,
+        typer.getchar,
+        MESSAGES,
+        keep=keep,
+        drawn=lambda positions_deg: np.asarray(marker_positions_mm(face, positions_deg[None])[0]),
+    )
+    fitted = fit_guided(
+        model,
+        joints,
+        made_deg,
+        settings.checksum,
+        date=datetime.date.today().isoformat(),
+        servo_models=tuple(servo.model for servo in mouth.values()),
+    )
+    save_calibration(fitted, output)
+    if as_json:
+        print_json({"calibration": str(output), "method": "guided", "poses": fitted.origin.poses})
+        return
+    worst = int(np.argmax(fitted.errors.joint_rms_deg))
+    RESULTS.print(
+        f"{output}: from {fitted.origin.poses} poses made by eye. A pose left out is "
+        f"{fitted.errors.joint_rms_deg[worst]:.1f} deg off at most (rms, {joints[worst].name}). "
+        "On simulated robots such a map was twice as far off as a measured one "
+        "(docs/benchmarks.md)",
+        soft_wrap=True,
+    )
 
 
 def _practise(
