@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.c3d_markers import read_c3d_folder
 from calibration.calibration import CalibrationError
 from calibration.capture import Capture
 from calibration.capture_plan import PosePlan
@@ -43,13 +44,16 @@ def write_plan(plan: PosePlan, path: Path) -> None:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def read_capture(plan_path: Path, markers_path: Path, servo_names: tuple[str, ...]) -> Capture:
+def read_capture(
+    plan_path: Path, markers_path: Path, servo_names: tuple[str, ...], *, axes: str = "x y z"
+) -> Capture:
     """The poses of the plan that markers were recorded for.
 
+    markers_path: CSV, JSON, or a folder of C3D files, whose axes are named as in `c3d_markers`.
     Raises CalibrationError, with file and line, for anything that is not as described above.
     """
     poses, goals_deg, from_below = _read_plan(plan_path, servo_names)
-    readings = _read_markers(markers_path)
+    readings = _read_markers(markers_path, axes)
     unknown = sorted({pose for pose, _, _ in readings} - set(poses))
     if unknown:
         raise CalibrationError(f"{markers_path}: pose {unknown[0]} is not in {plan_path}")
@@ -84,7 +88,9 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
     return poses, np.array(goals).reshape(shape), np.array(sides).reshape(shape)
 
 
-def _read_markers(path: Path) -> list[tuple[int, str, Array]]:
+def _read_markers(path: Path, axes: str) -> list[tuple[int, str, Array]]:
+    if path.is_dir():
+        return read_c3d_folder(path, axes)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path, _COLUMNS)
     return [
         (

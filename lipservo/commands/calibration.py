@@ -42,8 +42,12 @@ Plan = Annotated[
 Markers = Annotated[
     Path | None,
     typer.Option(
-        help="Marker positions recorded at the poses of --plan (CSV or JSON).", show_default=False
+        help="Marker positions recorded at the poses of --plan: CSV, JSON, or a folder of C3D.",
+        show_default=False,
     ),
+]
+Axes = Annotated[
+    str, typer.Option(help="Axes of C3D files that point to the robot's left, up and forward.")
 ]
 Practise = Annotated[
     int | None,
@@ -71,6 +75,7 @@ def calibrate(
     model: Model = None,
     plan: Plan = None,
     markers: Markers = None,
+    axes: Axes = "x y z",
     practise: Practise = None,
     guided: Guided = False,
     poses: Annotated[int, typer.Option(help="How many poses a plan has.")] = _POSES,
@@ -99,7 +104,7 @@ def calibrate(
     if markers is not None:
         if plan is None:
             raise typer.BadParameter("--markers needs the --plan it was recorded with")
-        _from_files(settings, face_model, plan, markers, output, as_json=as_json)
+        _from_files(settings, face_model, plan, markers, axes, output, as_json=as_json)
     elif guided:
         _guided(settings, face_model, keep, output, as_json=as_json)
     elif practise is not None:
@@ -154,13 +159,14 @@ def _from_files(
     model: "FaceModel",
     plan: Path,
     markers: Path,
+    axes: str,
     output: Path,
     *,
     as_json: bool,
 ) -> None:
     from calibration.marker_files import read_capture
 
-    capture = read_capture(plan, markers, tuple(settings.mouth_servos))
+    capture = read_capture(plan, markers, tuple(settings.mouth_servos), axes=axes)
     with MESSAGES.status("fitting"):
         fit = _fit(settings, model, capture)
     _finish(fit, fit.calibration, output, as_json=as_json)
