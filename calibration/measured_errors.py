@@ -16,7 +16,7 @@ from calibration.inverse import MarkersOf, nearest_poses_deg
 from calibration.retargeting import Correspondence, Retargeting
 from calibration.run_time_map import RunTimeMap
 from lipsync.animpho.model import FaceModel
-from lipsync.phonemes import PHONEMES, VISEME_CLASSES
+from lipsync.phonemes import VISEME_CLASSES
 
 Array = NDArray[np.float64]
 
@@ -87,21 +87,29 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
 
 def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     """By the first phoneme of each class the talker ever said."""
+    rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
+    rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
+    from_rest = on.model.animphos[np.concatenate(list(rows.values())), 2] - on.model.rest
+    targets_mm = on.retargeting.targets_mm(from_rest)
+    best_mm = on.apart_mm(on.best_deg(targets_mm), targets_mm)
+    off_mm = on.apart_mm(np.clip(run.free_deg(from_rest), *on.limits_deg), targets_mm)
     reach: dict[str, VisemeReach] = {}
-    for phonemes in VISEME_CLASSES:
-        rows = np.concatenate([on.model.of_phoneme(p) for p in phonemes if p in PHONEMES])
-        if not len(rows):
-            continue
-        chosen = rows[np.linspace(0, len(rows) - 1, min(len(rows), _FRAMES_PER_CLASS)).astype(int)]
-        from_rest = on.model.animphos[chosen, 2] - on.model.rest
-        targets_mm = on.retargeting.targets_mm(from_rest)
-        best_mm = on.apart_mm(on.best_deg(targets_mm), targets_mm)
-        poses_deg = np.clip(run.free_deg(from_rest), *on.limits_deg)
-        reach[phonemes[0]] = VisemeReach(
-            reachable=float((best_mm <= REACHABLE_MM).mean()),
-            off_mm=_rms(on.apart_mm(poses_deg, targets_mm)),
-        )
+    begin = 0
+    for viseme, chosen in rows.items():
+        own = slice(begin, begin + len(chosen))
+        reached = float((best_mm[own] <= REACHABLE_MM).mean())
+        reach[viseme] = VisemeReach(reached, _rms(off_mm[own]))
+        begin = own.stop
     return reach
+
+
+def _rows_of(model: FaceModel, viseme: tuple[str, ...]) -> NDArray[np.int64]:
+    """Some AnimPhos of a class, evenly from all it has."""
+    rows = np.concatenate([model.of_phoneme(phoneme) for phoneme in viseme])
+    if not len(rows):
+        return rows
+    some = np.linspace(0, len(rows) - 1, min(len(rows), _FRAMES_PER_CLASS)).astype(np.int64)
+    return np.asarray(rows[some], dtype=np.int64)
 
 
 def _signed_gap_mm(on: ShapeErrors, markers_mm: Array) -> Array:
