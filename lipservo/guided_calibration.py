@@ -1,5 +1,6 @@
 """`lipservo calibrate --guided`: the talker's mouth, the robot's beside it, and keys."""
 
+import datetime
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,8 +10,9 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
+from calibration.calibration import Calibration, CalibrationError
 from calibration.capture import Move
-from calibration.guided import landmark_poses
+from calibration.guided import fit_guided, landmark_poses
 from calibration.guided_session import (
     KEYS,
     GuidedSession,
@@ -19,7 +21,9 @@ from calibration.guided_session import (
     start_session,
 )
 from calibration.joint_range import JointRange
+from calibration.simulated_face import marker_positions_mm, simulated_face
 from lipservo.mouth_drawing import draw_mouth
+from lipservo.settings import FaceSettings
 from lipsync.animpho.model import FaceModel
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 
@@ -28,6 +32,45 @@ Array = NDArray[np.float64]
 #: Joint degrees (n_servos,) -> markers (47, 3), where the robot's face can be drawn.
 Drawn = Callable[[Array], Array]
 _LOOK_BELOW_MM = np.array([0.0, 8.0, 0.0])
+
+
+def calibrate_by_eye(
+    settings: FaceSettings,
+    model: FaceModel,
+    read_key: Callable[[], str],
+    console: Console,
+    *,
+    keep: Path | None = None,
+) -> Calibration:
+    """The whole guided way for a face with simulated servos.
+
+    Raises CalibrationError for a face with real ones, and for too few poses.
+    """
+    if settings.bus.kind != "simulated":
+        raise CalibrationError(
+            f"face {settings.name!r}: --guided moves simulated servos only; for real ones write "
+            "poses with --plan and record markers"
+        )
+    mouth = settings.mouth_servos
+    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
+    face = simulated_face(model.markers_mm(model.rest[None])[0], list(mouth))
+    made_deg = guide(
+        model,
+        joints,
+        lambda goal_deg: goal_deg,
+        read_key,
+        console,
+        keep=keep,
+        drawn=lambda positions_deg: np.asarray(marker_positions_mm(face, positions_deg[None])[0]),
+    )
+    return fit_guided(
+        model,
+        joints,
+        made_deg,
+        settings.checksum,
+        date=datetime.date.today().isoformat(),
+        servo_models=tuple(servo.model for servo in mouth.values()),
+    )
 
 
 def guide(

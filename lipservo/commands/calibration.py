@@ -175,50 +175,19 @@ def _from_files(
 def _guided(
     settings: "FaceSettings", model: "FaceModel", keep: Path | None, output: Path, *, as_json: bool
 ) -> None:
-    import numpy as np
-
-    from calibration.calibration import CalibrationError
     from calibration.calibration_file import save_calibration
-    from calibration.guided import fit_guided
-    from calibration.joint_range import JointRange
-    from calibration.simulated_face import marker_positions_mm, simulated_face
-    from lipservo.guided_calibration import guide
+    from lipservo.guided_calibration import calibrate_by_eye
 
-    if settings.bus.kind != "simulated":
-        raise CalibrationError(
-            f"face {settings.name!r}: --guided moves simulated servos only; for real ones write "
-            "poses with --plan and record markers"
-        )
-    mouth = settings.mouth_servos
-    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
-    face = simulated_face(model.markers_mm(model.rest[None])[0], list(mouth))
-    made_deg = guide(
-        model,
-        joints,
-        lambda goal_deg: goal_deg,
-        typer.getchar,
-        MESSAGES,
-        keep=keep,
-        drawn=lambda positions_deg: np.asarray(marker_positions_mm(face, positions_deg[None])[0]),
-    )
-    fitted = fit_guided(
-        model,
-        joints,
-        made_deg,
-        settings.checksum,
-        date=datetime.date.today().isoformat(),
-        servo_models=tuple(servo.model for servo in mouth.values()),
-    )
+    fitted = calibrate_by_eye(settings, model, typer.getchar, MESSAGES, keep=keep)
     save_calibration(fitted, output)
     if as_json:
         print_json({"calibration": str(output), "method": "guided", "poses": fitted.origin.poses})
         return
-    worst = int(np.argmax(fitted.errors.joint_rms_deg))
+    off_deg, servo = max(zip(fitted.errors.joint_rms_deg, fitted.servo_names, strict=True))
     RESULTS.print(
         f"{output}: from {fitted.origin.poses} poses made by eye. A pose left out is "
-        f"{fitted.errors.joint_rms_deg[worst]:.1f} deg off at most (rms, {joints[worst].name}). "
-        "On simulated robots such a map was 0.9 mm off in the median, a measured one 0.4 "
-        "(docs/benchmarks.md)",
+        f"{off_deg:.1f} deg off at most (rms, {servo}). On simulated robots such a map was 0.9 mm "
+        "off in the median, a measured one 0.4 (docs/benchmarks.md)",
         soft_wrap=True,
     )
 
