@@ -61,8 +61,9 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     model = load_face_model(model_path)
     file = calibration_file(settings, folder)
     calibration = parse_calibration(file.read_text(encoding="utf-8"), file.name)
-    check_calibration(calibration, model, list(settings.servos), settings.checksum)
-    return Face(settings, model, calibration, settings.joints())
+    check_calibration(calibration, model, list(settings.mouth_servos), settings.checksum)
+    whole = calibration.for_servos(list(settings.servos))
+    return Face(settings, model, whole, settings.joints())
 
 
 def at_port(face: Face, port: str | None) -> Face:

@@ -11,6 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import Calibration
+from calibration.following import Follower
+from calibration.viseme_trim import VisemeTrim
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.report import TickReport
 from firmware_bridge.targets import ServoTargets, TargetChannel
@@ -25,6 +27,8 @@ Array = NDArray[np.float64]
 PUBLISH_PERIOD_S = 0.010
 #: After a stall, targets that would be shown longer ago than this are not computed any more.
 _OLDEST_WORTH_SHOWING_S = 0.100
+#: Servos that are later than this are not fully made up for: all else would wait for them.
+_MOST_ADVANCE_S = 0.200
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +79,16 @@ class Speech:
         self._synthesizer = synthesizer
         self._calibration = calibration
         self._channel = channel
-        self.delay = Delay(recognizer.latency_s, synthesizer.longest_phone_s)
+        n_servos = len(calibration.servo_names)
+        self._trim = VisemeTrim(calibration.trim, n_servos, PUBLISH_PERIOD_S)
+        self._follower = Follower(
+            calibration.following, n_servos, PUBLISH_PERIOD_S, look_ahead_s=_MOST_ADVANCE_S
+        )
+        self.delay = Delay(
+            recognizer.latency_s,
+            synthesizer.longest_phone_s,
+            actuation_s=self._follower.advance_s,
+        )
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
 
@@ -105,10 +118,11 @@ class Speech:
         return phoneme, self._synthesizer.coefficients_at(sound_s)
 
     def _publish(self, sound_s: float, zero_s: float) -> None:
-        coefficients = self._synthesizer.coefficients_at(sound_s)
-        display_s = zero_s + sound_s + self.delay.total_s
-        positions_deg = self._calibration.positions_deg(coefficients)
-        self._channel.publish(ServoTargets(display_s, positions_deg))
+        phoneme, coefficients = self.shown_at(sound_s)
+        positions_deg = self._calibration.positions_deg(coefficients) + self._trim.feed(phoneme)
+        # Servos are asked before the face is shown, by as much as they are late.
+        asked_s = zero_s + sound_s + self.delay.total_s - self.delay.actuation_s
+        self._channel.publish(ServoTargets(asked_s, self._follower.feed(positions_deg)))
 
 
 @dataclass(frozen=True, slots=True)

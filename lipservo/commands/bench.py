@@ -121,6 +121,25 @@ def faults(
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 
+@app.command()
+def calibration(
+    seeds: Annotated[
+        str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
+    ] = "0-19",
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
+    from lipservo.calibration_figures import calibration_figures, read_seeds
+
+    numbers = read_seeds(seeds)
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        tracked = progress.track(numbers, description="calibrating")
+        figures = calibration_figures(tracked)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
 def _print(figures: Mapping[str, float], seconds: float, *, as_json: bool) -> None:
     result = {**figures, "machine": machine_class(), "seconds": seconds}
     if as_json:
