@@ -1,6 +1,6 @@
 """Puts a street together from files: face, model, calibration, recogniser, bus."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from calibration.calibration import Calibration, check_calibration
@@ -11,9 +11,11 @@ from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
 from firmware_bridge.simulator.bus import SimulatedBus
-from lipservo.pipeline import Speech, Street
+from lipservo.pipeline import Speech, Street, Synthesizer
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
+from lipsync.animpho.live import LIVE_STRATEGY, LiveSynthesizer, Style, StyleError
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
+from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import LiveRecognizer
@@ -60,12 +62,32 @@ def make_bus(face: Face, clock: Clock) -> ServoBus:
     return SimulatedBus(face.joints, clock)
 
 
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How phonemes become motion: the strategy by name, and the style of ours."""
+
+    strategy: str = LIVE_STRATEGY
+    style: Style = field(default_factory=Style)
+
+    def __post_init__(self) -> None:
+        known = (LIVE_STRATEGY, *STRATEGIES)
+        if self.strategy not in known:
+            raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
+
+
+def make_synthesizer(model: FaceModel, manner: Manner) -> Synthesizer:
+    """Ours, or the paper's with one of its two selections."""
+    if manner.strategy == LIVE_STRATEGY:
+        return LiveSynthesizer(model, manner.style)
+    return PublishedSynthesizer(model, STRATEGIES[manner.strategy])
+
+
 def make_street(
-    face: Face, source: AudioSource, bus: ServoBus, rate_hz: float, zero_s: float
+    face: Face, source: AudioSource, bus: ServoBus, rate_hz: float, zero_s: float, manner: Manner
 ) -> Street:
     """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
     channel = MemoryTargetChannel()
-    synthesizer = PublishedSynthesizer(face.model)
+    synthesizer = make_synthesizer(face.model, manner)
     speech = Speech(source, make_recognizer(), synthesizer, face.calibration, channel)
     return Street(speech, Bridge(bus, face.joints, channel, rate_hz=rate_hz), zero_s)
 

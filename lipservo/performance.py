@@ -5,11 +5,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
-from lipservo.assembly import Face, assemble_face, make_bus, make_street
+from lipservo.assembly import Face, Manner, assemble_face, make_bus, make_street
 from lipservo.commands.options import MESSAGES
 from lipservo.daemon import play
 from lipservo.pipeline import Street, TickObserver
@@ -25,7 +25,8 @@ _TAIL_S = 0.5
 class Performance:
     """What the user asked for, apart from the sound.
 
-    live: draw the face in the terminal; endless: go on in silence when the source is over.
+    live: draw the face in the terminal; endless: go on in silence when the source is over; manner:
+    how phonemes become motion.
     """
 
     config: str
@@ -35,6 +36,7 @@ class Performance:
     live: bool
     quiet: bool
     endless: bool = False
+    manner: Manner = field(default_factory=Manner)
 
     def play(self, source: AudioSource, clock: Clock, stop: threading.Event) -> Summary:
         """Play an entered source to its end or until stopped; the face is limp afterwards."""
@@ -44,7 +46,7 @@ class Performance:
         length_s = math.inf if self.endless or source.duration_s is None else source.duration_s
         with make_bus(face, clock) as bus:
             zero_s = clock.now()
-            street = make_street(face, source, bus, rate_hz, zero_s)
+            street = make_street(face, source, bus, rate_hz, zero_s, self.manner)
             delay = street.speech.delay
             if not self.quiet:
                 MESSAGES.print(f"delay from sound to face: {delay}")

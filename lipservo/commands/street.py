@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
+from lipservo.assembly import Manner
 from lipservo.commands.options import (
     DEFAULT_FACE,
     MESSAGES,
@@ -20,6 +21,7 @@ from lipservo.commands.options import (
 from lipservo.daemon import stopped_by_signals
 from lipservo.performance import Performance
 from lipservo.summary import Summary, print_summary
+from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, STRONGEST, Style
 from lipsync.audio.file import FileSource
 from lipsync.audio.silence import SilenceAfter, SilentSource
 from lipsync.audio.source import AudioSource
@@ -44,6 +46,18 @@ Rate = Annotated[
     ),
 ]
 
+Strategy = Annotated[
+    str, typer.Option(help="How phonemes become motion: expected, or the paper's naive, priority.")
+]
+Lookahead = Annotated[
+    float,
+    typer.Option(min=0.0, max=1000.0, help="Show the face so much later, for what comes next."),
+]
+Strength = Annotated[
+    float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves; 1 as the talker.")
+]
+Smoothness = Annotated[float, typer.Option(min=0.0, max=1.0, help="0 crisp, 1 slow.")]
+
 #: Stopped by Ctrl-C: 128 + SIGINT, as shells count.
 _INTERRUPTED = 130
 
@@ -55,12 +69,19 @@ def run(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     quiet = quiet or as_json
-    performance = Performance(config, model, trace, rate_hz, live=not quiet, quiet=quiet)
+    manner = Manner(strategy, Style(lookahead_ms / 1e3, strength, smoothness))
+    performance = Performance(
+        config, model, trace, rate_hz, live=not quiet, quiet=quiet, manner=manner
+    )
     with stopped_by_signals() as stop, _source(wav, mic) as source:
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
@@ -76,11 +97,18 @@ def daemon(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run until stopped; with nothing to hear the mouth rests closed. What a service starts."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=quiet, endless=True)
+    manner = Manner(strategy, Style(lookahead_ms / 1e3, strength, smoothness))
+    performance = Performance(
+        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, manner=manner
+    )
     idle = wav is None and mic is None
     with (
         stopped_by_signals() as stop,
@@ -96,11 +124,16 @@ def replay(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True)
+    manner = Manner(strategy, Style(lookahead_ms / 1e3, strength, smoothness))
+    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, manner=manner)
     with stopped_by_signals() as stop, _source(sound, None) as source:
         summary = performance.play(source, ManualClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
