@@ -150,7 +150,7 @@ def test_told_one_by_one_or_all_at_once_gives_the_same_faces():
 def test_position_and_speed_are_continuous_whatever_arrives(updates, ahead_s, strength, smoothness):
     """Within a tick the face follows a smooth curve, and neighbours meet in place and speed."""
     synthesizer = LiveSynthesizer(small_model(), Style(ahead_s, strength, smoothness))
-    tick, step_s = 0, 1e-6
+    tick, step_s = 0, 1e-7
     for update in updates:
         synthesizer.push(update)
         while tick * TICK_S < update.heard_until_s - ahead_s:

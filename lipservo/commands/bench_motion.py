@@ -46,6 +46,7 @@ def motion(
 ) -> None:
     """Measure synthesised motion against recorded faces, ours and its rivals."""
     from lipservo import motion_figures as measure
+    from lipservo.motion_plots import check_plots, draw
     from lipsync.animpho.live import LIVE_STRATEGY
     from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
     from lipsync.animpho.training import train
@@ -54,6 +55,8 @@ def motion(
     from lipsync.evaluation.scoring import seen_in_training
 
     began_s = time.perf_counter()
+    if plots is not None:
+        check_plots(plots)
     asked = measure.question(strategy, lookahead_ms, phonemes, words)
     given = None
     if model is not None:
@@ -81,10 +84,8 @@ def motion(
             if seen:
                 MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
         if plots is not None:
-            from lipservo.motion_plots import draw_plots
-
-            drawn_model = given or learn(sentences.labelled())
-            draw_plots(plots, drawn_model, sentences.labelled().utterances, rows)
+            drawn = given or learn(sentences.labelled())
+            draw(plots, drawn, sentences.labelled().utterances, rows)
     seconds = time.perf_counter() - began_s
     if as_json:
         print_json(

@@ -16,9 +16,9 @@ from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 
 Array = NDArray[np.float64]
 
-#: Lips pressed together show this gap, mm. The bar is 1.0; half of it leaves room for the sampling
+#: Lips pressed together show this gap, mm. The bar is 1.0; the rest leaves room for the sampling
 #: of a face between two ticks and for the calibration.
-PRESSED_GAP_MM = 0.5
+PRESSED_GAP_MM = 0.6
 #: What no change of the gap can be told from, as a share of its variance: keeps the inverse finite.
 _RIDGE = 1e-6
 #: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.

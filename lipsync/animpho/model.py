@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from lipsync.errors import UserError
 from lipsync.evaluation.dominance import Dominance
 from lipsync.evaluation.regression import PlainRegression
-from lipsync.expectation.expectation import Expectation
+from lipsync.expectation.expectation import Expectation, expectation_of
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 from lipsync.phonemes import PHONEMES
 
@@ -156,9 +156,7 @@ def save_model(model: FaceModel, path: Path) -> None:
         "training_sentences": model.training_sentences,
         "provenance": model.provenance,
     }
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
+    arrays: dict[str, NDArray[np.generic]] = dict(
         about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
         mean_mm=model.mean_mm.astype(np.float32),
         basis=model.basis.astype(np.float32),
@@ -169,18 +167,20 @@ def save_model(model: FaceModel, path: Path) -> None:
         successors=model.successors.indices.astype(np.int32),
         phoneme_starts=model.phoneme_table.starts.astype(np.int32),
         phoneme_animphos=model.phoneme_table.indices.astype(np.int32),
-        expectation_tables=model.expectation.tables.astype(np.float32),
-        expectation_timing=model.expectation.timing.astype(np.float32),
-        expectation_hidden=model.expectation.hidden.astype(np.float32),
-        expectation_output=model.expectation.output.astype(np.float32),
+        **{
+            f"expectation_{name}": values.astype(np.float32)
+            for name, values in model.expectation.arrays().items()
+        },
         covariance=model.covariance.astype(np.float32),
-        labiodental_gap_mm=np.float32(model.labiodental_gap_mm),
+        labiodental_gap_mm=np.array(model.labiodental_gap_mm, dtype=np.float32),
         tightest_s=model.tightest_s.astype(np.float32),
         centres=model.centres.astype(np.float32),
         counts=model.counts.astype(np.float32),
         dominance=np.stack([model.dominance.rates_per_s, model.dominance.powers]),
         regression=model.regression.weights.astype(np.float32),
     )
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
     partial = path.with_name(path.name + ".partial")
     partial.write_bytes(buffer.getvalue())
     os.replace(partial, path)
@@ -256,8 +256,12 @@ def _assemble(about: dict[str, object], arrays: dict[str, NDArray[np.generic]]) 
         phoneme_table=lists("phoneme_starts", "phoneme_animphos"),
         training_sentences=tuple(sentences),
         provenance=provenance,
-        expectation=Expectation(
-            *(floats(f"expectation_{field}") for field in ("tables", "timing", "hidden", "output"))
+        expectation=expectation_of(
+            {
+                key.removeprefix("expectation_"): floats(key)
+                for key in arrays
+                if key.startswith("expectation_")
+            }
         ),
         covariance=floats("covariance"),
         labiodental_gap_mm=float(arrays["labiodental_gap_mm"]),

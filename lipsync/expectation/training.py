@@ -9,11 +9,14 @@ from threadpoolctl import threadpool_limits
 
 from lipsync.corpus.utterance import Utterance
 from lipsync.expectation.articulation import articulatory_features
-from lipsync.expectation.context import SLOTS, contexts, track_of
+from lipsync.expectation.context import SLOTS, UNKNOWN, contexts, track_of
 from lipsync.expectation.expectation import (
+    N_WINDOWS,
     Expectation,
+    Stack,
     constant_expectation,
     timing_features,
+    window_shares,
 )
 from lipsync.expectation.networks import Layers, Schedule, fit, initial_layers
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
@@ -27,8 +30,21 @@ Progress = Callable[[str], None]
 TRAINED_LOOKAHEADS_S = (0.0, 0.1, 0.2)
 #: Silence this near to speech is learned too: the mouth opens before the sound, and closes after.
 _NEAR_SPEECH_S = 0.3
+
+
 #: Chosen on an inner split of fold 0's training part and on inner new words (docs/motion.md).
-_N_NETWORKS, _HIDDEN = 6, (128, 64)
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Networks that read the context in one way."""
+
+    name: str
+    n_networks: int
+    hidden: tuple[int, int]
+
+
+_SLOT_FAMILY = Family("slots", 4, (128, 64))
+_WINDOW_FAMILY = Family("windows", 1, (96, 48))
+_N_NETWORKS = _SLOT_FAMILY.n_networks + _WINDOW_FAMILY.n_networks
 _SCHEDULE = Schedule(n_epochs=8, decay=0.0025)
 #: With fewer frames there is nothing to learn but the phonemes' centres.
 _FEWEST_FRAMES = 200
@@ -89,54 +105,92 @@ def fit_expectation(
     """
     if len(lessons.faces) < _FEWEST_FRAMES * len(TRAINED_LOOKAHEADS_S):
         return constant_expectation(centres)
-    dictionary = phoneme_features()
-    inputs = _inputs(lessons, dictionary)
+    slots, windows = phoneme_features(), articulation_table()
+    timing = timing_features(lessons.times_s, lessons.lookahead_s).astype(np.float32)
+    by_slot = [table[lessons.phonemes[:, slot]] for slot, table in enumerate(slots)]
+    by_slot_inputs = np.concatenate([*by_slot, timing], axis=1)
+    by_window_inputs = np.concatenate([_window_inputs(lessons, windows), timing], axis=1)
+    with threadpool_limits(limits=1):  # several threads add up in changing order
+        slot_tables, slot_stack = _fit_family(
+            by_slot_inputs, lessons.faces, slots, _SLOT_FAMILY, [seed, 0], progress
+        )
+        window_tables, window_stack = _fit_family(
+            by_window_inputs,
+            lessons.faces,
+            [windows] * N_WINDOWS,
+            _WINDOW_FAMILY,
+            [seed, 1],
+            progress,
+        )
+    return Expectation(slot_tables, slot_stack, window_tables, window_stack)
+
+
+def _fit_family(
+    inputs: Array32,
+    faces: Array,
+    dictionary: Sequence[Array32],
+    family: Family,
+    seed: Sequence[int],
+    progress: Progress,
+) -> tuple[Array, Stack]:
+    """Train the networks of a family; its tables and the rest of it."""
     mean = inputs.mean(axis=0)
     spread = inputs.std(axis=0) + _SMALLEST_SPREAD
     inputs = (inputs - mean) / spread
-    unit = float(lessons.faces.std())
-    targets = (lessons.faces / unit).astype(np.float32)
-    sizes = (inputs.shape[1], *_HIDDEN, targets.shape[1])
+    unit = float(faces.std())
+    targets = (faces / unit).astype(np.float32)
     networks: list[Layers] = []
-    with threadpool_limits(limits=1):  # several threads add up in changing order
-        for number in range(_N_NETWORKS):
-            progress(f"expectation, network {number + 1} of {_N_NETWORKS}")
-            rng = np.random.default_rng([seed, number])
-            layers = initial_layers(sizes, rng)
-            networks.append(fit(layers, inputs, targets, _SCHEDULE, rng))
+    for number in range(family.n_networks):
+        progress(f"expectation by {family.name}, network {number + 1} of {family.n_networks}")
+        rng = np.random.default_rng([*seed, number])
+        layers = initial_layers((inputs.shape[1], *family.hidden, targets.shape[1]), rng)
+        networks.append(fit(layers, inputs, targets, _SCHEDULE, rng))
     return _exported(networks, dictionary, mean, spread, unit)
 
 
-def phoneme_features() -> list[Array]:
+def articulation_table() -> Array32:
+    """(41, 22): articulatory features of each phoneme, zeros for UNKNOWN."""
+    features = articulatory_features()
+    return np.concatenate([features, np.zeros((1, features.shape[1]))]).astype(np.float32)
+
+
+def phoneme_features() -> list[Array32]:
     """For each slot (41, n_features): articulation; in the middle slots class and name as well."""
-    articulation = articulatory_features()
-    viseme = np.zeros((len(PHONEMES), len(VISEME_CLASSES)))
+    articulation = articulation_table()
+    viseme = np.zeros((UNKNOWN + 1, len(VISEME_CLASSES)), dtype=np.float32)
     viseme[np.arange(len(PHONEMES)), [VISEME_OF[p] for p in PHONEMES]] = 1.0
-    named = np.concatenate([articulation, viseme, np.eye(len(PHONEMES))], axis=1)
-    tables = [named if slot in _NAMED_SLOTS else articulation for slot in range(SLOTS)]
-    return [np.concatenate([t, np.zeros((1, t.shape[1]))]) for t in tables]
+    names = np.eye(UNKNOWN + 1, len(PHONEMES), dtype=np.float32)
+    named = np.concatenate([articulation, viseme, names], axis=1)
+    return [named if slot in _NAMED_SLOTS else articulation for slot in range(SLOTS)]
 
 
-def _inputs(lessons: Lessons, dictionary: list[Array]) -> Array32:
-    columns = [table[lessons.phonemes[:, slot]] for slot, table in enumerate(dictionary)]
-    columns.append(timing_features(lessons.times_s, lessons.lookahead_s))
-    return np.concatenate([c.astype(np.float32) for c in columns], axis=1)
+def _window_inputs(lessons: Lessons, table: Array32) -> Array32:
+    """(n, N_WINDOWS * 22): what the phonemes are, window by window."""
+    shares = window_shares(lessons.times_s, lessons.lookahead_s).astype(np.float32)
+    inputs = np.zeros((len(shares), N_WINDOWS, table.shape[1]), dtype=np.float32)
+    for slot in range(SLOTS):
+        inputs += shares[:, :, slot, None] * table[lessons.phonemes[:, slot]][:, None, :]
+    return inputs.reshape(len(shares), -1)
 
 
 def _exported(
-    networks: list[Layers], dictionary: list[Array], mean: Array32, spread: Array32, unit: float
-) -> Expectation:
-    """The first layer folded into a table for each slot, scaling undone, networks side by side."""
+    networks: list[Layers],
+    dictionary: Sequence[Array32],
+    mean: Array32,
+    spread: Array32,
+    unit: float,
+) -> tuple[Array, Stack]:
+    """The first layer folded into tables, scaling undone, networks side by side."""
     first = np.concatenate([n[0] for n in networks], axis=1) / spread[:, None].astype(np.float64)
     bias = np.concatenate([n[1] for n in networks]) - mean @ first
-    ends = np.cumsum([table.shape[1] for table in dictionary])
-    pieces = np.split(first, ends)
+    pieces = np.split(first, np.cumsum([table.shape[1] for table in dictionary]))
     hidden = [np.concatenate([n[2], n[3][None]]) for n in networks]
-    output = np.concatenate([n[4] for n in networks])
-    mean_bias = np.sum([n[5] for n in networks], axis=0)[None]
-    return Expectation(
-        np.array([table @ piece for table, piece in zip(dictionary, pieces, strict=False)]),
+    output = np.concatenate(
+        [*(n[4] for n in networks), np.sum([n[5] for n in networks], axis=0)[None]]
+    )
+    stack = Stack(
         np.concatenate([pieces[-1], bias[None]]),
         np.array(hidden, dtype=np.float64),
-        np.concatenate([output, mean_bias]) * (unit / len(networks)),
+        output * (unit / _N_NETWORKS),
     )
+    return np.array([t @ p for t, p in zip(dictionary, pieces, strict=False)]), stack
