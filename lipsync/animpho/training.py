@@ -76,6 +76,13 @@ def train(
     labelled = corpus.labelled()
     if not labelled.utterances:
         raise TrainingError(f"corpus {corpus.name}: no sentence has a phones tier")
+    for utterance in labelled.utterances:
+        if not np.isfinite(utterance.markers_mm).all():
+            frame = int(np.argmin(np.isfinite(utterance.markers_mm).all(axis=(1, 2))))
+            raise TrainingError(
+                f"corpus {corpus.name}: {utterance.name}, frame {frame}: markers that are not "
+                "numbers; leave the sentence out or track it again"
+            )
     progress("principal components")
     frames = np.concatenate([_flat(u) for u in labelled.utterances])
     if len(frames) <= N_COMPONENTS or not frames.std(axis=0).any():
