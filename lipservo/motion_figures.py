@@ -12,6 +12,7 @@ from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
 from lipsync.evaluation.methods import Heard, Method, all_methods
 from lipsync.evaluation.misses import miss_rate
+from lipsync.evaluation.paper_tables import paper_tables
 from lipsync.evaluation.scoring import Scores, add_scores, check_scorable, true_phonemes
 from lipsync.evaluation.speech import speech_frames
 from lipsync.evaluation.splits import Part, read_parts, words_part
@@ -69,6 +70,12 @@ def score_model(model: FaceModel, corpus: Corpus, asked: Question, track: Track)
         raise BenchError(f"{corpus.name}: no sentence holds {', '.join(sorted(asked.words))}")
     part = Part("given", frozenset(), frozenset(u.name for u in utterances), asked.words)
     return _rows([(model, part)], corpus, asked, track)
+
+
+def paper_rows(model: FaceModel, corpus: Corpus) -> dict[str, object]:
+    """Tables 2 and 3 and Figure 6 of the paper, with the live recogniser for case 2."""
+    utterances = check_scorable(model, corpus)
+    return dict(paper_tables(model, utterances, _listener(PHONEMES_RECOGNIZED)))
 
 
 def cross_validate(

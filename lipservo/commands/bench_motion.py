@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.progress import Progress
@@ -18,6 +18,11 @@ from lipservo.commands.options import (
     machine_class,
     print_json,
 )
+
+if TYPE_CHECKING:
+    from lipservo.motion_figures import Question
+    from lipsync.animpho.model import FaceModel
+    from lipsync.corpus.utterance import Corpus, Utterance
 
 
 def motion(
@@ -46,13 +51,9 @@ def motion(
 ) -> None:
     """Measure synthesised motion against recorded faces, ours and its rivals."""
     from lipservo import motion_figures as measure
-    from lipservo.motion_plots import check_plots, draw
+    from lipservo.motion_plots import check_plots
     from lipsync.animpho.live import LIVE_STRATEGY
-    from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
-    from lipsync.animpho.training import train
-    from lipsync.corpus.grid import read_grid
-    from lipsync.corpus.utterance import Corpus, Utterance
-    from lipsync.evaluation.scoring import seen_in_training
+    from lipsync.animpho.model import load_model, load_shipped_model
 
     began_s = time.perf_counter()
     if plots is not None:
@@ -62,44 +63,59 @@ def motion(
     if model is not None:
         given = load_shipped_model() if str(model) == "shipped" else load_model(model)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        sentences = read_grid(
-            corpus,
-            head_reference_mm=None if given is None else given.head_reference_mm,
-            skip_bad=skip_bad,
-            progress=lambda names: progress.track(names, description="reading"),
-        )
-        step = progress.add_task("training", total=None, visible=given is None)
-
-        def learn(part: Corpus) -> FaceModel:
-            return train(part, progress=lambda text: progress.update(step, description=text))
-
-        def track(what: str, items: list[Utterance]) -> Iterable[Utterance]:
-            return progress.track(items, description=what)
-
-        if given is None:
-            rows = measure.cross_validate(corpus, sentences, asked, learn, track)
-        else:
-            rows = measure.score_model(given, sentences, asked, track)
-            seen = seen_in_training(given, sentences.utterances)
-            if seen:
-                MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
-        if plots is not None:
-            drawn = given or learn(sentences.labelled())
-            draw(plots, drawn, sentences.labelled().utterances, rows)
+        answer = _answer(corpus, given, asked, plots, progress, skip_bad=skip_bad)
     seconds = time.perf_counter() - began_s
+    answer |= {"default_strategy": LIVE_STRATEGY, "machine": machine_class(), "seconds": seconds}
     if as_json:
-        print_json(
-            {
-                "results": rows,
-                "default_strategy": LIVE_STRATEGY,
-                "skipped": list(sentences.skipped),
-                "machine": machine_class(),
-                "seconds": seconds,
-            }
-        )
+        print_json(answer)
         return
-    _print_rows(rows)
+    _print_rows(answer["results"])
     RESULTS.print(f"default strategy: {LIVE_STRATEGY}; {machine_class()}; {seconds:.0f} s")
+
+
+def _answer(
+    folder: Path,
+    given: "FaceModel | None",
+    asked: "Question",
+    plots: Path | None,
+    progress: Progress,
+    *,
+    skip_bad: bool,
+) -> dict[str, Any]:
+    """Rows, and with a given model the paper's tables; pictures on the way."""
+    from lipservo import motion_figures as measure
+    from lipsync.animpho.training import train
+    from lipsync.corpus.grid import read_grid
+    from lipsync.evaluation.scoring import seen_in_training
+
+    sentences = read_grid(
+        folder,
+        head_reference_mm=None if given is None else given.head_reference_mm,
+        skip_bad=skip_bad,
+        progress=lambda names: progress.track(names, description="reading"),
+    )
+    step = progress.add_task("training", total=None, visible=given is None)
+
+    def learn(part: "Corpus") -> "FaceModel":
+        return train(part, progress=lambda text: progress.update(step, description=text))
+
+    def track(what: str, items: "list[Utterance]") -> "Iterable[Utterance]":
+        return progress.track(items, description=what)
+
+    if given is None:
+        rows, paper = measure.cross_validate(folder, sentences, asked, learn, track), None
+    else:
+        rows = measure.score_model(given, sentences, asked, track)
+        paper = measure.paper_rows(given, sentences)
+        seen = seen_in_training(given, sentences.utterances)
+        if seen:
+            MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
+    if plots is not None:
+        from lipservo.motion_plots import draw
+
+        drawn = given or learn(sentences.labelled())
+        draw(plots, drawn, sentences.labelled().utterances, rows)
+    return {"results": rows, "paper": paper, "skipped": list(sentences.skipped)}
 
 
 def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:

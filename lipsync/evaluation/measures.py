@@ -143,7 +143,9 @@ def confidence_intervals(
     samples = [figures(total) for total in draws @ sums]
     found = {}
     for name in names:
-        low, high = np.nanpercentile([sample[name] for sample in samples], [2.5, 97.5])
+        values = np.array([sample[name] for sample in samples])
+        finite = values[np.isfinite(values)]
+        low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
         found[name] = (float(low), float(high))
     return found
 

@@ -1,5 +1,6 @@
 """Methods against recordings: every method, every look-ahead, one model, some sentences."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -35,9 +36,14 @@ class Scores:
         """Figures with 95 % confidence intervals, and how much was scored."""
         sums = np.array(self.sums[strategy, lookahead_ms])
         intervals = confidence_intervals(sums, _WITH_INTERVAL)
+        found = figures(sums.sum(axis=0))
         return {
-            **figures(sums.sum(axis=0)),
-            **{f"{name}_95": list(interval) for name, interval in intervals.items()},
+            # JSON knows no NaN: what nothing was measured of is null.
+            **{name: None if math.isnan(value) else value for name, value in found.items()},
+            **{
+                f"{name}_95": None if math.isnan(sum(interval)) else list(interval)
+                for name, interval in intervals.items()
+            },
             "sentences": int((sums[:, 0] > 0).sum()),
             "frames": int(sums[:, 0].sum()),
         }
