@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from lipservo.assembly import Engine, make_recognizer
+from lipservo.manner import Engine, make_recognizer
 from lipsync.audio.block import BLOCK_S
 from lipsync.audio.silence import SilenceAfter
 from lipsync.audio.source import AudioSource

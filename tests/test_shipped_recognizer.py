@@ -15,7 +15,7 @@ from speech import (
     white_noise,
 )
 
-from lipservo.assembly import make_recognizer
+from lipservo.manner import make_recognizer
 from lipsync.audio.block import AudioBlock
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
+from lipservo.commands import bench_motion
 from lipservo.commands.options import (
     MESSAGES,
     RESULTS,
@@ -19,6 +20,7 @@ from lipservo.commands.options import (
 )
 
 app = typer.Typer(no_args_is_help=True)
+app.command()(bench_motion.motion)
 
 #: Where the corpora lie for those who develop: beside the checkout.
 _CORPORA = Path("../shared/corpus")

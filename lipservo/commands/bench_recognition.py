@@ -7,9 +7,9 @@ from typing import Annotated
 
 import typer
 
-from lipservo.assembly import Engine
 from lipservo.commands.options import MESSAGES, RESULTS, Json, Quiet, machine_class, print_json
 from lipservo.commands.recognition import progress_bar
+from lipservo.manner import Engine
 
 _CORPUS = Path("../shared/corpus/librispeech")
 EngineName = Annotated[Engine, typer.Option(help="Which recogniser listens.")]

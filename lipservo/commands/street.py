@@ -15,16 +15,22 @@ from lipservo.commands.options import (
     Config,
     EngineChoice,
     Json,
+    Lookahead,
     Model,
     Quiet,
+    Smoothness,
+    Strategy,
+    Strength,
     print_json,
 )
 from lipservo.commands.processes import Control, supervise
 from lipservo.daemon import stopped_by_signals
+from lipservo.manner import Manner
 from lipservo.performance import Performance
 from lipservo.sim_process import servo_port
 from lipservo.sources import open_source, open_source_or_silence
 from lipservo.summary import Summary, print_summary
+from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, Style
 
 Trace = Annotated[
     Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
@@ -70,6 +76,10 @@ def run(
     trace: Trace = None,
     rate_hz: Rate = None,
     engine: EngineChoice = "network",
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     port: Port = None,
     sim: Sim = None,
     dry_run: DryRun = False,
@@ -78,6 +88,7 @@ def run(
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     _refuse_both(wav, mic)
+    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     quiet = quiet or as_json
     with (
         servo_port(port, sim, config) as at_port,
@@ -93,7 +104,7 @@ def run(
             quiet=quiet,
             port=at_port,
             dry_run=dry_run,
-            engine=engine,
+            manner=manner,
         )
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
@@ -110,6 +121,10 @@ def daemon(
     trace: Trace = None,
     rate_hz: Rate = None,
     engine: EngineChoice = "network",
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     port: Port = None,
     sim: Sim = None,
     control: Control = None,
@@ -121,14 +136,15 @@ def daemon(
     With servos at a port, bridge and speech are processes of their own, watched over.
     """
     _refuse_both(wav, mic)
+    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     with servo_port(port, sim, config) as at_port:
         if at_port is None:
             bus = load_settings(config)[0].bus
             at_port = bus.port if bus.kind == "dynamixel" else None
         if at_port is not None:
-            raise typer.Exit(supervise(config, model, at_port, wav, mic, rate_hz, engine, control))
+            raise typer.Exit(supervise(config, model, at_port, wav, mic, rate_hz, manner, control))
     performance = Performance(
-        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, engine=engine
+        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, manner=manner
     )
     with (
         stopped_by_signals() as stop,
@@ -145,11 +161,16 @@ def replay(
     trace: Trace = None,
     rate_hz: Rate = None,
     engine: EngineChoice = "network",
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, engine=engine)
+    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
+    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, manner=manner)
     with stopped_by_signals() as stop, open_source(sound, None) as source:
         summary = performance.play(source, ManualClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
