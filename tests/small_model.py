@@ -9,7 +9,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.animpho.model import FaceModel, IndexLists
+from lipsync.animpho.index_lists import IndexLists
+from lipsync.animpho.model import FaceModel
 from lipsync.evaluation.dominance import fixed_reference
 from lipsync.evaluation.regression import PlainRegression
 from lipsync.expectation.expectation import N_TIMING, constant_expectation

@@ -8,7 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 from small_model import small_model
 
 from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
-from lipsync.animpho.model import IndexLists
+from lipsync.animpho.index_lists import IndexLists
 from lipsync.animpho.trajectory import Trajectory, ease
 
 

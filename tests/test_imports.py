@@ -61,6 +61,7 @@ def test_no_module_imports_itself_by_way_of_others():
         "lipservo.settings",
         "lipsync.recognition.live",
         "lipsync.recognition.ladder",
+        "lipservo.assembly",
     ],
 )
 def test_the_live_path_starts_without_heavy_libraries(module):

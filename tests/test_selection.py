@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_model import small_model
 
-from lipsync.animpho.model import FaceModel, IndexLists
+from lipsync.animpho.index_lists import IndexLists
+from lipsync.animpho.model import FaceModel
 from lipsync.animpho.selection import (
     Choice,
     NaiveSelection,

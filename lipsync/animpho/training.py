@@ -14,7 +14,8 @@ from sklearn.decomposition import PCA
 from threadpoolctl import threadpool_limits
 
 from lipsync.animpho.closures import CLOSED_GAP_MM, observe_closures
-from lipsync.animpho.model import SAMPLES_PER_ANIMPHO, FaceModel, IndexLists
+from lipsync.animpho.index_lists import IndexLists
+from lipsync.animpho.model import SAMPLES_PER_ANIMPHO, FaceModel
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
 from lipsync.evaluation.regression import fit_regression

@@ -136,6 +136,7 @@ def _read_sentence(folder: Path, name: str, layout: _Layout) -> _Sentence:
         raise CorpusError(f"{sound_path}: missing or not a sound file") from error
     if abs(sound_s - duration_s) > _LENGTH_TOLERANCE_S:
         raise CorpusError(f"{sound_path}: {sound_s:.2f} s of sound, {duration_s:.2f} s of picture")
+    _refuse_lost_frames(landmarks_px, folder / "landmarks" / f"{name}.npz")
     label_path = folder / "labels" / f"{name}.TextGrid"
     try:
         tiers = read_tiers(label_path)
@@ -172,8 +173,11 @@ def _read_landmarks(path: Path, n_landmarks: int) -> Array:
         )
     if not np.isfinite(points).all():
         raise CorpusError(f"{path}: landmarks that are not numbers")
-    # Where a tracker lost the face it writes one and the same point everywhere.
-    lost = np.flatnonzero((points == points[:, :1]).all(axis=(1, 2)))
+    return np.asarray(points / _UNITS_PER_PIXEL * _TO_FACE_AXES, dtype=np.float64)
+
+
+def _refuse_lost_frames(landmarks_px: Array, path: Path) -> None:
+    """Where a tracker lost the face it writes one and the same point everywhere."""
+    lost = np.flatnonzero((landmarks_px == landmarks_px[:, :1]).all(axis=(1, 2)))
     if len(lost):
         raise CorpusError(f"{path}: frame {lost[0]} is not tracked ({len(lost)} such frames)")
-    return np.asarray(points / _UNITS_PER_PIXEL * _TO_FACE_AXES, dtype=np.float64)
