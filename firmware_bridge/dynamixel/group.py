@@ -13,7 +13,7 @@ _ABSENT_AFTER: Final = 5
 _RETRY_EVERY: Final = 200
 #: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
 #: servo gets a frame of its own again; after a while the fast way is tried once more.
-_BAD_FAST_READS: Final = 3
+_BAD_FAST_READS: Final = 2
 _FAST_WINDOW: Final = 100
 _SLOW_FOR: Final = 1_000
 
