@@ -1,7 +1,8 @@
 """The map from one model's face motion to one robot's servo angles."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,7 @@ from lipsync.animpho.model import FaceModel
 from lipsync.errors import UserError
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 _REMEDY = "run `lipservo calibrate --config FACE -o FILE`"
 #: Models keep their rest in float32, about 1e-6 of a coefficient; any other rest is another mouth.
@@ -22,32 +24,146 @@ class CalibrationError(UserError):
 
 
 @dataclass(frozen=True, slots=True)
-class Calibration:
-    """Linear from the model's rest: angles = weights @ (coefficients - rest), within the limits.
+class Following:
+    """How each servo follows its goal. All (n_servos,); lag_s as of speech, bandwidth at -3 dB."""
 
-    weights: (n_servos, n_components), degrees; rest: (n_components,), where all servos are at 0;
-    min_deg, max_deg: (n_servos,), the face's limits at the time of the fit.
+    lag_s: Array
+    backlash_deg: Array
+    top_speed_deg_s: Array
+    bandwidth_hz: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """The pose in which the lips just meet, and how hard a servo may press there."""
+
+    positions_deg: Array
+    current_cap_ma: float
+
+
+@dataclass(frozen=True, slots=True)
+class VisemeReach:
+    """How well a robot makes the shapes of one viseme class.
+
+    reachable: the part of its frames, 0..1, that the face can come within 0.5 mm of; off_mm: how
+    far the calibrated face is from the shapes wanted, rms over the lips.
+    """
+
+    reachable: float
+    off_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where a calibration comes from: what a person wants to know about a file found later.
+
+    method: `simulated face`, `measured` or `guided`; date: ISO 8601; servo_models: one a servo.
+    """
+
+    method: str
+    date: str = ""
+    poses: int = 0
+    servo_models: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Quadratic about the model's rest, within the limits.
+
+    angles = rest_deg + weights @ x + bends @ (x_i x_j), x = coefficients - rest, kept in x_range.
+
+    weights: (n_servos, n_components), degrees; bends: (n_servos, n_pairs), pairs i <= j row by row,
+    or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,), the angles there;
+    x_range: (2, n_components), least and most that the fit saw; min_deg, max_deg: (n_servos,), the
+    face's limits at the time of the fit. trim: degrees (n_servos,) to add for a viseme class, by
+    the first phoneme of the class.
     """
 
     servo_names: tuple[str, ...]
     weights: Array
+    bends: Array
     rest: Array
+    rest_deg: Array
+    x_range: Array
     min_deg: Array
     max_deg: Array
     errors: HoldOutErrors
     model_checksum: str
     face_checksum: str
+    origin: Origin = Origin("simulated face")
+    following: Following | None = None
+    touch: Touch | None = None
+    coverage: Mapping[str, VisemeReach] = field(default_factory=dict)
+    trim: Mapping[str, Array] = field(default_factory=dict)
 
     def positions_deg(self, coefficients: Array) -> Array:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
-        free_deg = self.weights @ (coefficients - self.rest)
-        return np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
+        x = np.minimum(np.maximum(coefficients - self.rest, self.x_range[0]), self.x_range[1])
+        free_deg = self.rest_deg + self.weights @ x
+        if self.bends.shape[1]:
+            first, second = pairs(len(x))
+            free_deg = free_deg + self.bends @ (x[first] * x[second])
+        kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
+        return kept_deg
+
+    def for_servos(self, servo_names: Sequence[str]) -> "Calibration":
+        """The same for a face with more servos: those without calibration (neck, eyes) stay at 0.
+
+        Raises CalibrationError where a calibrated servo is not among them.
+        """
+        if tuple(servo_names) == self.servo_names:
+            return self
+        missing = set(self.servo_names) - set(servo_names)
+        if missing:
+            raise CalibrationError(
+                f"calibrated servo {sorted(missing)[0]!r} is not in this face; {_REMEDY}"
+            )
+        own = [servo_names.index(name) for name in self.servo_names]
+
+        def spread(values: Array) -> Array:
+            wide = np.zeros((len(servo_names), *values.shape[1:]))
+            wide[own] = values
+            return np.asarray(wide, dtype=np.float64)
+
+        return replace(
+            self,
+            servo_names=tuple(servo_names),
+            weights=spread(self.weights),
+            bends=spread(self.bends),
+            rest_deg=spread(self.rest_deg),
+            min_deg=spread(self.min_deg),
+            max_deg=spread(self.max_deg),
+            following=self.following
+            and Following(
+                spread(self.following.lag_s),
+                spread(self.following.backlash_deg),
+                spread(self.following.top_speed_deg_s),
+                spread(self.following.bandwidth_hz),
+            ),
+            touch=self.touch and Touch(spread(self.touch.positions_deg), self.touch.current_cap_ma),
+            trim={viseme: spread(degrees) for viseme, degrees in self.trim.items()},
+        )
+
+
+@lru_cache
+def pairs(n_components: int) -> tuple[Indices, Indices]:
+    """I and j of every product x_i x_j with i <= j, row by row."""
+    return np.triu_indices(n_components)
+
+
+def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:
+    """bends, rest_deg and x_range of a map that is linear and 0 degrees at rest."""
+    bound = np.full(n_components, np.inf)
+    return np.zeros((n_servos, 0)), np.zeros(n_servos), np.array([-bound, bound])
 
 
 def check_calibration(
     calibration: Calibration, model: FaceModel, servo_names: Sequence[str], face_checksum: str
 ) -> None:
-    """Raises CalibrationError, with the remedy, unless made for this model and this very face."""
+    """Raises CalibrationError, with the remedy, unless made for this model and this very face.
+
+    servo_names: those that move the mouth; a neck or an eye has no calibration.
+    """
     for name in servo_names:
         if name not in calibration.servo_names:
             raise CalibrationError(f"servo {name!r} has no calibration; {_REMEDY}")

@@ -1,99 +1,57 @@
 """Calibrations on disk: YAML that a person can read, written whole or not at all."""
 
 import os
-import sys
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from calibration.calibration import Calibration, CalibrationError
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    Following,
+    Origin,
+    Touch,
+    VisemeReach,
+    linear_calibration_parts,
+    pairs,
+)
+from calibration.calibration_text import CALIBRATION_VERSION, calibration_text
+from calibration.file_place import Place
 from calibration.hold_out import HoldOutErrors
+from lipsync.phonemes import VISEME_CLASSES
 
 Array = NDArray[np.float64]
 
-#: Raised whenever the meaning of a field changes; older files are refused, not guessed at.
-CALIBRATION_VERSION = 1
-
-_MAX = sys.float_info.max
+#: Version 1 is the linear map without the parts that came with version 2.
+READABLE_VERSIONS = (1, 2)
 #: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
 _SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
-_HEADER = """\
-# From a talker's mouth to this robot's servos, made by `lipservo calibrate`.
-# Degrees of a servo = weights . (coefficients - rest), kept between min_deg and max_deg.
-# The coefficients are the principal components of the model named below, in millimetres; at its
-# rest, the closed mouth, all servos are at 0. Fitted by ridge regression to the angles that bring
-# the simulated face nearest to the talker's; hold_out tells how far off it is on motion left out.
-# Made for one model and one face: change either, and lipservo asks for a new calibration.
-"""
+#: What the previous file is kept as.
+PREVIOUS_SUFFIX = ".previous"
 
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
-    """Write the file whole or not at all; the same calibration gives the same bytes.
+    """Write the file whole or not at all, and keep the file that was there as `.previous`.
 
-    Weights are kept to 6 significant digits, errors to 4, the rest exactly.
-    Raises CalibrationError where it cannot be written.
+    The same calibration gives the same bytes. Raises CalibrationError where it cannot be written.
     """
     partial = path.with_name(path.name + ".partial")
+    previous = path.with_name(path.name + PREVIOUS_SUFFIX)
     try:
-        partial.write_text(calibration_text(calibration), encoding="utf-8")
+        with partial.open("w", encoding="utf-8") as file:
+            file.write(calibration_text(calibration))
+            file.flush()
+            os.fsync(file.fileno())
+        if path.exists():
+            kept = previous.with_name(previous.name + ".partial")
+            kept.write_bytes(path.read_bytes())
+            os.replace(kept, previous)
         os.replace(partial, path)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
-
-
-def calibration_text(calibration: Calibration) -> str:
-    """The whole file as text."""
-    errors = calibration.errors
-    lines = [
-        f"version: {CALIBRATION_VERSION}",
-        f'model_checksum: "{calibration.model_checksum}"',
-        f'face_checksum: "{calibration.face_checksum}"',
-        f"rest: [{', '.join(_exact(c) for c in calibration.rest)}]",
-        "servos:",
-    ]
-    for i, name in enumerate(calibration.servo_names):
-        lines += [
-            f"  {name}:",
-            f"    min_deg: {_exact(calibration.min_deg[i])}",
-            f"    max_deg: {_exact(calibration.max_deg[i])}",
-            f"    weights: [{', '.join(_rounded(w, 6) for w in calibration.weights[i])}]",
-            f"    hold_out_rms_deg: {_rounded(errors.joint_rms_deg[i], 4)}",
-        ]
-    return _HEADER + "\n".join(lines + _hold_out_lines(errors)) + "\n"
-
-
-def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
-    about = {
-        "nearest_lip_rms_mm": "the best this face can do",
-        "n_closures": "frames with the talker's lips closed",
-        "closed_gap_mm": "the robot's gap in 95 % of them, at most",
-    }
-    lines = ["hold_out:"]
-    for field in fields(errors):
-        value = getattr(errors, field.name)
-        if isinstance(value, tuple):  # one for each servo, and written there
-            continue
-        note = f"  # {about[field.name]}" if field.name in about else ""
-        shown = str(value) if isinstance(value, int) else _rounded(value, 4)
-        lines.append(f"  {field.name}: {shown}{note}")
-    return lines
-
-
-def _exact(value: float) -> str:
-    return _yaml_float(repr(float(value)))
-
-
-def _rounded(value: float, digits: int) -> str:
-    return _yaml_float(f"{value:.{digits}g}")
-
-
-def _yaml_float(text: str) -> str:
-    """YAML 1.1 takes 1e-05 for a word; 1.0e-05 is a number."""
-    return text if "." in text else text.replace("e", ".0e")
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -123,80 +81,119 @@ def parse_calibration(text: str, source: str) -> Calibration:
         line = f", line {where.line + 1}" if where else ""
         raise CalibrationError(f"{source}{line}: not readable as YAML") from error
     try:
-        return _parse(_Place(content, ""))
+        return _parse(Place(content, ""))
     except CalibrationError as error:
         raise CalibrationError(f"{source}: {error}; run `lipservo calibrate` again") from error
 
 
-class _Place:
-    """One value of the file and the keys that led to it; every read is checked and names them."""
-
-    def __init__(self, value: object, path: str) -> None:
-        self._value = value
-        self.path = path
-
-    def keys(self) -> tuple[str, ...]:
-        if not isinstance(self._value, dict) or not self._value:
-            raise CalibrationError(f"{self.path or 'the file'} should hold `key: value` lines")
-        return tuple(map(str, self._value))
-
-    def at(self, key: str) -> "_Place":
-        path = f"{self.path}.{key}" if self.path else key
-        if key not in self.keys() or not isinstance(self._value, dict):
-            raise CalibrationError(f"{path} is missing")
-        return _Place(self._value[key], path)
-
-    def text(self) -> str:
-        if not isinstance(self._value, str):
-            raise CalibrationError(f"{self.path} is {self._value!r}, expected text in quotes")
-        return self._value
-
-    def number(self) -> float:
-        value = self._value
-        if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
-            return float(value)
-        raise CalibrationError(f"{self.path} is {value!r}, expected a finite number")
-
-    def count(self) -> int:
-        if isinstance(self._value, bool) or not isinstance(self._value, int) or self._value < 0:
-            raise CalibrationError(f"{self.path} is {self._value!r}, expected a whole number >= 0")
-        return self._value
-
-    def numbers(self, n: int | None = None) -> Array:
-        """(n,), or at least one where n is None."""
-        values = self._value
-        if not isinstance(values, list) or not values:
-            raise CalibrationError(f"{self.path} should be a list of numbers")
-        if n is not None and len(values) != n:
-            raise CalibrationError(f"{self.path} holds {len(values)} numbers, expected {n}")
-        return np.array([_Place(v, f"{self.path}[{i}]").number() for i, v in enumerate(values)])
-
-
-def _parse(file: _Place) -> Calibration:
+def _parse(file: Place) -> Calibration:
     version = file.at("version").count()
-    if version != CALIBRATION_VERSION:
+    if version not in READABLE_VERSIONS:
         raise CalibrationError(
             f"version {version}, this lipservo reads version {CALIBRATION_VERSION}"
         )
     rest = file.at("rest").numbers()
-    names = file.at("servos").keys()
+    names = file.at("servos").names
     servos = [file.at("servos").at(name) for name in names]
     for servo in servos:
         if not servo.at("min_deg").number() <= 0.0 <= servo.at("max_deg").number():
             raise CalibrationError(f"{servo.path}: needs min_deg <= 0 <= max_deg")
+    weights = np.array([servo.at("weights").numbers(len(rest)) for servo in servos])
+    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    if version > 1:
+        rest_deg = np.array([servo.at("rest_deg").number() for servo in servos])
+    if any(servo.has("bends") for servo in servos):
+        n_pairs = len(pairs(len(rest))[0])
+        bends = np.array([servo.at("bends").numbers(n_pairs) for servo in servos])
+        x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
     return Calibration(
         servo_names=names,
-        weights=np.array([servo.at("weights").numbers(len(rest)) for servo in servos]),
+        weights=weights,
+        bends=bends,
         rest=rest,
+        rest_deg=rest_deg,
+        x_range=x_range,
         min_deg=np.array([servo.at("min_deg").number() for servo in servos]),
         max_deg=np.array([servo.at("max_deg").number() for servo in servos]),
         errors=_parse_errors(file.at("hold_out"), servos),
         model_checksum=file.at("model_checksum").text(),
         face_checksum=file.at("face_checksum").text(),
+        origin=_parse_origin(file, servos) if version > 1 else Origin("simulated face"),
+        following=_parse_following(servos),
+        touch=_parse_touch(file, names),
+        coverage=_parse_coverage(file),
+        trim=_parse_trim(file, names),
     )
 
 
-def _parse_errors(hold_out: _Place, servos: list[_Place]) -> HoldOutErrors:
+def _parse_origin(file: Place, servos: list[Place]) -> Origin:
+    return Origin(
+        method=file.at("method").text(),
+        date=file.at("date").text(),
+        poses=file.at("poses").count(),
+        servo_models=tuple(s.at("model").text() for s in servos if s.has("model")),
+    )
+
+
+def _parse_following(servos: list[Place]) -> Following | None:
+    """None unless the file says how late some servo is; then it must say so of all."""
+    if not any(servo.has("lag_s") for servo in servos):
+        return None
+
+    def known(key: str) -> Array:
+        return np.array([s.at(key).number() if s.has(key) else np.inf for s in servos])
+
+    return Following(
+        lag_s=np.array([servo.at("lag_s").number() for servo in servos]),
+        backlash_deg=np.array([servo.at("backlash_deg").number() for servo in servos]),
+        top_speed_deg_s=known("top_speed_deg_s"),
+        bandwidth_hz=known("bandwidth_hz"),
+    )
+
+
+def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
+    if not file.has("touch"):
+        return None
+    degrees = file.at("touch").at("positions_deg")
+    return Touch(
+        np.array([degrees.at(name).number() for name in names]),
+        file.at("touch").at("current_cap_ma").number(),
+    )
+
+
+def _parse_coverage(file: Place) -> dict[str, VisemeReach]:
+    if not file.has("coverage"):
+        return {}
+    coverage = file.at("coverage")
+    return {
+        viseme: VisemeReach(
+            coverage.at(viseme).at("reachable").number(), coverage.at(viseme).at("off_mm").number()
+        )
+        for viseme in coverage.names
+    }
+
+
+def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
+    """A hand writes this part, so names are checked."""
+    if not file.has("trim"):
+        return {}
+    trim = file.at("trim")
+    classes = [viseme[0] for viseme in VISEME_CLASSES]
+    for viseme in trim.names:
+        if viseme not in classes:
+            raise CalibrationError(f"trim.{viseme}: no viseme class; known: {' '.join(classes)}")
+        for name in trim.at(viseme).names:
+            if name not in names:
+                raise CalibrationError(f"trim.{viseme}.{name}: no such servo in this file")
+    return {
+        viseme: np.array(
+            [trim.at(viseme).at(n).number() if trim.at(viseme).has(n) else 0.0 for n in names]
+        )
+        for viseme in trim.names
+    }
+
+
+def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
     return HoldOutErrors(
         n_frames=hold_out.at("n_frames").count(),
         marker_rms_mm=hold_out.at("marker_rms_mm").number(),

@@ -1,15 +1,14 @@
 """Fit a calibration against the simulated face. Loads scikit-learn; the live path never does."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import RidgeCV
 
-from calibration.calibration import Calibration, CalibrationError
+from calibration.calibration import Calibration, CalibrationError, linear_calibration_parts
 from calibration.hold_out import HoldOutErrors, measure_hold_out
+from calibration.joint_range import JointRange
 from calibration.nearest_pose import nearest_positions_deg
 from calibration.simulated_face import SimulatedFace, marker_positions_mm, simulated_face
 from lipsync.animpho.model import FaceModel
@@ -23,25 +22,6 @@ MAX_ANIMPHOS = 1000
 _RIDGE_STRENGTHS = np.logspace(-2, 6, 17)
 #: The file keeps this many digits, so the fit does as well and its errors are those of the file.
 SIGNIFICANT_DIGITS = 6
-
-
-@dataclass(frozen=True, slots=True)
-class JointRange:
-    """One servo as the fit sees it, in joint degrees; 0 = its neutral = closed mouth.
-
-    Raises CalibrationError unless min_deg <= 0 <= max_deg, both finite.
-    """
-
-    name: str
-    min_deg: float
-    max_deg: float
-
-    def __post_init__(self) -> None:
-        if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:
-            raise CalibrationError(
-                f"servo {self.name!r}: needs min_deg <= 0 <= max_deg, "
-                f"got {self.min_deg} and {self.max_deg}"
-            )
 
 
 def fit_calibration(
@@ -69,10 +49,14 @@ def fit_calibration(
         raise CalibrationError(str(error)) from error
     nearest_deg = nearest_positions_deg(face, model.markers_mm(fit), min_deg, max_deg)
     weights = ridge_weights(fit - model.rest, nearest_deg)
+    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     return Calibration(
         servo_names=face.servo_names,
         weights=weights,
+        bends=bends,
         rest=model.rest,
+        rest_deg=rest_deg,
+        x_range=x_range,
         min_deg=min_deg,
         max_deg=max_deg,
         errors=_errors(model, face, weights, held_out, min_deg, max_deg),
@@ -87,7 +71,7 @@ def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
     The strength is chosen by leave-one-out errors within these frames.
     """
     ridge = RidgeCV(_RIDGE_STRENGTHS, fit_intercept=False).fit(from_rest, positions_deg)
-    coefficients = np.asarray(ridge.coef_, dtype=np.float64)
+    coefficients = np.asarray(ridge.coef_, dtype=np.float64).reshape(positions_deg.shape[1], -1)
     rounded = [float(f"{weight:.{SIGNIFICANT_DIGITS}g}") for weight in coefficients.ravel()]
     return np.array(rounded).reshape(coefficients.shape)
 

@@ -10,12 +10,10 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
-from firmware_bridge.targets import TargetChannel
-from lipservo.pipeline import Speech, Street
+from lipservo.pipeline import Speech, Street, Synthesizer
 from lipservo.servos import bus_for, prevent_rules
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
-from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import LiveRecognizer
 
@@ -52,8 +50,9 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     model = load_face_model(model_path)
     file = calibration_file(settings, folder)
     calibration = parse_calibration(file.read_text(encoding="utf-8"), file.name)
-    check_calibration(calibration, model, list(settings.servos), settings.checksum)
-    return Face(settings, model, calibration, settings.joints())
+    check_calibration(calibration, model, list(settings.mouth_servos), settings.checksum)
+    whole = calibration.for_servos(list(settings.servos))
+    return Face(settings, model, whole, settings.joints())
 
 
 def at_port(face: Face, port: str | None) -> Face:
@@ -78,25 +77,14 @@ def make_street(
     bus: ServoBus,
     rate_hz: float,
     zero_s: float,
+    recognizer: LiveRecognizer,
+    synthesizer: Synthesizer,
     *,
     dry_run: bool = False,
 ) -> Street:
     """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
     channel = MemoryTargetChannel()
-    speech = make_speech(face, source, channel)
+    speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
     prevent = prevent_rules(face.settings)
     bridge = Bridge(bus, face.joints, channel, rate_hz=rate_hz, prevent=prevent, dry_run=dry_run)
     return Street(speech, bridge, zero_s)
-
-
-def make_speech(face: Face, source: AudioSource, channel: TargetChannel) -> Speech:
-    """The speech side between an entered source and a channel to the bridge."""
-    synthesizer = PublishedSynthesizer(face.model)
-    return Speech(source, make_recognizer(), synthesizer, face.calibration, channel)
-
-
-def make_recognizer() -> LiveRecognizer:
-    """The live recogniser."""
-    from lipsync.recognition.allphone import PocketsphinxRecognizer
-
-    return PocketsphinxRecognizer()

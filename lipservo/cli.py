@@ -5,7 +5,17 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import bench, builder, processes, sim_bus, street, training
+from lipservo.commands import (
+    bench,
+    bench_recognition,
+    builder,
+    calibration,
+    processes,
+    recognition,
+    sim_bus,
+    street,
+    training,
+)
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -21,9 +31,14 @@ for command in (
     street.replay,
     street.devices,
     training.train,
-    training.calibrate,
+    calibration.calibrate,
+    recognition.align,
+    recognition.recognize,
+    recognition.train_recognizer,
 ):
     app.command()(command)
+bench.app.command("recognition")(bench_recognition.recognition)
+bench.app.command("listening")(bench_recognition.listening)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(builder.doctor)
 app.command("jog")(builder.jog)

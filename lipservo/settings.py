@@ -141,6 +141,8 @@ class ServoSettings(_Strict):
     zero_offset_deg: Degrees = 0.0
     max_acceleration_deg_s2: Acceleration | None = None
     critical: bool = False
+    #: What it moves; only the mouth is calibrated to a talker.
+    part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
 
     @model_validator(mode="after")
     def _neutral_is_within_reach(self) -> Self:
@@ -213,13 +215,19 @@ class FaceSettings(_Strict):
         return servos
 
     @property
+    def mouth_servos(self) -> Mapping[str, ServoSettings]:
+        """Those that speech moves, in the order of the YAML."""
+        return {name: servo for name, servo in self.servos.items() if servo.part == "mouth"}
+
+    @property
     def checksum(self) -> str:
-        """16 hex digits over all that a calibration depends on: the joints, in order, and limits.
+        """16 hex digits over all that a calibration depends on: the mouth's joints and limits.
 
         Speeds, ids and mounting (`sign`, `zero_offset_deg`) may change under a calibration, which
         speaks of joint angles only.
         """
-        matter = [(name, servo.min_deg, servo.max_deg) for name, servo in self.servos.items()]
+        mouth = self.mouth_servos.items()
+        matter = [(name, servo.min_deg, servo.max_deg) for name, servo in mouth]
         return hashlib.sha256(json.dumps(matter).encode()).hexdigest()[:16]
 
     def joints(self) -> tuple[Joint, ...]:

@@ -15,8 +15,9 @@ from calibration.calibration_file import (
     parse_calibration,
     save_calibration,
 )
-from calibration.fitting import JointRange, fit_calibration, ridge_weights
+from calibration.fitting import fit_calibration, ridge_weights
 from calibration.hold_out import measure_hold_out
+from calibration.joint_range import JointRange
 from calibration.nearest_pose import bounded_minimum, nearest_positions_deg
 from calibration.simulated_face import (
     POSITIVE_DIRECTIONS,
@@ -70,7 +71,10 @@ def test_positions_are_weights_times_distance_from_rest_within_limits(calibratio
         calibration,
         servo_names=("a", "b"),
         weights=np.array([[2.0, 0.0], [1.0, -1.0]]),
+        bends=np.zeros((2, 0)),
         rest=np.array([1.0, 1.0]),
+        rest_deg=np.zeros(2),
+        x_range=np.array([[-np.inf] * 2, [np.inf] * 2]),
         min_deg=np.array([-3.0, -3.0]),
         max_deg=np.array([5.0, 5.0]),
     )
@@ -253,9 +257,9 @@ def test_a_failed_write_leaves_the_old_file(calibration, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("version: 1", "version: 2", "version 2, this lipservo reads version 1"),
-        ("version: 1\n", "", "version is missing"),
-        ("version: 1", "version: one", "version is 'one', expected a whole number >= 0"),
+        ("version: 2", "version: 3", "version 3, this lipservo reads version 2"),
+        ("version: 2\n", "", "version is missing"),
+        ("version: 2", "version: one", "version is 'one', expected a whole number >= 0"),
         ("  jaw:\n", "  jaw: [\n", "line .*: not readable as YAML"),
         ("servos:", "joints:", "servos is missing"),
         ("weights: [", "weights: [.nan, ", r"servos\.jaw\.weights holds 6 numbers, expected 5"),
@@ -268,7 +272,7 @@ def test_a_failed_write_leaves_the_old_file(calibration, tmp_path):
         ("rest: [", "rest: 1 # [", "rest should be a list of numbers"),
         (f'"{FACE}"', "7", "face_checksum is 7, expected text in quotes"),
         ("hold_out:\n", "hold_out: 3\nmore:\n", "hold_out should hold `key: value` lines"),
-        ("version: 1", "version: 2024-13-01", "not readable as YAML"),
+        ("version: 2", "version: 2024-13-01", "not readable as YAML"),
     ],
 )
 def test_a_damaged_file_says_where_and_what_was_expected(calibration, tmp_path, old, new, message):

@@ -1,8 +1,7 @@
-"""`train` and `calibrate`: what is made once, before a face runs."""
+"""`train`: what is made once, before a face runs."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -10,12 +9,9 @@ import typer
 from rich.progress import Progress
 
 from lipservo.commands.options import (
-    DEFAULT_FACE,
     MESSAGES,
     RESULTS,
-    Config,
     Json,
-    Model,
     Quiet,
     SkipBad,
     print_json,
@@ -77,37 +73,6 @@ def train(
         f"average (the paper: 3.45), {model.provenance['variance_held']:.1%} of the variance held",
         soft_wrap=True,
     )
-
-
-def calibrate(
-    output: Annotated[Path, typer.Option("--output", "-o", help="The calibration to write.")],
-    config: Config = DEFAULT_FACE,
-    model: Model = None,
-    as_json: Json = False,
-) -> None:
-    """Fit the simulated face to a model: PCA coefficients to servo angles, with hold-out errors."""
-    if not output.parent.is_dir():
-        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
-    from calibration.calibration_file import save_calibration
-    from calibration.fitting import JointRange, fit_calibration
-    from lipservo.assembly import load_face_model, load_settings
-
-    settings, _ = load_settings(config)
-    joints = [JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()]
-    with MESSAGES.status("fitting"):
-        fitted = fit_calibration(load_face_model(model), joints, settings.checksum)
-    save_calibration(fitted, output)
-    if as_json:
-        print_json({"calibration": str(output), **asdict(fitted.errors)})
-    else:
-        errors = fitted.errors
-        RESULTS.print(
-            f"{output}: on {errors.n_frames} frames left out the lips are "
-            f"{errors.lip_rms_mm:.2f} mm off (the nearest poses of this face: "
-            f"{errors.nearest_lip_rms_mm:.2f}), the lip gap {errors.gap_rms_mm:.2f} mm; "
-            f"{errors.clipped_share:.1%} of the frames reach a limit",
-            soft_wrap=True,
-        )
 
 
 @contextmanager

@@ -1,0 +1,162 @@
+"""A calibration as YAML that a person can read: how every part of it is written."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import Calibration, Following, Touch, VisemeReach
+from calibration.hold_out import HoldOutErrors
+from lipsync.phonemes import VISEME_CLASSES
+
+Array = NDArray[np.float64]
+
+#: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest.
+CALIBRATION_VERSION = 2
+
+_HEADER = """\
+# From a talker's mouth to this robot's servos, made by `lipservo calibrate`.
+# With x = coefficients - rest, kept within x_least .. x_most, the degrees of a servo are
+# rest_deg + weights . x + bends . (x_i x_j, i <= j, row by row), kept between min_deg and max_deg.
+# The coefficients are the principal components of the model named below, in millimetres; rest is
+# the closed mouth. hold_out tells how far off the map is on motion left out of the fit.
+# Made for one model and one face: change either, and lipservo asks for a new calibration.
+"""
+_HOLD_OUT_NOTES = {
+    "n_frames": "0: nothing was measured in millimetres",
+    "nearest_lip_rms_mm": "the best this face can do",
+    "n_closures": "frames with the talker's lips closed",
+    "closed_gap_mm": "the robot's gap in 95 % of them, at most",
+}
+
+
+def calibration_text(calibration: Calibration) -> str:
+    """The whole file as text: weights to 6 significant digits, errors to 4, the rest exactly."""
+    origin = calibration.origin
+    lines = [
+        f"version: {CALIBRATION_VERSION}",
+        f"method: {origin.method}",
+        f'date: "{origin.date}"',
+        f"poses: {origin.poses}",
+        f'model_checksum: "{calibration.model_checksum}"',
+        f'face_checksum: "{calibration.face_checksum}"',
+        f"rest: {_list(calibration.rest, _exact)}",
+    ]
+    if np.isfinite(calibration.x_range).all():
+        lines += [
+            f"x_least: {_list(calibration.x_range[0], _six)}",
+            f"x_most: {_list(calibration.x_range[1], _six)}",
+        ]
+    lines.append("servos:")
+    for i in range(len(calibration.servo_names)):
+        lines += _servo_lines(calibration, i)
+    lines += _touch_lines(calibration.touch, calibration.servo_names)
+    lines += _hold_out_lines(calibration.errors)
+    lines += _coverage_lines(calibration.coverage)
+    lines += _trim_lines(calibration)
+    return _HEADER + "\n".join(lines) + "\n"
+
+
+def _servo_lines(calibration: Calibration, i: int) -> list[str]:
+    origin = calibration.origin
+    model = origin.servo_models[i] if origin.servo_models else ""
+    lines = [f"  {calibration.servo_names[i]}:"]
+    lines += [f"    model: {model}"] if model else []
+    lines += [
+        f"    min_deg: {_exact(calibration.min_deg[i])}",
+        f"    max_deg: {_exact(calibration.max_deg[i])}",
+        f"    rest_deg: {_six(calibration.rest_deg[i])}",
+        f"    weights: {_list(calibration.weights[i], _six)}",
+    ]
+    if calibration.bends.shape[1]:
+        lines.append(f"    bends: {_list(calibration.bends[i], _six)}")
+    lines += _following_lines(calibration.following, i)
+    return [*lines, f"    hold_out_rms_deg: {_four(calibration.errors.joint_rms_deg[i])}"]
+
+
+def _following_lines(following: Following | None, i: int) -> list[str]:
+    """What is not known is not written."""
+    if following is None:
+        return []
+    lines = [
+        f"    lag_s: {_four(following.lag_s[i])}",
+        f"    backlash_deg: {_four(following.backlash_deg[i])}",
+    ]
+    if np.isfinite(following.top_speed_deg_s[i]):
+        lines.append(f"    top_speed_deg_s: {_four(following.top_speed_deg_s[i])}")
+    if np.isfinite(following.bandwidth_hz[i]):
+        lines.append(f"    bandwidth_hz: {_four(following.bandwidth_hz[i])}")
+    return lines
+
+
+def _touch_lines(touch: Touch | None, servo_names: tuple[str, ...]) -> list[str]:
+    if touch is None:
+        return []
+    degrees = zip(servo_names, touch.positions_deg, strict=True)
+    return [
+        "touch:  # the lips just meet; press no harder than this",
+        f"  current_cap_ma: {_exact(touch.current_cap_ma)}",
+        f"  positions_deg: {{{', '.join(f'{name}: {_four(deg)}' for name, deg in degrees)}}}",
+    ]
+
+
+def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
+    lines = ["hold_out:"]
+    for field in fields(errors):
+        value = getattr(errors, field.name)
+        if isinstance(value, tuple):  # one for each servo, and written there
+            continue
+        note = _HOLD_OUT_NOTES.get(field.name)
+        shown = str(value) if isinstance(value, int) else _four(value)
+        lines.append(f"  {field.name}: {shown}" + (f"  # {note}" if note else ""))
+    return lines
+
+
+def _coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
+    if not coverage:
+        return []
+    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
+    return [
+        "coverage:  # part of each viseme class within 0.5 mm of a pose; distance of this map",
+        *(
+            f"  {viseme}: {{reachable: {_four(reach.reachable)}, off_mm: {_four(reach.off_mm)}}}"
+            f"  # {phonemes.get(viseme, '')}"
+            for viseme, reach in coverage.items()
+        ),
+    ]
+
+
+def _trim_lines(calibration: Calibration) -> list[str]:
+    """Servos that a class leaves as they are, are not written."""
+    lines = []
+    for viseme, degrees in calibration.trim.items():
+        parts = [
+            f"{name}: {_six(deg)}"
+            for name, deg in zip(calibration.servo_names, degrees, strict=True)
+            if deg != 0.0
+        ]
+        if parts:
+            lines.append(f"  {viseme}: {{{', '.join(parts)}}}")
+    return ["trim:  # degrees to add while a viseme class is spoken", *lines] if lines else []
+
+
+def _list(values: Array, shown: Callable[[float], str]) -> str:
+    return f"[{', '.join(shown(v) for v in values)}]"
+
+
+def _exact(value: float) -> str:
+    return _yaml_float(repr(float(value)))
+
+
+def _six(value: float) -> str:
+    return _yaml_float(f"{value:.6g}")
+
+
+def _four(value: float) -> str:
+    return _yaml_float(f"{value:.4g}")
+
+
+def _yaml_float(text: str) -> str:
+    """YAML 1.1 takes 1e-05 for a word; 1.0e-05 is a number."""
+    return text if "." in text else text.replace("e", ".0e")

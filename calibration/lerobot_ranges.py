@@ -1,0 +1,93 @@
+"""Range files of LeRobot, as a start: which ticks each servo may go between.
+
+A file holds, for each joint, `id, drive_mode, homing_offset, range_min, range_max` in ticks
+(4,096 a turn). What they mean in joint degrees needs one more thing, the tick of the neutral:
+without it, the middle of the range is taken.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from calibration.calibration import CalibrationError
+
+_TICKS_A_TURN = 4096
+_KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRange:
+    """One joint's recorded range, in ticks as LeRobot writes them."""
+
+    name: str
+    servo_id: int
+    reversed: bool
+    homing_offset_ticks: int
+    least_tick: int
+    most_tick: int
+
+    def limits_deg(self, neutral_tick: int | None = None) -> tuple[float, float]:
+        """Joint degrees of the two ends, neutral = 0; turned round for a reversed drive."""
+        neutral = (self.least_tick + self.most_tick) / 2 if neutral_tick is None else neutral_tick
+        ends = [
+            (tick - neutral) * 360.0 / _TICKS_A_TURN for tick in (self.least_tick, self.most_tick)
+        ]
+        return (-ends[1], -ends[0]) if self.reversed else (ends[0], ends[1])
+
+
+def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
+    """By joint. Raises CalibrationError, naming the joint and key, for any other file."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise CalibrationError(f"{path}: no such file") from None
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise CalibrationError(f"{path}: not readable as JSON") from error
+    if not isinstance(content, dict) or not content:
+        raise CalibrationError(f"{path}: should hold one entry for each joint")
+    return {name: _parse(f"{path}: {name}", name, entry) for name, entry in content.items()}
+
+
+def _parse(place: str, name: str, entry: object) -> RecordedRange:
+    if not isinstance(entry, dict):
+        raise CalibrationError(f"{place}: should hold {', '.join(_KEYS)}")
+    values: dict[str, int] = {}
+    for key in _KEYS:
+        value = entry.get(key)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise CalibrationError(f"{place}.{key} is {value!r}, expected a whole number")
+        values[key] = value
+    if not 0 <= values["range_min"] < values["range_max"] < _TICKS_A_TURN:
+        raise CalibrationError(
+            f"{place}: needs 0 <= range_min < range_max <= {_TICKS_A_TURN - 1}, got "
+            f"{values['range_min']} and {values['range_max']}; record the range again"
+        )
+    return RecordedRange(
+        name,
+        values["id"],
+        bool(values["drive_mode"]),
+        values["homing_offset"],
+        values["range_min"],
+        values["range_max"],
+    )
+
+
+def check_within_recorded(
+    ranges: Mapping[str, RecordedRange], limits_deg: Mapping[str, tuple[float, float]]
+) -> None:
+    """Raises CalibrationError for a joint whose limits are wider than what was recorded for it.
+
+    limits_deg: of the face, by joint. Widths only: where the neutral lies is the face's to say.
+    """
+    for name, (low, high) in limits_deg.items():
+        if name not in ranges:
+            raise CalibrationError(f"servo {name!r} is not in the range file; record its range")
+        least, most = ranges[name].limits_deg()
+        if high - low > most - least:
+            raise CalibrationError(
+                f"servo {name!r}: its limits span {high - low:.0f} deg, its recorded range "
+                f"{most - least:.0f}; narrow min_deg and max_deg in the face YAML"
+            )

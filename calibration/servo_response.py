@@ -1,0 +1,116 @@
+"""How each servo follows its goal, from its encoder: lag, speed and bandwidth by step and chirp."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import CalibrationError, Following
+from calibration.joint_range import JointRange
+
+Array = NDArray[np.float64]
+
+#: Send goals (n, n_servos), one each 1 / rate_hz, and give back the encoders at the same instants.
+Drive = Callable[[Array, float], Array]
+
+RATE_HZ = 100.0
+#: Speech moves a jaw at 4 to 6 Hz, with little above 8: the chirp ends beyond that.
+_CHIRP_HZ, _CHIRP_S = (0.5, 12.0), 10.0
+#: Lags count where speech moves: the chirp up to here.
+_SPEECH_HZ = 6.0
+#: As far as lips go in speech, and no more than a third of what the joint may do.
+_CHIRP_DEG, _STEP_DEG = 5.0, 25.0
+_REST_S, _STEP_S = 0.5, 1.0
+_LONGEST_LAG_S = 0.3
+#: Half power, by which bandwidths are given.
+_HALF_POWER = 10 ** (-3 / 20)
+#: Gain is averaged over so many periods around each frequency.
+_PERIODS = 3.0
+
+
+def chirp_deg(amplitude_deg: float) -> Array:
+    """(n,): a sine whose frequency grows evenly over the chirp, after a rest."""
+    times_s = np.arange(0.0, _CHIRP_S, 1.0 / RATE_HZ)
+    low, high = _CHIRP_HZ
+    turns = low * times_s + (high - low) * times_s**2 / (2 * _CHIRP_S)
+    rest = np.zeros(round(_REST_S * RATE_HZ))
+    return np.concatenate([rest, amplitude_deg * np.sin(2 * np.pi * turns), rest])
+
+
+def chirp_amplitude_deg(joint: JointRange) -> float:
+    """As far as this joint is moved both ways from the middle of its range."""
+    return min(_CHIRP_DEG, (joint.max_deg - joint.min_deg) / 3.0)
+
+
+def identify(drive: Drive, joints: Sequence[JointRange], backlash_deg: Array) -> Following:
+    """Move one joint after another by a chirp and two steps, the others resting at 0.
+
+    Raises CalibrationError for a joint whose encoder does not follow.
+    """
+    found = [_identify_joint(drive, joints, joint) for joint in range(len(joints))]
+    lag_s, bandwidth_hz, top_speed_deg_s = np.array(found).T
+    return Following(lag_s, backlash_deg, top_speed_deg_s, bandwidth_hz)
+
+
+def _identify_joint(
+    drive: Drive, joints: Sequence[JointRange], joint: int
+) -> tuple[float, float, float]:
+    limits = joints[joint]
+    middle_deg = (limits.min_deg + limits.max_deg) / 2
+    chirp = chirp_deg(chirp_amplitude_deg(limits))
+    seen = _drive_one(drive, middle_deg + chirp, joint, len(joints)) - middle_deg
+    lag_s = lag_between_s(chirp, seen, RATE_HZ, until=_chirp_index(_SPEECH_HZ))
+    if np.std(seen) < 0.1 * np.std(chirp):
+        raise CalibrationError(
+            f"servo {limits.name!r} does not follow its goal; is torque on, is it stuck?"
+        )
+    far_deg = min(_STEP_DEG, limits.max_deg - limits.min_deg) / 2
+    n = round(_STEP_S * RATE_HZ)
+    step = middle_deg + np.repeat([-far_deg, far_deg, -far_deg], n)
+    moved = np.diff(_drive_one(drive, step, joint, len(joints))) * RATE_HZ
+    return lag_s, _bandwidth_hz(chirp, seen), float(np.abs(moved).max())
+
+
+def _drive_one(drive: Drive, goals_deg: Array, joint: int, n_servos: int) -> Array:
+    goals = np.zeros((len(goals_deg), n_servos))
+    goals[:, joint] = goals_deg
+    return drive(goals, RATE_HZ)[:, joint]
+
+
+def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None = None) -> float:
+    """By how much `seen` (n,) comes after `goal` (n,): the best correlation, between samples too.
+
+    until: only goals before this sample count.
+    """
+    longest = min(round(_LONGEST_LAG_S * rate_hz), len(goal) // 2)
+    n = min(until or len(goal), len(goal) - longest)
+    wanted = goal[longest:n] - goal[longest:n].mean()
+    shifts = np.arange(-longest, longest + 1)
+    scores = np.empty(len(shifts))
+    for i, shift in enumerate(shifts):
+        window = seen[longest + shift : n + shift]
+        window = window - window.mean()
+        scores[i] = wanted @ window / (np.linalg.norm(window) * np.linalg.norm(wanted) + 1e-12)
+    best = int(scores[1:-1].argmax()) + 1
+    before, at, after = scores[best - 1 : best + 2]
+    bend = before - 2 * at + after
+    between = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    return float((shifts[best] + between) / rate_hz)
+
+
+def _chirp_index(frequency_hz: float) -> int:
+    """The sample of `chirp_deg` at which it reaches a frequency."""
+    low, high = _CHIRP_HZ
+    share = (frequency_hz - low) / (high - low)
+    return round((_REST_S + share * _CHIRP_S) * RATE_HZ)
+
+
+def _bandwidth_hz(chirp: Array, seen: Array) -> float:
+    """Where the amplitude first falls to half the power; the chirp's end where it never does."""
+    high = _CHIRP_HZ[1]
+    for frequency_hz in np.arange(1.0, high, 0.25):
+        middle, half = _chirp_index(frequency_hz), round(_PERIODS / 2 / frequency_hz * RATE_HZ)
+        window = slice(max(0, middle - half), middle + half)
+        if np.std(seen[window]) < _HALF_POWER * np.std(chirp[window]):
+            return float(frequency_hz)
+    return high

@@ -1,0 +1,68 @@
+"""Servos that follow late, for finding out by how much: dead time, inertia, top speed, encoder.
+
+Each joint is a critically damped second-order system behind a dead time, with a top speed. Not
+simulated: load, heat, a supply that sags, joints that pull at one another.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Whole lag in slow motion, dead time of bus and servo within it, and top speed: drawn from these.
+#: The bar of the benchmark asks for 40 to 90 ms; an XL330-M288-T makes 618 deg/s without load.
+LAG_S, DEAD_TIME_S, TOP_SPEED_DEG_S = (0.040, 0.090), (0.010, 0.030), (250.0, 500.0)
+#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications: 4,096 steps a turn.
+_ENCODER_STEP_DEG = 360.0 / 4096.0
+#: Steps of the simulation within one sample.
+_SUBSTEPS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedServos:
+    """lag_s: (n_servos,), dead time included; dead_time_s, top_speed_deg_s: (n_servos,)."""
+
+    lag_s: Array
+    dead_time_s: Array
+    top_speed_deg_s: Array
+
+    @classmethod
+    def drawn(cls, n_servos: int, seed: int) -> "SimulatedServos":
+        """Servos of a seed."""
+        rng = np.random.default_rng([seed, 1])
+        return cls(
+            *(rng.uniform(*limits, n_servos) for limits in (LAG_S, DEAD_TIME_S, TOP_SPEED_DEG_S))
+        )
+
+    def shafts_deg(self, goals_deg: Array, rate_hz: float) -> Array:
+        """Goals (n, n_servos), one each 1 / rate_hz -> where the shafts are at the same instants.
+
+        Before the first goal everything has rested there for long.
+        """
+        step_s = 1.0 / rate_hz / _SUBSTEPS
+        late = self._delayed(goals_deg, rate_hz)
+        omega = 2.0 / (self.lag_s - self.dead_time_s)
+        position, speed = late[0].copy(), np.zeros(len(omega))
+        shafts = np.empty_like(goals_deg)
+        for n, goal in enumerate(late):
+            shafts[n] = position
+            for _ in range(_SUBSTEPS):
+                speed += step_s * (omega**2 * (goal - position) - 2.0 * omega * speed)
+                speed = np.clip(speed, -self.top_speed_deg_s, self.top_speed_deg_s)
+                position = position + step_s * speed
+        return shafts
+
+    def encoders_deg(self, goals_deg: Array, rate_hz: float) -> Array:
+        """What the encoders say of `shafts_deg`."""
+        steps = np.rint(self.shafts_deg(goals_deg, rate_hz) / _ENCODER_STEP_DEG)
+        return np.asarray(steps * _ENCODER_STEP_DEG)
+
+    def _delayed(self, goals_deg: Array, rate_hz: float) -> Array:
+        times_s = np.arange(len(goals_deg)) / rate_hz
+        columns = [
+            np.interp(times_s - dead_s, times_s, column)
+            for dead_s, column in zip(self.dead_time_s, goals_deg.T, strict=True)
+        ]
+        return np.stack(columns, axis=1)

@@ -1,0 +1,127 @@
+"""`lipservo calibrate --guided`: the talker's mouth, the robot's beside it, and keys."""
+
+import datetime
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from calibration.calibration import Calibration, CalibrationError
+from calibration.capture import Move
+from calibration.guided import fit_guided, landmark_poses
+from calibration.guided_session import (
+    KEYS,
+    GuidedSession,
+    keep_poses,
+    kept_poses,
+    start_session,
+)
+from calibration.joint_range import JointRange
+from calibration.simulated_face import marker_positions_mm, simulated_face
+from lipservo.mouth_drawing import draw_mouth
+from lipservo.settings import FaceSettings
+from lipsync.animpho.model import FaceModel
+from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
+
+Array = NDArray[np.float64]
+
+#: Joint degrees (n_servos,) -> markers (47, 3), where the robot's face can be drawn.
+Drawn = Callable[[Array], Array]
+_LOOK_BELOW_MM = np.array([0.0, 8.0, 0.0])
+
+
+def calibrate_by_eye(
+    settings: FaceSettings,
+    model: FaceModel,
+    read_key: Callable[[], str],
+    console: Console,
+    *,
+    keep: Path | None = None,
+) -> Calibration:
+    """The whole guided way for a face with simulated servos.
+
+    Raises CalibrationError for a face with real ones, and for too few poses.
+    """
+    if settings.bus.kind != "simulated":
+        raise CalibrationError(
+            f"face {settings.name!r}: --guided moves simulated servos only; for real ones write "
+            "poses with --plan and record markers"
+        )
+    mouth = settings.mouth_servos
+    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
+    face = simulated_face(model.markers_mm(model.rest[None])[0], list(mouth))
+    made_deg = guide(
+        model,
+        joints,
+        lambda goal_deg: goal_deg,
+        read_key,
+        console,
+        keep=keep,
+        drawn=lambda positions_deg: np.asarray(marker_positions_mm(face, positions_deg[None])[0]),
+    )
+    return fit_guided(
+        model,
+        joints,
+        made_deg,
+        settings.checksum,
+        date=datetime.date.today().isoformat(),
+        servo_models=tuple(servo.model for servo in mouth.values()),
+    )
+
+
+def guide(
+    model: FaceModel,
+    joints: list[JointRange],
+    move: Move,
+    read_key: Callable[[], str],
+    console: Console,
+    *,
+    keep: Path | None = None,
+    drawn: Drawn | None = None,
+) -> dict[str, Array]:
+    """Let a person make the landmark poses; angles (n_servos,) by name of the pose.
+
+    Every finished pose is kept at once in `keep`, and a later session goes on from there. The
+    robot is left in neutral.
+    """
+    names = [joint.name for joint in joints]
+    kept = {} if keep is None else kept_poses(names, keep)
+    session = start_session(joints, landmark_poses(model), kept)
+    try:
+        while not session.done:
+            move(session.positions_deg)
+            console.print(_page(model, session, drawn))
+            after = session.press(read_key())
+            if keep is not None and len(after.made_deg) != len(session.made_deg):
+                keep_poses(after.made_deg, names, keep)
+            session = after
+    finally:
+        move(np.zeros(len(joints)))
+    return dict(session.made_deg)
+
+
+def _page(model: FaceModel, session: GuidedSession, drawn: Drawn | None) -> Group:
+    pose = session.poses[session.pose]
+    wanted_mm = model.markers_mm(pose.coefficients[None])[0]
+    mouths = Table.grid(padding=(0, 3))
+    row = [_mouth(model, wanted_mm, "yellow")]
+    if drawn is not None:
+        row.append(_mouth(model, drawn(session.positions_deg), "red"))
+    mouths.add_row(*row)
+    servos = Table.grid(padding=(0, 2))
+    for index, joint in enumerate(session.joints):
+        mark = "▶" if index == session.servo else " "
+        servos.add_row(mark, joint.name, f"{session.positions_deg[index]:6.1f} deg")
+    keys = Text("   ".join(f"{key}: {what}" for key, what in KEYS.items()), style="dim")
+    title = f"{session.pose + 1} of {len(session.poses)}, {pose.name}: {pose.instruction}"
+    return Group(Text(title, style="bold"), mouths, servos, keys)
+
+
+def _mouth(model: FaceModel, markers_mm: Array, style: str) -> Text:
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    centre_mm = rest_mm[[UPPER_INNER_LIP, LOWER_INNER_LIP]].mean(axis=0) - _LOOK_BELOW_MM
+    return Text("\n".join(draw_mouth(markers_mm, centre_mm)), style=style)
