@@ -6,6 +6,7 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arming import check_held, named
 from firmware_bridge.bus import BusError, PortGone, ServoBus, ServoError
 from firmware_bridge.care import ServoCare, ServoState
 from firmware_bridge.channel import TargetTrack
@@ -23,8 +24,6 @@ from firmware_bridge.safety import (
 )
 from firmware_bridge.targets import TargetChannel
 
-#: A goal read back may differ from the one written by one encoder step, 360 / 4096 deg.
-_ENCODER_STEP_DEG = 360.0 / 4096.0
 #: Time to neutral when the joints can make it: quick for a person waiting, calm for a face.
 _EASE_S = 0.5
 #: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
@@ -117,7 +116,7 @@ class Bridge:
         present_deg = self._bus.read().positions_deg
         self._bus.write_positions(present_deg)
         readings = self._bus.read()
-        _check_held(self._joints, present_deg, readings.goals_deg)
+        check_held(self._joints, present_deg, readings.goals_deg)
         self._bus.set_torque(True)
         for index in range(len(self._joints)):
             self._care.woke(index, willing=True, time_s=readings.time_s)
@@ -133,7 +132,7 @@ class Bridge:
             self._care.woke(index, willing=willing, time_s=time_s)
             if joint.critical and not willing:
                 self._bus.set_torque(False)
-                raise ServoError(f"critical {_named(joint)} is not willing; run `lipservo doctor`")
+                raise ServoError(f"critical {named(joint)} is not willing; run `lipservo doctor`")
         if not self._care.driven.any():
             raise ServoError("no servo is willing to hold its place; run `lipservo doctor`")
         present_deg = np.nan_to_num(self._bus.feedback().positions_deg)
@@ -200,7 +199,7 @@ class Bridge:
         lost = self._care.lost_critical
         if lost is not None:
             self.stop()
-            raise ServoError(f"critical {_named(self._joints[lost])} has failed; all is limp")
+            raise ServoError(f"critical {named(self._joints[lost])} has failed; all is limp")
 
     def _unplug(self, time_s: float) -> None:
         self._state = _State.UNPLUGGED
@@ -298,22 +297,3 @@ class Bridge:
     def _nothing_sent(self) -> Limited:
         none = self._no_hits
         return Limited(self._limiter.sent_deg, none, none, none, none)
-
-
-def _check_held(
-    joints: Sequence[Joint], present_deg: NDArray[np.float64], goals_deg: NDArray[np.float64]
-) -> None:
-    """Raise ServoError for the first servo whose goal is not where it stands."""
-    for joint, stands_deg, goal_deg in zip(joints, present_deg, goals_deg, strict=True):
-        servo = _named(joint)
-        if np.isnan(stands_deg):
-            raise ServoError(f"{servo} does not answer; check its power and cable")
-        if not abs(goal_deg - stands_deg) <= _ENCODER_STEP_DEG:
-            raise ServoError(
-                f"{servo} stands at {stands_deg:.1f} deg and will not hold there; move it into "
-                f"{joint.min_deg:g}..{joint.max_deg:g} deg by hand"
-            )
-
-
-def _named(joint: Joint) -> str:
-    return f"servo {joint.name!r} (id {joint.servo_id})"

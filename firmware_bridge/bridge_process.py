@@ -26,8 +26,8 @@ def run_bridge(
 ) -> None:
     """Arm and tick until told to stop, by a signal, the control socket, or the parent's death.
 
-    `bus` is entered here. However it ends, torque is off afterwards, but for FREEZE, which holds
-    until the servos' own watchdog has stopped them where they are.
+    `bus` is entered here. However it ends, torque is off afterwards. FREEZE is no end: the face is
+    held where it is until something else is asked.
     """
     clock = MonotonicClock()
     with ControlSocket(control) as requests, bus:
@@ -37,17 +37,17 @@ def run_bridge(
         for time_s, late in ticks(clock, rate_hz):
             report = bridge.tick(time_s, late)
             asked = requests.poll(_status(bridge, report))
-            if asked is not None:
+            if asked is StopLevel.FREEZE:
+                bridge.freeze()
+            elif asked is not None:
                 level = asked
                 break
             if stopped() or not parent_is_alive(parent):
                 break
         if level is StopLevel.LIMP:
             bridge.stop()
-        elif level is StopLevel.FREEZE:
-            bridge.freeze()
         else:
-            bridge.ease_to_neutral(clock)
+            bridge.ease_to_neutral(clock)  # a frozen face goes limp where it is
 
 
 def _status(bridge: Bridge, report: TickReport) -> dict[str, object]:

@@ -46,7 +46,7 @@ class Readings:
     """What the servos said. Every array is (n_servos,), in the order of the face's servo names.
 
     positions_deg: where each joint stands; NaN for a servo that has never answered.
-    goals_deg: where each servo is trying to be, or would with torque on.
+    goals_deg: where each servo is trying to be, or would with torque on; NaN when it did not say.
     torque_on: whether the servo holds its goal by force.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error

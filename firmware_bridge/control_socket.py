@@ -21,7 +21,7 @@ class StopLevel(StrEnum):
     """How a face comes to its end."""
 
     SOFT = "soft"  # ease to neutral, then let go
-    FREEZE = "freeze"  # stay, held
+    FREEZE = "freeze"  # stay, held, until another level is asked for
     LIMP = "limp"  # let go now
 
 

@@ -240,3 +240,12 @@ def test_voltage_and_warmth_are_heard_in_turns():
 
     np.testing.assert_allclose(health.voltage_v, 5.0, atol=0.11)
     np.testing.assert_allclose(health.room_degc, 45.0)
+
+
+def test_a_goal_that_was_not_read_back_does_not_count_as_verified():
+    face = MemoryFace(2, faults=[Fault("silence", servos=(1,), at_s=(1.0,))])
+    with face.bus:
+        face.clock.sleep_until(1.5)
+        face.bus.write_positions(np.zeros(2))
+
+        assert np.isnan(face.bus.read().goals_deg).tolist() == [False, True]

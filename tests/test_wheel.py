@@ -42,6 +42,8 @@ def test_the_wheel_holds_data_and_no_top_level_config(wheel):
         "calibration", "firmware_bridge", "lipservo", "lipsync",
     }  # fmt: skip
     for needed in (
+        "firmware_bridge/dynamixel/control_tables.yaml",
+        "lipservo/config/lipservo.service",
         "lipservo/config/face_sim.yaml",
         "lipservo/config/face_sim.calibration.yaml",
         "lipservo/clips/welcome.flac",

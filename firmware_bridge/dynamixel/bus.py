@@ -141,13 +141,16 @@ class DynamixelBus:
         for status in held:
             self._known.torque[self._index[status.servo_id]] = status.data != b"\0"
         now_s = line.transport.clock.now()
+        ages_s = self._known.ages(found, now_s)
+        # A goal counts as read only when it was: whoever arms relies on it.
+        goals = np.where(ages_s > 0.0, np.nan, self._known.goals)
         return Readings(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._known.pulses),
-            goals_deg=self._mounting.joint_deg(self._known.goals),
+            goals_deg=self._mounting.joint_deg(goals),
             torque_on=self._known.torque.copy(),
             errors=self._known.errors.copy(),
-            age_s=self._known.ages(found, now_s),
+            age_s=ages_s,
         )
 
     def feedback(self) -> Feedback:

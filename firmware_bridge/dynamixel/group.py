@@ -12,10 +12,11 @@ _SUSPECT_AFTER: Final = 2
 _ABSENT_AFTER: Final = 5
 _RETRY_EVERY: Final = 200
 #: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
-#: servo gets a frame of its own again; after a while the fast way is tried once more.
-_BAD_FAST_READS: Final = 3
+#: servo gets a frame of its own again. After a while the fast way is tried once more; after each
+#: relapse the while is twice as long.
+_BAD_FAST_READS: Final = 2
 _FAST_WINDOW: Final = 100
-_SLOW_FOR: Final = 1_000
+_SLOW_FOR: Final = 2_000
 
 
 class SpanGroup:
@@ -34,6 +35,7 @@ class SpanGroup:
         self.answers: list[Status] = []
         self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
         self._n_asked = self._n_bad = self._slow_until = 0
+        self._slow_for = _SLOW_FOR
         self._prepare()
 
     @property
@@ -90,7 +92,8 @@ class SpanGroup:
         self._n_bad += 1
         if self._n_bad >= _BAD_FAST_READS:
             self._n_bad = 0
-            self._slow_until = self._n_asked + _SLOW_FOR
+            self._slow_until = self._n_asked + self._slow_for
+            self._slow_for *= 2
 
     def _prepare(self, *, retry: bool = False) -> None:
         """Put the suspects last and leave the absent out, unless it is time to try them."""

@@ -185,11 +185,13 @@ class Line:
 
     def _send(self, request: bytes) -> float:
         """When the last byte will be on the wire; our own bytes queue up and need no waiting."""
-        clock = self._clock
-        if clock.now() < self._quiet_s:
-            clock.sleep_until(self._quiet_s)
+        now_s = self._clock.now()
+        if now_s < self._quiet_s:
+            self._clock.sleep_until(self._quiet_s)
+            now_s = self._clock.now()
         self.transport.write(request)
-        self._sent_s = max(clock.now(), self._sent_s) + len(request) * self.byte_s
+        begin_s = now_s if now_s > self._sent_s else self._sent_s
+        self._sent_s = begin_s + len(request) * self.byte_s
         return self._sent_s
 
     def _converse(

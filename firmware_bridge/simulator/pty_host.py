@@ -20,6 +20,8 @@ _RATES: Final = {
 #: How long the loop sleeps at most, so that scripted faults and a stop are noticed.
 _LONGEST_SLEEP_S: Final = 0.05
 _CHUNK: Final = 65_536
+#: Motors are not moved on when a reply is due within this: it would be late.
+_BUSY_S: Final = 0.001
 
 
 class PtyHost:
@@ -42,13 +44,16 @@ class PtyHost:
         """Serve until `stopped` says so; readable bytes on `wake_fd` make it ask at once."""
         while not stopped():
             now_s = time.monotonic() - self._zero_s
-            self._chain.advance(now_s)
-            self._mind_the_plug()
-            if self._master < 0:
-                time.sleep(_LONGEST_SLEEP_S / 10)
+            wait_s = self._chain.next_delivery_s - now_s
+            if wait_s > _BUSY_S:  # nothing to say soon: time for everything else
+                self._chain.advance(now_s)
+                self._mind_the_plug()
+                if self._master < 0:
+                    time.sleep(_LONGEST_SLEEP_S / 10)
+                    continue
+            elif wait_s <= 0.0:
+                self._deliver(now_s)
                 continue
-            self._deliver(now_s)
-            wait_s = self._chain.next_delivery_s - (time.monotonic() - self._zero_s)
             watched = [self._master] if wake_fd is None else [self._master, wake_fd]
             ready = select.select(watched, [], [], min(max(wait_s, 0.0), _LONGEST_SLEEP_S))[0]
             if self._master in ready:

@@ -192,7 +192,9 @@ def speech_process(
 
 def stop(
     limp: Annotated[bool, typer.Option("--limp", help="Let go at once, wherever it is.")] = False,
-    freeze: Annotated[bool, typer.Option("--freeze", help="Stay where it is, held.")] = False,
+    freeze: Annotated[
+        bool, typer.Option("--freeze", help="Stay where it is, held, until the next stop.")
+    ] = False,
     control: Control = None,
     as_json: Json = False,
 ) -> None:
