@@ -7,9 +7,11 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import ServoBus, ServoError
+from firmware_bridge.bus import BusError, PortGone, ServoBus, ServoError
+from firmware_bridge.care import ServoCare, ServoState
 from firmware_bridge.channel import TargetTrack
 from firmware_bridge.clock import Clock, ticks
+from firmware_bridge.coupling import PreventRule
 from firmware_bridge.joints import Joint
 from firmware_bridge.safety import (
     EASE_PEAK_SLOPE,
@@ -30,10 +32,15 @@ _EASE_S = 0.5
 _EASE_LIMIT_S = 2.0
 
 
+#: First wait before a lost port is tried again, and the longest; it doubles in between.
+_RETRY_S, _LONGEST_RETRY_S = 0.1, 0.5
+
+
 class _State(Enum):
     STOPPED = auto()  # limp until armed
     RUNNING = auto()  # torque on, goals sent
     LIMP = auto()  # speech fell silent; arms itself again at the next fresh target
+    UNPLUGGED = auto()  # the port is gone; opened and armed again as soon as it is back
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +81,16 @@ class BridgeStatus:
     n_not_armed: int
     n_rejected_targets: int
     gate: GateCounts
+    n_unplugged: int
+    servo_states: tuple[ServoState, ...]
 
 
 class Bridge:
     """Turns targets into goals on a bus that its caller has opened.
 
-    Limp until `arm()`. Every method raises BusError when the bus fails; the bus goes limp on
-    leaving its `with` block, whatever happened.
+    Limp until `arm()`. A servo in trouble is left out and looked after while the others go on; a
+    port that goes is waited for. Raises ServoError when a critical servo has failed for good. The
+    bus goes limp on leaving its `with` block, whatever happened.
     """
 
     def __init__(
@@ -91,15 +101,28 @@ class Bridge:
         *,
         rate_hz: float,
         stale: StaleRule | None = None,
+        prevent: Sequence[PreventRule] = (),
+        tolerant: bool = False,
+        dry_run: bool = False,
     ) -> None:
-        """`rate_hz` is the nominal rate of `tick`; joints and targets share their order."""
+        """`rate_hz` is the nominal rate of `tick`; joints and targets share their order.
+
+        tolerant: `arm` wakes the servos that are willing, not all or none.
+        dry_run: servos are read and looked after, but never get torque or goals.
+        """
         self._bus = bus
         self._joints = tuple(joints)
         self._channel = channel
         self._rate_hz = rate_hz
         self._stale = StaleRule() if stale is None else stale
         self._track = TargetTrack(len(self._joints))
-        self._limiter = Limiter(self._joints, period_s=1.0 / rate_hz)
+        self._limiter = Limiter(self._joints, period_s=1.0 / rate_hz, prevent=prevent)
+        self._care = ServoCare(self._joints)
+        self._tolerant = tolerant
+        self._dry_run = dry_run
+        self._scale = np.ones(len(self._joints))
+        self._retry_at_s = self._retry_wait_s = 0.0
+        self._n_unplugged = 0
         self._state = _State.STOPPED
         self._held_deg = np.zeros(len(self._joints))
         self._no_hits = np.zeros(len(self._joints), dtype=np.bool_)
@@ -118,23 +141,52 @@ class Bridge:
             n_not_armed=self._n_not_armed,
             n_rejected_targets=self._track.n_rejected,
             gate=self._limiter.counts,
+            n_unplugged=self._n_unplugged,
+            servo_states=tuple(ServoState(state) for state in self._care.states.tolist()),
         )
 
     def arm(self) -> None:
         """Switch torque on without a jump: every servo is first told to stay where it is.
 
-        Raises ServoError, all limp, when a servo did not answer or refuses to hold its place.
+        Raises ServoError, all limp, when a servo did not answer or refuses to hold its place;
+        tolerant, only when none is willing or a critical one is not.
         """
         self.stop()
+        if self._dry_run:
+            return
+        if self._tolerant:
+            self._arm_the_willing()
+            return
         present_deg = self._bus.read().positions_deg
         self._bus.write_positions(present_deg)
         readings = self._bus.read()
         _check_held(self._joints, present_deg, readings.goals_deg)
-        self._limiter.start_from(present_deg, readings.time_s)
-        self._held_deg = present_deg
-        self._heard_s = readings.time_s
-        self._was_spoken_to = False
         self._bus.set_torque(True)
+        for index in range(len(self._joints)):
+            self._care.woke(index, willing=True, time_s=readings.time_s)
+        self._start_from(present_deg, readings.time_s)
+
+    def _arm_the_willing(self) -> None:
+        """Wake one servo after another; those that will not are looked after later."""
+        present_deg = np.nan_to_num(self._bus.read().positions_deg)
+        time_s = 0.0
+        for index, joint in enumerate(self._joints):
+            willing = self._bus.wake(index)
+            time_s = self._bus.feedback().time_s
+            self._care.woke(index, willing=willing, time_s=time_s)
+            if joint.critical and not willing:
+                self._bus.set_torque(False)
+                raise ServoError(f"critical {_named(joint)} is not willing; run `lipservo doctor`")
+        if not self._care.driven.any():
+            raise ServoError("no servo is willing to hold its place; run `lipservo doctor`")
+        present_deg = np.nan_to_num(self._bus.feedback().positions_deg)
+        self._start_from(present_deg, time_s)
+
+    def _start_from(self, present_deg: NDArray[np.float64], time_s: float) -> None:
+        self._limiter.start_from(present_deg, time_s)
+        self._held_deg = present_deg
+        self._heard_s = time_s
+        self._was_spoken_to = False
         self._state = _State.RUNNING
         self._n_armed += 1
 
@@ -146,7 +198,17 @@ class Bridge:
         """
         self._n_ticks += 1
         self._n_late += late
-        self._listen(time_s)
+        if self._state is _State.UNPLUGGED:
+            self._plug_in(time_s)
+        try:
+            self._listen(time_s)
+            return self._drive(time_s, late)
+        except PortGone:
+            self._unplug(time_s)
+            return self._report(time_s, late, self._held_deg, self._nothing_sent())
+
+    def _drive(self, time_s: float, late: int) -> TickReport:
+        """Choose and send the goals, then hear how the servos are."""
         silence_s = max(0.0, time_s - self._heard_s)
         level = self._stale.level(silence_s)
         if level is StaleLevel.LIMP and self._state is _State.RUNNING:
@@ -156,15 +218,63 @@ class Bridge:
         limited = self._nothing_sent()
         if self._state is _State.RUNNING:
             self._n_stale += self._was_spoken_to and level is not StaleLevel.FRESH
-            limited = self._limiter.apply(wanted_deg, time_s)
-            self._bus.write_positions(limited.positions_deg)
+            limited = self._limiter.apply(wanted_deg * self._scale, time_s)
+            self._bus.write_positions(self._driven_only(limited.positions_deg))
+            self._look_after(time_s)
+        elif self._dry_run:
+            self._limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
+            self._bus.look_after()
+            limited = self._nothing_sent()
+        return self._report(time_s, late, wanted_deg, limited)
+
+    def _driven_only(self, goals_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+        """NaN, which no bus sends, for servos that are being looked after."""
+        driven = self._care.driven
+        return goals_deg if driven.all() else np.where(driven, goals_deg, np.nan)
+
+    def _look_after(self, time_s: float) -> None:
+        """Hear everybody, treat one at most; an awakened one starts from where it stands."""
+        feedback = self._bus.feedback()
+        health = self._bus.look_after()
+        self._scale = self._care.scale(feedback, health)
+        woken = self._care.look(health, time_s, self._bus)
+        if woken is not None:
+            self._limiter.start_one(woken, float(self._bus.read().positions_deg[woken]))
+        lost = self._care.lost_critical
+        if lost is not None:
+            self.stop()
+            raise ServoError(f"critical {_named(self._joints[lost])} has failed; all is limp")
+
+    def _unplug(self, time_s: float) -> None:
+        self._state = _State.UNPLUGGED
+        self._care.lose_all(time_s)
+        self._n_unplugged += 1
+        self._retry_wait_s = _RETRY_S
+        self._retry_at_s = time_s + _RETRY_S
+
+    def _plug_in(self, time_s: float) -> None:
+        """Try the port again, ever more patiently; arm whoever is willing once it is back."""
+        if time_s < self._retry_at_s:
+            return
+        try:
+            self._bus.reopen()
+            self._bus.set_torque(False)
+            self._arm_the_willing()
+        except BusError:
+            self._retry_wait_s = min(2.0 * self._retry_wait_s, _LONGEST_RETRY_S)
+            self._retry_at_s = time_s + self._retry_wait_s
+
+    def _report(
+        self, time_s: float, late: int, wanted_deg: NDArray[np.float64], limited: Limited
+    ) -> TickReport:
+        silence_s = max(0.0, time_s - self._heard_s)
         return TickReport(
             time_s=time_s,
             late=late,
             wanted_deg=wanted_deg,
             sent_deg=limited.positions_deg,
             target_age_s=silence_s,
-            stale=level,
+            stale=self._stale.level(silence_s),
             torque_on=self._state is _State.RUNNING,
             range_hits=limited.range_hits,
             rate_hits=limited.rate_hits,
@@ -180,13 +290,21 @@ class Bridge:
         try:
             if self._state is _State.RUNNING:
                 self._ease(clock)
+        except PortGone:
+            self._state = _State.UNPLUGGED
         finally:
-            self.stop()
+            if self._state is not _State.UNPLUGGED:
+                self.stop()
 
     def stop(self) -> None:
         """Let every joint go limp now, and until `arm()`."""
         self._state = _State.STOPPED
         self._bus.set_torque(False)
+
+    def freeze(self) -> None:
+        """Let every joint stay where it is, held, and until `arm()`."""
+        self._state = _State.STOPPED
+        self._bus.write_positions(self._driven_only(self._bus.feedback().positions_deg))
 
     def _listen(self, time_s: float) -> None:
         """Take what the speech side sent; wake a limp face when some of it is fresh."""
@@ -215,13 +333,14 @@ class Bridge:
             elapsed_s = time_s - start_s
             wanted_deg = start_deg * (1.0 - ease(elapsed_s / duration_s))
             sent_deg = self._limiter.apply(wanted_deg, time_s).positions_deg
-            self._bus.write_positions(sent_deg)
+            self._bus.write_positions(self._driven_only(sent_deg))
             at_rest = elapsed_s >= duration_s and not sent_deg.any()
             if at_rest or elapsed_s >= _EASE_LIMIT_S:
                 return
 
     def _nothing_sent(self) -> Limited:
-        return Limited(self._limiter.sent_deg, self._no_hits, self._no_hits, self._no_hits)
+        none = self._no_hits
+        return Limited(self._limiter.sent_deg, none, none, none, none)
 
 
 def _check_held(
@@ -229,7 +348,7 @@ def _check_held(
 ) -> None:
     """Raise ServoError for the first servo whose goal is not where it stands."""
     for joint, stands_deg, goal_deg in zip(joints, present_deg, goals_deg, strict=True):
-        servo = f"servo {joint.name!r} (id {joint.servo_id})"
+        servo = _named(joint)
         if np.isnan(stands_deg):
             raise ServoError(f"{servo} does not answer; check its power and cable")
         if not abs(goal_deg - stands_deg) <= _ENCODER_STEP_DEG:
@@ -237,3 +356,7 @@ def _check_held(
                 f"{servo} stands at {stands_deg:.1f} deg and will not hold there; move it into "
                 f"{joint.min_deg:g}..{joint.max_deg:g} deg by hand"
             )
+
+
+def _named(joint: Joint) -> str:
+    return f"servo {joint.name!r} (id {joint.servo_id})"

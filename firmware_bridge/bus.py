@@ -3,11 +3,13 @@
 The exceptions::
 
     BusError
-    ├── PortError     nobody can be talked to
-    └── ServoError    one servo cannot do what is asked of it
+    ├── PortError       nobody can be talked to
+    │   └── PortGone    the port was there and is not any more; it may come back
+    └── ServoError      one servo cannot do what is asked of it
 
 Example scenarios: the adapter is unplugged, its port is held by another program or not permitted,
-or the bus is used outside its `with` block (PortError); a servo stands outside its own range and
+or the bus is used outside its `with` block (PortError); the plug is pulled in mid-sentence
+(PortGone); a servo stands outside its own range and
 refuses the goal that would hold it there (ServoError).
 
 What a single servo reports in passing (a refused goal, a lost answer) is data in `Readings`, not an
@@ -20,6 +22,8 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.health import Feedback, Health
+
 
 class BusError(Exception):
     """The servos cannot be moved or read."""
@@ -27,6 +31,10 @@ class BusError(Exception):
 
 class PortError(BusError):
     """The way to all servos is closed: absent, busy, not permitted, gone, or not yet opened."""
+
+
+class PortGone(PortError):  # noqa: N818 - a state of the port, as PortError's other cases are
+    """The port was open and has failed: unplugged, or reset by the computer."""
 
 
 class ServoError(BusError):
@@ -42,6 +50,7 @@ class Readings:
     torque_on: whether the servo holds its goal by force.
     errors: number in the last status packet, 0 = none;
         https://emanual.robotis.com/docs/en/dxl/protocol2/#error
+    age_s: how old each servo's part is; 0 = asked and answered just now, infinity = never.
     """
 
     time_s: float
@@ -49,6 +58,12 @@ class Readings:
     goals_deg: NDArray[np.float64]
     torque_on: NDArray[np.bool_]
     errors: NDArray[np.uint8]
+    age_s: NDArray[np.float64]
+
+    @property
+    def missing(self) -> NDArray[np.bool_]:
+        """Which servos did not answer this time, (n_servos,)."""
+        return self.age_s > 0.0
 
 
 class ServoBus(Protocol):
@@ -72,7 +87,25 @@ class ServoBus(Protocol):
         """
 
     def read(self) -> Readings:
-        """Ask every servo where it stands."""
+        """Ask every servo where it stands, where it is going, and whether it holds."""
+
+    def feedback(self) -> Feedback:
+        """Ask every servo where it stands: the short question of every tick."""
+
+    def look_after(self) -> Health:
+        """Ask one servo, the next in turn, how it is; what is known of all."""
+
+    def wake(self, index: int) -> bool:
+        """Let one limp servo hold the place where it stands; whether it now does."""
+
+    def relax(self, index: int) -> None:
+        """Let one servo go limp."""
+
+    def reboot(self, index: int) -> None:
+        """Restart one servo: clears its hardware error; it comes back limp."""
+
+    def reopen(self) -> None:
+        """Open the port again after PortGone; all servos are limp or stopped by themselves."""
 
     def __enter__(self) -> Self: ...
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 class Joint:
     """One servo-driven joint, in joint degrees: 0 = its neutral, between the two limits.
 
-    Raises ValueError unless min_deg <= 0 <= max_deg and max_speed_deg_s > 0, all finite.
+    max_acceleration_deg_s2: infinite = not limited. critical: without it the whole face stops.
+    Raises ValueError unless min_deg <= 0 <= max_deg, max_speed_deg_s > 0, all finite, and
+    max_acceleration_deg_s2 > 0.
     """
 
     name: str
@@ -16,6 +18,8 @@ class Joint:
     min_deg: float
     max_deg: float
     max_speed_deg_s: float
+    max_acceleration_deg_s2: float = math.inf
+    critical: bool = False
 
     def __post_init__(self) -> None:
         if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:
@@ -26,4 +30,9 @@ class Joint:
         if not 0.0 < self.max_speed_deg_s < math.inf:
             raise ValueError(
                 f"joint {self.name!r}: max_speed_deg_s must be positive, got {self.max_speed_deg_s}"
+            )
+        if not self.max_acceleration_deg_s2 > 0.0:
+            raise ValueError(
+                f"joint {self.name!r}: max_acceleration_deg_s2 must be positive, "
+                f"got {self.max_acceleration_deg_s2}"
             )

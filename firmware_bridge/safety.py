@@ -11,6 +11,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.braking import AccelerationLimit
+from firmware_bridge.coupling import Prevention, PreventRule
 from firmware_bridge.joints import Joint
 
 #: Rounding of float64 arithmetic is no violation; a servo's own step is 0.088 deg.
@@ -28,6 +30,7 @@ class Limited:
     range_hits: NDArray[np.bool_]
     rate_hits: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
+    prevented: NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,16 +40,19 @@ class GateCounts:
     range_hits: NDArray[np.int64]
     rate_hits: NDArray[np.int64]
     rejected: NDArray[np.int64]
+    prevented: NDArray[np.int64]
 
 
 class Limiter:
-    """Keeps every goal finite, in range, and within reach of the last one sent.
+    """Keeps every goal finite, in range, within reach of the last one sent, and out of harm.
 
     `period_s` is the loop's nominal period. Start it where the joints stand; a joint that starts
     outside its range is led back into it no faster than it may move.
     """
 
-    def __init__(self, joints: Sequence[Joint], period_s: float) -> None:
+    def __init__(
+        self, joints: Sequence[Joint], period_s: float, prevent: Sequence[PreventRule] = ()
+    ) -> None:
         n_joints = len(joints)
         self._min_deg = np.array([joint.min_deg for joint in joints])
         self._max_deg = np.array([joint.max_deg for joint in joints])
@@ -57,6 +63,10 @@ class Limiter:
         self._range_hits = np.zeros(n_joints, dtype=np.int64)
         self._rate_hits = np.zeros(n_joints, dtype=np.int64)
         self._rejected = np.zeros(n_joints, dtype=np.int64)
+        self._prevented = np.zeros(n_joints, dtype=np.int64)
+        accelerations = np.array([joint.max_acceleration_deg_s2 for joint in joints])
+        self._acceleration = AccelerationLimit(accelerations, self._max_speed_deg_s)
+        self._prevention = Prevention(prevent, n_joints)
 
     @property
     def sent_deg(self) -> NDArray[np.float64]:
@@ -66,7 +76,12 @@ class Limiter:
     @property
     def counts(self) -> GateCounts:
         """How often each kind of limit was hit so far."""
-        return GateCounts(self._range_hits.copy(), self._rate_hits.copy(), self._rejected.copy())
+        return GateCounts(
+            self._range_hits.copy(),
+            self._rate_hits.copy(),
+            self._rejected.copy(),
+            self._prevented.copy(),
+        )
 
     def start_from(self, positions_deg: NDArray[np.float64], time_s: float) -> None:
         """Take the joints' present positions, (n_joints,), as sent.
@@ -77,12 +92,23 @@ class Limiter:
             raise ValueError(f"cannot start from {positions_deg}: one finite angle a joint, please")
         self._sent_deg = positions_deg.copy()
         self._sent_at_s = time_s
+        self._acceleration.rest_at(positions_deg)
+
+    def start_one(self, index: int, position_deg: float) -> None:
+        """Take one joint's present position as sent. Raises ValueError unless it is finite."""
+        if not np.isfinite(position_deg):
+            raise ValueError(f"cannot start from {position_deg}")
+        self._sent_deg = self._sent_deg.copy()
+        self._sent_deg[index] = position_deg
+        self._acceleration.rest_one(index, position_deg)
 
     def apply(self, positions_deg: NDArray[np.float64], time_s: float) -> Limited:
         """Choose the goals to send at `time_s` when `positions_deg` is wanted.
 
         Not finite: the joint stays at its last goal; a wrong shape makes every joint stay.
-        Then the range, then the step from the last goal: at most top speed times the time since.
+        Then the range; then the step from the last goal: at most top speed times the time since,
+        and no faster change of speed than the joint may make; then the rules between joints, for
+        which a step is cut short, whatever that does to its acceleration.
         Never raises: on the live path a held mouth is better than a stopped loop.
         """
         if positions_deg.shape == self._sent_deg.shape:
@@ -92,21 +118,32 @@ class Limiter:
             positions_deg = self._sent_deg
         wanted_deg = np.where(finite, positions_deg, self._sent_deg)
         in_range_deg = np.clip(wanted_deg, self._min_deg, self._max_deg)
-        elapsed_s = min(max(0.0, time_s - self._sent_at_s), self._longest_step_s)
+        since_s = max(0.0, time_s - self._sent_at_s)
+        if since_s > self._longest_step_s * (1.0 + 1e-6):
+            self._acceleration.rest_at(self._sent_deg)
+        elapsed_s = min(since_s, self._longest_step_s)
         step_deg = self._max_speed_deg_s * elapsed_s
-        sent_deg = np.clip(in_range_deg, self._sent_deg - step_deg, self._sent_deg + step_deg)
+        reached_deg = self._acceleration.step(
+            self._sent_deg, in_range_deg, self._min_deg, self._max_deg, elapsed_s
+        )
+        reached_deg = np.clip(reached_deg, self._sent_deg - step_deg, self._sent_deg + step_deg)
+        sent_deg = self._prevention.cut(self._sent_deg, reached_deg)
+        self._acceleration.sent(self._sent_deg, sent_deg, elapsed_s)
 
         limited = Limited(
             positions_deg=sent_deg,
             range_hits=np.abs(in_range_deg - wanted_deg) > _SAME_DEG,
-            rate_hits=np.abs(sent_deg - in_range_deg) > _SAME_DEG,
+            rate_hits=np.abs(reached_deg - in_range_deg) > _SAME_DEG,
             rejected=~finite,
+            prevented=np.abs(sent_deg - reached_deg) > _SAME_DEG,
         )
         self._range_hits += limited.range_hits
         self._rate_hits += limited.rate_hits
         self._rejected += limited.rejected
+        self._prevented += limited.prevented
         self._sent_deg = sent_deg
-        self._sent_at_s = time_s
+        # Never back in time: arming takes longer than the tick it happens in.
+        self._sent_at_s = max(self._sent_at_s, time_s)
         return limited
 
 

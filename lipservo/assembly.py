@@ -1,7 +1,9 @@
 """Puts a street together from files: face, model, calibration, recogniser, bus."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from calibration.calibration import Calibration, check_calibration
 from calibration.calibration_file import parse_calibration
@@ -10,13 +12,21 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
-from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.targets import TargetChannel
 from lipservo.pipeline import Speech, Street
+from lipservo.servos import bus_for, prevent_rules
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.ladder import RecognizerLadder, Rung
+
+#: Which recogniser is tried first.
+Engine = Literal["network", "pocketsphinx"]
+#: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
+LATENCY_S = 0.095
+_POCKETSPHINX_LATENCY_S = 0.09
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,23 +66,91 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     return Face(settings, model, whole, settings.joints())
 
 
+def at_port(face: Face, port: str | None) -> Face:
+    """The same face with its servos at a serial port; None: where its YAML says."""
+    return face if port is None else replace(face, settings=settings_at_port(face.settings, port))
+
+
+def settings_at_port(settings: FaceSettings, port: str) -> FaceSettings:
+    """The same face with its servos at a serial port."""
+    bus = settings.bus.model_copy(update={"kind": "dynamixel", "port": port})
+    return settings.model_copy(update={"bus": bus})
+
+
 def make_bus(face: Face, clock: Clock) -> ServoBus:
     """The bus that the face's YAML asks for; use it as a context manager."""
-    return SimulatedBus(face.joints, clock)
+    return bus_for(face.settings, clock)
 
 
 def make_street(
-    face: Face, source: AudioSource, bus: ServoBus, rate_hz: float, zero_s: float
+    face: Face,
+    source: AudioSource,
+    bus: ServoBus,
+    rate_hz: float,
+    zero_s: float,
+    *,
+    recognizer: LiveRecognizer | None = None,
+    dry_run: bool = False,
 ) -> Street:
-    """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
+    """Everything between an entered source and an entered bus; the sound begins at `zero_s`.
+
+    recognizer: None for the default one.
+    """
     channel = MemoryTargetChannel()
+    speech = make_speech(face, source, channel, recognizer)
+    prevent = prevent_rules(face.settings)
+    bridge = Bridge(bus, face.joints, channel, rate_hz=rate_hz, prevent=prevent, dry_run=dry_run)
+    return Street(speech, bridge, zero_s)
+
+
+def make_speech(
+    face: Face,
+    source: AudioSource,
+    channel: TargetChannel,
+    recognizer: LiveRecognizer | None = None,
+) -> Speech:
+    """The speech side between an entered source and a channel to the bridge.
+
+    recognizer: None for the default one.
+    """
     synthesizer = PublishedSynthesizer(face.model)
-    speech = Speech(source, make_recognizer(), synthesizer, face.calibration, channel)
-    return Street(speech, Bridge(bus, face.joints, channel, rate_hz=rate_hz), zero_s)
+    recognizer = make_recognizer() if recognizer is None else recognizer
+    return Speech(source, recognizer, synthesizer, face.calibration, channel)
 
 
-def make_recognizer() -> LiveRecognizer:
-    """The live recogniser."""
+def make_recognizer(
+    engine: Engine = "network", timer_s: Callable[[], float] | None = None
+) -> RecognizerLadder:
+    """The live recogniser, from the engine's rung of the ladder down.
+
+    timer_s: a clock in seconds, to see that a rung takes longer than the sound lasts; None where
+    nobody waits for it.
+    """
+    first = [rung.name for rung in _RUNGS].index(engine)
+    return RecognizerLadder(_RUNGS[first:], LATENCY_S, timer_s)
+
+
+def _network() -> LiveRecognizer:
+    from lipsync.recognition.live import NetworkRecognizer
+    from lipsync.recognition.weights import load_shipped_weights
+
+    return NetworkRecognizer(load_shipped_weights(), LATENCY_S)
+
+
+def _pocketsphinx() -> LiveRecognizer:
     from lipsync.recognition.allphone import PocketsphinxRecognizer
 
-    return PocketsphinxRecognizer()
+    return PocketsphinxRecognizer(_POCKETSPHINX_LATENCY_S)
+
+
+def _loudness() -> LiveRecognizer:
+    from lipsync.recognition.loudness import LoudnessRecognizer
+
+    return LoudnessRecognizer()
+
+
+_RUNGS = (
+    Rung("network", _network),
+    Rung("pocketsphinx", _pocketsphinx),
+    Rung("loudness", _loudness),
+)

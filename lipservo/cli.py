@@ -5,7 +5,17 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
-from lipservo.commands import bench, calibration, street, training
+from lipservo.commands import (
+    bench,
+    bench_recognition,
+    builder,
+    calibration,
+    processes,
+    recognition,
+    sim_bus,
+    street,
+    training,
+)
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -22,11 +32,23 @@ for command in (
     street.devices,
     training.train,
     calibration.calibrate,
+    recognition.align,
+    recognition.recognize,
+    recognition.train_recognizer,
 ):
     app.command()(command)
+bench.app.command("recognition")(bench_recognition.recognition)
+bench.app.command("listening")(bench_recognition.listening)
+app.command("sim-bus")(sim_bus.sim_bus)
+app.command("doctor")(builder.doctor)
+app.command("jog")(builder.jog)
+app.command("neutral")(builder.neutral)
+app.command("setup-servos")(builder.setup_servos)
+app.command("new-face")(builder.new_face)
+app.command("bridge-process", hidden=True)(processes.bridge_process)
+app.command("speech-process", hidden=True)(processes.speech_process)
+app.command("stop")(processes.stop)
 app.add_typer(bench.app, name="bench")
-
-_INTERRUPTED = 130
 
 
 def main() -> None:
@@ -37,8 +59,6 @@ def main() -> None:
         for line in str(error).splitlines():
             sys.stderr.write(f"lipservo: {line}\n")
         sys.exit(1)
-    except KeyboardInterrupt:
-        sys.exit(_INTERRUPTED)
 
 
 def _with_default_microphone(arguments: list[str]) -> list[str]:

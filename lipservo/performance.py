@@ -5,11 +5,19 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
-from lipservo.assembly import Face, assemble_face, make_bus, make_street
+from lipservo.assembly import (
+    Engine,
+    Face,
+    assemble_face,
+    at_port,
+    make_bus,
+    make_recognizer,
+    make_street,
+)
 from lipservo.commands.options import MESSAGES
 from lipservo.daemon import play
 from lipservo.pipeline import Street, TickObserver
@@ -26,6 +34,8 @@ class Performance:
     """What the user asked for, apart from the sound.
 
     live: draw the face in the terminal; endless: go on in silence when the source is over.
+    port: speak to the servos there instead of where the face's YAML says.
+    dry_run: read the servos, never switch torque on.
     """
 
     config: str
@@ -35,16 +45,24 @@ class Performance:
     live: bool
     quiet: bool
     endless: bool = False
+    engine: Engine = "network"
+    port: str | None = None
+    dry_run: bool = False
 
     def play(self, source: AudioSource, clock: Clock, stop: threading.Event) -> Summary:
         """Play an entered source to its end or until stopped; the face is limp afterwards."""
         began_s = time.perf_counter()
-        face = assemble_face(self.config, self.model)
+        face = at_port(assemble_face(self.config, self.model), self.port)
         rate_hz = face.settings.rate_hz if self.rate_hz is None else self.rate_hz
         length_s = math.inf if self.endless or source.duration_s is None else source.duration_s
         with make_bus(face, clock) as bus:
             zero_s = clock.now()
-            street = make_street(face, source, bus, rate_hz, zero_s)
+            # On a clock of its own nobody waits, and the same file must give the same trace.
+            timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
+            recognizer = make_recognizer(self.engine, timer_s)
+            street = make_street(
+                face, source, bus, rate_hz, zero_s, recognizer=recognizer, dry_run=self.dry_run
+            )
             delay = street.speech.delay
             if not self.quiet:
                 MESSAGES.print(f"delay from sound to face: {delay}")
@@ -61,7 +79,10 @@ class Performance:
                 )
             heard_s = min(length_s, clock.now() - zero_s)
         took_s = time.perf_counter() - began_s
-        return tally.summary(source.name, heard_s, took_s, source.lost_blocks)
+        for reason in recognizer.reasons:
+            MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
+        summary = tally.summary(source.name, heard_s, took_s, source.lost_blocks)
+        return replace(summary, recognizer=recognizer.level)
 
     @contextmanager
     def _observers(

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -18,6 +19,7 @@ from pydantic import (
     model_validator,
 )
 
+from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
 from firmware_bridge.joints import Joint
 from lipservo.mistakes import explain
 from lipservo.strict_yaml import SettingsError, read_mapping
@@ -53,6 +55,13 @@ def _check_sign(value: int) -> int:
     return value
 
 
+def _check_baud_rate(value: int) -> int:
+    known = sorted(baud_rates().values())
+    if value not in known:
+        raise ValueError(f"{value} is no rate of these servos; use one of {known}")
+    return value
+
+
 #: Ids a Dynamixel may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
 ServoId = Annotated[int, _within(0, 252)]
 #: Half a turn to each side is all that position control reaches (control mode 3, one turn).
@@ -60,8 +69,12 @@ Degrees = Annotated[float, _within(-180.0, 180.0)]
 #: The fastest servo below, XL330-M077-T, makes 383 rev/min without load at 5 V (its e-manual page).
 #: Slower than 1 deg/s no mouth speaks, and Ctrl-C would not bring it home.
 Speed = Annotated[float, _within(1.0, 2298.0)]
+#: Top speed within 50 ms at least, or speech is lost; within a millisecond is no limit any more.
+Acceleration = Annotated[float, _within(100.0, 2_000_000.0)]
+Factor = Annotated[float, _within(-1000.0, 1000.0)]
 #: Not a Literal: that would take `true` for 1.
 Sign = Annotated[int, AfterValidator(_check_sign)]
+BaudRate = Annotated[int, AfterValidator(_check_baud_rate)]
 #: 30 Hz is video's pace. Twenty servos at 1 Mbaud can be written and read 187 times a second with
 #: a millisecond for USB (bytes on the wire, fast sync read), ten 298 times; nothing needs more.
 RateHz = Annotated[float, _within(30.0, 200.0)]
@@ -89,16 +102,32 @@ class _Strict(BaseModel):
 
 
 class BusSettings(_Strict):
-    """How the servos are reached."""
+    """How the servos are reached: in memory, or through a serial port."""
 
-    kind: Literal["simulated"] = "simulated"
+    kind: Literal["simulated", "dynamixel"] = "simulated"
+    port: Text | None = None
+    baud_rate: BaudRate = 1_000_000
+
+    @model_validator(mode="after")
+    def _real_servos_have_a_port(self) -> Self:
+        if self.kind == "dynamixel" and self.port is None:
+            raise ValueError("needs `port:`, /dev/serial/by-id/... or /dev/ttyUSB0 for one")
+        return self
+
+
+class PreventSettings(_Strict):
+    """Joints that must not go there together: the sum of factor x angle stays at most `above`."""
+
+    joints: Mapping[JointName, Factor]
+    above: Factor
+    because: Text
 
 
 class ServoSettings(_Strict):
     """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.
 
     `positive` says in a word what a positive angle does. The servo's own angle is
-    sign x (joint angle + zero_offset_deg).
+    sign x (joint angle + zero_offset_deg). critical: without this servo the whole face stops.
     """
 
     id: ServoId
@@ -109,6 +138,8 @@ class ServoSettings(_Strict):
     max_speed_deg_s: Speed
     sign: Sign = 1
     zero_offset_deg: Degrees = 0.0
+    max_acceleration_deg_s2: Acceleration | None = None
+    critical: bool = False
     #: What it moves; only the mouth is calibrated to a talker.
     part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
 
@@ -117,6 +148,22 @@ class ServoSettings(_Strict):
         if not self.min_deg <= 0.0 <= self.max_deg:
             raise ValueError(
                 f"needs min_deg <= 0 <= max_deg, got {self.min_deg:g} and {self.max_deg:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _the_servo_can_do_it(self) -> Self:
+        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
+            servo_deg = self.sign * (angle + self.zero_offset_deg)
+            if not -180.0 <= servo_deg < 180.0:
+                raise ValueError(
+                    f"{name} puts the servo at {servo_deg:g} deg; it reaches -180..180"
+                )
+        fastest = servo_models()[self.model].no_load_deg_s
+        if self.max_speed_deg_s > fastest:
+            raise ValueError(
+                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than an {self.model} makes "
+                f"without load, {fastest:g}"
             )
         return self
 
@@ -129,6 +176,25 @@ class FaceSettings(_Strict):
     servos: Mapping[JointName, ServoSettings]
     bus: BusSettings = BusSettings()
     calibration: CalibrationName | None = None
+    prevent: tuple[PreventSettings, ...] = ()
+
+    @field_validator("prevent", mode="before")
+    @classmethod
+    def _a_list_will_do(cls, rules: object) -> object:
+        return tuple(rules) if isinstance(rules, list) else rules
+
+    @model_validator(mode="after")
+    def _rules_name_known_joints(self) -> Self:
+        known = set(self.servos)
+        for n, rule in enumerate(self.prevent):
+            unknown = sorted(set(rule.joints) - known)
+            if unknown:
+                raise ValueError(
+                    f"prevent.{n} names {unknown[0]!r}, which is no joint of this face"
+                )
+            if rule.above < 0.0:
+                raise ValueError(f"prevent.{n}.above is below 0: neutral itself would be forbidden")
+        return self
 
     @field_validator("servos")
     @classmethod
@@ -172,6 +238,8 @@ class FaceSettings(_Strict):
                 min_deg=servo.min_deg,
                 max_deg=servo.max_deg,
                 max_speed_deg_s=servo.max_speed_deg_s,
+                max_acceleration_deg_s2=servo.max_acceleration_deg_s2 or math.inf,
+                critical=servo.critical,
             )
             for name, servo in self.servos.items()
         )

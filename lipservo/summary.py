@@ -41,7 +41,8 @@ class Summary:
     """The figures of one run, as `--json` prints them.
 
     latency: from the moment a sound is heard to the bus write that shows it; lateness: from a grid
-    tick's time to when it was worked on; speed: sound seconds in a second.
+    tick's time to when it was worked on; speed: sound seconds in a second; recognizer: the rung
+    of the ladder that listened last.
     """
 
     source: str
@@ -63,6 +64,7 @@ class Summary:
     start_to_first_command_s: float
     rss_mb: float
     seconds: float
+    recognizer: str = ""
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""

@@ -50,3 +50,19 @@ def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
         for tier in grid.tiers
         if isinstance(tier, IntervalTier)
     }
+
+
+def write_tiers(path: str | PathLike[str], tiers: dict[str, tuple[Interval, ...]]) -> None:
+    """Write interval tiers as a Praat TextGrid in long form; stretches between are left empty.
+
+    Raises LabelError when the file cannot be written.
+    """
+    grid = textgrid.Textgrid()
+    file_end_s = max((end_s for tier in tiers.values() for _, _, end_s in tier), default=0.0)
+    for name, intervals in tiers.items():
+        entries = [(start_s, end_s, label) for label, start_s, end_s in intervals]
+        grid.addTier(IntervalTier(name, entries, 0.0, file_end_s))
+    try:
+        grid.save(str(path), format="long_textgrid", includeBlankSpaces=True)
+    except OSError as error:
+        raise LabelError(f"{path}: cannot be written ({error.strerror})") from error

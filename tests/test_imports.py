@@ -66,6 +66,21 @@ def test_the_live_path_starts_without_heavy_libraries(module):
     assert answer.stdout.split() == []
 
 
+def test_a_whole_replay_loads_no_training_library():
+    script = (
+        "import sys; sys.argv[1:] = ['replay', 'lipservo/clips/welcome.flac', '-q']\n"
+        "from lipservo.__main__ import main\n"
+        "try:\n    main()\n"
+        "except SystemExit as end:\n    assert not end.code\n"
+        "print(*sorted({'sklearn', 'scipy', 'torch', 'sounddevice'} & set(sys.modules)))"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+
+    assert answer.stdout.split() == []
+
+
 def test_reading_settings_does_not_load_numpy():
     script = "import sys, lipservo.settings; print('numpy' in sys.modules)"
     answer = subprocess.run(

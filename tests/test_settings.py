@@ -140,13 +140,13 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         ("sign: -1", "sign: true", "servos.lip.sign: True is not a whole number"),
         (
             "  kind: simulated",
-            "  kind: simulated\n  port: x",
-            "bus.port: unknown setting; known here: kind",
+            "  kind: simulated\n  speed: x",
+            "bus.speed: unknown setting; known here: kind, port, baud_rate",
         ),
         (
             "kind: simulated",
             "kind: serial",
-            "bus.kind: 'serial' is not known here; use one of simulated",
+            "bus.kind: 'serial' is not known here; use one of simulated, dynamixel",
         ),
         ("rate_hz: 50", "rate_hz: 29.9", "rate_hz: 29.9 is outside 30..200"),
         ("rate_hz: 50", "rate_hz: 201", "rate_hz: 201 is outside 30..200"),
@@ -154,7 +154,7 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         (
             "rate_hz: 50",
             "rate_hz: 50\nvoice: 3",
-            "voice: unknown setting; known here: name, rate_hz, servos, bus, calibration",
+            "voice: unknown setting; known here: name, rate_hz, servos, bus, calibration, prevent",
         ),
         ("name: test face", "name: 3", "name: 3 is not text"),
         ("  jaw:", "  Jaw:", "servos.Jaw: 'Jaw' does not have the form ^[a-z][a-z0-9_]*$"),

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.clock import Clock
+from firmware_bridge.health import Feedback, Health
 from firmware_bridge.joints import Joint
 
 #: XL330-M288-T without load at 5 V: 103 rev/min;
@@ -64,7 +65,7 @@ class SimulatedBus:
         self._positions_deg = np.zeros(n_servos) if start_deg is None else start_deg.copy()
         self._goals_deg = np.zeros(n_servos)
         self._errors = np.zeros(n_servos, dtype=np.uint8)
-        self._torque_on = False
+        self._torque_on = np.zeros(n_servos, dtype=np.bool_)
         self._is_open = False
         self._moved_until_s = clock.now()
         self._history: deque[Motion] = deque(maxlen=n_remembered)
@@ -77,7 +78,7 @@ class SimulatedBus:
     def set_torque(self, on: bool) -> None:
         """Hold the last goals, or let go."""
         self._move()
-        self._torque_on = on
+        self._torque_on = np.full(self._goals_deg.shape, on)
 
     def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
         """Set every goal that is inside its servo's range; NaN is not."""
@@ -98,15 +99,60 @@ class SimulatedBus:
             time_s=self._moved_until_s,
             positions_deg=self._positions_deg,
             goals_deg=self._goals_deg,
-            torque_on=np.full(self._goals_deg.shape, self._torque_on),
+            torque_on=self._torque_on,
             errors=self._errors,
+            age_s=np.zeros(self._goals_deg.shape),
         )
+
+    def feedback(self) -> Feedback:
+        """Every servo, at the clock's present time; no effort is simulated."""
+        self._move()
+        nothing = np.zeros(self._goals_deg.shape)
+        return Feedback(self._moved_until_s, self._positions_deg, nothing, self._errors, nothing)
+
+    def look_after(self) -> Health:
+        """Nothing ever ails these servos."""
+        n_servos = len(self._goals_deg)
+        return Health(
+            silent_s=np.zeros(n_servos),
+            torque_on=self._torque_on,
+            watchdog_tripped=np.zeros(n_servos, dtype=np.bool_),
+            hardware_errors=np.zeros(n_servos, dtype=np.uint8),
+            room_degc=np.full(n_servos, 45.0),
+            voltage_v=np.full(n_servos, 5.0),
+        )
+
+    def wake(self, index: int) -> bool:
+        """Hold the place where it stands, unless that is outside its range."""
+        self._move()
+        place_deg = self._positions_deg[index]
+        if not self._min_deg[index] <= place_deg <= self._max_deg[index]:
+            return False
+        self._goals_deg = self._goals_deg.copy()
+        self._goals_deg[index] = place_deg
+        self._set_torque_of(index, on=True)
+        return True
+
+    def relax(self, index: int) -> None:
+        """Let one servo go limp."""
+        self._move()
+        self._set_torque_of(index, on=False)
+
+    def reboot(self, index: int) -> None:
+        """Restart: limp."""
+        self.relax(index)
+
+    def reopen(self) -> None:
+        """Memory is never unplugged."""
+
+    def _set_torque_of(self, index: int, *, on: bool) -> None:
+        self._torque_on = self._torque_on.copy()
+        self._torque_on[index] = on
 
     def push_by_hand(self, positions_deg: NDArray[np.float64]) -> None:
         """Put limp joints somewhere, (n_servos,), as a person would; held ones do not give."""
         self._move()
-        if not self._torque_on:
-            self._positions_deg = positions_deg.copy()
+        self._positions_deg = np.where(self._torque_on, self._positions_deg, positions_deg)
 
     def __enter__(self) -> Self:
         self._is_open = True
@@ -124,9 +170,10 @@ class SimulatedBus:
         if not self._is_open:
             raise PortError("the bus is used outside its `with` block")
         now_s = self._clock.now()
-        if self._torque_on:
+        if self._torque_on.any():
             reach_deg = self._top_speed_deg_s * (now_s - self._moved_until_s)
-            self._positions_deg = np.clip(
+            moved_deg = np.clip(
                 self._goals_deg, self._positions_deg - reach_deg, self._positions_deg + reach_deg
             )
+            self._positions_deg = np.where(self._torque_on, moved_deg, self._positions_deg)
         self._moved_until_s = now_s

@@ -88,6 +88,58 @@ def calibration(
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 
+@app.command()
+def bus(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Measure the servo bus against the wire and dynamixel-sdk, on simulated servos."""
+    from lipservo import bus_figures as measure
+
+    began_s = time.perf_counter()
+    parts = (
+        measure.cpu_ratios,
+        measure.wire_figures,
+        measure.fault_figures,
+        lambda: {"replug_s": measure.replug_s()},
+    )
+    figures: dict[str, float] = {}
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("bus", total=len(parts))
+        for part in parts:
+            figures |= part()
+            progress.advance(steps)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+@app.command()
+def loop(as_json: Json = False) -> None:
+    """Measure how late the loop begins its ticks while every core is busy."""
+    from lipservo.loop_figures import lateness_figures
+
+    began_s = time.perf_counter()
+    with MESSAGES.status("measuring"):
+        figures = lateness_figures()
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+@app.command()
+def faults(
+    every: Annotated[int, typer.Option(min=1, help="Play only one case in so many.")] = 1,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Play every kind of fault against bridge and bus, on a virtual clock."""
+    from lipservo.fault_figures import campaign_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("faults", total=None)
+
+        def advance(n_done: int, n_cases: int) -> None:
+            progress.update(steps, completed=n_done, total=n_cases)
+
+        figures = campaign_figures(every, advance)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
 def _print(figures: Mapping[str, float], seconds: float, *, as_json: bool) -> None:
     result = {**figures, "machine": machine_class(), "seconds": seconds}
     if as_json:

@@ -10,6 +10,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from lipservo.assembly import Engine
+
 #: Results go to stdout; everything else, progress and logs and complaints, to stderr.
 RESULTS = Console()
 MESSAGES = Console(stderr=True)
@@ -25,6 +27,10 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no messages.")]
 SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out sentences with a bad file, and list them.")
+]
+
+EngineChoice = Annotated[
+    Engine, typer.Option(help="Recogniser to begin with; a worse one takes over where it fails.")
 ]
 
 DEFAULT_FACE = "face_sim"

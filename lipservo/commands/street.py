@@ -8,18 +8,22 @@ from typing import Annotated
 import typer
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
+from lipservo.assembly import load_settings
 from lipservo.commands.options import (
     DEFAULT_FACE,
     MESSAGES,
     RESULTS,
     Config,
+    EngineChoice,
     Json,
     Model,
     Quiet,
     print_json,
 )
+from lipservo.commands.processes import Control, supervise
 from lipservo.daemon import stopped_by_signals
 from lipservo.performance import Performance
+from lipservo.sim_process import servo_port
 from lipservo.summary import Summary, print_summary
 from lipsync.audio.file import FileSource
 from lipsync.audio.silence import SilenceAfter, SilentSource
@@ -47,6 +51,16 @@ Rate = Annotated[
     ),
 ]
 
+Port = Annotated[
+    str | None,
+    typer.Option(help="Serial port of the servos, /dev/ttyUSB0 for one.", show_default=False),
+]
+Sim = Annotated[
+    str | None,
+    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Read the servos, never move them.")]
+
 #: Stopped by Ctrl-C: 128 + SIGINT, as shells count.
 _INTERRUPTED = 130
 
@@ -58,13 +72,31 @@ def run(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    engine: EngineChoice = "network",
+    port: Port = None,
+    sim: Sim = None,
+    dry_run: DryRun = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     quiet = quiet or as_json
-    performance = Performance(config, model, trace, rate_hz, live=not quiet, quiet=quiet)
-    with stopped_by_signals() as stop, _source(wav, mic) as source:
+    with (
+        servo_port(port, sim, config) as at_port,
+        stopped_by_signals() as stop,
+        _source(wav, mic) as source,
+    ):
+        performance = Performance(
+            config,
+            model,
+            trace,
+            rate_hz,
+            live=not quiet,
+            quiet=quiet,
+            port=at_port,
+            dry_run=dry_run,
+            engine=engine,
+        )
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
     if stop.is_set():
@@ -79,11 +111,26 @@ def daemon(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    engine: EngineChoice = "network",
+    port: Port = None,
+    sim: Sim = None,
+    control: Control = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run until stopped; with nothing to hear the mouth rests closed. What a service starts."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=quiet, endless=True)
+    """Run until stopped; with nothing to hear the mouth rests closed. What a service starts.
+
+    With servos at a port, bridge and speech are processes of their own, watched over.
+    """
+    with servo_port(port, sim, config) as at_port:
+        if at_port is None:
+            bus = load_settings(config)[0].bus
+            at_port = bus.port if bus.kind == "dynamixel" else None
+        if at_port is not None:
+            raise typer.Exit(supervise(config, model, at_port, wav, mic, rate_hz, engine, control))
+    performance = Performance(
+        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, engine=engine
+    )
     idle = wav is None and mic is None
     with (
         stopped_by_signals() as stop,
@@ -99,11 +146,12 @@ def replay(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
+    engine: EngineChoice = "network",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True)
+    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, engine=engine)
     with stopped_by_signals() as stop, _source(sound, None) as source:
         summary = performance.play(source, ManualClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)

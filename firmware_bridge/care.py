@@ -1,0 +1,174 @@
+"""Looks after single servos, so that one in trouble does not stop the face.
+
+DRIVEN ──silent, torque lost──▶ WAITING ──answers, wakes──▶ DRIVEN
+   └──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
+                                    └──third time in ten minutes──▶ FAILED, limp for good
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.health import Feedback, HardwareError, Health
+from firmware_bridge.joints import Joint
+
+#: A servo that has not answered for so long has no power or no cable: its goals are withheld.
+SILENT_S: Final = 0.5
+#: After a hardware error the cause needs time to go. Ours.
+_COOL_DOWN_S: Final = 1.0
+#: So far below its limit a servo must be before it works again, degrees.
+_ROOM_TO_WORK_DEGC: Final = 5.0
+#: A restart takes half a second in the simulator; the manual does not say.
+_REBOOT_S: Final = 1.0
+_RETRY_S: Final = 0.5
+#: A third reboot in ten minutes means that something is broken.
+_REBOOTS: Final = 3
+_REBOOT_WINDOW_S: Final = 600.0
+#: Amplitude shrinks over the last degrees below the servo's limit, and with the load's square,
+#: which is what heats a winding: full up to half the stall torque (root mean square).
+_DERATE_FROM_DEGC: Final = 10.0
+_DUTY_S: Final = 60.0
+_DUTY_FULL: Final = 0.25
+_LEAST_SCALE: Final = 0.3
+
+
+class ServoState(IntEnum):
+    """What a servo is doing."""
+
+    DRIVEN = 0
+    WAITING = 1
+    COOLING = 2
+    REBOOTING = 3
+    FAILED = 4
+
+
+class Nurse(Protocol):
+    """The part of a bus that care needs."""
+
+    def wake(self, index: int) -> bool:
+        """Let it hold its place."""
+
+    def relax(self, index: int) -> None:
+        """Let it go limp."""
+
+    def reboot(self, index: int) -> None:
+        """Restart it."""
+
+
+class ServoCare:
+    """One decision a tick, about the servo that needs it most; arrays are (n_servos,)."""
+
+    def __init__(self, joints: Sequence[Joint]) -> None:
+        n = len(joints)
+        self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
+        self._critical = np.array([joint.critical for joint in joints])
+        self._until_s = np.zeros(n)
+        self._reboots: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
+        self._duty = np.zeros(n)
+        self._duty_at_s: float | None = None
+        self._next = 0
+
+    @property
+    def driven(self) -> NDArray[np.bool_]:
+        """Which servos get goals."""
+        return np.asarray(self.states == ServoState.DRIVEN)
+
+    @property
+    def lost_critical(self) -> int | None:
+        """A critical servo that has failed for good, by its index."""
+        lost = np.flatnonzero(self._critical & (self.states == ServoState.FAILED))
+        return int(lost[0]) if len(lost) else None
+
+    def woke(self, index: int, *, willing: bool, time_s: float) -> None:
+        """Note how an attempt to wake a servo went."""
+        self.states[index] = ServoState.DRIVEN if willing else ServoState.WAITING
+        self._until_s[index] = time_s + _RETRY_S
+
+    def lose_all(self, time_s: float) -> None:
+        """The port is gone: nobody is driven."""
+        self.states[self.states != ServoState.FAILED] = ServoState.WAITING
+        self._until_s[:] = time_s
+
+    def scale(self, feedback: Feedback, health: Health) -> NDArray[np.float64]:
+        """By how much each joint's amplitude shrinks, 0.3..1: heat now, and heat to come."""
+        if self._duty_at_s is not None:
+            share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
+            self._duty += share * (feedback.effort**2 - self._duty)
+        self._duty_at_s = feedback.time_s
+        warm = health.room_degc / _DERATE_FROM_DEGC
+        worked = 2.0 - self._duty / _DUTY_FULL
+        return np.clip(np.minimum(warm, worked), _LEAST_SCALE, 1.0)
+
+    def look(self, health: Health, time_s: float, nurse: Nurse) -> int | None:
+        """Act on one servo at most; the index of one that was woken just now."""
+        n = len(self.states)
+        for k in range(n):
+            index = (self._next + k) % n
+            acted, woken = self._treat(index, health, time_s, nurse)
+            if acted:
+                self._next = index + 1
+                return index if woken else None
+        return None
+
+    def _treat(self, i: int, health: Health, time_s: float, nurse: Nurse) -> tuple[bool, bool]:
+        """Whether anything was done, and whether the servo is awake now."""
+        state = self.states[i]
+        if state == ServoState.DRIVEN:
+            return self._check(i, health, time_s, nurse), False
+        if time_s < self._until_s[i] or state == ServoState.FAILED:
+            return False, False
+        if state == ServoState.COOLING:
+            return self._revive(i, health, time_s, nurse), False
+        if state == ServoState.REBOOTING:
+            self.states[i] = ServoState.WAITING
+        if health.silent_s[i] >= SILENT_S:
+            return False, False
+        if health.hardware_errors[i]:
+            self._cool(i, time_s)
+            return True, False
+        willing = nurse.wake(i)
+        self.woke(i, willing=willing, time_s=time_s)
+        return True, willing
+
+    def _check(self, i: int, health: Health, time_s: float, nurse: Nurse) -> bool:
+        if health.silent_s[i] >= SILENT_S:
+            self.states[i] = ServoState.WAITING
+            self._until_s[i] = time_s
+            return False
+        if health.hardware_errors[i] or health.room_degc[i] <= 0.0:
+            nurse.relax(i)
+            self._cool(i, time_s)
+            return True
+        if not health.torque_on[i] or health.watchdog_tripped[i]:
+            self.states[i] = ServoState.WAITING
+            self._until_s[i] = time_s
+        return False
+
+    def _cool(self, i: int, time_s: float) -> None:
+        self.states[i] = ServoState.COOLING
+        self._until_s[i] = time_s + _COOL_DOWN_S
+
+    def _revive(self, i: int, health: Health, time_s: float, nurse: Nurse) -> bool:
+        if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
+            return False
+        if not health.hardware_errors[i]:
+            self.states[i] = ServoState.WAITING
+            return False
+        if (
+            health.hardware_errors[i] & HardwareError.INPUT_VOLTAGE
+            and health.silent_s[i] > SILENT_S
+        ):
+            return False
+        past = self._reboots[i]
+        if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
+            self.states[i] = ServoState.FAILED
+            return False
+        past.append(time_s)
+        nurse.reboot(i)
+        self.states[i] = ServoState.REBOOTING
+        self._until_s[i] = time_s + _REBOOT_S
+        return True

@@ -1,0 +1,362 @@
+"""A face full of Dynamixel servos as one `ServoBus`."""
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import PortError, PortGone, Readings
+from firmware_bridge.dynamixel import codec
+from firmware_bridge.dynamixel.codec import Status, StatusError
+from firmware_bridge.dynamixel.control_table import register
+from firmware_bridge.dynamixel.group import SpanGroup
+from firmware_bridge.dynamixel.handshake import introduce_all
+from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S, GoalWrite, Line
+from firmware_bridge.dynamixel.mounting import VELOCITY_UNIT_DEG_S, MountedServo, Mounting
+from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.health import Feedback, Health
+
+_TORQUE, _GOAL = register("torque_enable").address, register("goal_position").address
+_WATCHDOG = register("bus_watchdog").address
+_PROFILE = register("profile_acceleration").address
+_LEVEL = register("status_return_level").address
+#: torque_enable .. bus_watchdog, and what lies between: health in one read.
+_HEALTH_SIZE: Final = register("bus_watchdog").end - _TORQUE
+_ERROR_AT: Final = register("hardware_error_status").address - _TORQUE
+_WARMTH = register("present_input_voltage").address
+_PRESENT = register("present_current").address
+#: goal_position .. present_position
+_MOTION_SIZE: Final = register("present_position").end - _GOAL
+_WATCHDOG_UNIT_S: Final = 0.020
+#: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
+_LIMP_REPEATS: Final = 3
+#: Newly woken servos go no faster than this for a while, whatever they are asked.
+_SOFT_DEG_S: Final = 60.0
+_SOFT_FOR_S: Final = 1.0
+#: The servo itself goes this much faster than the gate allows, so that it never lags behind it.
+_SPEED_MARGIN: Final = 1.5
+#: Torque comes on one servo after another: twenty at once make the supply sag.
+_STAGGER_S: Final = 0.010
+
+
+class DynamixelBus:
+    """Servos on one line, found by their ids, spoken to in joint degrees.
+
+    A servo that falls silent costs its own samples only. When the port fails every method raises
+    PortGone until `reopen` succeeds. Never writes EEPROM.
+    """
+
+    def __init__(
+        self,
+        servos: Sequence[MountedServo],
+        open_transport: Callable[[], Transport],
+        *,
+        watchdog_s: float = 0.1,
+        strict: bool = True,
+    ) -> None:
+        """watchdog_s: how long servos go on without hearing anything; 0 = for ever.
+
+        strict: every servo must answer before the first goal; else one critical or none at all
+        missing is enough to go on.
+        """
+        self._servos = tuple(servos)
+        self._ids = [servo.joint.servo_id for servo in servos]
+        self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
+        self._open_transport = open_transport
+        self._watchdog = min(127, int(np.ceil(watchdog_s / _WATCHDOG_UNIT_S - 1e-9)))
+        self._strict = strict
+        self._mounting = Mounting(servos)
+        n = len(servos)
+        self._low = np.zeros(n)
+        self._high = np.full(n, 4095.0)
+        self._hottest = np.array([float(s.model.defaults["temperature_limit"]) for s in servos])
+        units = [s.model.current_unit_ma for s in servos]
+        stalls = [s.model.stall_a * 1e3 for s in servos]
+        self._effort_unit = np.array(
+            [unit / stall if unit else 1e-3 for unit, stall in zip(units, stalls, strict=True)]
+        )
+        self._pulses = np.full(n, np.nan)
+        self._goals = np.full(n, np.nan)
+        self._effort = np.zeros(n)
+        self._errors = np.zeros(n, dtype=np.uint8)
+        self._heard_s = np.full(n, -np.inf)
+        self._torque = np.zeros(n, dtype=np.bool_)
+        self._tripped = np.zeros(n, dtype=np.bool_)
+        self._hardware = np.zeros(n, dtype=np.uint8)
+        self._room_degc = np.full(n, 45.0)
+        self._voltage_v = np.full(n, np.nan)
+        self._soft_until_s = np.full(n, np.inf)
+        self._goal_write = GoalWrite(self._ids, _GOAL)
+        self._motion = SpanGroup(self._ids, _PRESENT, 10)
+        self._whole = SpanGroup(self._ids, _GOAL, _MOTION_SIZE)
+        self._holding = SpanGroup(self._ids, _TORQUE, 1)
+        self._turn = 0
+        self._spoke_s = 0.0
+        self._lapsed = False  # the servos may have stopped by themselves
+        self._line: Line | None = None
+
+    @property
+    def line(self) -> Line:
+        """The open line. Raises PortError when there is none."""
+        if self._line is None:
+            raise PortError("the bus is used outside its `with` block, or its port is gone")
+        return self._line
+
+    def set_torque(self, on: bool) -> None:
+        """On: everybody, one after another, soft at first. Off: three times, then checked."""
+        if on:
+            for n in range(len(self._ids)):
+                self._switch_on(n)
+            return
+        line = self.line
+        self._soft_until_s[:] = np.inf
+        request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
+        for _ in range(_LIMP_REPEATS):
+            line.tell(request)
+        for _ in range(_LIMP_REPEATS):
+            self._note(self._holding.ask(line))
+            for status in self._holding.answers:
+                self._torque[self._index[status.servo_id]] = status.data != b"\0"
+            if not self._torque.any():
+                return
+            line.tell(request)
+
+    def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
+        """Every goal inside its servo's range; NaN is not, nor is what the servo would refuse."""
+        if positions_deg.shape != self._goals.shape:
+            raise ValueError(
+                f"expected positions of shape {self._goals.shape}, got {positions_deg.shape}"
+            )
+        line = self.line
+        self._keep_watchdogs(line)
+        pulses = self._mounting.pulses(positions_deg)
+        taken = (self._low <= pulses) & (pulses <= self._high)
+        self._errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
+        self._goals = np.where(taken, pulses, self._goals)
+        if taken.all():
+            line.tell(self._goal_write.request(pulses.astype(np.int64).tolist()))
+        elif taken.any():
+            blocks = [
+                (self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)
+            ]
+            line.tell(codec.sync_write(_GOAL, 4, blocks))
+
+    def read(self) -> Readings:
+        """Two questions to all: goals and places, then torque."""
+        line = self.line
+        found = self._note(self._whole.ask(line))
+        for status in found:
+            n = self._index[status.servo_id]
+            goal, place = struct.unpack_from("<i12xi", status.data)
+            self._goals[n], self._pulses[n] = goal, place
+        held = self._holding.ask(line)
+        for status in held:
+            self._torque[self._index[status.servo_id]] = status.data != b"\0"
+        now_s = line.transport.clock.now()
+        return Readings(
+            time_s=now_s,
+            positions_deg=self._mounting.joint_deg(self._pulses),
+            goals_deg=self._mounting.joint_deg(self._goals),
+            torque_on=self._torque.copy(),
+            errors=self._errors.copy(),
+            age_s=self._ages(found, now_s),
+        )
+
+    def feedback(self) -> Feedback:
+        """One question to all; of a silent servo the last answer, with its age."""
+        line = self.line
+        found = self._note(self._motion.ask(line))
+        if found:
+            at = [self._index[status.servo_id] for status in found]
+            data = b"".join([status.data for status in found])
+            values = np.frombuffer(data, dtype=_MOTION)
+            self._pulses[at] = values["position"]
+            self._effort[at] = np.abs(values["current"]) * self._effort_unit[at]
+        now_s = line.transport.clock.now()
+        return Feedback(
+            time_s=now_s,
+            positions_deg=self._mounting.joint_deg(self._pulses),
+            effort=self._effort.copy(),
+            errors=self._errors.copy(),
+            age_s=self._ages(found, now_s),
+        )
+
+    def look_after(self) -> Health:
+        """Torque, errors and watchdog of one servo, or its warmth and voltage, in turns."""
+        line = self.line
+        turn, kind = divmod(self._turn, 2)
+        self._turn = (self._turn + 1) % (2 * len(self._ids))
+        servo_id = self._ids[turn]
+        if kind == 0:
+            status = line.read(servo_id, _TORQUE, _HEALTH_SIZE)
+            if status is not None and len(status.data) == _HEALTH_SIZE:
+                self._torque[turn] = status.data[0] == 1
+                self._hardware[turn] = status.data[_ERROR_AT]
+                self._tripped[turn] = status.data[-1] == 0xFF
+        else:
+            status = line.read(servo_id, _WARMTH, 3)
+            if status is not None and len(status.data) == 3:
+                self._voltage_v[turn] = int.from_bytes(status.data[:2], "little") / 10.0
+                self._room_degc[turn] = self._hottest[turn] - status.data[2]
+        if status is not None:
+            self._note([status])
+            for group in (self._motion, self._whole, self._holding):
+                group.trust(servo_id)
+        self._harden(line)
+        return Health(
+            silent_s=np.maximum(0.0, line.transport.clock.now() - self._heard_s),
+            torque_on=self._torque.copy(),
+            watchdog_tripped=self._tripped.copy(),
+            hardware_errors=self._hardware.copy(),
+            room_degc=self._room_degc.copy(),
+            voltage_v=self._voltage_v.copy(),
+        )
+
+    def wake(self, index: int) -> bool:
+        """Goal := place, checked, then slow profile, watchdog, torque."""
+        line, servo_id = self.line, self._ids[index]
+        line.write(servo_id, _LEVEL, b"\2")
+        line.write(servo_id, _WATCHDOG, b"\0")
+        status = line.read(servo_id, _GOAL, _MOTION_SIZE)
+        if status is None or len(status.data) != _MOTION_SIZE:
+            return False
+        _, place = struct.unpack_from("<i12xi", status.data)
+        if not self._low[index] <= place <= self._high[index]:
+            return False
+        line.write(servo_id, _GOAL, struct.pack("<i", place))
+        check = line.read(servo_id, _GOAL, 4)
+        if check is None or check.data != struct.pack("<i", place):
+            return False
+        self._goals[index] = self._pulses[index] = place
+        return self._switch_on(index)
+
+    def relax(self, index: int) -> None:
+        """Torque off, acknowledged if possible."""
+        line, servo_id = self.line, self._ids[index]
+        for _ in range(_LIMP_REPEATS):
+            if line.write(servo_id, _TORQUE, b"\0") is not None:
+                self._torque[index] = False
+                return
+
+    def reboot(self, index: int) -> None:
+        """Restart one servo and forget what was known of it."""
+        self.line.reboot(self._ids[index])
+        self._hardware[index] = 0
+        self._torque[index] = self._tripped[index] = False
+
+    def reopen(self) -> None:
+        """A new handle, and everybody introduced again. Raises PortError, ServoError."""
+        self._close()
+        self._open(strict=False)
+
+    def __enter__(self) -> Self:
+        self._open(strict=self._strict)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        try:
+            if self._line is not None:
+                self.set_torque(False)
+        except PortGone:
+            pass  # nobody to tell; the servos' own watchdog stops them
+        finally:
+            self._close()
+
+    def _open(self, *, strict: bool) -> None:
+        transport = self._open_transport()
+        line = Line(transport)
+        try:
+            said = introduce_all(line, self._servos, strict=strict)
+        except BaseException:
+            transport.close()
+            raise
+        delays = [answer.return_delay_s for answer in said if answer is not None]
+        unsure = any(answer is None for answer in said)
+        line.return_delay_s = max([*delays, FACTORY_RETURN_DELAY_S if unsure else 0.0])
+        for n, answer in enumerate(said):
+            if answer is not None:
+                self._low[n] = answer.eeprom["min_position_limit"]
+                self._high[n] = answer.eeprom["max_position_limit"]
+                self._hottest[n] = answer.eeprom["temperature_limit"]
+                self._heard_s[n] = transport.clock.now()
+        self._line = line
+        line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
+        for group in (self._motion, self._whole, self._holding):
+            group.reset()
+
+    def _close(self) -> None:
+        if self._line is not None:
+            self._line.transport.close()
+            self._line = None
+
+    def _switch_on(self, index: int) -> bool:
+        """Profile, watchdog, torque of one servo; whether it says that it holds."""
+        line, servo_id = self.line, self._ids[index]
+        clock = line.transport.clock
+        self._tripped[index] = False
+        line.write(servo_id, _PROFILE, struct.pack("<II", 0, _velocity(_SOFT_DEG_S)))
+        line.write(servo_id, _WATCHDOG, b"\0")
+        if self._watchdog:
+            line.write(servo_id, _WATCHDOG, bytes((self._watchdog,)))
+        for _ in range(_LIMP_REPEATS):
+            status = line.write(servo_id, _TORQUE, b"\1")
+            if status is not None:
+                self._torque[index] = not status.error & 0x7F
+                self._soft_until_s[index] = clock.now() + _SOFT_FOR_S
+                break
+        self._spoke_s = clock.now()
+        clock.sleep_until(self._spoke_s + _STAGGER_S)
+        return bool(self._torque[index])
+
+    def _harden(self, line: Line) -> None:
+        """Give servos woken a while ago their full speed."""
+        now_s = line.transport.clock.now()
+        due = np.flatnonzero(self._soft_until_s <= now_s).tolist()
+        if due:
+            profile = codec.sync_write(_PROFILE, 8, [(self._ids[n], self._profile(n)) for n in due])
+            line.tell(profile)
+            self._soft_until_s[due] = np.inf
+
+    def _profile(self, index: int) -> bytes:
+        speed = self._servos[index].joint.max_speed_deg_s * _SPEED_MARGIN
+        return struct.pack("<II", 0, _velocity(speed))
+
+    def _keep_watchdogs(self, line: Line) -> None:
+        """After a silence of ours the servos have stopped by themselves: set them going again."""
+        self._notice_silence(line.transport.clock.now())
+        if self._lapsed:
+            self._lapsed = False
+            for value in (b"\0", bytes((self._watchdog,))):
+                line.tell(codec.sync_write(_WATCHDOG, 1, [(each, value) for each in self._ids]))
+
+    def _notice_silence(self, now_s: float) -> None:
+        """Whether the servos' watchdogs may have stopped them since we spoke last."""
+        silence_s = now_s - self._spoke_s
+        self._lapsed |= 0 < self._watchdog * _WATCHDOG_UNIT_S <= silence_s
+        self._spoke_s = now_s
+
+    def _note(self, statuses: list[Status]) -> list[Status]:
+        """Remember who answered, and with what error."""
+        now_s = self.line.transport.clock.now()
+        self._notice_silence(now_s)
+        for status in statuses:
+            n = self._index[status.servo_id]
+            self._heard_s[n] = now_s
+            if status.error:
+                self._errors[n] = status.error
+        return statuses
+
+    def _ages(self, found: list[Status], now_s: float) -> NDArray[np.float64]:
+        ages = np.maximum(now_s - self._heard_s, 1e-9)
+        ages[[self._index[status.servo_id] for status in found]] = 0.0
+        return ages
+
+
+_MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+
+
+def _velocity(deg_s: float) -> int:
+    """In units of the profile velocity register, at least 1: 0 would mean without bound."""
+    return max(1, min(32_767, round(deg_s / VELOCITY_UNIT_DEG_S)))

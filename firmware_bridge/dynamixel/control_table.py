@@ -1,0 +1,158 @@
+"""Registers and models of the Dynamixel X servos, read from `control_tables.yaml` beside this file.
+
+Facts stand there with their sources; nothing here is specific to a model.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any
+
+import yaml
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """One entry of a control table. low and high bound what may be written; None: no fixed bound.
+
+    in_eeprom: kept without power, and locked while torque is on.
+    """
+
+    name: str
+    address: int
+    size: int
+    signed: bool
+    writable: bool
+    in_eeprom: bool
+    low: int | None
+    high: int | None
+
+    @property
+    def end(self) -> int:
+        """The address after the last byte."""
+        return self.address + self.size
+
+    def encode(self, value: int) -> bytes:
+        """The bytes of `value`, little-endian. Raises OverflowError when it does not fit."""
+        return value.to_bytes(self.size, "little", signed=self.signed)
+
+    def decode(self, data: bytes) -> int:
+        """The value of `data`, (size,) bytes."""
+        return int.from_bytes(data, "little", signed=self.signed)
+
+
+@dataclass(frozen=True, slots=True)
+class IndirectBlock:
+    """`count` two-byte addresses from `addresses` on, each shown as one byte from `data` on."""
+
+    addresses: int
+    data: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class ServoModel:
+    """One servo model: its registers, factory settings, and what its motor can do."""
+
+    name: str
+    model_number: int
+    registers: Mapping[str, Register]
+    defaults: Mapping[str, int]
+    modes: tuple[int, ...]
+    indirect: tuple[IndirectBlock, ...]
+    current_unit_ma: float | None
+    nominal_voltage_v: float
+    no_load_rpm: float
+    stall_nm: float
+    stall_a: float
+
+    @property
+    def measures_current(self) -> bool:
+        """Whether present_current counts current; else it counts load in 0.1 %."""
+        return self.current_unit_ma is not None
+
+    @property
+    def no_load_deg_s(self) -> float:
+        """Top speed without load at nominal voltage, degrees a second."""
+        return self.no_load_rpm * 6.0
+
+    @property
+    def table_size(self) -> int:
+        """Bytes of the control table, indirect data included."""
+        return max(block.data + block.count for block in self.indirect)
+
+
+@cache
+def baud_rates() -> Mapping[int, int]:
+    """Baud rate by the code that register `baud_rate` holds."""
+    return MappingProxyType(dict(_tables()["codes"]["baud_rate"]))
+
+
+@cache
+def servo_models() -> Mapping[str, ServoModel]:
+    """Every known model by its name, `XL330-M288` for one."""
+    return MappingProxyType({name: _model(name, raw) for name, raw in _tables()["models"].items()})
+
+
+@cache
+def model_by_number(number: int) -> ServoModel | None:
+    """The model that answers a ping with `number`, if it is known here."""
+    return next((m for m in servo_models().values() if m.model_number == number), None)
+
+
+def register(name: str) -> Register:
+    """A register that all models share, by name. Raises KeyError for any other."""
+    raw = _tables()["registers"][name]
+    low, high = raw.get("range", (None, None))
+    return Register(
+        name=name,
+        address=raw["address"],
+        size=raw["size"],
+        signed=raw.get("signed", False),
+        writable=raw["access"] == "RW",
+        in_eeprom=raw["area"] == "eeprom",
+        low=low,
+        high=high,
+    )
+
+
+@cache
+def _tables() -> Any:
+    text = (files(__package__) / "control_tables.yaml").read_text(encoding="utf-8")
+    return yaml.safe_load(text)
+
+
+def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:
+    tables = _tables()
+    registers = {}
+    for each in tables["registers"]:
+        if each in raw.get("absent", ()):
+            continue
+        shared = register(each)
+        low, high = raw["ranges"].get(each, (shared.low, shared.high))
+        registers[each] = Register(
+            shared.name,
+            shared.address,
+            shared.size,
+            shared.signed,
+            shared.writable,
+            shared.in_eeprom,
+            low,
+            high,
+        )
+    power = raw["at_nominal_voltage"]
+    return ServoModel(
+        name=name,
+        model_number=raw["model_number"],
+        registers=MappingProxyType(registers),
+        defaults=MappingProxyType({**tables["defaults"], **raw["defaults"], **raw["gains"]}),
+        modes=tuple(raw["modes"]),
+        indirect=tuple(IndirectBlock(**block) for block in raw["indirect"]),
+        current_unit_ma=raw.get("current_unit_ma"),
+        nominal_voltage_v=power["voltage_v"],
+        no_load_rpm=power["no_load_rpm"],
+        stall_nm=power["stall_nm"],
+        stall_a=power["stall_a"],
+    )

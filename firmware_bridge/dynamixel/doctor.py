@@ -1,0 +1,179 @@
+"""Everything that can be wrong between a computer and its servos, found by looking only."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Final
+
+from firmware_bridge.bus import ServoError
+from firmware_bridge.dynamixel.budget import budget
+from firmware_bridge.dynamixel.control_table import model_by_number
+from firmware_bridge.dynamixel.line import Line
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.provisioning import (
+    SCANNED_RATES,
+    differences,
+    duplicates,
+    read_settings,
+    scan,
+    wanted_settings,
+)
+from firmware_bridge.health import describe_errors
+
+_SETUP: Final = "`lipservo setup-servos`"
+_WARM_DEGC: Final = 10
+_STATE: Final = (
+    "firmware_version",
+    "torque_enable",
+    "hardware_error_status",
+    "present_input_voltage",
+    "present_temperature",
+    "min_voltage_limit",
+    "max_voltage_limit",
+    "temperature_limit",
+    "return_delay_time",
+)
+
+
+class Severity(IntEnum):
+    """How much it matters."""
+
+    GOOD = 0
+    WARNING = 1
+    BAD = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was seen, and what to do about it."""
+
+    severity: Severity
+    what: str
+    remedy: str = ""
+
+
+def examine(
+    line: Line, servos: Sequence[MountedServo], rate_hz: float, latency_timer_ms: int | None
+) -> Iterator[Finding]:
+    """Findings in the order they are made; nothing is written to any servo."""
+    yield _adapter(latency_timer_ms)
+    wanted_rate = line.baud_rate
+    ids = [servo.joint.servo_id for servo in servos]
+    at_rate: dict[int, tuple[int, int]] = {}
+    for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):
+        at_rate |= {each: (rate, number) for each, number in found.items() if each not in at_rate}
+        if set(ids) <= set(at_rate):
+            break
+    line.baud_rate = wanted_rate
+    if not at_rate:
+        tried = ", ".join(f"{rate:,}" for rate in dict.fromkeys([wanted_rate, *SCANNED_RATES]))
+        yield Finding(
+            Severity.BAD,
+            f"no servo answers at any of {tried} baud",
+            "check that the servos have power (their LED blinks once) and the data cable is in",
+        )
+        return
+    doubled = duplicates(line, [each for each in ids if each not in at_rate])
+    for each in doubled:
+        yield Finding(
+            Severity.BAD,
+            f"answers of id {each} are spoilt: two servos may have this id",
+            f"connect one of them alone and run {_SETUP}",
+        )
+    for servo in servos:
+        servo_id = servo.joint.servo_id
+        if servo_id not in doubled:
+            yield from _servo(line, servo, at_rate.get(servo_id), wanted_rate)
+    for each in sorted(set(at_rate) - set(ids)):
+        known = model_by_number(at_rate[each][1])
+        name = known.name if known else f"unknown model {at_rate[each][1]}"
+        yield Finding(
+            Severity.WARNING,
+            f"id {each} ({name}) is on the bus but not in the YAML",
+            "add it to the YAML, or unplug it",
+        )
+    slow = budget(len(servos), wanted_rate, rate_hz)
+    if slow is not None:
+        yield Finding(Severity.BAD, slow, f"then {_SETUP}")
+    else:
+        yield Finding(
+            Severity.GOOD,
+            f"{len(servos)} servos at {wanted_rate:,} baud can do {rate_hz:g} Hz with feedback",
+        )
+
+
+def _adapter(latency_timer_ms: int | None) -> Finding:
+    if latency_timer_ms is None:
+        return Finding(Severity.GOOD, "the adapter has no latency timer to set")
+    if latency_timer_ms <= 1:
+        return Finding(Severity.GOOD, "the adapter's latency timer is 1 ms")
+    return Finding(
+        Severity.WARNING,
+        f"the adapter holds bytes back for {latency_timer_ms} ms",
+        "install the udev rule (docs/hardware.md), or `echo 1` into its latency_timer",
+    )
+
+
+def _servo(
+    line: Line, servo: MountedServo, seen: tuple[int, int] | None, wanted_rate: int
+) -> Iterator[Finding]:
+    joint = servo.joint
+    name = f"{joint.name} (id {joint.servo_id})"
+    if seen is None:
+        yield Finding(
+            Severity.BAD, f"{name} does not answer", f"check its cable and power, or run {_SETUP}"
+        )
+        return
+    rate, number = seen
+    if rate != wanted_rate:
+        yield Finding(
+            Severity.BAD,
+            f"{name} answers at {rate:,} baud, the YAML says {wanted_rate:,}",
+            f"run {_SETUP}",
+        )
+        return
+    if number != servo.model.model_number:
+        known = model_by_number(number)
+        found = known.name if known else f"unknown model {number}"
+        yield Finding(
+            Severity.BAD, f"{name} is {found}, the YAML says {servo.model.name}", "correct the YAML"
+        )
+        return
+    try:
+        yield from _state(line, servo, name)
+    except ServoError as error:
+        yield Finding(Severity.BAD, str(error), "check its cable")
+
+
+def _state(line: Line, servo: MountedServo, name: str) -> Iterator[Finding]:
+    servo_id, model = servo.joint.servo_id, servo.model
+    state = read_settings(line, servo_id, model, _STATE)
+    volts, warmth = state["present_input_voltage"] / 10.0, state["present_temperature"]
+    yield Finding(
+        Severity.GOOD,
+        f"{name}: {model.name}, firmware {state['firmware_version']}, {volts:.1f} V, {warmth} degC",
+    )
+    low, high = state["min_voltage_limit"] / 10.0, state["max_voltage_limit"] / 10.0
+    if not low <= volts <= high:
+        yield Finding(
+            Severity.BAD, f"{name} has {volts:.1f} V, needs {low:g}..{high:g}", "check the supply"
+        )
+    if warmth > state["temperature_limit"] - _WARM_DEGC:
+        yield Finding(
+            Severity.WARNING,
+            f"{name} is at {warmth} degC, switches off at {state['temperature_limit']}",
+            "let it cool, and look for a joint that binds",
+        )
+    if state["hardware_error_status"]:
+        yield Finding(
+            Severity.BAD,
+            f"{name} reports {describe_errors(state['hardware_error_status'])}",
+            "remove the cause, then power it off and on",
+        )
+    if state["torque_enable"]:
+        yield Finding(
+            Severity.WARNING, f"{name} has torque on", "is another program driving the face?"
+        )
+    wanted = wanted_settings(servo, line.baud_rate)
+    for difference in differences(read_settings(line, servo_id, model, wanted), wanted):
+        yield Finding(Severity.BAD, f"{name}: {difference}", f"run {_SETUP}")

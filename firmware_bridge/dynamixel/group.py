@@ -1,0 +1,106 @@
+"""One question to many servos, asked in the way that gets the most answers."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from firmware_bridge.dynamixel.codec import Status
+from firmware_bridge.dynamixel.line import Line, SpanRead
+
+#: Silent this often in a row: asked last from now on, since a silent servo may cut off the rest.
+_SUSPECT_AFTER: Final = 2
+#: Silent this often in a row: not asked at all, but for a try now and then.
+_ABSENT_AFTER: Final = 5
+_RETRY_EVERY: Final = 200
+#: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
+#: servo gets a frame of its own again; after a while the fast way is tried once more.
+_BAD_FAST_READS: Final = 3
+_FAST_WINDOW: Final = 100
+_SLOW_FOR: Final = 1_000
+
+
+class SpanGroup:
+    """The same bytes of all `ids`, fast while that works, with the unreliable ones asked last."""
+
+    def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
+        self._ids = tuple(ids)
+        self._address = address
+        self._size = size
+        self.reset()
+
+    def reset(self) -> None:
+        """Think well of everybody again."""
+        self._silent = dict.fromkeys(self._ids, 0)
+        self._order = list(self._ids)
+        self.answers: list[Status] = []
+        self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
+        self._n_asked = self._n_bad = self._slow_until = 0
+        self._prepare()
+
+    @property
+    def fast(self) -> bool:
+        """Whether the next question is a fast one."""
+        return self._n_asked >= self._slow_until
+
+    def ask(self, line: Line) -> list[Status]:
+        """Ask; the answers that came, whole ones only, in no particular order."""
+        if self._n_asked == self._slow_until or self._n_asked % _RETRY_EVERY == 0:
+            self._prepare(retry=self._n_asked % _RETRY_EVERY == 0)
+        span = self.asked = self._span
+        statuses = line.sync_read(span)
+        self._n_asked += 1
+        if len(statuses) == len(span.ids):
+            if len(span.ids) != len(self._ids) or self._doubted:
+                self._judge(span, statuses)
+        else:
+            self._judge(span, statuses)
+        self.answers = statuses
+        return statuses
+
+    def trust(self, servo_id: int) -> None:
+        """It has been heard elsewhere: ask it again, if it was left out."""
+        if self._silent[servo_id] >= _ABSENT_AFTER:
+            self._silent[servo_id] = 0
+            self._prepare()
+
+    def _judge(self, span: SpanRead, statuses: list[Status]) -> None:
+        answered = {status.servo_id for status in statuses}
+        missing = [each for each in span.ids if each not in answered]
+        self._doubted = bool(missing)
+        changed = False
+        for servo_id in answered:
+            changed |= self._silent[servo_id] >= _SUSPECT_AFTER
+            self._silent[servo_id] = 0
+        # Those behind the first silent one may only have been cut off.
+        blamed = missing[:1] if span.fast else missing
+        for servo_id in blamed:
+            self._silent[servo_id] += 1
+            changed |= self._silent[servo_id] >= _SUSPECT_AFTER
+        if span.fast and missing:
+            self._count_bad_fast(missing)
+            changed = True
+        if changed:
+            self._prepare()
+
+    def _count_bad_fast(self, missing: list[int]) -> None:
+        """A servo known to be away is no fault of the fast way."""
+        if all(self._silent[each] >= _SUSPECT_AFTER for each in missing):
+            return
+        if self._n_asked % _FAST_WINDOW == 0:
+            self._n_bad = 0
+        self._n_bad += 1
+        if self._n_bad >= _BAD_FAST_READS:
+            self._n_bad = 0
+            self._slow_until = self._n_asked + _SLOW_FOR
+
+    def _prepare(self, *, retry: bool = False) -> None:
+        """Put the suspects last and leave the absent out, unless it is time to try them."""
+        trusted = [each for each in self._ids if self._silent[each] < _SUSPECT_AFTER]
+        doubtful = [
+            each
+            for each in self._ids
+            if self._silent[each] >= _SUSPECT_AFTER
+            and (retry or self._silent[each] < _ABSENT_AFTER)
+        ]
+        ids = trusted + doubtful or list(self._ids)
+        self._doubted = len(ids) != len(self._ids) or bool(doubtful)
+        self._span = SpanRead(ids, self._address, self._size, fast=self.fast)

@@ -1,0 +1,142 @@
+"""Setting servos up: what each should hold in its EEPROM, what differs, and writing just that.
+
+The only place that writes EEPROM: torque off, only differences, all of it read back.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from firmware_bridge.bus import ServoError
+from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
+from firmware_bridge.dynamixel.line import Line
+from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+
+#: The servo's own limits lie this far outside the joint's, so that a joint pushed past its limit by
+#: hand can be held where it is; as in `firmware_bridge.simulator.bus`.
+LIMIT_MARGIN_DEG: Final = 5.0
+#: Rates worth trying, the likely ones first: asked for, factory, usual ones.
+SCANNED_RATES: Final = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)
+#: Not in the manual; generous.
+_EEPROM_WRITE_S: Final = 0.05
+_TRIES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One register that does not hold what it should."""
+
+    name: str
+    found: int
+    wanted: int
+
+    def __str__(self) -> str:
+        return f"{self.name} is {self.found}, should be {self.wanted}"
+
+
+def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
+    """EEPROM values by register name for a servo in its place."""
+    low, high = servo.pulse_range()
+    margin = round(LIMIT_MARGIN_DEG * PULSES_PER_TURN / 360.0)
+    code = next(code for code, rate in baud_rates().items() if rate == baud_rate)
+    return {
+        "id": servo.joint.servo_id,
+        "baud_rate": code,
+        "return_delay_time": 0,
+        "drive_mode": 0,
+        "operating_mode": 3,
+        "homing_offset": 0,
+        "max_position_limit": min(high + margin, PULSES_PER_TURN - 1),
+        "min_position_limit": max(low - margin, 0),
+        "startup_configuration": 0,
+        "shutdown": servo.model.defaults["shutdown"],
+    }
+
+
+def differences(found: Mapping[str, int], wanted: Mapping[str, int]) -> list[Difference]:
+    """What must be written, in the order of `wanted`."""
+    return [
+        Difference(name, found[name], value)
+        for name, value in wanted.items()
+        if found[name] != value
+    ]
+
+
+def read_settings(
+    line: Line, servo_id: int, model: ServoModel, names: Iterable[str]
+) -> dict[str, int]:
+    """The values of these registers. Raises ServoError when the servo does not answer."""
+    found = {}
+    for name in names:
+        entry = model.registers[name]
+        for _ in range(_TRIES):
+            answer = line.read(servo_id, entry.address, entry.size)
+            if answer is not None and len(answer.data) == entry.size:
+                found[name] = entry.decode(answer.data)
+                break
+        else:
+            raise ServoError(f"servo id {servo_id} fell silent while {name} was read")
+    return found
+
+
+def set_up(
+    line: Line, servo_id: int, model: ServoModel, wanted: Mapping[str, int]
+) -> list[Difference]:
+    """Make the servo at `servo_id` hold `wanted`; what was changed.
+
+    The id and then the baud rate come last, and the line follows to the new rate. Raises ServoError
+    when the servo refuses or does not keep a value.
+    """
+    late = ("id", "baud_rate")
+    _write(line, servo_id, model, "torque_enable", 0)
+    changes = differences(read_settings(line, servo_id, model, wanted), wanted)
+    for change in [c for c in changes if c.name not in late]:
+        _write(line, servo_id, model, change.name, change.wanted)
+        kept = read_settings(line, servo_id, model, [change.name])[change.name]
+        if kept != change.wanted:
+            raise ServoError(
+                f"servo id {servo_id}: {change.name} stays at {kept} although "
+                f"{change.wanted} was written"
+            )
+    for change in [c for name in late for c in changes if c.name == name]:
+        _write(line, servo_id, model, change.name, change.wanted)
+        if change.name == "id":
+            servo_id = change.wanted
+        else:
+            line.baud_rate = baud_rates()[change.wanted]
+    if differences(read_settings(line, servo_id, model, wanted), wanted):
+        raise ServoError(f"servo id {servo_id} does not keep its settings; power it off and on")
+    return changes
+
+
+def scan(line: Line, rates: Iterable[int] = SCANNED_RATES) -> Iterator[tuple[int, dict[int, int]]]:
+    """Every rate in turn with the servos found at it, {id: model number}. Stop when content."""
+    for rate in dict.fromkeys(rates):
+        line.baud_rate = rate
+        line.transport.discard_input()
+        found = {s.servo_id: int.from_bytes(s.data[:2], "little") for s in line.ping_all()}
+        yield rate, found
+
+
+def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
+    """Ids on which answers come spoilt, again and again: two servos speak at once."""
+    doubtful = []
+    for servo_id in ids:
+        n_bad = line.n_bad
+        silent = all(line.ping(servo_id) is None for _ in range(_TRIES))
+        if silent and (line.n_bad > n_bad or line.heard_noise):
+            doubtful.append(servo_id)
+    return doubtful
+
+
+def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) -> None:
+    entry = model.registers[name]
+    for _ in range(_TRIES):
+        status = line.write(servo_id, entry.address, entry.encode(value), _EEPROM_WRITE_S)
+        if status is not None:
+            if status.error & 0x7F:
+                raise ServoError(
+                    f"servo id {servo_id} refuses {name} = {value} (error {status.error & 0x7F})"
+                )
+            return
+    raise ServoError(f"servo id {servo_id} does not answer to a write of {name}")

@@ -1,0 +1,55 @@
+"""How the servos are: heat, voltage, errors, torque; what a bus notices between the goals."""
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class HardwareError(IntFlag):
+    """https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#hardware-error-status70 ."""
+
+    INPUT_VOLTAGE = 0x01
+    OVERHEATING = 0x04
+    ENCODER = 0x08
+    ELECTRICAL_SHOCK = 0x10
+    OVERLOAD = 0x20
+
+
+def describe_errors(bits: int) -> str:
+    """In words, `overload and overheating` for one; `none` for 0."""
+    words = [e.name.lower().replace("_", " ") for e in HardwareError if e & bits and e.name]
+    return " and ".join(words) or ("none" if not bits else f"unknown ({bits:#04x})")
+
+
+@dataclass(frozen=True, slots=True)
+class Feedback:
+    """Where the servos stand, every tick. Arrays are (n_servos,).
+
+    positions_deg: NaN for a servo that never answered. effort: share of the stall torque, 0..1.
+    age_s: 0 = answered just now.
+    """
+
+    time_s: float
+    positions_deg: NDArray[np.float64]
+    effort: NDArray[np.float64]
+    errors: NDArray[np.uint8]
+    age_s: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """What was last heard about each servo's well-being; one servo is asked at a time.
+
+    silent_s: how long nothing has come from it. torque_on: as its register says.
+    watchdog_tripped: it stopped by itself since it heard nothing.
+    room_degc: how far it is below its own temperature limit.
+    """
+
+    silent_s: NDArray[np.float64]
+    torque_on: NDArray[np.bool_]
+    watchdog_tripped: NDArray[np.bool_]
+    hardware_errors: NDArray[np.uint8]
+    room_degc: NDArray[np.float64]
+    voltage_v: NDArray[np.float64]

@@ -1,0 +1,118 @@
+"""Scripted faults of servos, brought about at their moments and ended when they are over."""
+
+import heapq
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.simulator.faults import ON_SERVOS, Fault, schedule
+from firmware_bridge.simulator.motors import ENCODER_ERROR, PULSES_PER_DEG, SHOCK_ERROR, Motors
+from firmware_bridge.simulator.servo import SimulatedServo
+
+#: The script is laid out this far ahead; no simulation runs longer.
+_HORIZON_S = 40_000.0
+
+
+class Afflictions:
+    """Brings the faults of a script upon the servos of a chain, in order of time."""
+
+    def __init__(
+        self, servos: Sequence[SimulatedServo], motors: Motors, faults: Sequence[Fault]
+    ) -> None:
+        self._servos = servos
+        self._motors = motors
+        on_servos = [fault for fault in faults if fault.kind in ON_SERVOS]
+        horizon_s = _HORIZON_S if on_servos else 0.0
+        self._coming: list[tuple[float, int, bool, Fault]] = [
+            (s, n, True, fault) for n, (s, fault) in enumerate(schedule(on_servos, horizon_s))
+        ]
+        heapq.heapify(self._coming)
+        self._n = len(self._coming)
+        self.unplugged = False
+        self.plugged_in_s = 0.0
+        limits = ("min_voltage_limit", "max_voltage_limit", "temperature_limit")
+        low, high, hot = (np.array([s[name] for s in servos], float) for name in limits)
+        self._low_v, self._high_v, self._hottest = low / 10.0, high / 10.0, hot
+
+    def advance(self, now_s: float) -> None:
+        """Everything that is due by `now_s`."""
+        while self._coming and self._coming[0][0] <= now_s:
+            when_s, _, begins, fault = heapq.heappop(self._coming)
+            self._motors.advance(when_s)
+            for servo in self._servos:
+                if not fault.servos or servo.index in fault.servos:
+                    (self._begin if begins else self._end)(servo, fault, when_s)
+            if begins and fault.lasts_s:
+                self._n += 1
+                heapq.heappush(self._coming, (when_s + fault.lasts_s, self._n, False, fault))
+
+    def hardware_errors(self) -> NDArray[np.int64]:
+        """The bits that each servo would set now."""
+        return self._motors.hardware_errors(self._low_v, self._high_v, self._hottest)
+
+    def _begin(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
+        motors, i, kind = self._motors, servo.index, fault.kind
+        if kind == "silence":
+            servo.deaf_until_s = now_s + fault.lasts_s if fault.lasts_s else math.inf
+        elif kind == "reboot":
+            servo.reboot(now_s)
+        elif kind == "brown_out":
+            servo.reboot(now_s)
+            servo.deaf_until_s = now_s + max(0.5, fault.lasts_s)
+        elif kind == "overload":
+            motors.load[i] = fault.amount or 0.9
+        elif kind in ("jam", "load"):
+            motors.jammed[i] = kind == "jam"
+            motors.load[i] = fault.amount
+        elif kind == "overheat":
+            motors.temperature[i] = fault.amount or self._hottest[i] + 5.0
+        elif kind in ("undervoltage", "overvoltage"):
+            nominal_v = servo.model.nominal_voltage_v
+            motors.supply_v[i] = fault.amount or nominal_v * (0.6 if kind[0] == "u" else 1.5)
+        elif kind == "shock":
+            servo.latch(SHOCK_ERROR)
+        elif kind == "encoder_fault":
+            servo.latch(ENCODER_ERROR)
+            motors.position[i] += fault.amount * PULSES_PER_DEG
+        else:
+            self._change_registers(servo, fault, now_s)
+
+    def _change_registers(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
+        motors, i, kind = self._motors, servo.index, fault.kind
+        if kind == "torque_lost":
+            servo["torque_enable"] = 0
+            motors.torque_on[i] = False
+        elif kind == "id_change":
+            servo["id"] = int(fault.amount)
+        elif kind == "baud_reset":
+            servo["baud_rate"] = 1
+        elif kind == "return_delay_drift":
+            servo["return_delay_time"] = int(fault.amount) or 250
+        elif kind == "limits_drift":
+            servo["max_position_limit"] = int(fault.amount) or 4095
+        elif kind == "answers_stop":
+            servo["status_return_level"] = 0
+        elif kind == "watchdog_trip":
+            servo.trip_watchdog()
+        elif kind == "pushed":
+            motors.position[i] += fault.amount * PULSES_PER_DEG
+        elif kind == "unplug":
+            self.unplugged = True
+            self.plugged_in_s = now_s + fault.lasts_s
+
+    def _end(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
+        motors, i, kind = self._motors, servo.index, fault.kind
+        if kind in ("overload", "jam", "load"):
+            motors.load[i] = 0.0
+            motors.jammed[i] = False
+        elif kind in ("undervoltage", "overvoltage"):
+            motors.supply_v[i] = servo.model.nominal_voltage_v
+        elif kind == "overheat":
+            motors.temperature[i] = 30.0
+        elif kind == "answers_stop":
+            servo["status_return_level"] = 2
+        elif kind == "unplug":
+            self.unplugged = False
+            self.plugged_in_s = now_s

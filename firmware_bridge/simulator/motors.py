@@ -1,0 +1,193 @@
+"""The motors of simulated servos: profile, speed, load, current, heat, supply; in arrays."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.dynamixel.control_table import ServoModel
+
+Array = NDArray[np.float64]
+
+PULSES_PER_DEG = 4096 / 360.0
+#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108 and the next entry
+VELOCITY_UNIT = 0.229 * 6.0 * PULSES_PER_DEG
+ACCELERATION_UNIT = 214.577 * 6.0 * PULSES_PER_DEG / 60.0
+#: Longest step of the integration. Short against any profile, long enough for 20 servos at 200 Hz.
+_STEP_S = 0.005
+#: Times closer together than this are one: several servos are read within a packet's time.
+_SHORTEST_S = 0.0005
+#: How fast the position loop closes an error, 1/s. Ours: lag of a tenth of a second feels like an
+#: XL330 with factory gains; not measured.
+_POSITION_LOOP_PER_S = 40.0
+_UNBOUNDED = 1e9
+
+#: Bits of hardware_error_status: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#hardware-error-status70
+VOLTAGE_ERROR, HEAT_ERROR, ENCODER_ERROR, SHOCK_ERROR, OVERLOAD_ERROR = 1, 4, 8, 16, 32
+
+
+@dataclass(frozen=True, slots=True)
+class Environment:
+    """What the manual does not tell, as parameters. None of it was measured on a servo.
+
+    overload_share: share of the stall torque that counts as overload after `overload_after_s`.
+    heat_deg_s: warming at stall current; cooling_s: time constant of cooling.
+    supply_ohm: resistance of supply and cable, common to all servos.
+    """
+
+    supply_v: float | None = None  # None: each model's nominal voltage
+    supply_ohm: float = 0.05
+    ambient_degc: float = 25.0
+    heat_deg_s: float = 1.0
+    cooling_s: float = 120.0
+    overload_share: float = 0.8
+    overload_after_s: float = 1.0
+    standby_a: float = 0.017  # XL330 specifications
+    brown_out_v: float = 2.8
+
+
+class Motors:
+    """Every motor of a chain; positions in pulses, speeds in pulses a second. Arrays are (n,).
+
+    Set the inputs (goal, torque, profile, load, jam), call `advance`, read the rest.
+    """
+
+    def __init__(self, models: Sequence[ServoModel], environment: Environment) -> None:
+        n = len(models)
+        self._environment = environment
+        self._no_load = np.array([m.no_load_deg_s * PULSES_PER_DEG for m in models])
+        self._stall_a = np.array([m.stall_a for m in models])
+        self._nominal_v = np.array([m.nominal_voltage_v for m in models])
+        self.supply_v = self._nominal_v.copy()
+        if environment.supply_v is not None:
+            self.supply_v[:] = environment.supply_v
+        self.position = np.full(n, 2048.0)
+        self.velocity = np.zeros(n)
+        self.trajectory = self.position.copy()
+        self.trajectory_velocity = np.zeros(n)
+        self.goal = self.position.copy()
+        self.top_speed = np.full(n, _UNBOUNDED)
+        self.acceleration = np.full(n, _UNBOUNDED)
+        self.torque_on = np.zeros(n, dtype=np.bool_)
+        self.strength = np.ones(n)  # goal current as a share of the stall current
+        self.load = np.zeros(n)  # external, share of the stall torque
+        self.jammed = np.zeros(n, dtype=np.bool_)
+        self.temperature = np.full(n, environment.ambient_degc)
+        self.current_a = np.full(n, environment.standby_a)
+        self.voltage_v = self.supply_v.copy()
+        self.overload_s = np.zeros(n)
+        self.now_s = 0.0
+        units = [m.current_unit_ma for m in models]
+        self._current_scale = np.array([1e3 / unit if unit else 0.0 for unit in units])
+        self._load_scale = np.array([0.0 if unit else 1e3 for unit in units])
+        self._shown: list[list[int]] = []
+        self._shown_at_s = -1.0
+
+    def register_values(self) -> list[list[int]]:
+        """Per servo: moving, current, velocity, position, both trajectories, voltage, temperature.
+
+        In the units of the registers, of the time that was advanced to.
+        """
+        if self._shown_at_s != self.now_s:
+            self._shown_at_s = self.now_s
+            values = np.stack(
+                [
+                    self.goal != self.trajectory,
+                    self.current_a * self._current_scale + self.load * self._load_scale,
+                    self.velocity / VELOCITY_UNIT,
+                    self.position,
+                    self.trajectory_velocity / VELOCITY_UNIT,
+                    self.trajectory,
+                    self.voltage_v * 10.0,
+                    self.temperature,
+                ],
+                axis=1,
+            )
+            self._shown = np.rint(values).astype(np.int64).tolist()
+        return self._shown
+
+    def set_profile(self, index: int, velocity: float, acceleration: float) -> None:
+        """Pulses a second (squared); 0 = no bound, as in the registers."""
+        self.top_speed[index] = velocity or _UNBOUNDED
+        self.acceleration[index] = acceleration or _UNBOUNDED
+
+    def stop(self, index: int) -> None:
+        """Hold the present place from now on."""
+        self.goal[index] = self.trajectory[index] = self.position[index]
+        self.trajectory_velocity[index] = 0.0
+
+    def advance(self, now_s: float) -> None:
+        """Let time pass until `now_s`; nothing happens before half a millisecond is over."""
+        left_s = now_s - self.now_s
+        if left_s < _SHORTEST_S:
+            return
+        if self._at_rest():
+            self._supply_and_heat(left_s, np.zeros_like(self.load))
+        else:
+            n_steps = int(np.ceil(left_s / _STEP_S))
+            for _ in range(n_steps):
+                self._step(left_s / n_steps)
+        self.now_s = now_s
+
+    def _at_rest(self) -> bool:
+        idle = ~self.torque_on | (
+            (self.goal == self.trajectory)
+            & (np.abs(self.trajectory - self.position) < 0.01)
+            & (self.load == 0.0)
+            & ~self.jammed
+        )
+        return bool(idle.all())
+
+    def _step(self, dt_s: float) -> None:
+        on = self.torque_on
+        self._follow_profile(dt_s)
+        room = np.maximum(0.0, 1.0 - self.load / np.maximum(self.strength, 1e-6))
+        top = np.where(self.jammed, 0.0, self._no_load * room * self.voltage_v / self._nominal_v)
+        error = self.trajectory - self.position
+        wanted = self.trajectory_velocity + _POSITION_LOOP_PER_S * error
+        velocity = np.where(on, np.clip(wanted, -top, top), 0.0)
+        effort = self.load + 0.05 * np.minimum(1.0, np.abs(velocity) / self._no_load)
+        effort += 0.02 * np.abs(velocity - self.velocity) / (self._no_load * dt_s) * 0.05
+        effort += 0.004 * np.abs(error) * (np.abs(wanted) > top)
+        self.velocity = velocity
+        self.position = self.position + velocity * dt_s
+        self._supply_and_heat(dt_s, np.where(on, np.clip(effort, 0.0, self.strength), 0.0))
+
+    def _follow_profile(self, dt_s: float) -> None:
+        """Trapezoid: full acceleration, top speed, braking in time.
+
+        https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-velocity112
+        """
+        a = self.acceleration
+        left = self.goal - self.trajectory
+        distance = np.abs(left)
+        brake = a * dt_s * (np.sqrt(0.25 + 2.0 * distance / (a * dt_s * dt_s)) - 0.5)
+        wanted = np.sign(left) * np.minimum(np.minimum(self.top_speed, brake), distance / dt_s)
+        change = a * dt_s
+        v = self.trajectory_velocity
+        v = np.clip(wanted, v - change, v + change)
+        there = (distance <= np.abs(v) * dt_s * (1 + 1e-9)) & (np.abs(v) <= 2 * change)
+        there |= distance < 1e-6
+        moved = np.where(there, self.goal, self.trajectory + v * dt_s)
+        self.trajectory = np.where(self.torque_on, moved, self.position)
+        self.trajectory_velocity = np.where(there | ~self.torque_on, 0.0, v)
+
+    def _supply_and_heat(self, dt_s: float, effort: Array) -> None:
+        around = self._environment
+        self.current_a = self._stall_a * effort + around.standby_a
+        self.voltage_v = self.supply_v - around.supply_ohm * self.current_a.sum()
+        keep = np.exp(-dt_s / around.cooling_s)
+        settles = around.ambient_degc + effort * effort * around.heat_deg_s * around.cooling_s
+        self.temperature = settles + (self.temperature - settles) * keep
+        over = effort >= around.overload_share
+        self.overload_s = np.where(over, self.overload_s + dt_s, 0.0)
+
+    def hardware_errors(
+        self, low_v: Array, high_v: Array, hottest_degc: Array
+    ) -> NDArray[np.int64]:
+        """The bits that each servo would set now, given its own limits."""
+        bits = VOLTAGE_ERROR * ((self.voltage_v < low_v) | (self.voltage_v > high_v))
+        bits = bits + HEAT_ERROR * (self.temperature > hottest_degc)
+        late = self.overload_s >= self._environment.overload_after_s
+        return np.asarray(bits + OVERLOAD_ERROR * late, dtype=np.int64)

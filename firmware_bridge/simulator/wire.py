@@ -1,0 +1,197 @@
+"""The half-duplex wire of a simulated chain: who speaks when, what is lost, when it arrives."""
+
+import random
+from bisect import insort
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final
+
+from firmware_bridge.dynamixel.codec import fast_status, status
+from firmware_bridge.simulator.faults import ON_INSTRUCTIONS, ON_REPLIES, Fault
+from firmware_bridge.simulator.servo import SimulatedServo
+
+#: Start bit, eight data bits, stop bit: https://emanual.robotis.com/docs/en/dxl/protocol2/
+BITS_PER_BYTE: Final = 10
+#: What an adapter that hears itself sends back before the reply: here a broadcast ping.
+_ECHO: Final = b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42"
+
+
+@dataclass(slots=True)
+class WireCounts:
+    """What went over the wire so far.
+
+    contention: two spoke at once, though everybody kept to the time a packet is due;
+    talked_over_uninvited: the computer spoke over what a fault made late, double or noise, which
+    it could not foresee.
+    """
+
+    instructions: int = 0
+    replies: int = 0
+    contention: int = 0
+    talked_over_uninvited: int = 0
+    bad_instructions: int = 0
+    unheard: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class WireRules:
+    """Where hardware may differ and the manual is silent.
+
+    chain_stops: servos after a silent one do not answer a sync read.
+    latency_s: what adapter and computer add to every reply.
+    """
+
+    chain_stops: bool = False
+    latency_s: float = 0.0
+
+
+@dataclass(slots=True, order=True)
+class _Reply:
+    deliver_s: float
+    start_s: float = field(compare=False)
+    end_s: float = field(compare=False)
+    data: bytes = field(compare=False)
+    uninvited: bool = field(compare=False)
+
+
+class Wire:
+    """Carries packets at their speed; faults befall them by seeded chance."""
+
+    def __init__(self, rules: WireRules, faults: Iterable[Fault], seed: int) -> None:
+        self.counts = WireCounts()
+        self.host_until_s = 0.0
+        self.until_s = 0.0
+        self._rules = rules
+        self._on_replies = [fault for fault in faults if fault.kind in ON_REPLIES]
+        self._on_instructions = [fault for fault in faults if fault.kind in ON_INSTRUCTIONS]
+        self._rng = random.Random(seed)
+        self._out: list[_Reply] = []
+        self._disturbed = False  # since the last instruction; later replies are pushed back by it
+
+    @property
+    def next_delivery_s(self) -> float:
+        """When the next bytes reach the computer; infinity when none are on their way."""
+        return self._out[0].deliver_s if self._out else float("inf")
+
+    def deliver(self, now_s: float) -> bytes:
+        """The bytes that have reached the computer by `now_s`."""
+        n = 0
+        while n < len(self._out) and self._out[n].deliver_s <= now_s:
+            n += 1
+        arrived = b"".join(reply.data for reply in self._out[:n])
+        del self._out[:n]
+        return arrived
+
+    def clear(self) -> None:
+        """Lose what is under way."""
+        self._out.clear()
+
+    def host_speaks(self, data: bytes, now_s: float, byte_s: float) -> tuple[bytes, float]:
+        """What the servos hear of `data`, and when its first byte is on the wire."""
+        start_s = max(now_s, self.host_until_s)
+        self._disturbed = False
+        self.host_until_s = start_s + len(data) * byte_s
+        hit = [r for r in self._out if r.start_s < self.host_until_s and start_s < r.end_s]
+        self.counts.contention += any(not reply.uninvited for reply in hit)
+        self.counts.talked_over_uninvited += any(reply.uninvited for reply in hit)
+        for reply in hit:
+            reply.data = b"\x00" * len(reply.data)
+        for fault in self._on_instructions:
+            if fault.hits(-1, now_s, self._rng):
+                data = b"" if fault.kind == "drop_instruction" else self._flip(data, 0, len(data))
+        return data, start_s
+
+    def say(
+        self,
+        servo: SimulatedServo,
+        said_id: int,
+        answer: tuple[int, bytes],
+        after_s: float,
+        byte_s: float,
+    ) -> None:
+        """One status packet, after the servo's return delay; faults may befall it."""
+        start_s = after_s + servo.return_delay_s
+        error, data = answer
+        raw = status(said_id, error, data)
+        times, uninvited = 1, False
+        for fault in self._on_replies:
+            if not fault.hits(servo.index, after_s, self._rng):
+                continue
+            kind = fault.kind
+            if kind == "drop_reply":
+                self.until_s = max(self.until_s, start_s + len(raw) * byte_s)
+                return
+            if kind == "corrupt_reply":
+                raw = self._flip(raw, 0, len(raw))
+            elif kind == "truncate_reply":
+                raw = raw[: self._rng.randrange(1, len(raw))]
+            elif kind == "duplicate_reply":
+                times = 2
+            elif kind == "late_reply":
+                start_s += fault.amount
+                uninvited = True
+            elif kind == "wrong_id":
+                raw = status((said_id + 1) % 253, error, data)
+            elif kind == "error_reply":
+                raw = status(said_id, int(fault.amount) or 1, b"")
+            elif kind == "babble":
+                raw += self._rng.randbytes(int(fault.amount) or 8)
+                uninvited = True
+            elif kind == "echo":
+                raw = _ECHO + raw
+                uninvited = True
+        for n in range(times):
+            self._queue(raw, start_s, byte_s, uninvited=uninvited or n > 0 or self._disturbed)
+            self._disturbed = self._disturbed or uninvited or n > 0
+            start_s = max(start_s, self.until_s)
+
+    def swallows(self, servo: SimulatedServo) -> bool:
+        """Whether a fault keeps this servo's part of a common frame from arriving."""
+        return any(
+            fault.kind in ("drop_reply", "late_reply", "truncate_reply")
+            and fault.hits(servo.index, self.until_s, self._rng)
+            for fault in self._on_replies
+        )
+
+    def say_together(
+        self,
+        said: list[tuple[SimulatedServo, int, bytes]],
+        missing: int,
+        after_s: float,
+        byte_s: float,
+    ) -> None:
+        """One frame from many; a silent servo cuts it off where its part should be."""
+        size = len(said[0][2])
+        blocks = [(servo.servo_id, error, data) for servo, error, data in said]
+        frame = fast_status([*blocks, *([(0, 0, bytes(size))] * missing)])
+        frame = frame[: len(frame) - missing * (size + 4)]
+        for fault in self._on_replies:
+            for n, (servo, _, _) in enumerate(said):
+                if fault.kind == "corrupt_reply" and fault.hits(servo.index, after_s, self._rng):
+                    frame = self._flip(frame, 8 + n * (size + 4), size + 4)
+        self._queue(frame, after_s + said[0][0].return_delay_s, byte_s)
+
+    def _flip(self, raw: bytes, start: int, size: int) -> bytes:
+        at = start + self._rng.randrange(size) if size else 0
+        if at >= len(raw):
+            return raw
+        return raw[:at] + bytes((raw[at] ^ 1 << self._rng.randrange(8),)) + raw[at + 1 :]
+
+    def _queue(self, raw: bytes, start_s: float, byte_s: float, *, uninvited: bool = False) -> None:
+        """Put bytes on the wire; two servos speaking at once spoil each other's."""
+        end_s = start_s + len(raw) * byte_s
+        for other in self._out:
+            if other.start_s < end_s - 1e-12 and start_s < other.end_s - 1e-12:
+                self.counts.contention += not (uninvited or other.uninvited)
+                n = min(len(raw), len(other.data))
+                mixed = bytes(a & b for a, b in zip(raw, other.data, strict=False))
+                # Two transmitters are never in step: bits are lost even where both say the same.
+                raw = mixed[:-1] + bytes(each ^ 0xFF for each in mixed[-1:]) + raw[n:]
+                other.data = b""
+        if self.host_until_s > start_s + 1e-12:
+            self.counts.contention += 1
+            raw = b"\x00" * len(raw)
+        self.counts.replies += 1
+        self.until_s = max(self.until_s, end_s)
+        reply = _Reply(end_s + self._rules.latency_s, start_s, end_s, raw, uninvited)
+        insort(self._out, reply)

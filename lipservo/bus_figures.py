@@ -1,0 +1,238 @@
+"""What the servo bus costs and gives: own code and dynamixel-sdk side by side, in one run."""
+
+import statistics
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from firmware_bridge.bridge import Bridge
+from firmware_bridge.channel import MemoryTargetChannel
+from firmware_bridge.clock import MonotonicClock, ticks
+from firmware_bridge.dynamixel import codec
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.group import SpanGroup
+from firmware_bridge.dynamixel.line import GoalWrite, Line, SpanRead
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.serial_transport import open_port
+from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.joints import Joint
+from firmware_bridge.process import on_time
+from firmware_bridge.targets import ServoTargets
+from lipservo.sim_process import simulated_port
+
+N_SERVOS = 20
+BAUD_RATE = 1_000_000
+#: present_current, present_velocity, present_position
+_ADDRESS, _SIZE = 126, 10
+_IDS = list(range(1, N_SERVOS + 1))
+_MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+_ROUNDS, _CALLS = 15, 40
+
+
+def cpu_ratios() -> dict[str, float]:
+    """CPU of the same work, ours over the SDK's: medians of interleaved rounds, no wire time."""
+    with _canned_peer() as port, _canned_peer() as other_port:
+        own, sdk = _own_calls(port), _sdk_calls(other_port)
+        spent: dict[str, list[float]] = {name: [] for name in (*own, *sdk)}
+        for _ in range(_ROUNDS):
+            for name, call in (*own.items(), *sdk.items()):
+                spent[name].append(_cpu_us(call))
+    cpu_us = {name: statistics.median(each) for name, each in spent.items()}
+    return {
+        "cpu_sync_write_ratio": cpu_us["own write"] / cpu_us["sdk write"],
+        "cpu_sync_read_ratio": cpu_us["own read"] / cpu_us["sdk read"],
+        "cpu_cycle_ratio": cpu_us["own cycle"] / cpu_us["sdk cycle"],
+    }
+
+
+def _own_calls(port: str) -> dict[str, Callable[[], object]]:
+    """Write 20 goals; read 20 x 3 values, a frame each; and both, read in one frame."""
+    line = Line(_NoWire(open_port(port, 4_000_000)), return_delay_s=0.0)
+    goals = np.full(N_SERVOS, 2048)
+    plain = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
+    fast = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
+
+    goal_write = GoalWrite(_IDS, 116)
+
+    def write() -> None:
+        line.tell(goal_write.request(goals.tolist()))
+
+    def read(span: SpanRead = plain) -> list[list[int]]:
+        values = np.frombuffer(b"".join([s.data for s in line.sync_read(span)]), dtype=_MOTION)
+        return [values[name].tolist() for name in ("current", "velocity", "position")]
+
+    def cycle() -> None:
+        write()
+        read(fast)
+
+    return {"own write": write, "own read": read, "own cycle": cycle}
+
+
+class _NoWire:
+    """A transport whose bytes take no time, so that only work is measured and no waiting."""
+
+    baud_rate = 10**12
+
+    def __init__(self, transport: Transport) -> None:
+        self.clock = transport.clock
+        self.write = transport.write
+        self.read = transport.read
+        self.discard_input = transport.discard_input
+        self.close = transport.close
+
+
+def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
+    """The same with dynamixel-sdk, as its own examples do it."""
+    import dynamixel_sdk as sdk
+
+    handler = sdk.PortHandler(port)
+    handler.openPort()
+    handler.setBaudRate(4_000_000)
+    packets = sdk.PacketHandler(2.0)
+    group_write = sdk.GroupSyncWrite(handler, packets, 116, 4)
+    group_read = sdk.GroupSyncRead(handler, packets, _ADDRESS, _SIZE)
+    for servo_id in _IDS:
+        group_write.addParam(servo_id, [0, 8, 0, 0])
+        group_read.addParam(servo_id)
+
+    def write() -> None:
+        for servo_id in _IDS:
+            group_write.changeParam(servo_id, [0, 8, 0, 0])
+        group_write.txPacket()
+
+    def read() -> list[list[int]]:
+        group_read.txRxPacket()
+        return [
+            [group_read.getData(servo_id, address, size) for servo_id in _IDS]
+            for address, size in ((126, 2), (128, 4), (132, 4))
+        ]
+
+    def cycle() -> None:
+        write()
+        read()
+
+    return {"sdk write": write, "sdk read": read, "sdk cycle": cycle}
+
+
+@contextmanager
+def _canned_peer() -> Iterator[str]:
+    command = [sys.executable, "-m", "firmware_bridge.simulator.canned_peer", str(N_SERVOS)]
+    with subprocess.Popen(
+        [*command, str(_SIZE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as peer:
+        assert peer.stdout is not None
+        yield peer.stdout.readline().strip()
+        peer.terminate()
+
+
+def wire_figures(seconds: float = 4.0) -> dict[str, float]:
+    """Reads against their time on the wire; write and read as fast as they go, with the CPU."""
+    with on_time(), _simulated(BAUD_RATE) as line:
+        span = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
+        read_wire_s = (len(span.request) + span.reply_size) * line.byte_s
+        write = codec.sync_write(116, 4, [(each, b"\0\x08\0\0") for each in _IDS])
+        for _ in range(100):
+            line.sync_read(span)
+        took_s = []
+        for _ in range(200):
+            time.sleep(0.002)
+            start_s = time.monotonic()
+            line.sync_read(span)
+            took_s.append(time.monotonic() - start_s)
+        cycle_wire_s = read_wire_s + len(write) * line.byte_s
+        start_s, cpu_s, n = time.monotonic(), time.process_time(), 0
+        while time.monotonic() - start_s < seconds:
+            line.tell(write)
+            line.sync_read(span)
+            n += 1
+        wall_s = time.monotonic() - start_s
+        return {
+            "read_to_wire_ratio": statistics.median(took_s) / read_wire_s,
+            "rate_to_wire_ratio": n / wall_s * cycle_wire_s,
+            "rate_cpu_percent": (time.process_time() - cpu_s) / wall_s * 100.0,
+        }
+
+
+def fault_figures(n_cycles: int = 1_000) -> dict[str, float]:
+    """One servo silent, and one packet in a hundred lost: what is heard, and how late."""
+    silent = "faults: [{kind: silence, servos: [7], at_s: [0.0]}]"
+    share, over_ms = _heard(silent, [each for each in _IDS if each != 8], n_cycles)
+    figures = {"silent_samples": share, "silent_over_wire_ms": over_ms}
+    lossy = "seed: 1\nfaults: [{kind: drop_reply, probability: 0.01}]"
+    share, over_ms = _heard(lossy, _IDS, n_cycles)
+    return {**figures, "loss_samples": share, "loss_p99_over_wire_ms": over_ms}
+
+
+def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float]:
+    """Share of the samples of `ids` that came, and the 99th percentile of time beyond the wire."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "faults.yaml"
+        path.write_text(script)
+        with on_time(), _simulated(BAUD_RATE, "--faults", str(path)) as line:
+            plain = SpanRead(ids, _ADDRESS, _SIZE, fast=False)
+            for _ in range(200):  # the line learns how late this computer is
+                line.sync_read(plain)
+            group = SpanGroup(_IDS, _ADDRESS, _SIZE)
+            n_heard, over_s = 0, []
+            for _ in range(n_cycles):
+                time.sleep(0.002)
+                start_s = time.monotonic()
+                answers = group.ask(line)
+                took_s = time.monotonic() - start_s
+                wire_s = (len(group.asked.request) + group.asked.reply_size) * line.byte_s
+                over_s.append(took_s - wire_s)
+                n_heard += sum(status.servo_id in ids for status in answers)
+    return n_heard / (len(ids) * n_cycles), float(np.percentile(over_s, 99)) * 1e3
+
+
+def replug_s(n_servos: int = 10) -> float:
+    """From the moment a port is back until every servo has been woken again, soft."""
+    model = servo_models()["XL330-M288"]
+    joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
+    with TemporaryDirectory() as folder:
+        path, link = Path(folder) / "faults.yaml", Path(folder) / "port"
+        path.write_text("faults: [{kind: unplug, at_s: [4.0], lasts_s: 2.0}]")
+        arguments = ["--servos", str(n_servos), "--link", str(link), "--faults", str(path)]
+        with simulated_port([*arguments, "--baud-rate", str(BAUD_RATE), "--on-time"]):
+            clock = MonotonicClock()
+            channel = MemoryTargetChannel()
+            servos = [MountedServo(joint, model) for joint in joints]
+            with DynamixelBus(servos, lambda: open_port(str(link), BAUD_RATE)) as bus:
+                bridge = Bridge(bus, joints, channel, rate_hz=50.0, tolerant=True)
+                bridge.arm()
+                back_s = 0.0
+                for time_s, late in ticks(clock, 50.0):
+                    channel.publish(ServoTargets(time_s, np.zeros(n_servos)))
+                    before = bridge.status
+                    bridge.tick(time_s, late)
+                    if before.n_unplugged and not back_s and link.exists():
+                        back_s = link.lstat().st_mtime - time.time() + clock.now()
+                    if bridge.status.n_armed == 2:
+                        return clock.now() - back_s
+    raise AssertionError("unreachable: ticks never end")
+
+
+@contextmanager
+def _simulated(baud_rate: int, *arguments: str) -> Iterator[Line]:
+    """A line to twenty simulated servos in a process of their own, with wire time."""
+    options = ["--servos", str(N_SERVOS), "--baud-rate", str(baud_rate), "--on-time"]
+    with simulated_port([*options, *arguments]) as port:
+        transport = open_port(port, baud_rate)
+        try:
+            yield Line(transport, return_delay_s=0.0)
+        finally:
+            transport.close()
+
+
+def _cpu_us(call: Callable[[], object], n_calls: int = _CALLS) -> float:
+    start_s = time.process_time()
+    for _ in range(n_calls):
+        call()
+    return (time.process_time() - start_s) / n_calls * 1e6

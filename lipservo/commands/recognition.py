@@ -1,0 +1,215 @@
+"""`align`, `recognize` and `train-recognizer`: what has to do with hearing phonemes."""
+
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import Progress, TimeRemainingColumn
+
+from lipservo.commands.options import (
+    MESSAGES,
+    RESULTS,
+    EngineChoice,
+    Json,
+    Quiet,
+    print_json,
+)
+
+Jobs = Annotated[
+    int | None,
+    typer.Option(min=1, help="Processes; default: one a core.", show_default=False),
+]
+
+
+def align(
+    sound: Annotated[Path, typer.Argument(help="Sound file, or folder laid out like LibriSpeech.")],
+    text: Annotated[
+        str | None, typer.Argument(help="What is said, or a text file that holds it.")
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="TextGrid to write; of a folder: JSON lines."),
+    ] = None,
+    jobs: Jobs = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find when each phone of a known text is spoken; of a folder, all its transcripts."""
+    if sound.is_dir():
+        _align_corpus(sound, output, jobs or os.cpu_count() or 1, as_json=as_json, quiet=quiet)
+        return
+    if text is None:
+        raise typer.BadParameter("say what is said in the sound", param_hint="TEXT")
+    from lipsync.recognition.alignment import ForcedAligner
+    from lipsync.recognition.sound import read_speech
+    from lipsync.textgrid import write_tiers
+
+    said = Path(text).read_text(encoding="utf-8") if _is_file(text) else text
+    alignment = ForcedAligner().align(read_speech(sound), said)
+    phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in alignment.phones)
+    if alignment.beams != "default":
+        MESSAGES.print("found only with tight beams: no yardstick for accuracy")
+    if alignment.guessed:
+        MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}")
+    if output is not None:
+        write_tiers(output, {"words": alignment.words, "phones": phones})
+    if as_json:
+        print_json(
+            {
+                "phones": phones,
+                "words": alignment.words,
+                "beams": alignment.beams,
+                "guessed": alignment.guessed,
+            }
+        )
+    elif output is None:
+        for phoneme, start_s, end_s in phones:
+            RESULTS.print(f"{start_s:8.2f} {end_s:8.2f}  {phoneme}")
+
+
+def recognize(
+    sound: Annotated[Path | None, typer.Argument(help="Sound file.")] = None,
+    mic: Annotated[
+        str | None,
+        typer.Option(metavar="[DEVICE]", help="Listen to a microphone.", show_default=False),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="TextGrid to write at the end.")
+    ] = None,
+    engine: EngineChoice = "network",
+    as_json: Json = False,
+) -> None:
+    """Print the phonemes of a sound file, or of a microphone as they are spoken, with their times.
+
+    With --json one object a line: phoneme, start_s, end_s.
+    """
+    if (sound is None) == (mic is None):
+        raise typer.BadParameter("give a sound file or --mic")
+    from lipservo.listening import heard_events, live_source
+    from lipsync.audio.file import FileSource
+    from lipsync.textgrid import write_tiers
+
+    source = live_source(mic) if sound is None else FileSource(sound)
+    events = []
+    try:
+        for event in heard_events(source, engine):
+            if output is not None:
+                events.append(event)
+            if as_json:
+                record = {"phoneme": event.phoneme, "start_s": event.start_s, "end_s": event.end_s}
+                sys.stdout.write(json.dumps(record) + "\n")
+            elif output is None:
+                sys.stdout.write(f"{event.start_s:8.2f} {event.end_s:8.2f}  {event.phoneme}\n")
+            if mic is not None:
+                sys.stdout.flush()
+    except KeyboardInterrupt:
+        MESSAGES.print("stopped")
+    if output is not None:
+        phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in events)
+        write_tiers(output, {"phones": phones})
+
+
+def train_recognizer(
+    corpora: Annotated[list[Path], typer.Argument(help="Folders laid out like LibriSpeech.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")],
+    folder: Annotated[
+        Path, typer.Option(help="Keeps alignments, state and run log; a run goes on from there.")
+    ] = Path("recognizer-training"),
+    held_out: Annotated[
+        str, typer.Option(help="Speakers that train nothing, with commas between.")
+    ] = "",
+    validation: Annotated[
+        str, typer.Option(help="Speakers that only the run log hears, with commas between.")
+    ] = "",
+    seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 2_000,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 6,
+    jobs: Jobs = None,
+    quiet: Quiet = False,
+) -> None:
+    """Learn the recogniser's weights (needs `pip install lipservo[train]`)."""
+    if not output.parent.is_dir():
+        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
+    try:
+        import torch  # noqa: F401 - so that its absence is said first
+    except ImportError as error:
+        raise typer.BadParameter("needs torch: `pip install 'lipservo[train]'`") from error
+    from lipsync.recognition.training_run import TrainingRun, run_training
+    from lipsync.recognition.weights import save_weights
+
+    run = TrainingRun(
+        corpora=tuple(corpora),
+        folder=folder,
+        held_out=_names(held_out),
+        validation=_names(validation),
+        seed=seed,
+        n_steps=steps,
+        n_copies=copies,
+        n_processes=jobs or os.cpu_count() or 1,
+    )
+    with progress_bar(quiet=quiet) as advance:
+        weights = run_training(run, advance)
+    save_weights(weights, output)
+    MESSAGES.print(f"{output}: done; run log: {folder / 'log.jsonl'}", soft_wrap=True)
+
+
+@contextmanager
+def progress_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """A function (what, how many are done, of how many) that draws bars on stderr."""
+    columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+    with Progress(*columns, console=MESSAGES, transient=True, disable=quiet) as progress:
+        tasks = {}
+
+        def advance(what: str, n_done: int, n_all: int) -> None:
+            if what not in tasks:
+                tasks[what] = progress.add_task(what, total=n_all)
+            progress.update(tasks[what], completed=n_done, total=n_all)
+
+        yield advance
+
+
+def _align_corpus(
+    folder: Path, output: Path | None, n_processes: int, *, as_json: bool, quiet: bool
+) -> None:
+    from lipsync.corpus.transcribed import read_transcribed
+    from lipsync.recognition.alignment_cache import align_corpus
+
+    if output is None:
+        raise typer.BadParameter("name the file for the alignments", param_hint="--output")
+    utterances = read_transcribed(folder)
+    with progress_bar(quiet=quiet) as advance:
+        done: list[str] = []
+
+        def count(name: str) -> None:
+            done.append(name)
+            advance("aligning", len(done), len(utterances))
+
+        aligned = align_corpus(utterances, output, n_processes=n_processes, progress=count)
+    failed = {a.name: a.error for a in aligned.values() if a.error}
+    tight = sum(a.beams == "tight" for a in aligned.values())
+    if as_json:
+        print_json({"utterances": len(aligned), "tight": tight, "failed": failed})
+        return
+    for name, error in failed.items():
+        MESSAGES.print(f"not aligned: {name}: {error}", soft_wrap=True)
+    RESULTS.print(
+        f"{output}: {len(aligned) - len(failed)} of {len(aligned)} utterances aligned, "
+        f"{tight} of them only with tight beams",
+        soft_wrap=True,
+    )
+
+
+def _is_file(text: str) -> bool:
+    try:
+        return Path(text).is_file()
+    except OSError:  # a text too long for a file's name
+        return False
+
+
+def _names(listed: str) -> frozenset[str]:
+    return frozenset(name.strip() for name in listed.split(",") if name.strip())

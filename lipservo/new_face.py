@@ -1,0 +1,99 @@
+"""The parts of `lipservo new-face`: find servos, nudge one, write the YAML."""
+
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+import yaml
+
+from firmware_bridge.bridge import Bridge
+from firmware_bridge.channel import MemoryTargetChannel
+from firmware_bridge.clock import MonotonicClock, ticks
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import model_by_number, register, servo_models
+from firmware_bridge.dynamixel.line import Line
+from firmware_bridge.dynamixel.mounting import CENTER_PULSE, PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.provisioning import SCANNED_RATES, scan
+from firmware_bridge.dynamixel.serial_transport import open_port
+from firmware_bridge.joints import Joint
+from firmware_bridge.targets import ServoTargets
+from lipservo.servos import port_opener
+from lipsync.errors import UserError
+
+NUDGE_DEG = 3.0
+_NUDGE_S = 0.5
+_NUDGE_RATE_HZ = 50.0
+#: Careful beginnings; the builder widens them.
+_LIMIT_DEG, _SPEED_DEG_S = 10.0, 200.0
+
+
+def find_servos(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
+    """The first rate at which anybody answers, and the model of every id there."""
+    transport = open_port(port, first_rate)
+    try:
+        scanned = scan(Line(transport), [first_rate, *SCANNED_RATES])
+        rate, found = next((each for each in scanned if each[1]), (0, {}))
+        if not found:
+            raise UserError(f"{port}: no servo answers at any rate; check power and cable")
+    finally:
+        transport.close()
+    models = {each: model_by_number(number) for each, number in sorted(found.items())}
+    unknown = [each for each, model in models.items() if model is None]
+    if unknown:
+        raise UserError(f"id {unknown[0]} is of unknown model {found[unknown[0]]}")
+    return rate, {each: model.name for each, model in models.items() if model is not None}
+
+
+def nudge(port: str, rate: int, servo_id: int, model_name: str) -> None:
+    """Move one servo by 3 degrees and back, through the gate; it is limp afterwards."""
+    model = servo_models()[model_name]
+    transport = open_port(port, rate)
+    try:
+        entry = register("present_position")
+        answer = Line(transport).read(servo_id, entry.address, entry.size)
+    finally:
+        transport.close()
+    if answer is None or len(answer.data) != entry.size:
+        raise UserError(f"id {servo_id} does not answer any more; check its cable")
+    (place,) = struct.unpack("<i", answer.data)
+    here_deg = (place - CENTER_PULSE) * 360.0 / PULSES_PER_TURN
+    joint = Joint(f"id_{servo_id}", servo_id, -NUDGE_DEG - 1.0, NUDGE_DEG + 1.0, 60.0)
+    servo = MountedServo(joint, model, 1, here_deg)
+    channel, clock = MemoryTargetChannel(), MonotonicClock()
+    with DynamixelBus([servo], port_opener(port, rate)) as bus:
+        bridge = Bridge(bus, [joint], channel, rate_hz=_NUDGE_RATE_HZ)
+        bridge.arm()
+        start_s = clock.now()
+        for time_s, late in ticks(clock, _NUDGE_RATE_HZ):
+            share = 1.0 - abs((time_s - start_s) / _NUDGE_S - 1.0)
+            goal_deg = NUDGE_DEG * min(max(share * 2.0, 0.0), 1.0)
+            channel.publish(ServoTargets(time_s, np.array([goal_deg])))
+            bridge.tick(time_s, late)
+            if share < 0.0:
+                break
+        bridge.stop()
+
+
+def face_yaml(
+    name: str, port: str, rate: int, joints: Sequence[tuple[str, int, str, str, int]]
+) -> str:
+    """The YAML of a face: (name, id, model, positive, sign) of each joint."""
+    content = {
+        "name": name,
+        "rate_hz": 30,
+        "bus": {"kind": "dynamixel", "port": port, "baud_rate": rate},
+        "servos": {
+            joint: {
+                "id": servo_id,
+                "model": model,
+                "positive": positive,
+                "min_deg": -_LIMIT_DEG,
+                "max_deg": _LIMIT_DEG,
+                "max_speed_deg_s": _SPEED_DEG_S,
+                "sign": sign,
+            }
+            for joint, servo_id, model, positive, sign in joints
+        },
+    }
+    head = "# Written by `lipservo new-face`. Limits are careful: find the real ones by hand.\n"
+    return head + yaml.safe_dump(content, sort_keys=False)

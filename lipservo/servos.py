@@ -1,0 +1,46 @@
+"""The servos of a face's YAML as the bus knows them, and the bus they hang on."""
+
+from collections.abc import Callable
+
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.clock import Clock
+from firmware_bridge.coupling import PreventRule
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.serial_transport import open_port
+from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.simulator.bus import SimulatedBus
+from lipservo.settings import FaceSettings
+
+
+def mounted_servos(face: FaceSettings) -> list[MountedServo]:
+    """Every servo in its place, in the order of the YAML."""
+    return [
+        MountedServo(joint, servo_models()[servo.model], servo.sign, servo.zero_offset_deg)
+        for joint, servo in zip(face.joints(), face.servos.values(), strict=True)
+    ]
+
+
+def prevent_rules(face: FaceSettings) -> list[PreventRule]:
+    """What the face's joints must not do together."""
+    return [
+        PreventRule(
+            tuple(rule.joints.get(name, 0.0) for name in face.servos), rule.above, rule.because
+        )
+        for rule in face.prevent
+    ]
+
+
+def port_opener(port: str, baud_rate: int) -> Callable[[], Transport]:
+    """Opens the port anew each time it is called."""
+    return lambda: open_port(port, baud_rate)
+
+
+def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
+    """The bus that the face's YAML asks for; use it as a context manager."""
+    if face.bus.kind == "simulated" or face.bus.port is None:
+        return SimulatedBus(face.joints(), clock)
+    opener = port_opener(face.bus.port, face.bus.baud_rate)
+    watchdog_s = max(3.0 / face.rate_hz, 0.1)
+    return DynamixelBus(mounted_servos(face), opener, watchdog_s=watchdog_s, strict=strict)

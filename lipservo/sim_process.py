@@ -1,0 +1,46 @@
+"""Simulated servos in a process of their own, for as long as somebody needs them."""
+
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from lipsync.errors import UserError
+
+_END_S = 5.0
+
+
+@contextmanager
+def simulated_port(arguments: Sequence[str]) -> Iterator[str]:
+    """Run `lipservo sim-bus` with `arguments`; the port it serves until the block ends.
+
+    The simulator also ends when this process dies, since its standard input closes then.
+    """
+    command = [sys.executable, "-m", "lipservo", "sim-bus", "--until-stdin-closes", *arguments]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            port = process.stdout.readline().strip()
+            if not port:
+                raise UserError("the simulator did not start; `lipservo sim-bus` says why")
+            yield port
+        finally:
+            process.terminate()
+            try:
+                process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                process.kill()
+
+
+@contextmanager
+def servo_port(port: str | None, sim: str | None, config: str) -> Iterator[str | None]:
+    """The port asked for; with `--sim pty` one made for the occasion; None: the face's own."""
+    if sim is None:
+        yield port
+        return
+    if sim != "pty" or port is not None:
+        raise UserError("--sim knows `pty` only, and goes without --port")
+    with simulated_port(["--config", config]) as made:
+        yield made

@@ -1,0 +1,158 @@
+"""Alignments of a whole corpus: made in parallel, kept as JSON lines, taken up where they ended.
+
+One line an utterance: name, text, beams, phones [name, first frame, frame after the last], guessed
+words; or, for one that could not be aligned, name, text and error. An interrupted run loses no
+finished utterance; a failure is kept, so it is counted and not tried again.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.corpus.transcribed import TranscribedUtterance
+from lipsync.errors import UserError
+from lipsync.phonemes import PHONEMES, SILENCE
+from lipsync.recognition.alignment import FRAMES_PER_S, ForcedAligner
+
+PHONEME_INDEX: Mapping[str, int] = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
+
+
+class CacheError(UserError):
+    """An alignment file cannot be used; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedUtterance:
+    """What is known about one utterance; `phones` is empty when `error` says why.
+
+    phones: (phoneme, first frame, frame after the last) at 100 frames a second.
+    """
+
+    name: str
+    text: str
+    beams: str = ""
+    phones: tuple[tuple[str, int, int], ...] = ()
+    guessed: tuple[str, ...] = ()
+    error: str = ""
+
+    def labels(self, n_frames: int) -> NDArray[np.int64]:
+        """The phoneme's number in `PHONEMES` for each frame (n_frames,); silence after the end."""
+        labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
+        for phoneme, first, end in self.phones:
+            labels[first:end] = PHONEME_INDEX[phoneme]
+        return labels
+
+    def as_line(self) -> str:
+        """One line of the file."""
+        record: dict[str, object] = {"name": self.name, "text": self.text}
+        if self.error:
+            record["error"] = self.error
+        else:
+            record |= {"beams": self.beams, "phones": self.phones, "guessed": self.guessed}
+        return json.dumps(record) + "\n"
+
+
+def read_alignments(path: Path) -> dict[str, AlignedUtterance]:
+    """The utterances of an alignment file by name; CacheError for a damaged one.
+
+    A last line without its end, left by a run that was killed, is passed over.
+    """
+    text = path.read_text(encoding="utf-8")
+    complete = text[: text.rfind("\n") + 1]
+    found: dict[str, AlignedUtterance] = {}
+    for number, line in enumerate(complete.splitlines(), start=1):
+        try:
+            record = json.loads(line)
+            found[record["name"]] = AlignedUtterance(
+                record["name"],
+                record["text"],
+                record.get("beams", ""),
+                tuple((str(p), int(first), int(end)) for p, first, end in record.get("phones", ())),
+                tuple(record.get("guessed", ())),
+                record.get("error", ""),
+            )
+        except (ValueError, LookupError, TypeError) as error:
+            raise CacheError(
+                f"{path}, line {number}: no alignment ({error}); delete the file to start afresh"
+            ) from error
+    return found
+
+
+def align_corpus(
+    utterances: tuple[TranscribedUtterance, ...],
+    path: Path | None,
+    *,
+    n_processes: int = 1,
+    progress: Callable[[str], None] = lambda _name: None,
+) -> dict[str, AlignedUtterance]:
+    """Alignments of all utterances by name, failed ones among them.
+
+    What the file at `path` holds already is taken from there, new ones are added to it as they
+    are made; None keeps no file. `progress` hears each name once.
+    """
+    known = read_alignments(path) if path is not None and path.exists() else {}
+    done: dict[str, AlignedUtterance] = {}
+    for utterance in utterances:
+        old = known.get(utterance.name)
+        if old is not None and old.text == utterance.text:
+            done[utterance.name] = old
+            progress(utterance.name)
+    missing = [utterance for utterance in utterances if utterance.name not in done]
+    with ExitStack() as stack:
+        file = None
+        if path is not None and missing:
+            _drop_torn_line(path)
+            file = stack.enter_context(path.open("a", encoding="utf-8"))
+        for aligned in _aligned(missing, n_processes):
+            if file is not None:
+                file.write(aligned.as_line())
+                file.flush()
+            done[aligned.name] = aligned
+            progress(aligned.name)
+    return {utterance.name: done[utterance.name] for utterance in utterances}
+
+
+def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
+    """Read and align one utterance; a user's mistake becomes its `error`."""
+    from lipsync.recognition.sound import read_speech
+
+    try:
+        alignment = _aligner().align(read_speech(utterance.sound), utterance.text)
+    except UserError as error:
+        return AlignedUtterance(utterance.name, utterance.text, error=str(error))
+    phones = tuple(
+        (event.phoneme, round(event.start_s * FRAMES_PER_S), round(event.end_s * FRAMES_PER_S))
+        for event in alignment.phones
+        if event.end_s is not None
+    )
+    return AlignedUtterance(
+        utterance.name, utterance.text, alignment.beams, phones, alignment.guessed
+    )
+
+
+def _aligned(missing: list[TranscribedUtterance], n_processes: int) -> Iterator[AlignedUtterance]:
+    if n_processes <= 1 or len(missing) <= 1:
+        yield from map(align_utterance, missing)
+        return
+    with ProcessPoolExecutor(n_processes) as pool:
+        yield from pool.map(align_utterance, missing, chunksize=4)
+
+
+@cache
+def _aligner() -> ForcedAligner:
+    """One aligner a process: it takes half a second to load."""
+    return ForcedAligner()
+
+
+def _drop_torn_line(path: Path) -> None:
+    if not path.exists():
+        return
+    text = path.read_bytes()
+    path.write_bytes(text[: text.rfind(b"\n") + 1])

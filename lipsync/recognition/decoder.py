@@ -1,0 +1,134 @@
+"""From posteriors to phonemes: what is said now, without flicker, and in time for closures.
+
+At the delay D the phoneme of frame n - D is settled when frame n was heard. For every frame of the
+stretch in between the best head that has spoken about it is taken (the one with the longest delay).
+A Viterbi search with a penalty for every change of phoneme runs over all of it: the frames after
+n - D, heard by the quick heads, smooth what is settled without waiting any longer.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
+
+Array = NDArray[np.float32]
+
+_CLOSERS = (VISEME_OF["P"], VISEME_OF["F"])
+_SMALLEST = np.float32(1e-6)
+
+
+@dataclass(frozen=True, slots=True)
+class DecoderSettings:
+    """Chosen on two speakers of the training set that trained nothing (docs/recognition.md).
+
+    switch_penalty: of a change of phoneme, in natural-log units; closure_penalty: of a change to a
+    closure (P B M, F V), which smoothing would swallow; closure_bonus: added to a closure's score;
+    phone_weight: of the phone within its viseme class, against the class itself.
+    """
+
+    switch_penalty: float = 2.0
+    closure_penalty: float = 1.0
+    closure_bonus: float = 0.0
+    phone_weight: float = 0.6
+
+
+#: Where nothing is heard beyond the frame that is due, a penalty mostly delays every change.
+QUICK = DecoderSettings(switch_penalty=0.3, closure_penalty=0.15)
+SMOOTH = DecoderSettings()
+
+
+class SwitchDecoder:
+    """Hears one frame of posteriors after the other; see the module's text.
+
+    delays: of the heads, rising; delay: D, at least the first of them.
+    """
+
+    def __init__(
+        self,
+        delays: tuple[int, ...],
+        delay: int,
+        settings: DecoderSettings = DecoderSettings(),
+    ) -> None:
+        if delay < delays[0]:
+            raise ValueError(f"nothing is known after {delay} frames, but after {delays[0]}")
+        self._delay = delay
+        # Of a frame that is `age` frames old, the head with the longest delay that has spoken.
+        self._head_at_age = [
+            max(index for index, d in enumerate(delays) if d <= age)
+            for age in range(delays[0], delay + 1)
+        ]
+        self._delays = delays
+        self._settings = settings
+        is_closure = np.array([VISEME_OF[p] in _CLOSERS for p in PHONEMES])
+        penalties = np.where(is_closure, settings.closure_penalty, settings.switch_penalty)
+        self._penalties: Array = penalties.astype(np.float32)
+        self._bonus: Array = np.where(is_closure, settings.closure_bonus, 0.0).astype(np.float32)
+        # Scores (n_heads, n_phonemes) of the last frames, by frame number modulo the length.
+        self._recent = np.zeros((delay + 1, len(delays), len(PHONEMES)), np.float32)
+        self._best = np.zeros(len(PHONEMES), np.float32)
+        self._n_heard = 0
+
+    def push(self, posteriors: Array) -> tuple[int | None, list[int]]:
+        """Hear posteriors (n_heads, n_phonemes) of one frame.
+
+        The phoneme (its number in `PHONEMES`) now settled, None before the first, and those of
+        the frames after it that a head has spoken about.
+        """
+        n, length = self._n_heard, len(self._recent)
+        self._n_heard += 1
+        scores = self._scores(posteriors)
+        for head, delay in enumerate(self._delays):
+            if delay <= min(n, self._delay):
+                self._recent[(n - delay) % length, head] = scores[head]
+        oldest, newest = n - self._delay, n - self._delays[0]
+        if newest < 0:
+            return None, []
+        # From the oldest frame that is not settled to the newest that is known.
+        first = max(0, oldest)
+        frames = [
+            self._recent[f % length, self._head_at_age[n - f - self._delays[0]]]
+            for f in range(first, newest + 1)
+        ]
+        best = self._step(self._best, frames[0])[0]
+        if oldest >= 0:
+            self._best = best - best.max()
+        path = self._path(best, frames[1:])
+        return (path[0], path[1:]) if oldest >= 0 else (None, path)
+
+    def _path(self, best: Array, frames: list[Array]) -> list[int]:
+        """The best way through the frames, the one before them included."""
+        sources = []
+        for scores in frames:
+            best, source = self._step(best, scores)
+            sources.append(source)
+        state = int(best.argmax())
+        path = [state]
+        for source in reversed(sources):
+            state = int(source[state])
+            path.append(state)
+        return path[::-1]
+
+    def _step(self, best: Array, scores: Array) -> tuple[Array, NDArray[np.int64]]:
+        """One frame further: stay, or change from the best phoneme at the penalty."""
+        leader = int(best.argmax())
+        changed = best[leader] - self._penalties
+        stays = best >= changed
+        source = np.where(stays, _STATES, leader)
+        return np.where(stays, best, changed) + scores, source
+
+    def _scores(self, posteriors: Array) -> Array:
+        """Log scores (n_heads, n_phonemes): of the viseme class, and of the phone within it."""
+        classes = np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST)
+        of_class = np.log(classes)[:, _CLASS_OF]
+        of_phone = np.log(np.maximum(posteriors, _SMALLEST))
+        weight = np.float32(self._settings.phone_weight)
+        blended: Array = (1 - weight) * of_class + weight * of_phone + self._bonus
+        return blended
+
+
+_STATES = np.arange(len(PHONEMES))
+_CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
+_MEMBERSHIP: Array = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
+SILENCE_INDEX = PHONEMES.index(SILENCE)

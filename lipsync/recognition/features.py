@@ -1,0 +1,158 @@
+"""What the network hears: 40 log-mel bands every 10 ms, freed of loudness and of the microphone.
+
+Recipe: pre-emphasis 0.97, 25 ms Hamming window, 10 ms hop, 512-point FFT, 40 mel bands from 60 to
+7600 Hz, natural log of power + 1e-7 (design measurement, recogniser.md). On top of it the level: a
+peak that rises within a few frames and falls slowly is taken off all bands, so that a voice 30 dB
+lower looks the same as soon as it speaks; then a causal running mean is taken off each band.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.audio.block import SAMPLE_RATE_HZ
+
+Array = NDArray[np.float32]
+
+N_BANDS = 40
+FRAMES_PER_S = 100
+HOP = SAMPLE_RATE_HZ // FRAMES_PER_S
+WINDOW = 400
+_N_FFT = 512
+_LOWEST_HZ, _HIGHEST_HZ = 60.0, 7600.0
+_PRE_EMPHASIS = np.float32(0.97)
+_POWER_FLOOR = np.float32(1e-7)
+
+#: One natural-log unit of power in dB.
+_DB_PER_NAT = 10.0 / np.log(10.0)
+#: Mean log power over the bands of loud frames: 98th percentile of LibriSpeech (40 utterances).
+SPEECH_PEAK = -1.0
+#: Where the peak starts: between a voice at full level and one 30 dB lower.
+_FIRST_PEAK = SPEECH_PEAK - 15.0 / _DB_PER_NAT
+#: Below it nothing is lifted any more: 45 dB under usual speech.
+_LOWEST_PEAK = SPEECH_PEAK - 45.0 / _DB_PER_NAT
+#: Share of the way to a louder frame; a click of one frame counts by a third.
+_ATTACK = 0.3
+#: The peak falls 1 dB a second.
+_DECAY = 1.0 / _DB_PER_NAT / FRAMES_PER_S
+#: Quieter than this below the peak is all the same: rooms and codecs differ there.
+_RANGE = 50.0 / _DB_PER_NAT
+#: Frames within 35 dB of the peak move the running mean (design measurement).
+_GATE = 35.0 / _DB_PER_NAT
+_PRIOR_FRAMES, _MEMORY_FRAMES = 100.0, 300.0
+
+
+def log_mel(emphasised: Array) -> Array:
+    """Log-mel power (n, 40) of pre-emphasised samples (160 (n - 1) + 400,) at 16 kHz."""
+    frames = np.lib.stride_tricks.sliding_window_view(emphasised, WINDOW)[::HOP]
+    spectrum = np.fft.rfft(frames * _window(), _N_FFT).astype(np.complex64)
+    power = np.square(spectrum.real) + np.square(spectrum.imag)
+    logs: Array = np.log(power @ _mel_filters() + _POWER_FLOOR)
+    return logs
+
+
+class LogMelStream:
+    """Samples in pieces of any size, log-mel frames out as soon as their 25 ms are heard."""
+
+    def __init__(self) -> None:
+        self._last_sample = np.float32(0.0)
+        self._waiting: Array = np.zeros(0, np.float32)
+
+    def push(self, samples: Array) -> Array:
+        """The log-mel frames (n, 40) that samples (m,) at 16 kHz complete."""
+        if len(samples) > 0:
+            previous = np.concatenate(([self._last_sample], samples[:-1]))
+            self._last_sample = samples[-1]
+            emphasised = samples - _PRE_EMPHASIS * previous
+            self._waiting = np.concatenate((self._waiting, emphasised))
+        n_frames = (len(self._waiting) - WINDOW) // HOP + 1
+        if n_frames <= 0:
+            return np.zeros((0, N_BANDS), np.float32)
+        frames = log_mel(self._waiting[: (n_frames - 1) * HOP + WINDOW])
+        self._waiting = self._waiting[n_frames * HOP :].copy()
+        return frames
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureScale:
+    """What training found typical: mean and standard deviation of each band (40,), below peak."""
+
+    mean: Array
+    deviation: Array
+
+    @classmethod
+    def of(cls, recordings: Iterable[Array]) -> "FeatureScale":
+        """The scale of the loud frames of log-mel recordings, (n, 40) each."""
+        loud = []
+        for frames in recordings:
+            peak = PeakFollower()
+            levels = frames.mean(axis=1, dtype=np.float64).tolist()
+            pairs = [peak.push(*pair) for pair in zip(frames, levels, strict=True)]
+            loud += [below_peak for below_peak, is_loud in pairs if is_loud]
+        stacked = np.stack(loud)
+        return cls(stacked.mean(axis=0), stacked.std(axis=0))
+
+
+class PeakFollower:
+    """Takes a slowly falling peak off all bands and says which frames are loud."""
+
+    def __init__(self) -> None:
+        self._peak = _FIRST_PEAK
+
+    def push(self, frame: Array, level: float) -> tuple[Array, bool]:
+        """One log-mel frame (40,) below its peak, and whether it is within 35 dB of it.
+
+        level: the frame's mean over the bands.
+        """
+        if level > self._peak:
+            self._peak += _ATTACK * (level - self._peak)
+        else:
+            self._peak = max(self._peak - _DECAY, _LOWEST_PEAK)
+        below_peak = np.maximum(frame - np.float32(self._peak), np.float32(-_RANGE))
+        return below_peak, level > self._peak - _GATE
+
+
+class LevelNormalizer:
+    """Log-mel frames in, features out; causal, one frame at a time."""
+
+    def __init__(self, scale: FeatureScale) -> None:
+        self._deviation = scale.deviation
+        self._mean = scale.mean.astype(np.float64)
+        self._n_frames = _PRIOR_FRAMES
+        self._peak = PeakFollower()
+
+    def push(self, frames: Array) -> Array:
+        """Features (n, 40) of log-mel frames (n, 40)."""
+        features = np.empty_like(frames)
+        levels = frames.mean(axis=1, dtype=np.float64).tolist()
+        for index, (frame, level) in enumerate(zip(frames, levels, strict=True)):
+            below_peak, is_loud = self._peak.push(frame, level)
+            if is_loud:
+                self._n_frames = min(self._n_frames + 1.0, _MEMORY_FRAMES)
+                self._mean += (below_peak - self._mean) / self._n_frames
+            features[index] = (below_peak - self._mean) / self._deviation
+        return features
+
+
+@cache
+def _window() -> Array:
+    return np.hamming(WINDOW).astype(np.float32)
+
+
+@cache
+def _mel_filters() -> Array:
+    """Triangles (257, 40) with corners evenly spaced on the mel scale 2595 log10(1 + f / 700)."""
+
+    def mel(hz: float) -> float:
+        return float(2595.0 * np.log10(1.0 + hz / 700.0))
+
+    corners_mel = np.linspace(mel(_LOWEST_HZ), mel(_HIGHEST_HZ), N_BANDS + 2)
+    corners_hz = 700.0 * (10.0 ** (corners_mel / 2595.0) - 1.0)
+    bins_hz = np.arange(_N_FFT // 2 + 1) * (SAMPLE_RATE_HZ / _N_FFT)
+    low, middle, high = corners_hz[:-2], corners_hz[1:-1], corners_hz[2:]
+    rising = (bins_hz[:, None] - low) / (middle - low)
+    falling = (high - bins_hz[:, None]) / (high - middle)
+    return np.maximum(0.0, np.minimum(rising, falling)).astype(np.float32)

@@ -1,0 +1,112 @@
+"""The recogniser of the live path: features, network, decoder, in NumPy, 10 ms at a time."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.audio.block import AudioBlock
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeUpdate
+from lipsync.recognition.activity import VoiceActivity
+from lipsync.recognition.belief import FrameBelief
+from lipsync.recognition.decoder import QUICK, SMOOTH, DecoderSettings, SwitchDecoder
+from lipsync.recognition.features import FRAMES_PER_S, LevelNormalizer, LogMelStream
+from lipsync.recognition.intake import SoundIntake
+from lipsync.recognition.network import NetworkWeights, StreamingNetwork
+
+Array = NDArray[np.float32]
+
+LATENCY_S = 0.095
+#: The window of the newest frame ends 25 ms after its start.
+_WINDOW_S = 0.025
+#: A band of log power that holds 10 dB more than the rounding noise of 16 bits: white noise lies
+#: there at -75 dBFS, speech that was turned down by 40 dB well above (measured).
+_INAUDIBLE = -11.0
+_SILENCE_INDEX = PHONEMES.index(SILENCE)
+
+
+class NetworkRecognizer:
+    """A `LiveRecognizer`; hears any rate, any block size, gaps as silence.
+
+    latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may change its
+    mind only about what is not final. Memory stays bounded as long as `updates` is called.
+    settings: of the decoder; None for those that fit the latency.
+    """
+
+    def __init__(
+        self,
+        weights: NetworkWeights,
+        latency_s: float = LATENCY_S,
+        settings: DecoderSettings | None = None,
+    ) -> None:
+        self._weights = weights
+        self._delay = int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
+        has_lookahead = self._delay > weights.delays[0]
+        self._settings = settings or (SMOOTH if has_lookahead else QUICK)
+        least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
+        if latency_s < least_s - 1e-9:
+            raise ValueError(f"latency_s is {latency_s}; the network needs at least {least_s}")
+        self.reset()
+
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+        return _WINDOW_S + self._delay / FRAMES_PER_S
+
+    @property
+    def is_speaking(self) -> bool:
+        """Whether somebody speaks, or stopped less than 150 ms ago."""
+        return self._activity.is_speaking
+
+    def reset(self) -> None:
+        """Forget everything, ready for a new stream at sound time 0."""
+        self._intake = SoundIntake()
+        self._log_mel = LogMelStream()
+        self._normalizer = LevelNormalizer(self._weights.scale)
+        self._network = StreamingNetwork(self._weights)
+        self._decoder = SwitchDecoder(self._weights.delays, self._delay, self._settings)
+        self._activity = VoiceActivity()
+        self._belief = FrameBelief(FRAMES_PER_S, self._delay + 1)
+        self._n_heard = 0  # frames whose window was heard, those jumped over among them
+        self._n_said = 0
+        self._settled: list[int] = []  # from the belief's border on
+        self._open: list[int] = []  # the frames after them that a head has spoken about
+
+    def feed(self, block: AudioBlock) -> None:
+        """Hear the next block: any size, any rate; a gap before it is heard as silence.
+
+        Raises ValueError for a block that starts before the last one's end, and for another rate
+        than the stream began with.
+        """
+        silence, jump_s, samples = self._intake.take(block)
+        self._hear(silence)
+        if jump_s > 0.0:
+            n_frames = round(jump_s * FRAMES_PER_S)
+            # All that the decoder still holds is silence by now.
+            self._settled.extend([_SILENCE_INDEX] * n_frames)
+            self._n_heard += n_frames
+        self._hear(samples)
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - what was fed counts
+        """One update if a frame's window was completed since the last call, else none."""
+        if self._n_heard == self._n_said:
+            return []
+        self._n_said = self._n_heard
+        border = self._belief.border
+        known = self._settled + self._open
+        # The newest frame's window reaches 15 ms beyond its end; one frame more has been heard.
+        n_missing = self._n_heard + 1 - border - len(known)
+        known += [known[-1] if known else _SILENCE_INDEX] * n_missing
+        update = self._belief.update([PHONEMES[index] for index in known])
+        del self._settled[: self._belief.border - border]
+        return [update]
+
+    def _hear(self, samples: Array) -> None:
+        for frame in self._log_mel.push(samples):
+            posteriors = self._network.push(self._normalizer.push(frame[None]))[0]
+            if frame.max() < _INAUDIBLE:
+                posteriors[:] = 0.0
+                posteriors[:, _SILENCE_INDEX] = 1.0
+            self._activity.hear(float(posteriors[0, _SILENCE_INDEX]))
+            settled, self._open = self._decoder.push(posteriors)
+            if settled is not None:
+                self._settled.append(settled)
+            self._n_heard += 1

@@ -1,0 +1,106 @@
+"""The network at run time, in NumPy: causal convolutions over features, one frame at a time.
+
+An entry convolution, residual dilated convolutions (x + relu(W past + b)), one output layer with a
+head for each delay: head h, at frame n, gives the posteriors of the phones of frame n - delay.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.recognition.features import FeatureScale
+
+Array = NDArray[np.float32]
+_TAPS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """A causal convolution: kernel (3 n_in, n_out), oldest tap first; bias (n_out,)."""
+
+    kernel: Array
+    bias: Array
+    dilation: int
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkWeights:
+    """All that was learned.
+
+    output: (n_channels, n_heads n_phonemes); delays: frames that each head waits, rising.
+    """
+
+    scale: FeatureScale
+    entry: Layer
+    residuals: tuple[Layer, ...]
+    output: Array
+    output_bias: Array
+    delays: tuple[int, ...]
+    phonemes: tuple[str, ...]
+
+
+class StreamingNetwork:
+    """Features in, posteriors out, frame by frame; a new one starts from silence."""
+
+    def __init__(self, weights: NetworkWeights) -> None:
+        self._weights = weights
+        self._entry = _StreamingLayer(weights.entry)
+        self._residuals = [_StreamingLayer(layer) for layer in weights.residuals]
+
+    def push(self, features: Array) -> Array:
+        """Posteriors (n, n_heads, n_phonemes) of features (n, n_bands)."""
+        weights = self._weights
+        logits = np.empty((len(features), len(weights.output_bias)), np.float32)
+        for index, frame in enumerate(features):
+            hidden = self._entry.step(frame)
+            for layer in self._residuals:
+                hidden = hidden + layer.step(hidden)
+            logits[index] = hidden @ weights.output + weights.output_bias
+        return _posteriors(logits, weights)
+
+
+class _StreamingLayer:
+    """relu of one convolution; remembers as many inputs as its kernel reaches back."""
+
+    def __init__(self, layer: Layer) -> None:
+        self._layer = layer
+        self._n_past = (_TAPS - 1) * layer.dilation
+        self._past = np.zeros((self._n_past + 1, len(layer.kernel) // _TAPS), np.float32)
+        self._taps = np.empty(len(layer.kernel), np.float32)
+        self._newest = 0
+
+    def step(self, frame: Array) -> Array:
+        """(n_in,) to (n_out,)."""
+        n_ring, n_in = self._past.shape
+        self._newest = (self._newest + 1) % n_ring
+        self._past[self._newest] = frame
+        for tap in range(_TAPS):
+            age = (_TAPS - 1 - tap) * self._layer.dilation
+            self._taps[tap * n_in : (tap + 1) * n_in] = self._past[(self._newest - age) % n_ring]
+        output: Array = self._taps @ self._layer.kernel + self._layer.bias
+        return np.maximum(output, np.float32(0.0), out=output)
+
+
+def batch_posteriors(weights: NetworkWeights, features: Array) -> Array:
+    """What `StreamingNetwork` gives, (n, n_heads, n_phonemes), for a whole recording at once."""
+    hidden = _convolved(weights.entry, features)
+    for layer in weights.residuals:
+        hidden = hidden + _convolved(layer, hidden)
+    return _posteriors(hidden @ weights.output + weights.output_bias, weights)
+
+
+def _convolved(layer: Layer, frames: Array) -> Array:
+    padded = np.concatenate(
+        (np.zeros(((_TAPS - 1) * layer.dilation, frames.shape[1]), np.float32), frames)
+    )
+    taps = [padded[tap * layer.dilation :][: len(frames)] for tap in range(_TAPS)]
+    output: Array = np.concatenate(taps, axis=1) @ layer.kernel + layer.bias
+    return np.maximum(output, np.float32(0.0), out=output)
+
+
+def _posteriors(logits: Array, weights: NetworkWeights) -> Array:
+    by_head = logits.reshape(len(logits), len(weights.delays), len(weights.phonemes))
+    powers = np.exp(by_head - by_head.max(axis=2, keepdims=True))
+    posteriors: Array = powers / powers.sum(axis=2, keepdims=True)
+    return posteriors

@@ -1,0 +1,134 @@
+"""How well a recogniser hears, against forced alignment, in the scoring classes of `phonemes`.
+
+Frames are 10 ms. 'all' counts every frame, 'speech' those whose reference is not silence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
+
+Labels = NDArray[np.int64]
+
+#: A hit may lie this many frames beside: the yardstick's own boundaries are not better.
+SLACK_FRAMES = 2
+_CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
+_SILENCE_INDEX = PHONEMES.index(SILENCE)
+_SILENT_CLASS, _CLOSED_CLASS = VISEME_OF[SILENCE], VISEME_OF["P"]
+
+
+@dataclass(slots=True)
+class Score:
+    """Counts, added up over utterances; every figure is a quotient of two of them.
+
+    `confusion` (n_visemes, n_visemes): frames by reference and heard class.
+    """
+
+    n_frames: int = 0
+    n_speech: int = 0
+    n_phones_right: int = 0
+    n_speech_phones_right: int = 0
+    n_slack_right: int = 0
+    n_closures: int = 0
+    n_closures_heard: int = 0
+    n_closures_said: int = 0
+    n_closures_true: int = 0
+    n_phones: int = 0
+    n_edits: int = 0
+    phone_all_by_utterance: list[float] = field(default_factory=list)
+    confusion: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros((len(VISEME_CLASSES),) * 2, np.int64)
+    )
+
+    def add(self, heard: Labels, reference: Labels) -> None:
+        """Count one utterance: phoneme numbers (n,) as in `PHONEMES`."""
+        is_speech = reference != _SILENCE_INDEX
+        right = heard == reference
+        heard_class, true_class = _CLASS_OF[heard], _CLASS_OF[reference]
+        self.n_frames += len(heard)
+        self.n_speech += int(is_speech.sum())
+        self.n_phones_right += int(right.sum())
+        self.n_speech_phones_right += int(right[is_speech].sum())
+        self.n_slack_right += int(_right_nearby(heard_class, true_class)[is_speech].sum())
+        np.add.at(self.confusion, (true_class, heard_class), 1)
+        self._add_closures(heard_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
+        said, spoken = phone_sequence(heard), phone_sequence(reference)
+        self.n_phones += len(spoken)
+        self.n_edits += edit_distance(said, spoken)
+        self.phone_all_by_utterance.append(float(right.mean()))
+
+    def figures(self) -> dict[str, float]:
+        """All figures by name; 0 where nothing was counted."""
+        visemes_right = np.diag(self.confusion)
+        return {
+            "phone_all": _share(self.n_phones_right, self.n_frames),
+            "phone_speech": _share(self.n_speech_phones_right, self.n_speech),
+            "viseme_all": _share(int(visemes_right.sum()), self.n_frames),
+            "viseme_speech": _share(
+                int(visemes_right.sum() - visemes_right[_SILENT_CLASS]), self.n_speech
+            ),
+            "viseme_speech_slack20": _share(self.n_slack_right, self.n_speech),
+            "closure_recall": _share(self.n_closures_heard, self.n_closures),
+            "closure_precision": _share(self.n_closures_true, self.n_closures_said),
+            "per": _share(self.n_edits, self.n_phones),
+        }
+
+    def agreement(self) -> tuple[float, float, float]:
+        """Least, median and most phone accuracy of an utterance: figure 1 of the paper."""
+        if not self.phone_all_by_utterance:
+            return 0.0, 0.0, 0.0
+        ordered = self.phone_all_by_utterance
+        return min(ordered), float(np.median(ordered)), max(ordered)
+
+    def _add_closures(self, said: NDArray[np.bool_], spoken: NDArray[np.bool_]) -> None:
+        self.n_closures += len(_runs(spoken))
+        self.n_closures_heard += _n_touched(_runs(spoken), said)
+        self.n_closures_said += len(_runs(said))
+        self.n_closures_true += _n_touched(_runs(said), spoken)
+
+
+def phone_sequence(labels: Labels) -> list[int]:
+    """The phones in order, each run of frames once, without silence."""
+    return [label for label, _ in groupby(labels.tolist()) if label != _SILENCE_INDEX]
+
+
+def edit_distance(said: Sequence[int], spoken: Sequence[int]) -> int:
+    """Fewest insertions, deletions and substitutions that make one of the other (Levenshtein)."""
+    spoken_row = np.asarray(spoken)
+    steps = np.arange(len(spoken) + 1)
+    costs = steps.copy()
+    for index, phone in enumerate(said, start=1):
+        steps_down = np.minimum(costs[:-1] + (spoken_row != phone), costs[1:] + 1)
+        best = np.concatenate(([index], steps_down))
+        # Deletions run along the row: the least of what stands to the left plus the way from there.
+        costs = np.minimum.accumulate(best - steps) + steps
+    return int(costs[-1])
+
+
+def _right_nearby(heard: Labels, reference: Labels) -> NDArray[np.bool_]:
+    """Whether each heard class is the reference's anywhere within the slack."""
+    padded = np.pad(reference, SLACK_FRAMES, constant_values=-1)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * SLACK_FRAMES + 1)
+    nearby: NDArray[np.bool_] = (windows == heard[:, None]).any(axis=1)
+    return nearby
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(first, after the last) of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _n_touched(runs: list[tuple[int, int]], flags: NDArray[np.bool_]) -> int:
+    """How many of the runs have a True of `flags` within the slack."""
+    return sum(
+        bool(flags[max(0, first - SLACK_FRAMES) : end + SLACK_FRAMES].any()) for first, end in runs
+    )
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 0.0

@@ -1,0 +1,113 @@
+"""The commands of a builder's first hour, as they are typed, on simulated servos behind a pty."""
+
+import subprocess
+import sys
+from importlib import resources
+
+import pytest
+import soundfile
+
+from lipservo.settings import load_face
+from lipservo.sim_process import simulated_port
+
+FACE = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
+
+
+def lipservo(*arguments, **options):
+    command = [sys.executable, "-m", "lipservo", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
+
+
+@pytest.fixture(scope="module")
+def port():
+    with simulated_port(["--config", "face_sim"]) as port:
+        yield port
+
+
+def test_doctor_finds_a_healthy_face_healthy(port):
+    done = lipservo("doctor", "--port", port)
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "10 servos at 1,000,000 baud can do 30 Hz" in done.stdout
+
+
+def test_jog_and_neutral_move_through_the_gate(port):
+    done = lipservo("jog", "jaw", "5", "--port", port, "--hold-s", "0.3")
+    assert done.stdout.strip() == "jaw stands at 5.0 deg", done.stderr
+    done = lipservo("neutral", "--port", port)
+    assert "jaw stands at 0.0 deg" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["jog", "jaw", "40"], "jaw: 40 deg is outside -2..25"),
+        (["jog", "jaw", "nan"], "jaw: nan deg is outside -2..25"),
+        (["jog", "tongue", "4"], "no joint 'tongue' in this face"),
+    ],
+)
+def test_impossible_wishes_move_nothing_and_are_explained(port, arguments, said):
+    done = lipservo(*arguments, "--port", port)
+
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["doctor", "--port", "/dev/ttyUSB77"], "/dev/ttyUSB77: no such port"),
+        (["doctor"], "no port: give --port"),
+        (["run", "--port", "/dev/ttyUSB77"], "/dev/ttyUSB77: no such port"),
+        (["run", "--sim", "usb"], "--sim knows `pty` only"),
+        (["sim-bus", "--model", "AX-12"], "model 'AX-12' is not known"),
+        (["sim-bus", "--baud-rate", "12345"], "12345 baud is no rate"),
+        (["setup-servos", "tongue", "--port", "x"], "no joint 'tongue'"),
+    ],
+)
+def test_bad_input_ends_in_one_clear_line(arguments, said):
+    done = lipservo(*arguments)
+
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_fresh_servo_becomes_a_joint_and_several_at_once_are_refused(tmp_path):
+    path = tmp_path / "face.yaml"
+    path.write_text(FACE)
+    with simulated_port(["--servos", "1"]) as port:
+        done = lipservo("setup-servos", "jaw", "--port", port, "--config", path)
+        assert done.returncode == 0, done.stderr
+        assert "jaw: set up as id 11" in done.stdout
+        again = lipservo("setup-servos", "jaw", "--port", port, "--config", path)
+        assert again.stdout.strip() == "jaw: set up as id 11"
+    with simulated_port(["--servos", "2"]) as port:
+        done = lipservo("setup-servos", "jaw", "--port", port, "--config", path)
+        assert done.returncode == 1
+        assert "2 servos answer (ids [1, 2]); connect one at a time" in done.stderr
+
+
+def test_new_face_writes_a_yaml_that_loads(tmp_path):
+    path = tmp_path / "mine.yaml"
+    with simulated_port(["--servos", "2", "--baud-rate", "1000000"]) as port:
+        answers = "jaw\nopens\ny\nbrow\nraises\nn\n"
+        done = lipservo("new-face", "-o", path, "--port", port, input=answers)
+        assert done.returncode == 0, done.stderr
+    face = load_face(path)
+
+    assert [(name, s.id, s.positive, s.sign) for name, s in face.servos.items()] == [
+        ("jaw", 1, "opens", 1),
+        ("brow", 2, "raises", -1),
+    ]
+
+
+def test_a_dry_run_reads_but_never_switches_torque_on(port, tmp_path):
+    samples, rate_hz = soundfile.read(resources.files("lipservo.clips") / "welcome.flac")
+    clip = tmp_path / "short.wav"
+    soundfile.write(clip, samples[:rate_hz], rate_hz)
+    done = lipservo("run", "--port", port, "--dry-run", "--json", "--wav", clip)
+
+    assert done.returncode == 0, done.stderr
+    assert '"frames_sent": 0' in done.stdout

@@ -1,0 +1,176 @@
+"""The gate's newer powers: acceleration, rules between joints, care of single servos."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_bridge.braking import braking_speed
+from firmware_bridge.care import ServoCare, ServoState
+from firmware_bridge.coupling import Prevention, PreventRule
+from firmware_bridge.health import Feedback, Health
+from firmware_bridge.joints import Joint
+from firmware_bridge.safety import Limiter
+
+PERIOD_S = 0.01
+JOINT = Joint("jaw", 1, -10.0, 20.0, 300.0, max_acceleration_deg_s2=6000.0)
+
+
+def steps(limiter, wanted):
+    sent = [limiter.sent_deg.copy()]
+    for n, goal_deg in enumerate(wanted, 1):
+        sent.append(limiter.apply(np.atleast_1d(goal_deg), n * PERIOD_S).positions_deg)
+    return np.array(sent)
+
+
+def test_braking_speed_stops_exactly_on_the_grid():
+    """With a = 1, step 1: from speed 3 the steps 3, 2, 1 need 6; from 2.5: 2.5, 1.5, 0.5 = 4.5."""
+    one = np.ones(1)
+
+    assert braking_speed(np.array([6.0]), one, 1.0) == pytest.approx([3.0])
+    assert braking_speed(np.array([4.5]), one, 1.0) == pytest.approx([2.5])
+    assert braking_speed(np.array([-1.0]), one, 1.0) == pytest.approx([0.0])
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.floats(-60.0, 60.0), min_size=1, max_size=120))
+def test_speed_acceleration_and_range_hold_whatever_is_asked(wanted):
+    limiter = Limiter([JOINT], PERIOD_S)
+    limiter.start_from(np.array([0.0]), 0.0)
+    sent = steps(limiter, wanted)[:, 0]
+    speed = np.diff(sent) / PERIOD_S
+    acceleration = np.diff(np.concatenate([[0.0], speed])) / PERIOD_S
+
+    assert sent.min() >= -10.0 - 1e-9
+    assert sent.max() <= 20.0 + 1e-9
+    assert np.abs(speed).max() <= 300.0 + 1e-6
+    assert np.abs(acceleration).max() <= 6000.0 * (1 + 1e-6)
+
+
+def test_a_step_is_reached_without_overshoot():
+    limiter = Limiter([JOINT], PERIOD_S)
+    limiter.start_from(np.array([0.0]), 0.0)
+    sent = steps(limiter, [15.0] * 60)[:, 0]
+
+    assert sent.max() <= 15.0 + 1e-9
+    assert sent[-1] == pytest.approx(15.0, abs=1e-6)
+
+
+def test_a_smooth_motion_within_the_limits_passes_unchanged():
+    limiter = Limiter([JOINT], PERIOD_S)
+    limiter.start_from(np.array([0.0]), 0.0)
+    time_s = np.arange(1, 200) * PERIOD_S
+    wanted = 5.0 * (1.0 - np.cos(2.0 * np.pi * 2.0 * time_s))
+
+    np.testing.assert_allclose(steps(limiter, wanted)[1:, 0], wanted, atol=0.02)
+
+
+RULE = PreventRule((1.0, 1.0), 30.0, "the lip would touch the jaw")
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=60))
+def test_forbidden_combinations_are_never_sent(wanted):
+    joints = [Joint(name, n, -20.0, 25.0, 300.0) for n, name in enumerate(("jaw", "lip"))]
+    limiter = Limiter(joints, PERIOD_S, [RULE])
+    limiter.start_from(np.zeros(2), 0.0)
+
+    assert steps(limiter, [np.array(pair) for pair in wanted]).sum(axis=1).max() <= 30.0 + 1e-6
+
+
+def test_a_rule_broken_by_hand_may_be_left_but_not_entered_further():
+    prevention = Prevention([RULE], 2)
+    broken = np.array([20.0, 20.0])
+
+    np.testing.assert_array_equal(prevention.cut(broken, np.array([19.0, 20.0])), [19.0, 20.0])
+    np.testing.assert_array_equal(prevention.cut(broken, np.array([21.0, 20.0])), broken)
+
+
+def test_a_rule_must_allow_neutral():
+    with pytest.raises(ValueError, match="does not fit"):
+        Prevention([PreventRule((1.0, 0.0), -1.0, "?")], 2)
+
+
+class Ward:
+    """Two servos as care sees them, and what it did to them."""
+
+    def __init__(self):
+        self.care = ServoCare([Joint(f"j{n}", n, -10.0, 10.0, 100.0) for n in range(2)])
+        for n in range(2):
+            self.care.woke(n, willing=True, time_s=0.0)
+        self.done = []
+        self.values = {
+            "silent_s": np.zeros(2),
+            "torque_on": np.ones(2, dtype=bool),
+            "watchdog_tripped": np.zeros(2, dtype=bool),
+            "hardware_errors": np.zeros(2, dtype=np.uint8),
+            "room_degc": np.full(2, 40.0),
+            "voltage_v": np.full(2, 5.0),
+        }
+
+    def wake(self, index):
+        self.done.append(("wake", index))
+        return True
+
+    def relax(self, index):
+        self.done.append(("relax", index))
+
+    def reboot(self, index):
+        self.done.append(("reboot", index))
+        self.values["hardware_errors"][index] = 0
+
+    def look(self, *times_s):
+        for time_s in times_s:
+            self.care.look(Health(**self.values), time_s, self)
+        return self.care.states[1]
+
+
+def test_a_servo_with_an_error_is_let_go_cooled_rebooted_and_woken():
+    ward = Ward()
+    ward.values["hardware_errors"][1] = 0x20
+    assert ward.look(1.0) == ServoState.COOLING
+    assert ward.look(1.5) == ServoState.COOLING
+    assert ward.look(2.1) == ServoState.REBOOTING
+    assert ward.look(3.2) == ServoState.DRIVEN
+
+    assert ward.done == [("relax", 1), ("reboot", 1), ("wake", 1)]
+    assert ward.care.driven.tolist() == [True, True]
+
+
+def test_reboots_are_bounded_and_then_the_servo_stays_limp():
+    ward = Ward()
+    for round_s in range(0, 100, 10):
+        ward.values["hardware_errors"][1] = 0x20
+        ward.look(*np.arange(round_s, round_s + 9, 0.5))
+
+    assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
+    assert [act for act, _ in ward.done].count("reboot") == 3
+
+
+def test_a_silent_servo_gets_no_goals_until_it_answers():
+    ward = Ward()
+    ward.values["silent_s"][1] = 0.6
+    assert ward.look(1.0) == ServoState.WAITING
+    assert ward.look(5.0) == ServoState.WAITING
+    ward.values["silent_s"][1] = 0.0
+    assert ward.look(5.1) == ServoState.DRIVEN
+
+
+def test_a_hot_servo_moves_less_and_then_not_at_all():
+    ward = Ward()
+    feedback = Feedback(0.0, np.zeros(2), np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
+    ward.values["room_degc"][:] = [40.0, 5.0]
+    np.testing.assert_allclose(ward.care.scale(feedback, Health(**ward.values)), [1.0, 0.5])
+    ward.values["room_degc"][1] = 0.0
+    assert ward.look(1.0) == ServoState.COOLING
+
+
+def test_a_joint_that_works_hard_for_minutes_moves_less():
+    ward = Ward()
+    effort = np.array([0.2, 0.8])
+    for tick in range(6000):
+        feedback = Feedback(tick * 0.03, np.zeros(2), effort, np.zeros(2, np.uint8), np.zeros(2))
+        scale = ward.care.scale(feedback, Health(**ward.values))
+
+    assert scale[0] == 1.0
+    assert scale[1] == pytest.approx(0.3)

@@ -1,0 +1,119 @@
+"""`align`, `recognize`, `bench recognition` and `--engine` as their users meet them."""
+
+import json
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import soundfile
+from speech import CLIP_PATH
+
+from lipsync.recognition.alignment import words_of
+from lipsync.textgrid import read_tier
+
+CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
+
+
+def lipservo(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "lipservo", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+def test_recognize_tells_the_whole_sound_once_in_order(tmp_path):
+    grid = tmp_path / "clip.TextGrid"
+    done = lipservo("recognize", CLIP_PATH, "--json", "-o", grid)
+    assert done.returncode == 0, done.stderr
+    events = [json.loads(line) for line in done.stdout.splitlines()]
+    assert events[0]["start_s"] == 0.0
+    assert events[-1]["end_s"] == pytest.approx(8.615)
+    assert all(a["end_s"] == b["start_s"] for a, b in pairwise(events))
+    told = [(e["phoneme"], e["start_s"], e["end_s"]) for e in events]
+    assert list(read_tier(grid, "phones")) == told
+
+
+def test_recognize_prints_columns_for_people():
+    done = lipservo("recognize", CLIP_PATH, "--engine", "pocketsphinx")
+    assert done.returncode == 0, done.stderr
+    start_s, end_s, phoneme = done.stdout.splitlines()[0].split()
+    assert (float(start_s), phoneme) == (0.0, "SIL")
+    assert float(end_s) > 0.0
+
+
+def test_align_writes_words_and_phones(tmp_path):
+    grid = tmp_path / "clip.TextGrid"
+    done = lipservo("align", CLIP_PATH, CLIP_TEXT, "-o", grid, "--json")
+    assert done.returncode == 0, done.stderr
+    words = [label for label, _, _ in read_tier(grid, "words") if label]
+    assert words == words_of(CLIP_TEXT)
+    assert json.loads(done.stdout)["beams"] == "default"
+    assert "lipservo" in done.stderr  # its pronunciation was guessed
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("hello 12", "word '12' has no pronunciation"), ("...", "the text holds no words")],
+)
+def test_align_explains_a_text_that_cannot_be_aligned(text, said):
+    done = lipservo("align", CLIP_PATH, text)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert said in line
+
+
+@pytest.fixture
+def corpus(tmp_path):
+    samples = soundfile.read(CLIP_PATH, dtype="float32")[0]
+    text = " ".join(words_of(CLIP_TEXT)).upper()
+    (tmp_path / "audio").mkdir()
+    for name in ("3-1-0000", "4-1-0000"):
+        soundfile.write(tmp_path / "audio" / f"{name}.flac", samples, 16_000)
+    soundfile.write(tmp_path / "audio" / "4-1-0001.flac", np.full(1_600, 1e-3), 16_000)
+    names = ("3-1-0000", "4-1-0000", "4-1-0001")
+    (tmp_path / "transcripts.txt").write_text("".join(f"{name} {text}\n" for name in names))
+    return tmp_path
+
+
+def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
+    cache = corpus / "alignments.jsonl"
+    done = lipservo("bench", "recognition", "--corpus", corpus, "--cache", cache, "--json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert set(figures) >= {
+        "phone_all", "phone_speech", "viseme_all", "viseme_speech", "viseme_speech_slack20",
+        "closure_recall", "closure_precision", "per", "revisions_per_s", "rtf",
+        "ms_per_phoneme", "utterances", "seconds", "alignment", "failed_alignments",
+    }  # fmt: skip
+    assert (figures["utterances"], figures["failed_alignments"]) == (2, 1)
+    assert figures["alignment"] == {"default": 2, "tight_not_scored": 0}
+    assert figures["seconds"] == pytest.approx(2 * 8.615)
+    assert figures["viseme_all"] > 0.6
+    assert len(cache.read_text().splitlines()) == 3
+    assert "4-1-0001" in done.stderr
+    chosen = lipservo(
+        "bench", "recognition", "--corpus", corpus, "--cache", cache, "--speakers", "3",
+        "--noise", "white:0", "--json",
+    )  # fmt: skip
+    noisy = json.loads(chosen.stdout)
+    assert (noisy["utterances"], noisy["failed_alignments"]) == (1, 0)
+    assert noisy["viseme_all"] < figures["viseme_all"]
+
+
+def test_bench_recognition_explains_its_mistakes(corpus):
+    for arguments, said in (
+        (("--corpus", corpus / "audio"), "transcripts.txt: no such file"),
+        (("--corpus", corpus, "--speakers", "9"), "no speaker 9; known: 3, 4"),
+        (("--corpus", corpus, "--noise", "grey:1"), "kinds: white"),
+    ):
+        done = lipservo("bench", "recognition", *arguments)
+        assert done.returncode == 1
+        (line,) = done.stderr.splitlines()
+        assert said in line
+
+
+@pytest.mark.parametrize("engine", ["network", "pocketsphinx"])
+def test_replay_names_the_recogniser_that_listened(engine):
+    done = lipservo("replay", CLIP_PATH, "--engine", engine, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["recognizer"] == engine

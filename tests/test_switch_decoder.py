@@ -1,0 +1,101 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lipsync.phonemes import PHONEMES, VISEME_OF
+from lipsync.recognition.activity import VoiceActivity
+from lipsync.recognition.decoder import DecoderSettings, SwitchDecoder
+
+PLAIN = DecoderSettings(
+    switch_penalty=0.0, closure_penalty=0.0, closure_bonus=0.0, phone_weight=1.0
+)
+
+
+def posteriors(*said):
+    """One head's posteriors (n, 1, 40): the rest of each frame is spread over all phonemes."""
+    frames = np.full((len(said), 1, len(PHONEMES)), 1e-3, np.float32)
+    for frame, shares in zip(frames, said, strict=True):
+        for phoneme, share in shares.items():
+            frame[0, PHONEMES.index(phoneme)] = share
+    return frames / frames.sum(axis=2, keepdims=True)
+
+
+def decode(frames, delays, delay, settings_):
+    decoder = SwitchDecoder(delays, delay, settings_)
+    answers = [decoder.push(frame)[0] for frame in frames]
+    return [PHONEMES[answer] for answer in answers if answer is not None]
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 2**31))
+def test_without_penalties_every_frame_is_its_own_best_phoneme(seed):
+    frames = np.random.default_rng(seed).dirichlet(np.ones(40), (20, 1)).astype(np.float32)
+
+    assert decode(frames, (0,), 0, PLAIN) == [PHONEMES[i] for i in frames[:, 0].argmax(axis=1)]
+
+
+def test_a_penalty_removes_a_flicker_of_one_frame():
+    frames = posteriors(*[{"AA": 0.6, "S": 0.4}] * 3, {"AA": 0.4, "S": 0.6}, *[{"AA": 0.6}] * 3)
+
+    assert "S" in decode(frames, (0,), 0, PLAIN)
+    assert set(decode(frames, (0,), 0, DecoderSettings(switch_penalty=1.0))) == {"AA"}
+
+
+def test_a_closure_changes_at_its_own_smaller_penalty():
+    frames = posteriors(*[{"AA": 0.9}] * 3, {"AA": 0.3, "M": 0.7}, *[{"AA": 0.9}] * 3)
+    hard = DecoderSettings(switch_penalty=3.0, closure_penalty=3.0)
+    quick = DecoderSettings(switch_penalty=3.0, closure_penalty=0.3)
+
+    assert "M" not in decode(frames, (0,), 0, hard)
+    assert "M" in decode(frames, (0,), 0, quick)
+
+
+def test_the_class_is_chosen_by_the_sum_of_its_phones():
+    """T D S together .54 against AA .40, though AA is the best single phone."""
+    frames = posteriors({"AA": 0.40, "T": 0.18, "D": 0.18, "S": 0.18})
+    by_class = DecoderSettings(switch_penalty=0.0, phone_weight=0.1)
+
+    (answer,) = decode(frames, (0,), 0, by_class)
+    assert VISEME_OF[answer] == VISEME_OF["T"]
+
+
+@pytest.mark.parametrize(("delays", "delay"), [((2, 7, 12), 2), ((2, 7, 12), 7), ((2, 7, 12), 12)])
+def test_the_label_of_a_frame_comes_when_its_delay_is_over(delays, delay):
+    """Every head says S about frame 20 alone, each at its own time."""
+    frames = np.full((60, 3, 40), 1e-6, np.float32)
+    frames[:, :, PHONEMES.index("AA")] = 1.0
+    for head, wait in enumerate(delays):
+        frames[20 + wait, head, :] = 1e-6
+        frames[20 + wait, head, PHONEMES.index("S")] = 1.0
+    decoder = SwitchDecoder(delays, delay, DecoderSettings())
+    for n, frame in enumerate(frames):
+        answer, provisional = decoder.push(frame)
+        if answer is not None:
+            assert (PHONEMES[answer] == "S") == (n - delay == 20)
+            assert len(provisional) == delay - delays[0]
+
+
+def test_a_quick_head_tells_a_closure_before_it_is_settled():
+    frames = np.full((30, 2, 40), 1e-6, np.float32)
+    frames[:, :, PHONEMES.index("AA")] = 1.0
+    frames[12:, 0] = 1e-6
+    frames[12:, 0, PHONEMES.index("M")] = 1.0  # the head with delay 2 about frame 10 on
+    decoder = SwitchDecoder((2, 7), 7, DecoderSettings())
+    for frame in frames[:13]:
+        settled, provisional = decoder.push(frame)
+
+    assert PHONEMES[settled] == "AA"
+    assert PHONEMES[provisional[-1]] == "M"
+
+
+def test_activity_outlasts_a_stop_gap_and_ends_within_a_quarter_second():
+    activity = VoiceActivity()
+    assert not activity.is_speaking
+    activity.hear(0.1)
+    for _ in range(12):
+        activity.hear(0.99)
+        assert activity.is_speaking
+    for n in range(13, 26):
+        activity.hear(0.99)
+        assert activity.is_speaking == (n < 15)
