@@ -20,7 +20,7 @@ check: $(VENV)/.installed-dev
 	rm -rf dist build
 	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
 	$(BIN)/check-wheel-contents dist
-	$(BIN)/python -m pytest -m packaging
+	$(BIN)/python -m pytest -m "packaging or campaign"
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -1,7 +1,6 @@
 """One tick of the bridge: targets in, one safe goal a servo out. The caller owns loop and clock."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import Enum, auto
 
 import numpy as np
@@ -13,9 +12,9 @@ from firmware_bridge.channel import TargetTrack
 from firmware_bridge.clock import Clock, ticks
 from firmware_bridge.coupling import PreventRule
 from firmware_bridge.joints import Joint
+from firmware_bridge.report import BridgeStatus, TickReport
 from firmware_bridge.safety import (
     EASE_PEAK_SLOPE,
-    GateCounts,
     Limited,
     Limiter,
     StaleLevel,
@@ -41,48 +40,6 @@ class _State(Enum):
     RUNNING = auto()  # torque on, goals sent
     LIMP = auto()  # speech fell silent; arms itself again at the next fresh target
     UNPLUGGED = auto()  # the port is gone; opened and armed again as soon as it is back
-
-
-@dataclass(frozen=True, slots=True)
-class TickReport:
-    """What one tick wanted, sent and noticed. Every array is (n_servos,).
-
-    wanted_deg is what reached the last gate; sent_deg what the bus got. While `torque_on` is False
-    nothing is sent, sent_deg repeats the last goals, and no limit counts as hit.
-    target_age_s counts from the newest target due, or from arming when that is later.
-    late is how many ticks were missed before this one.
-    """
-
-    time_s: float
-    late: int
-    wanted_deg: NDArray[np.float64]
-    sent_deg: NDArray[np.float64]
-    target_age_s: float
-    stale: StaleLevel
-    torque_on: bool
-    range_hits: NDArray[np.bool_]
-    rate_hits: NDArray[np.bool_]
-    rejected: NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class BridgeStatus:
-    """Counts since the bridge was made, for a status line or a dashboard.
-
-    n_stale: ticks with torque on whose target was no longer fresh; waiting for the first one after
-    arming does not count. n_not_armed: ticks that tried to wake a limp face and found a servo
-    unwilling.
-    """
-
-    n_ticks: int
-    n_late: int
-    n_stale: int
-    n_armed: int
-    n_not_armed: int
-    n_rejected_targets: int
-    gate: GateCounts
-    n_unplugged: int
-    servo_states: tuple[ServoState, ...]
 
 
 class Bridge:

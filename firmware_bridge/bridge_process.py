@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_bridge.bridge import Bridge, TickReport
+from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import MonotonicClock, ticks
 from firmware_bridge.control_socket import ControlSocket, StopLevel
 from firmware_bridge.process import parent_is_alive, run_on_time
+from firmware_bridge.report import TickReport
 
 
 def run_bridge(

@@ -1,9 +1,7 @@
 """Puts a street together from files: face, model, calibration, recogniser, bus."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 from calibration.calibration import Calibration, check_calibration
 from calibration.calibration_file import parse_calibration
@@ -12,21 +10,12 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
-from firmware_bridge.targets import TargetChannel
-from lipservo.pipeline import Speech, Street
+from lipservo.pipeline import Speech, Street, Synthesizer
 from lipservo.servos import bus_for, prevent_rules
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
-from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import LiveRecognizer
-from lipsync.recognition.ladder import RecognizerLadder, Rung
-
-#: Which recogniser is tried first.
-Engine = Literal["network", "pocketsphinx"]
-#: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
-LATENCY_S = 0.095
-_POCKETSPHINX_LATENCY_S = 0.09
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,69 +77,14 @@ def make_street(
     bus: ServoBus,
     rate_hz: float,
     zero_s: float,
+    recognizer: LiveRecognizer,
+    synthesizer: Synthesizer,
     *,
-    recognizer: LiveRecognizer | None = None,
     dry_run: bool = False,
 ) -> Street:
-    """Everything between an entered source and an entered bus; the sound begins at `zero_s`.
-
-    recognizer: None for the default one.
-    """
+    """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
     channel = MemoryTargetChannel()
-    speech = make_speech(face, source, channel, recognizer)
+    speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
     prevent = prevent_rules(face.settings)
     bridge = Bridge(bus, face.joints, channel, rate_hz=rate_hz, prevent=prevent, dry_run=dry_run)
     return Street(speech, bridge, zero_s)
-
-
-def make_speech(
-    face: Face,
-    source: AudioSource,
-    channel: TargetChannel,
-    recognizer: LiveRecognizer | None = None,
-) -> Speech:
-    """The speech side between an entered source and a channel to the bridge.
-
-    recognizer: None for the default one.
-    """
-    synthesizer = PublishedSynthesizer(face.model)
-    recognizer = make_recognizer() if recognizer is None else recognizer
-    return Speech(source, recognizer, synthesizer, face.calibration, channel)
-
-
-def make_recognizer(
-    engine: Engine = "network", timer_s: Callable[[], float] | None = None
-) -> RecognizerLadder:
-    """The live recogniser, from the engine's rung of the ladder down.
-
-    timer_s: a clock in seconds, to see that a rung takes longer than the sound lasts; None where
-    nobody waits for it.
-    """
-    first = [rung.name for rung in _RUNGS].index(engine)
-    return RecognizerLadder(_RUNGS[first:], LATENCY_S, timer_s)
-
-
-def _network() -> LiveRecognizer:
-    from lipsync.recognition.live import NetworkRecognizer
-    from lipsync.recognition.weights import load_shipped_weights
-
-    return NetworkRecognizer(load_shipped_weights(), LATENCY_S)
-
-
-def _pocketsphinx() -> LiveRecognizer:
-    from lipsync.recognition.allphone import PocketsphinxRecognizer
-
-    return PocketsphinxRecognizer(_POCKETSPHINX_LATENCY_S)
-
-
-def _loudness() -> LiveRecognizer:
-    from lipsync.recognition.loudness import LoudnessRecognizer
-
-    return LoudnessRecognizer()
-
-
-_RUNGS = (
-    Rung("network", _network),
-    Rung("pocketsphinx", _pocketsphinx),
-    Rung("loudness", _loudness),
-)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 
-from lipservo.assembly import Engine, make_recognizer
+from lipservo.manner import Engine, make_recognizer
 from lipsync.audio.block import BLOCK_S
 from lipsync.audio.silence import SilenceAfter
 from lipsync.audio.source import AudioSource
@@ -14,15 +14,6 @@ from lipsync.timeline import PhonemeTimeline
 
 #: How often a microphone is asked for what has come.
 _ASK_EVERY_S = 0.02
-
-
-def live_source(device: str | None) -> AudioSource:
-    """A microphone by number, by name, or the default one."""
-    from lipsync.audio.microphone import MicrophoneSource
-
-    if device is None or device == "default":
-        return MicrophoneSource(None)
-    return MicrophoneSource(int(device) if device.isdigit() else device)
 
 
 def heard_events(source: AudioSource, engine: Engine) -> Iterator[PhonemeEvent]:

@@ -5,21 +5,14 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
-from lipservo.assembly import (
-    Engine,
-    Face,
-    assemble_face,
-    at_port,
-    make_bus,
-    make_recognizer,
-    make_street,
-)
+from lipservo.assembly import Face, assemble_face, at_port, make_bus, make_street
 from lipservo.commands.options import MESSAGES
 from lipservo.daemon import play
+from lipservo.manner import Manner, make_recognizer, make_synthesizer
 from lipservo.pipeline import Street, TickObserver
 from lipservo.summary import Summary, Tally
 from lipservo.trace import BackgroundTrace, TraceFile
@@ -36,6 +29,7 @@ class Performance:
     live: draw the face in the terminal; endless: go on in silence when the source is over.
     port: speak to the servos there instead of where the face's YAML says.
     dry_run: read the servos, never switch torque on.
+    manner: how sound becomes motion.
     """
 
     config: str
@@ -45,7 +39,7 @@ class Performance:
     live: bool
     quiet: bool
     endless: bool = False
-    engine: Engine = "network"
+    manner: Manner = field(default_factory=Manner)
     port: str | None = None
     dry_run: bool = False
 
@@ -59,9 +53,17 @@ class Performance:
             zero_s = clock.now()
             # On a clock of its own nobody waits, and the same file must give the same trace.
             timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
-            recognizer = make_recognizer(self.engine, timer_s)
+            recognizer = make_recognizer(self.manner.engine, timer_s)
+            synthesizer = make_synthesizer(face.model, self.manner)
             street = make_street(
-                face, source, bus, rate_hz, zero_s, recognizer=recognizer, dry_run=self.dry_run
+                face,
+                source,
+                bus,
+                rate_hz,
+                zero_s,
+                recognizer,
+                synthesizer,
+                dry_run=self.dry_run,
             )
             delay = street.speech.delay
             if not self.quiet:

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from calibration.calibration import Calibration
 from calibration.following import Follower
 from calibration.viseme_trim import VisemeTrim
-from firmware_bridge.bridge import Bridge, TickReport
+from firmware_bridge.bridge import Bridge
+from firmware_bridge.report import TickReport
 from firmware_bridge.targets import ServoTargets, TargetChannel
-from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.block import BLOCK_S
 from lipsync.audio.source import AudioSource
-from lipsync.phonemes import SILENCE, LiveRecognizer
+from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Delay:
     """How much later than its sound a face is shown, part by part. Added up here and only here."""
 
     recognizer_s: float
-    longest_phone_s: float
+    lookahead_s: float
     sound_block_s: float = BLOCK_S
     publish_period_s: float = PUBLISH_PERIOD_S
     actuation_s: float = 0.0
@@ -43,7 +43,7 @@ class Delay:
     @property
     def synthesis_s(self) -> float:
         """How much sound must have been heard after an instant before its face is computed."""
-        return self.recognizer_s + self.longest_phone_s + self.sound_block_s
+        return self.recognizer_s + self.lookahead_s + self.sound_block_s
 
     @property
     def total_s(self) -> float:
@@ -53,13 +53,32 @@ class Delay:
     def __str__(self) -> str:
         parts = {
             "recogniser": self.recognizer_s,
-            "longest phone": self.longest_phone_s,
+            "look-ahead": self.lookahead_s,
             "sound block": self.sound_block_s,
             "publishing": self.publish_period_s,
             "actuation": self.actuation_s,
         }
         listed = " + ".join(f"{name} {s * 1e3:.0f}" for name, s in parts.items() if s)
         return f"{self.total_s * 1e3:.0f} ms = {listed}"
+
+
+class Synthesizer(Protocol):
+    """Phonemes in, faces out: ours or the paper's."""
+
+    phonemes_planned: int
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its face is asked for."""
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Believe a recogniser; what has been shown stays as it is."""
+
+    def coefficients_at(self, time_s: float) -> Array:
+        """The face (n_components,) at a sound time; the same time gives the same face."""
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""
 
 
 class Speech:
@@ -69,7 +88,7 @@ class Speech:
         self,
         source: AudioSource,
         recognizer: LiveRecognizer,
-        synthesizer: PublishedSynthesizer,
+        synthesizer: Synthesizer,
         calibration: Calibration,
         channel: TargetChannel,
     ) -> None:
@@ -85,7 +104,7 @@ class Speech:
         )
         self.delay = Delay(
             recognizer.latency_s,
-            synthesizer.longest_phone_s,
+            synthesizer.lookahead_s,
             actuation_s=self._follower.advance_s,
         )
         # The first sound is shown a delay late; until then the closed mouth is published.

@@ -43,4 +43,16 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
         return SimulatedBus(face.joints(), clock)
     opener = port_opener(face.bus.port, face.bus.baud_rate)
     watchdog_s = max(3.0 / face.rate_hz, 0.1)
-    return DynamixelBus(mounted_servos(face), opener, watchdog_s=watchdog_s, strict=strict)
+    servos = mounted_servos(face)
+    if face.bus.backend == "own":
+        return DynamixelBus(servos, opener, watchdog_s=watchdog_s, strict=strict)
+    from firmware_bridge.dynamixel.sdk_line import SdkLine, SdkTransport
+
+    port, rate = face.bus.port, face.bus.baud_rate
+    return DynamixelBus(
+        servos,
+        lambda: SdkTransport(port, rate),
+        watchdog_s=watchdog_s,
+        strict=strict,
+        make_line=SdkLine,
+    )

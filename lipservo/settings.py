@@ -107,6 +107,7 @@ class BusSettings(_Strict):
     kind: Literal["simulated", "dynamixel"] = "simulated"
     port: Text | None = None
     baud_rate: BaudRate = 1_000_000
+    backend: Literal["own", "dynamixel-sdk"] = "own"
 
     @model_validator(mode="after")
     def _real_servos_have_a_port(self) -> Self:

@@ -10,8 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.animpho.model import FaceModel, IndexLists
+from lipsync.evaluation.dominance import fixed_reference
+from lipsync.evaluation.regression import PlainRegression
+from lipsync.expectation.expectation import N_TIMING, constant_expectation
 from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
-from lipsync.phonemes import PHONEMES
+from lipsync.phonemes import PHONEMES, stand_in
 
 Array = NDArray[np.float64]
 
@@ -54,6 +57,7 @@ def small_model() -> FaceModel:
     neutral_mm = _neutral_mm()
     basis = _basis(neutral_mm)
     rest = np.array(_TARGETS["SIL"])
+    centres = np.array([_TARGETS[stand_in(p, frozenset(_TARGETS))[0]] for p in PHONEMES])
     contexts = [c for c in product(_TARGETS, repeat=3) if c[0] != c[1] != c[2]]
     follows = [(i, j) for i, a in enumerate(contexts) for j, b in enumerate(contexts)
                if a[1:] == b[:2]]  # fmt: skip
@@ -74,6 +78,14 @@ def small_model() -> FaceModel:
         phoneme_table=IndexLists.from_pairs(phonemes, np.arange(len(contexts)), len(PHONEMES)),
         training_sentences=("made_up",),
         provenance={"corpus": "small_model", "seed": 0, "frames": 0},
+        expectation=constant_expectation(centres),
+        covariance=np.diag([100.0, 4.0, 4.0, 1.0, 4.0]),
+        labiodental_gap_mm=1.5,
+        tightest_s=np.zeros(len(PHONEMES)),
+        centres=centres,
+        counts=np.array([16.0 * (p in _TARGETS) for p in PHONEMES]),
+        dominance=fixed_reference(),
+        regression=PlainRegression(np.zeros((5 * (len(PHONEMES) + 1) + N_TIMING + 1, 5))),
     )
 
 

@@ -20,7 +20,7 @@ def lipservo(*arguments, **options):
 
 @pytest.fixture(scope="module")
 def port():
-    with simulated_port(["--config", "face_sim"]) as port:
+    with simulated_port(["--config", "face_sim", "--on-time"]) as port:
         yield port
 
 

@@ -54,7 +54,14 @@ def test_no_module_imports_itself_by_way_of_others():
 
 
 @pytest.mark.parametrize(
-    "module", ["firmware_bridge.bridge", "firmware_bridge.simulator.bus", "lipservo.settings"]
+    "module",
+    [
+        "firmware_bridge.bridge",
+        "firmware_bridge.simulator.bus",
+        "lipservo.settings",
+        "lipsync.recognition.live",
+        "lipsync.recognition.ladder",
+    ],
 )
 def test_the_live_path_starts_without_heavy_libraries(module):
     heavy = {"sklearn", "scipy", "torch", "sounddevice"}

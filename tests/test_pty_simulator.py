@@ -12,6 +12,8 @@ from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.frames import FrameParser
+from firmware_bridge.dynamixel.line import Line
+from firmware_bridge.dynamixel.sdk_line import SdkLine, SdkTransport
 from firmware_bridge.dynamixel.serial_transport import open_port
 from lipservo.sim_process import simulated_port
 
@@ -20,8 +22,14 @@ BAUD_RATE = 1_000_000
 
 @pytest.fixture(scope="module")
 def port():
-    with simulated_port(["--servos", "5", "--baud-rate", str(BAUD_RATE)]) as port:
+    with simulated_port(["--servos", "5", "--baud-rate", str(BAUD_RATE), "--on-time"]) as port:
         yield port
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """The SDK waits for 34 ms; a computer that runs other tests meanwhile may need more."""
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 250)
 
 
 @pytest.fixture
@@ -108,10 +116,15 @@ def test_a_port_that_is_none_is_explained(path, said):
         open_port(path, BAUD_RATE)
 
 
-def test_a_face_moves_over_a_real_terminal(port):
+@pytest.mark.parametrize(
+    ("open_transport", "make_line"), [(open_port, Line), (SdkTransport, SdkLine)]
+)
+def test_a_face_moves_over_a_real_terminal(port, open_transport, make_line):
     servos = mounted(4)
     clock = MonotonicClock()
-    with DynamixelBus(servos, lambda: open_port(port, BAUD_RATE)) as bus:
+    with DynamixelBus(
+        servos, lambda: open_transport(port, BAUD_RATE), make_line=make_line, watchdog_s=0.0
+    ) as bus:
         bus.write_positions(bus.read().positions_deg)
         bus.set_torque(True)
         place_deg = bus.read().positions_deg

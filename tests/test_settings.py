@@ -141,7 +141,7 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
         (
             "  kind: simulated",
             "  kind: simulated\n  speed: x",
-            "bus.speed: unknown setting; known here: kind, port, baud_rate",
+            "bus.speed: unknown setting; known here: kind, port, baud_rate, backend",
         ),
         (
             "kind: simulated",

@@ -15,7 +15,7 @@ from speech import (
     white_noise,
 )
 
-from lipservo.assembly import make_recognizer
+from lipservo.manner import make_recognizer
 from lipsync.audio.block import AudioBlock
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
@@ -74,7 +74,20 @@ def test_it_hears_most_visemes_that_a_synthetic_voice_spoke(weights, clip):
     assert viseme_accuracy(phoneme_frames(heard.events, n_frames), truth) > 0.65
 
 
-@pytest.mark.parametrize("level_db", [-50.0, -26.0])
+def test_a_voice_30_db_lower_is_heard_nearly_as_well(weights, clip):
+    n_frames = len(clip) // 160
+    truth = phoneme_frames(read_phonemes(CLIP_LABELS_PATH), n_frames)
+    accuracies = [
+        viseme_accuracy(
+            phoneme_frames(listen(NetworkRecognizer(weights), clip * gain).events, n_frames), truth
+        )
+        for gain in (1.0, 10.0**-1.5)
+    ]
+
+    assert accuracies[1] > accuracies[0] - 0.03
+
+
+@pytest.mark.parametrize("level_db", [-80.0, -50.0, -26.0])
 def test_white_noise_is_no_speech(weights, level_db):
     heard = listen(NetworkRecognizer(weights), white_noise(3.0, level_db))
 

@@ -21,7 +21,7 @@ PATIENCE_S = 40.0
 
 @pytest.fixture
 def port():
-    with simulated_port(["--config", "face_sim"]) as port:
+    with simulated_port(["--config", "face_sim", "--on-time"]) as port:
         yield port
 
 

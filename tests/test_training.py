@@ -82,6 +82,15 @@ def test_a_corpus_without_labels_or_motion_is_refused(corpus):
         train(still)
 
 
+def test_a_frame_that_is_not_a_number_is_named(corpus):
+    first = corpus.utterances[0]
+    markers_mm = first.markers_mm.copy()
+    markers_mm[9, 3] = np.nan
+    broken = type(first)(first.name, markers_mm, 25.0, first.sound_path, first.phones, ())
+    with pytest.raises(TrainingError, match="s0, frame 9: markers that are not numbers"):
+        train(Corpus("c", corpus.marker_names, (broken,), corpus.head_reference_mm))
+
+
 def test_one_sentence_is_enough(corpus):
     assert len(train(corpus.keep({"s0"})).animphos) >= 1
 

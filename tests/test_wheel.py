@@ -47,6 +47,8 @@ def test_the_wheel_holds_data_and_no_top_level_config(wheel):
         "lipservo/clips/welcome.flac",
         "lipsync/models/grid_s1.npz",
         "lipsync/models/grid_s1.md",
+        "lipsync/models/recognizer.npz",
+        "lipsync/models/recognizer.md",
         "lipservo/py.typed",
     ):
         assert needed in names

@@ -2,7 +2,7 @@
 
 import struct
 from collections.abc import Callable, Sequence
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from firmware_bridge.dynamixel.codec import Status, StatusError
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.group import SpanGroup
 from firmware_bridge.dynamixel.handshake import introduce_all
+from firmware_bridge.dynamixel.knowledge import Knowledge
 from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S, GoalWrite, Line
 from firmware_bridge.dynamixel.mounting import VELOCITY_UNIT_DEG_S, MountedServo, Mounting
 from firmware_bridge.dynamixel.transport import Transport
@@ -55,12 +56,14 @@ class DynamixelBus:
         *,
         watchdog_s: float = 0.1,
         strict: bool = True,
+        make_line: Callable[[Any], Line] = Line,
     ) -> None:
         """watchdog_s: how long servos go on without hearing anything; 0 = for ever.
 
         strict: every servo must answer before the first goal; else one critical or none at all
-        missing is enough to go on.
+        missing is enough to go on. make_line: `SdkLine` leaves the packets to dynamixel-sdk.
         """
+        self._make_line = make_line
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
         self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
@@ -69,24 +72,7 @@ class DynamixelBus:
         self._strict = strict
         self._mounting = Mounting(servos)
         n = len(servos)
-        self._low = np.zeros(n)
-        self._high = np.full(n, 4095.0)
-        self._hottest = np.array([float(s.model.defaults["temperature_limit"]) for s in servos])
-        units = [s.model.current_unit_ma for s in servos]
-        stalls = [s.model.stall_a * 1e3 for s in servos]
-        self._effort_unit = np.array(
-            [unit / stall if unit else 1e-3 for unit, stall in zip(units, stalls, strict=True)]
-        )
-        self._pulses = np.full(n, np.nan)
-        self._goals = np.full(n, np.nan)
-        self._effort = np.zeros(n)
-        self._errors = np.zeros(n, dtype=np.uint8)
-        self._heard_s = np.full(n, -np.inf)
-        self._torque = np.zeros(n, dtype=np.bool_)
-        self._tripped = np.zeros(n, dtype=np.bool_)
-        self._hardware = np.zeros(n, dtype=np.uint8)
-        self._room_degc = np.full(n, 45.0)
-        self._voltage_v = np.full(n, np.nan)
+        self._known = Knowledge(servos)
         self._soft_until_s = np.full(n, np.inf)
         self._goal_write = GoalWrite(self._ids, _GOAL)
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
@@ -118,23 +104,23 @@ class DynamixelBus:
         for _ in range(_LIMP_REPEATS):
             self._note(self._holding.ask(line))
             for status in self._holding.answers:
-                self._torque[self._index[status.servo_id]] = status.data != b"\0"
-            if not self._torque.any():
+                self._known.torque[self._index[status.servo_id]] = status.data != b"\0"
+            if not self._known.torque.any():
                 return
             line.tell(request)
 
     def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
         """Every goal inside its servo's range; NaN is not, nor is what the servo would refuse."""
-        if positions_deg.shape != self._goals.shape:
+        if positions_deg.shape != self._known.goals.shape:
             raise ValueError(
-                f"expected positions of shape {self._goals.shape}, got {positions_deg.shape}"
+                f"expected positions of shape {self._known.goals.shape}, got {positions_deg.shape}"
             )
         line = self.line
         self._keep_watchdogs(line)
         pulses = self._mounting.pulses(positions_deg)
-        taken = (self._low <= pulses) & (pulses <= self._high)
-        self._errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
-        self._goals = np.where(taken, pulses, self._goals)
+        taken = (self._known.low <= pulses) & (pulses <= self._known.high)
+        self._known.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
+        self._known.goals = np.where(taken, pulses, self._known.goals)
         if taken.all():
             line.tell(self._goal_write.request(pulses.astype(np.int64).tolist()))
         elif taken.any():
@@ -150,37 +136,32 @@ class DynamixelBus:
         for status in found:
             n = self._index[status.servo_id]
             goal, place = struct.unpack_from("<i12xi", status.data)
-            self._goals[n], self._pulses[n] = goal, place
+            self._known.goals[n], self._known.pulses[n] = goal, place
         held = self._holding.ask(line)
         for status in held:
-            self._torque[self._index[status.servo_id]] = status.data != b"\0"
+            self._known.torque[self._index[status.servo_id]] = status.data != b"\0"
         now_s = line.transport.clock.now()
         return Readings(
             time_s=now_s,
-            positions_deg=self._mounting.joint_deg(self._pulses),
-            goals_deg=self._mounting.joint_deg(self._goals),
-            torque_on=self._torque.copy(),
-            errors=self._errors.copy(),
-            age_s=self._ages(found, now_s),
+            positions_deg=self._mounting.joint_deg(self._known.pulses),
+            goals_deg=self._mounting.joint_deg(self._known.goals),
+            torque_on=self._known.torque.copy(),
+            errors=self._known.errors.copy(),
+            age_s=self._known.ages(found, now_s),
         )
 
     def feedback(self) -> Feedback:
         """One question to all; of a silent servo the last answer, with its age."""
         line = self.line
         found = self._note(self._motion.ask(line))
-        if found:
-            at = [self._index[status.servo_id] for status in found]
-            data = b"".join([status.data for status in found])
-            values = np.frombuffer(data, dtype=_MOTION)
-            self._pulses[at] = values["position"]
-            self._effort[at] = np.abs(values["current"]) * self._effort_unit[at]
+        self._known.take_motion(found)
         now_s = line.transport.clock.now()
         return Feedback(
             time_s=now_s,
-            positions_deg=self._mounting.joint_deg(self._pulses),
-            effort=self._effort.copy(),
-            errors=self._errors.copy(),
-            age_s=self._ages(found, now_s),
+            positions_deg=self._mounting.joint_deg(self._known.pulses),
+            effort=self._known.effort.copy(),
+            errors=self._known.errors.copy(),
+            age_s=self._known.ages(found, now_s),
         )
 
     def look_after(self) -> Health:
@@ -192,27 +173,20 @@ class DynamixelBus:
         if kind == 0:
             status = line.read(servo_id, _TORQUE, _HEALTH_SIZE)
             if status is not None and len(status.data) == _HEALTH_SIZE:
-                self._torque[turn] = status.data[0] == 1
-                self._hardware[turn] = status.data[_ERROR_AT]
-                self._tripped[turn] = status.data[-1] == 0xFF
+                self._known.torque[turn] = status.data[0] == 1
+                self._known.hardware[turn] = status.data[_ERROR_AT]
+                self._known.tripped[turn] = status.data[-1] == 0xFF
         else:
             status = line.read(servo_id, _WARMTH, 3)
             if status is not None and len(status.data) == 3:
-                self._voltage_v[turn] = int.from_bytes(status.data[:2], "little") / 10.0
-                self._room_degc[turn] = self._hottest[turn] - status.data[2]
+                self._known.voltage_v[turn] = int.from_bytes(status.data[:2], "little") / 10.0
+                self._known.room_degc[turn] = self._known.hottest[turn] - status.data[2]
         if status is not None:
             self._note([status])
             for group in (self._motion, self._whole, self._holding):
                 group.trust(servo_id)
         self._harden(line)
-        return Health(
-            silent_s=np.maximum(0.0, line.transport.clock.now() - self._heard_s),
-            torque_on=self._torque.copy(),
-            watchdog_tripped=self._tripped.copy(),
-            hardware_errors=self._hardware.copy(),
-            room_degc=self._room_degc.copy(),
-            voltage_v=self._voltage_v.copy(),
-        )
+        return self._known.health(line.transport.clock.now())
 
     def wake(self, index: int) -> bool:
         """Goal := place, checked, then slow profile, watchdog, torque."""
@@ -223,13 +197,13 @@ class DynamixelBus:
         if status is None or len(status.data) != _MOTION_SIZE:
             return False
         _, place = struct.unpack_from("<i12xi", status.data)
-        if not self._low[index] <= place <= self._high[index]:
+        if not self._known.low[index] <= place <= self._known.high[index]:
             return False
         line.write(servo_id, _GOAL, struct.pack("<i", place))
         check = line.read(servo_id, _GOAL, 4)
         if check is None or check.data != struct.pack("<i", place):
             return False
-        self._goals[index] = self._pulses[index] = place
+        self._known.goals[index] = self._known.pulses[index] = place
         return self._switch_on(index)
 
     def relax(self, index: int) -> None:
@@ -237,14 +211,14 @@ class DynamixelBus:
         line, servo_id = self.line, self._ids[index]
         for _ in range(_LIMP_REPEATS):
             if line.write(servo_id, _TORQUE, b"\0") is not None:
-                self._torque[index] = False
+                self._known.torque[index] = False
                 return
 
     def reboot(self, index: int) -> None:
         """Restart one servo and forget what was known of it."""
         self.line.reboot(self._ids[index])
-        self._hardware[index] = 0
-        self._torque[index] = self._tripped[index] = False
+        self._known.hardware[index] = 0
+        self._known.torque[index] = self._known.tripped[index] = False
 
     def reopen(self) -> None:
         """A new handle, and everybody introduced again. Raises PortError, ServoError."""
@@ -266,7 +240,7 @@ class DynamixelBus:
 
     def _open(self, *, strict: bool) -> None:
         transport = self._open_transport()
-        line = Line(transport)
+        line = self._make_line(transport)
         try:
             said = introduce_all(line, self._servos, strict=strict)
         except BaseException:
@@ -277,10 +251,10 @@ class DynamixelBus:
         line.return_delay_s = max([*delays, FACTORY_RETURN_DELAY_S if unsure else 0.0])
         for n, answer in enumerate(said):
             if answer is not None:
-                self._low[n] = answer.eeprom["min_position_limit"]
-                self._high[n] = answer.eeprom["max_position_limit"]
-                self._hottest[n] = answer.eeprom["temperature_limit"]
-                self._heard_s[n] = transport.clock.now()
+                self._known.low[n] = answer.eeprom["min_position_limit"]
+                self._known.high[n] = answer.eeprom["max_position_limit"]
+                self._known.hottest[n] = answer.eeprom["temperature_limit"]
+                self._known.heard_s[n] = transport.clock.now()
         self._line = line
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
         for group in (self._motion, self._whole, self._holding):
@@ -295,7 +269,7 @@ class DynamixelBus:
         """Profile, watchdog, torque of one servo; whether it says that it holds."""
         line, servo_id = self.line, self._ids[index]
         clock = line.transport.clock
-        self._tripped[index] = False
+        self._known.tripped[index] = False
         line.write(servo_id, _PROFILE, struct.pack("<II", 0, _velocity(_SOFT_DEG_S)))
         line.write(servo_id, _WATCHDOG, b"\0")
         if self._watchdog:
@@ -303,12 +277,12 @@ class DynamixelBus:
         for _ in range(_LIMP_REPEATS):
             status = line.write(servo_id, _TORQUE, b"\1")
             if status is not None:
-                self._torque[index] = not status.error & 0x7F
+                self._known.torque[index] = not status.error & 0x7F
                 self._soft_until_s[index] = clock.now() + _SOFT_FOR_S
                 break
         self._spoke_s = clock.now()
         clock.sleep_until(self._spoke_s + _STAGGER_S)
-        return bool(self._torque[index])
+        return bool(self._known.torque[index])
 
     def _harden(self, line: Line) -> None:
         """Give servos woken a while ago their full speed."""
@@ -341,20 +315,8 @@ class DynamixelBus:
         """Remember who answered, and with what error."""
         now_s = self.line.transport.clock.now()
         self._notice_silence(now_s)
-        for status in statuses:
-            n = self._index[status.servo_id]
-            self._heard_s[n] = now_s
-            if status.error:
-                self._errors[n] = status.error
+        self._known.note(statuses, now_s)
         return statuses
-
-    def _ages(self, found: list[Status], now_s: float) -> NDArray[np.float64]:
-        ages = np.maximum(now_s - self._heard_s, 1e-9)
-        ages[[self._index[status.servo_id] for status in found]] = 0.0
-        return ages
-
-
-_MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 
 
 def _velocity(deg_s: float) -> int:

@@ -10,7 +10,8 @@ from firmware_bridge.dynamixel.mounting import MountedServo
 
 #: The EEPROM from id to shutdown in one read.
 _FIRST, _LAST = register("id").address, register("shutdown").end
-_TRIES = 3
+#: A servo that is there answers one of five questions even on a bad line and a busy computer.
+_TRIES = 5
 _SETUP = "run `lipservo setup-servos`"
 
 

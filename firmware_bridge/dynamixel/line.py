@@ -43,6 +43,7 @@ class SpanRead:
 
     def __init__(self, ids: Sequence[int], address: int, size: int, *, fast: bool) -> None:
         self.ids = tuple(ids)
+        self.address = address
         self.size = size
         self.fast = fast
         self.request = codec.sync_read(self.ids, address, size, fast=fast)

@@ -7,12 +7,12 @@ from typing import Final
 
 from firmware_bridge.dynamixel.codec import ALERT_BIT, Instruction, StatusError
 from firmware_bridge.dynamixel.control_table import (
-    IndirectBlock,
     Register,
     ServoModel,
     baud_rates,
     register,
 )
+from firmware_bridge.simulator.memory import RegisterMemory
 from firmware_bridge.simulator.motors import ACCELERATION_UNIT, VELOCITY_UNIT, Motors
 
 #: Modes that are simulated: position, and position with limited current.
@@ -44,8 +44,8 @@ class SimulatedServo:
         self.index = index
         self._motors = motors
         self._registers = model.registers
-        self._by_address = {r.address: r for r in model.registers.values()}
-        self._memory = bytearray(model.table_size)
+        self._table = RegisterMemory(model)
+        self._memory = self._table.bytes
         self.hardware_error = 0
         self.deaf_until_s = 0.0
         self.booted_s = 0.0
@@ -56,12 +56,10 @@ class SimulatedServo:
         self._restart(0.0)
 
     def __getitem__(self, name: str) -> int:
-        register = self._registers[name]
-        return register.decode(bytes(self._memory[register.address : register.end]))
+        return self._table[name]
 
     def __setitem__(self, name: str, value: int) -> None:
-        register = self._registers[name]
-        self._memory[register.address : register.end] = register.encode(value)
+        self._table[name] = value
 
     @property
     def servo_id(self) -> int:
@@ -130,12 +128,9 @@ class SimulatedServo:
         """The bytes that a read, alone or among others, is answered with."""
         if size < 1 or address + size > len(self._memory):
             return self._error(StatusError.ACCESS), b""
-        if address < 148 and address + size > 120:
+        if address + size > 120:
             self._refresh()
-        data = bytes(self._memory[address : address + size])
-        for block in self.model.indirect:
-            if address < block.data + block.count and address + size > block.data:
-                data = self._through_indirect(block, address, data)
+        data = self._table.shown(address, size)
         return self._error(), data
 
     def write(self, parameters: bytes) -> int:
@@ -150,7 +145,7 @@ class SimulatedServo:
                 self._memory[_GOAL : _GOAL + 4] = data
                 self._take_effect("goal_position", goal)
             return error
-        pieces = self._pieces(address, data)
+        pieces = self._table.pieces(address, data, locked=self.torque_on)
         if isinstance(pieces, StatusError):
             return pieces
         for entry, value in pieces:
@@ -169,74 +164,6 @@ class SimulatedServo:
         if len(parameters) != 4:
             return self._error(StatusError.DATA_LENGTH), b""
         return self.read_span(*struct.unpack("<HH", parameters))
-
-    def _pieces(self, address: int, data: bytes) -> list[tuple[Register, int]] | StatusError:
-        """Which registers a write touches, with their values, through indirect data if need be."""
-        for block in self.model.indirect:
-            if block.data <= address < block.data + block.count:
-                return self._indirect_pieces(block, address, data)
-            if block.addresses <= address < block.addresses + 2 * block.count:
-                return self._map_indirect(block, address, data)
-        pieces = []
-        end = address + len(data)
-        at = address
-        while at < end:
-            register = self._by_address.get(at)
-            if register is None or not register.writable:
-                return StatusError.ACCESS
-            if register.end > end:
-                return StatusError.DATA_LENGTH
-            pieces.append((register, register.decode(data[at - address : register.end - address])))
-            at = register.end
-        return pieces
-
-    def _indirect_pieces(
-        self, block: IndirectBlock, address: int, data: bytes
-    ) -> list[tuple[Register, int]] | StatusError:
-        """The registers behind indirect data, byte by byte."""
-        shown: dict[int, int] = {}
-        for offset, byte in enumerate(data):
-            number = address + offset - block.data
-            if number >= block.count:
-                return StatusError.ACCESS
-            at = block.addresses + 2 * number
-            shown[self._memory[at] | self._memory[at + 1] << 8] = byte
-        pieces = []
-        for entry in self._registers.values():
-            behind = [n for n in range(entry.address, entry.end) if n in shown]
-            if not behind:
-                continue
-            if not entry.writable:
-                return StatusError.ACCESS
-            if len(behind) < entry.size:
-                return StatusError.DATA_LENGTH
-            pieces.append((entry, entry.decode(bytes(shown[n] for n in behind))))
-        return pieces
-
-    def _map_indirect(
-        self, block: IndirectBlock, address: int, data: bytes
-    ) -> list[tuple[Register, int]] | StatusError:
-        if self.torque_on:
-            return StatusError.ACCESS
-        if (address - block.addresses) % 2 or len(data) % 2:
-            return StatusError.DATA_LENGTH
-        targets = struct.unpack(f"<{len(data) // 2}H", data)
-        if address + len(data) > block.addresses + 2 * block.count:
-            return StatusError.ACCESS
-        if not all(64 <= target < len(self._memory) for target in targets):
-            return StatusError.DATA_RANGE
-        self._memory[address : address + len(data)] = data
-        return []
-
-    def _through_indirect(self, block: IndirectBlock, address: int, data: bytes) -> bytes:
-        self._refresh()
-        shown = bytearray(data)
-        for offset in range(len(data)):
-            number = address + offset - block.data
-            if 0 <= number < block.count:
-                at = block.addresses + 2 * number
-                shown[offset] = self._memory[self._memory[at] | self._memory[at + 1] << 8]
-        return bytes(shown)
 
     def _refusal(self, register: Register, value: int) -> int:
         name = register.name
@@ -322,9 +249,7 @@ class SimulatedServo:
         for name, value in self.model.defaults.items():
             if not self._registers[name].in_eeprom:
                 self[name] = value
-        for block in self.model.indirect:
-            for n in range(block.count):
-                struct.pack_into("<H", self._memory, block.addresses + 2 * n, block.data + n)
+        self._table.reset_indirect()
         if "goal_current" in self._registers:
             self["goal_current"] = self["current_limit"]
         self.hardware_error = 0

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
+from lipservo.commands import bench_motion
 from lipservo.commands.options import (
     MESSAGES,
     RESULTS,
@@ -19,6 +20,7 @@ from lipservo.commands.options import (
 )
 
 app = typer.Typer(no_args_is_help=True)
+app.command()(bench_motion.motion)
 
 #: Where the corpora lie for those who develop: beside the checkout.
 _CORPORA = Path("../shared/corpus")
@@ -66,25 +68,6 @@ def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet =
         else:
             MESSAGES.print(f"no corpus at {grid}: no miss rates (--corpora says where it is)")
         progress.advance(steps)
-    _print(figures, time.perf_counter() - began_s, as_json=as_json)
-
-
-@app.command()
-def calibration(
-    seeds: Annotated[
-        str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
-    ] = "0-19",
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
-    from lipservo.calibration_figures import calibration_figures, read_seeds
-
-    numbers = read_seeds(seeds)
-    began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        tracked = progress.track(numbers, description="calibrating")
-        figures = calibration_figures(tracked)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 
@@ -137,6 +120,25 @@ def faults(
             progress.update(steps, completed=n_done, total=n_cases)
 
         figures = campaign_figures(every, advance)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+@app.command()
+def calibration(
+    seeds: Annotated[
+        str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
+    ] = "0-19",
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
+    from lipservo.calibration_figures import calibration_figures, read_seeds
+
+    numbers = read_seeds(seeds)
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        tracked = progress.track(numbers, description="calibrating")
+        figures = calibration_figures(tracked)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 

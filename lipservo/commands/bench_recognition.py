@@ -1,14 +1,15 @@
 """`lipservo bench recognition` and `bench listening`: how well it hears, and what that costs."""
 
 import os
+from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from lipservo.assembly import Engine
 from lipservo.commands.options import MESSAGES, RESULTS, Json, Quiet, machine_class, print_json
 from lipservo.commands.recognition import progress_bar
+from lipservo.manner import Engine
 
 _CORPUS = Path("../shared/corpus/librispeech")
 EngineName = Annotated[Engine, typer.Option(help="Which recogniser listens.")]
@@ -79,13 +80,18 @@ def listening(
     """Measure what is called speech where nobody speaks, and the time that a block costs."""
     import numpy as np
 
-    from lipsync.recognition.benchmark import false_speech, quiet_sounds
+    from lipsync.recognition.benchmark import block_costs_s, false_speech, quiet_sounds
+    from lipsync.recognition.sound import read_speech
 
     recognizer = _maker(engine, latency_ms / 1e3, weights)()
     figures: dict[str, object] = {
         f"false_speech_{name}": false_speech(recognizer, sound)
         for name, sound in quiet_sounds(np.random.default_rng(0)).items()
     }
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        costs_s = block_costs_s(recognizer, read_speech(clip))
+    for percent in (50, 99):
+        figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
     _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
 
 

@@ -10,7 +10,8 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from lipservo.assembly import Engine
+from lipservo.manner import Engine
+from lipsync.animpho.live import STRONGEST
 
 #: Results go to stdout; everything else, progress and logs and complaints, to stderr.
 RESULTS = Console()
@@ -32,6 +33,17 @@ SkipBad = Annotated[
 EngineChoice = Annotated[
     Engine, typer.Option(help="Recogniser to begin with; a worse one takes over where it fails.")
 ]
+Strategy = Annotated[
+    str, typer.Option(help="How phonemes become motion: expected, or the paper's naive, priority.")
+]
+Lookahead = Annotated[
+    float,
+    typer.Option(min=0.0, max=1000.0, help="Show the face so much later, for what comes next."),
+]
+Strength = Annotated[
+    float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves; 1 as the talker.")
+]
+Smoothness = Annotated[float, typer.Option(min=0.0, max=1.0, help="0 crisp, 1 slow.")]
 
 DEFAULT_FACE = "face_sim"
 

@@ -13,8 +13,21 @@ import typer
 from firmware_bridge.bus import BusError
 from firmware_bridge.control_socket import StopLevel, ask, default_path
 from firmware_bridge.process import die_with_parent
-from lipservo.assembly import Engine
-from lipservo.commands.options import DEFAULT_FACE, MESSAGES, Config, Json, Model, print_json
+from lipservo.commands.options import (
+    DEFAULT_FACE,
+    MESSAGES,
+    Config,
+    EngineChoice,
+    Json,
+    Lookahead,
+    Model,
+    Smoothness,
+    Strategy,
+    Strength,
+    print_json,
+)
+from lipservo.manner import Manner
+from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, Style
 from lipsync.errors import UserError
 
 Fd = Annotated[int, typer.Option(hidden=True)]
@@ -34,7 +47,7 @@ def supervise(
     wav: Path | None,
     mic: str | None,
     rate_hz: float | None,
-    engine: Engine,
+    manner: Manner,
     control: Path | None,
 ) -> int:
     """Run bridge and speech as processes until stopped; the exit status."""
@@ -66,7 +79,7 @@ def supervise(
     bridge += ["--control", str(control or default_path())]
     bridge += [] if rate_hz is None else ["--rate-hz", str(rate_hz)]
     speech = [*common, "speech-process", "--config", config, "--fd", "{fd}"]
-    speech += ["--engine", engine]
+    speech += _manner_options(manner)
     speech += [] if model is None else ["--model", str(model)]
     speech += [] if wav is None else ["--wav", str(wav)]
     speech += [] if mic is None else ["--mic", mic]
@@ -122,13 +135,29 @@ def bridge_process(
         )
 
 
+def _manner_options(manner: Manner) -> list[str]:
+    """The options of `speech-process` that give this manner."""
+    style = manner.style
+    return [
+        *("--engine", manner.engine),
+        *("--strategy", manner.strategy),
+        *("--lookahead-ms", str(style.lookahead_s * 1e3)),
+        *("--strength", str(style.strength)),
+        *("--smoothness", str(style.smoothness)),
+    ]
+
+
 def speech_process(
     fd: Fd,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     wav: Path | None = None,
     mic: str | None = None,
-    engine: Engine = "network",
+    engine: EngineChoice = "network",
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
 ) -> None:
     """Hear, recognise, and publish targets through a socket. Started by `daemon`."""
     parent = os.getppid()
@@ -136,20 +165,23 @@ def speech_process(
     from firmware_bridge.clock import MonotonicClock, ticks
     from firmware_bridge.process import parent_is_alive
     from firmware_bridge.socket_channel import SocketTargetChannel
-    from lipservo.assembly import assemble_face, make_recognizer, make_speech
-    from lipservo.commands.street import _source
+    from lipservo.assembly import assemble_face
     from lipservo.daemon import stopped_by_signals
-    from lipsync.audio.silence import SilentSource
+    from lipservo.manner import make_recognizer, make_synthesizer
+    from lipservo.pipeline import Speech
+    from lipservo.sources import open_source_or_silence
 
+    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     face = assemble_face(config, model)
-    idle = wav is None and mic is None
     with (
         stopped_by_signals() as stop,
         socket.socket(fileno=fd) as end,
-        SilentSource() if idle else _source(wav, mic) as source,
+        open_source_or_silence(wav, mic) as source,
     ):
-        recognizer = make_recognizer(engine, time.perf_counter)
-        speech = make_speech(face, source, SocketTargetChannel(end), recognizer)
+        recognizer = make_recognizer(manner.engine, time.perf_counter)
+        synthesizer = make_synthesizer(face.model, manner)
+        channel = SocketTargetChannel(end)
+        speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
         clock = MonotonicClock()
         zero_s = clock.now()
         for time_s, _ in ticks(clock, 1.0 / _PUBLISH_S):

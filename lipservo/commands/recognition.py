@@ -90,11 +90,12 @@ def recognize(
     """
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
-    from lipservo.listening import heard_events, live_source
+    from lipservo.listening import heard_events
+    from lipservo.sources import DEFAULT_MICROPHONE, open_microphone
     from lipsync.audio.file import FileSource
     from lipsync.textgrid import write_tiers
 
-    source = live_source(mic) if sound is None else FileSource(sound)
+    source = FileSource(sound) if sound is not None else open_microphone(mic or DEFAULT_MICROPHONE)
     events = []
     try:
         for event in heard_events(source, engine):

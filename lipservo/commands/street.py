@@ -1,7 +1,6 @@
 """`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
 
 from dataclasses import asdict
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
@@ -16,18 +15,22 @@ from lipservo.commands.options import (
     Config,
     EngineChoice,
     Json,
+    Lookahead,
     Model,
     Quiet,
+    Smoothness,
+    Strategy,
+    Strength,
     print_json,
 )
 from lipservo.commands.processes import Control, supervise
 from lipservo.daemon import stopped_by_signals
+from lipservo.manner import Manner
 from lipservo.performance import Performance
 from lipservo.sim_process import servo_port
+from lipservo.sources import open_source, open_source_or_silence
 from lipservo.summary import Summary, print_summary
-from lipsync.audio.file import FileSource
-from lipsync.audio.silence import SilenceAfter, SilentSource
-from lipsync.audio.source import AudioSource
+from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, Style
 
 Trace = Annotated[
     Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
@@ -73,6 +76,10 @@ def run(
     trace: Trace = None,
     rate_hz: Rate = None,
     engine: EngineChoice = "network",
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     port: Port = None,
     sim: Sim = None,
     dry_run: DryRun = False,
@@ -80,11 +87,13 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
+    _refuse_both(wav, mic)
+    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     quiet = quiet or as_json
     with (
         servo_port(port, sim, config) as at_port,
         stopped_by_signals() as stop,
-        _source(wav, mic) as source,
+        open_source(wav, mic) as source,
     ):
         performance = Performance(
             config,
@@ -95,7 +104,7 @@ def run(
             quiet=quiet,
             port=at_port,
             dry_run=dry_run,
-            engine=engine,
+            manner=manner,
         )
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
@@ -112,6 +121,10 @@ def daemon(
     trace: Trace = None,
     rate_hz: Rate = None,
     engine: EngineChoice = "network",
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     port: Port = None,
     sim: Sim = None,
     control: Control = None,
@@ -122,19 +135,20 @@ def daemon(
 
     With servos at a port, bridge and speech are processes of their own, watched over.
     """
+    _refuse_both(wav, mic)
+    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     with servo_port(port, sim, config) as at_port:
         if at_port is None:
             bus = load_settings(config)[0].bus
             at_port = bus.port if bus.kind == "dynamixel" else None
         if at_port is not None:
-            raise typer.Exit(supervise(config, model, at_port, wav, mic, rate_hz, engine, control))
+            raise typer.Exit(supervise(config, model, at_port, wav, mic, rate_hz, manner, control))
     performance = Performance(
-        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, engine=engine
+        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, manner=manner
     )
-    idle = wav is None and mic is None
     with (
         stopped_by_signals() as stop,
-        SilentSource() if idle else _source(wav, mic) as source,
+        open_source_or_silence(wav, mic) as source,
     ):
         summary = performance.play(source, MonotonicClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
@@ -147,12 +161,17 @@ def replay(
     trace: Trace = None,
     rate_hz: Rate = None,
     engine: EngineChoice = "network",
+    strategy: Strategy = LIVE_STRATEGY,
+    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
+    strength: Strength = 1.0,
+    smoothness: Smoothness = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, engine=engine)
-    with stopped_by_signals() as stop, _source(sound, None) as source:
+    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
+    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, manner=manner)
+    with stopped_by_signals() as stop, open_source(sound, None) as source:
         summary = performance.play(source, ManualClock(), stop)
     _report(summary, as_json=as_json, quiet=quiet)
     if stop.is_set():
@@ -174,19 +193,9 @@ def devices(as_json: Json = False) -> None:
         MESSAGES.print("no microphone found")
 
 
-def _source(wav: Path | None, mic: str | None) -> AudioSource:
-    """The file, the microphone, or the bundled clip."""
+def _refuse_both(wav: Path | None, mic: str | None) -> None:
     if wav is not None and mic is not None:
         raise typer.BadParameter("give --wav or --mic, not both")
-    if mic is not None:
-        from lipsync.audio.microphone import MicrophoneSource
-
-        named = None if mic == "default" else int(mic) if mic.isdigit() else mic
-        return MicrophoneSource(named)
-    if wav is not None:
-        return SilenceAfter(FileSource(wav))
-    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        return SilenceAfter(FileSource(clip))
 
 
 def _report(summary: Summary, *, as_json: bool, quiet: bool) -> None:

@@ -16,6 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.errors import UserError
+from lipsync.evaluation.dominance import Dominance
+from lipsync.evaluation.regression import PlainRegression
+from lipsync.expectation.expectation import Expectation, expectation_of
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 from lipsync.phonemes import PHONEMES
 
@@ -23,7 +26,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Raised whenever the meaning of a stored field changes; older files are refused, not guessed at.
-MODEL_VERSION = 1
+MODEL_VERSION = 2
 SAMPLES_PER_ANIMPHO = 5
 SHIPPED_MODEL = "grid_s1"
 
@@ -73,6 +76,11 @@ class FaceModel:
     rest: (n_components,), the closed mouth of silence.
     animphos: (m, 5, n_components). successors: T of the paper, `successors[i]` = T(a_i).
     phoneme_table: L of the paper, a row for each of `PHONEMES`.
+    expectation: what the live method plays. covariance: (n_components, n_components), of the face
+    in speech. labiodental_gap_mm: how near the inner lips come in F and V, the recordings' median.
+    tightest_s: (40,), when after its onset the lips are nearest in P B M F V, the median; else 0.
+    centres: (40, n_components), the mean middle of each of `PHONEMES`, and counts (40,), of how
+    many; dominance, regression: the rivals that evaluation compares with.
     """
 
     marker_names: tuple[str, ...]
@@ -86,6 +94,14 @@ class FaceModel:
     phoneme_table: IndexLists
     training_sentences: tuple[str, ...]
     provenance: dict[str, str | int | float]
+    expectation: Expectation
+    covariance: Array
+    labiodental_gap_mm: float
+    tightest_s: Array
+    centres: Array
+    counts: Array
+    dominance: Dominance
+    regression: PlainRegression
 
     @property
     def n_components(self) -> int:
@@ -140,9 +156,7 @@ def save_model(model: FaceModel, path: Path) -> None:
         "training_sentences": model.training_sentences,
         "provenance": model.provenance,
     }
-    buffer = io.BytesIO()
-    np.savez_compressed(
-        buffer,
+    arrays: dict[str, NDArray[np.generic]] = dict(
         about=np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
         mean_mm=model.mean_mm.astype(np.float32),
         basis=model.basis.astype(np.float32),
@@ -153,7 +167,20 @@ def save_model(model: FaceModel, path: Path) -> None:
         successors=model.successors.indices.astype(np.int32),
         phoneme_starts=model.phoneme_table.starts.astype(np.int32),
         phoneme_animphos=model.phoneme_table.indices.astype(np.int32),
+        **{
+            f"expectation_{name}": values.astype(np.float32)
+            for name, values in model.expectation.arrays().items()
+        },
+        covariance=model.covariance.astype(np.float32),
+        labiodental_gap_mm=np.array(model.labiodental_gap_mm, dtype=np.float32),
+        tightest_s=model.tightest_s.astype(np.float32),
+        centres=model.centres.astype(np.float32),
+        counts=model.counts.astype(np.float32),
+        dominance=np.stack([model.dominance.rates_per_s, model.dominance.powers]),
+        regression=model.regression.weights.astype(np.float32),
     )
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
     partial = path.with_name(path.name + ".partial")
     partial.write_bytes(buffer.getvalue())
     os.replace(partial, path)
@@ -229,6 +256,20 @@ def _assemble(about: dict[str, object], arrays: dict[str, NDArray[np.generic]]) 
         phoneme_table=lists("phoneme_starts", "phoneme_animphos"),
         training_sentences=tuple(sentences),
         provenance=provenance,
+        expectation=expectation_of(
+            {
+                key.removeprefix("expectation_"): floats(key)
+                for key in arrays
+                if key.startswith("expectation_")
+            }
+        ),
+        covariance=floats("covariance"),
+        labiodental_gap_mm=float(arrays["labiodental_gap_mm"]),
+        tightest_s=floats("tightest_s"),
+        centres=floats("centres"),
+        counts=floats("counts"),
+        dominance=Dominance(*floats("dominance")),
+        regression=PlainRegression(floats("regression")),
     )
 
 
@@ -242,11 +283,14 @@ def _check(model: FaceModel) -> None:
         "animphos": (model.animphos.shape, (m, SAMPLES_PER_ANIMPHO, n_components)),
         "successors": ((len(model.successors),), (m,)),
         "phoneme_table": ((len(model.phoneme_table),), (len(PHONEMES),)),
+        "covariance": (model.covariance.shape, (n_components, n_components)),
+        "centres": (model.centres.shape, (len(PHONEMES), n_components)),
     }
     for field, (found, expected) in shapes.items():
         if found != expected:
             raise ValueError(f"{field} has shape {found}, expected {expected}")
-    for field in ("mean_mm", "basis", "rest", "animphos"):
+    model.expectation.check(n_components)
+    for field in ("mean_mm", "basis", "rest", "animphos", "covariance", "centres"):
         if not np.isfinite(getattr(model, field)).all():
             raise ValueError(f"{field} holds values that are not finite")
     for lists in (model.successors, model.phoneme_table):

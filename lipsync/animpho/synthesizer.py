@@ -69,6 +69,11 @@ class PublishedSynthesizer:
         self.longest_phone_s = longest_phone_s
         self.reset()
 
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its face is asked for."""
+        return self.longest_phone_s
+
     def reset(self) -> None:
         """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
         rest = self._model.rest

@@ -13,11 +13,23 @@ from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from threadpoolctl import threadpool_limits
 
+from lipsync.animpho.closures import CLOSED_GAP_MM, observe_closures
 from lipsync.animpho.model import SAMPLES_PER_ANIMPHO, FaceModel, IndexLists
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
+from lipsync.evaluation.regression import fit_regression
+from lipsync.evaluation.speech import speech_frames
+from lipsync.evaluation.tuning import tune_dominance
+from lipsync.expectation.training import collect_lessons, fit_expectation
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
-from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
+from lipsync.phonemes import (
+    PHONEMES,
+    SILENCE,
+    VISEME_CLASSES,
+    VISEME_OF,
+    PhonemeEvent,
+    stand_in,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -30,8 +42,6 @@ _SEARCH_ROUNDS = 6
 #: Where the search starts: m / n that gave 3.3 successors on grid_s1.
 _FIRST_RATIO = 0.25
 _KMEANS_ITERATIONS = 50
-#: Lips count as closed at this inner gap; 98 % of P closures in grid_s1 get there.
-CLOSED_GAP_MM = 1.0
 
 
 class TrainingError(UserError):
@@ -66,6 +76,13 @@ def train(
     labelled = corpus.labelled()
     if not labelled.utterances:
         raise TrainingError(f"corpus {corpus.name}: no sentence has a phones tier")
+    for utterance in labelled.utterances:
+        if not np.isfinite(utterance.markers_mm).all():
+            frame = int(np.argmin(np.isfinite(utterance.markers_mm).all(axis=(1, 2))))
+            raise TrainingError(
+                f"corpus {corpus.name}: {utterance.name}, frame {frame}: markers that are not "
+                "numbers; leave the sentence out or track it again"
+            )
     progress("principal components")
     frames = np.concatenate([_flat(u) for u in labelled.utterances])
     if len(frames) <= N_COMPONENTS or not frames.std(axis=0).any():
@@ -77,18 +94,30 @@ def train(
     segments = cut_segments(labelled.utterances, coefficients)
     if len(segments.samples) < 2:
         raise TrainingError(f"corpus {corpus.name}: only {len(segments.samples)} phoneme in it")
+    closures = observe_closures(labelled.utterances)
+    spoken = np.concatenate(
+        [m[speech_frames(u)] for u, m in zip(labelled.utterances, coefficients, strict=True)]
+    )
     with threadpool_limits(limits=1):  # several threads add up in changing order
-        centres, cluster = _cluster(segments, n_animphos, seed, progress)
-    successors = _successors(segments, cluster, len(centres))
+        animphos, cluster = _cluster(segments, n_animphos, seed, progress)
+        centres, counts = phone_centres(segments)
+        lessons = collect_lessons(labelled.utterances, coefficients)
+        expectation = fit_expectation(lessons, centres, seed=seed, progress=progress)
+        progress("rivals")
+        dominance = tune_dominance(labelled.utterances, coefficients, centres)
+        regression = fit_regression(
+            lessons.phonemes, lessons.times_s, lessons.lookahead_s, lessons.faces
+        )
+    successors = _successors(segments, cluster, len(animphos))
     return FaceModel(
         marker_names=corpus.marker_names,
         mean_mm=pca.mean_.reshape(-1, 3),
         basis=pca.components_,
         head_reference_mm=corpus.head_reference_mm,
         rest=_rest(labelled.utterances, coefficients),
-        animphos=centres.reshape(len(centres), SAMPLES_PER_ANIMPHO, N_COMPONENTS),
+        animphos=animphos.reshape(len(animphos), SAMPLES_PER_ANIMPHO, N_COMPONENTS),
         successors=successors,
-        predecessors=successors.transposed(len(centres)),
+        predecessors=successors.transposed(len(animphos)),
         phoneme_table=IndexLists.from_pairs(segments.phonemes, cluster, len(PHONEMES)),
         training_sentences=tuple(u.name for u in labelled.utterances),
         provenance={
@@ -98,7 +127,39 @@ def train(
             "segments": len(segments.samples),
             "variance_held": round(float(pca.explained_variance_ratio_.sum()), 6),
         },
+        expectation=expectation,
+        covariance=np.cov(
+            spoken if len(spoken) > 1 else np.concatenate(coefficients), rowvar=False
+        ),
+        labiodental_gap_mm=closures.labiodental_gap_mm,
+        tightest_s=closures.tightest_s,
+        centres=centres,
+        counts=counts,
+        dominance=dominance,
+        regression=regression,
     )
+
+
+def phone_centres(segments: Segments) -> tuple[Array, Array]:
+    """The mean middle sample of each phoneme (40, n_components), and how many there are (40,).
+
+    A phoneme never heard takes the mean of its viseme class, and where that is empty of what
+    stands in for it.
+    """
+    middles = segments.samples[:, SAMPLES_PER_ANIMPHO // 2]
+    counts = np.bincount(segments.phonemes, minlength=len(PHONEMES)).astype(np.float64)
+    sums = np.zeros((len(PHONEMES), middles.shape[1]))
+    np.add.at(sums, segments.phonemes, middles)
+    known = frozenset(p for p, count in zip(PHONEMES, counts, strict=True) if count)
+    centres = np.zeros_like(sums)
+    for index, phoneme in enumerate(PHONEMES):
+        members = [PHONEMES.index(p) for p in VISEME_CLASSES[VISEME_OF[phoneme]] if p in known]
+        if phoneme in known:
+            members = [index]
+        elif not members:
+            members = [PHONEMES.index(p) for p in stand_in(phoneme, known)]
+        centres[index] = sums[members].sum(axis=0) / counts[members].sum()
+    return centres, counts
 
 
 def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> Segments:

@@ -172,4 +172,8 @@ def _read_landmarks(path: Path, n_landmarks: int) -> Array:
         )
     if not np.isfinite(points).all():
         raise CorpusError(f"{path}: landmarks that are not numbers")
+    # Where a tracker lost the face it writes one and the same point everywhere.
+    lost = np.flatnonzero((points == points[:, :1]).all(axis=(1, 2)))
+    if len(lost):
+        raise CorpusError(f"{path}: frame {lost[0]} is not tracked ({len(lost)} such frames)")
     return np.asarray(points / _UNITS_PER_PIXEL * _TO_FACE_AXES, dtype=np.float64)

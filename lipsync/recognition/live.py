@@ -17,9 +17,10 @@ Array = NDArray[np.float32]
 LATENCY_S = 0.095
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025
-#: A band of log power that holds 10 dB more than the rounding noise of 16 bits: white noise lies
-#: there at -75 dBFS, speech that was turned down by 40 dB well above (measured).
-_INAUDIBLE = -11.0
+#: Where no band reaches this log power there is no sound: digital silence gives -16.1, white noise
+#: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
+#: no band above -13 and 13 % none above -11 (20 LibriSpeech utterances, measured).
+_INAUDIBLE = -15.5
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
 
 

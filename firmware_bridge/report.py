@@ -1,0 +1,51 @@
+"""What the bridge tells of itself: one report a tick, and counts since it was made."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.care import ServoState
+from firmware_bridge.safety import GateCounts, StaleLevel
+
+
+@dataclass(frozen=True, slots=True)
+class TickReport:
+    """What one tick wanted, sent and noticed. Every array is (n_servos,).
+
+    wanted_deg is what reached the last gate; sent_deg what the bus got. While `torque_on` is False
+    nothing is sent, sent_deg repeats the last goals, and no limit counts as hit.
+    target_age_s counts from the newest target due, or from arming when that is later.
+    late is how many ticks were missed before this one.
+    """
+
+    time_s: float
+    late: int
+    wanted_deg: NDArray[np.float64]
+    sent_deg: NDArray[np.float64]
+    target_age_s: float
+    stale: StaleLevel
+    torque_on: bool
+    range_hits: NDArray[np.bool_]
+    rate_hits: NDArray[np.bool_]
+    rejected: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeStatus:
+    """Counts since the bridge was made, for a status line or a dashboard.
+
+    n_stale: ticks with torque on whose target was no longer fresh; waiting for the first one after
+    arming does not count. n_not_armed: ticks that tried to wake a limp face and found a servo
+    unwilling.
+    """
+
+    n_ticks: int
+    n_late: int
+    n_stale: int
+    n_armed: int
+    n_not_armed: int
+    n_rejected_targets: int
+    gate: GateCounts
+    n_unplugged: int
+    servo_states: tuple[ServoState, ...]

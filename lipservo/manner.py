@@ -1,0 +1,78 @@
+"""How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lipservo.pipeline import Synthesizer
+from lipsync.animpho.live import LIVE_STRATEGY, LiveSynthesizer, Style, StyleError
+from lipsync.animpho.model import FaceModel
+from lipsync.animpho.selection import STRATEGIES
+from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.ladder import RecognizerLadder, Rung
+
+#: Which recogniser is tried first.
+Engine = Literal["network", "pocketsphinx"]
+#: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
+LATENCY_S = 0.095
+_POCKETSPHINX_LATENCY_S = 0.09
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """The recogniser to begin with, the strategy by name, and the style of ours."""
+
+    engine: Engine = "network"
+    strategy: str = LIVE_STRATEGY
+    style: Style = field(default_factory=Style)
+
+    def __post_init__(self) -> None:
+        known = (LIVE_STRATEGY, *STRATEGIES)
+        if self.strategy not in known:
+            raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
+
+
+def make_synthesizer(model: FaceModel, manner: Manner) -> Synthesizer:
+    """Ours, or the paper's with one of its two selections."""
+    if manner.strategy == LIVE_STRATEGY:
+        return LiveSynthesizer(model, manner.style)
+    return PublishedSynthesizer(model, STRATEGIES[manner.strategy])
+
+
+def make_recognizer(
+    engine: Engine = "network", timer_s: Callable[[], float] | None = None
+) -> RecognizerLadder:
+    """The live recogniser, from the engine's rung of the ladder down.
+
+    timer_s: a clock in seconds, to see that a rung takes longer than the sound lasts; None where
+    nobody waits for it.
+    """
+    first = [rung.name for rung in _RUNGS].index(engine)
+    return RecognizerLadder(_RUNGS[first:], LATENCY_S, timer_s)
+
+
+def _network() -> LiveRecognizer:
+    from lipsync.recognition.live import NetworkRecognizer
+    from lipsync.recognition.weights import load_shipped_weights
+
+    return NetworkRecognizer(load_shipped_weights(), LATENCY_S)
+
+
+def _pocketsphinx() -> LiveRecognizer:
+    from lipsync.recognition.allphone import PocketsphinxRecognizer
+
+    return PocketsphinxRecognizer(_POCKETSPHINX_LATENCY_S)
+
+
+def _loudness() -> LiveRecognizer:
+    from lipsync.recognition.loudness import LoudnessRecognizer
+
+    return LoudnessRecognizer()
+
+
+_RUNGS = (
+    Rung("network", _network),
+    Rung("pocketsphinx", _pocketsphinx),
+    Rung("loudness", _loudness),
+)

@@ -1,0 +1,158 @@
+"""The figures of `lipservo bench motion`: every method against recorded faces."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from lipsync.animpho.live import LIVE_STRATEGY
+from lipsync.animpho.model import FaceModel
+from lipsync.animpho.selection import STRATEGIES
+from lipsync.corpus.utterance import Corpus, Utterance
+from lipsync.errors import UserError
+from lipsync.evaluation.methods import Heard, Method, all_methods
+from lipsync.evaluation.misses import miss_rate
+from lipsync.evaluation.paper_tables import paper_tables
+from lipsync.evaluation.scoring import Scores, add_scores, check_scorable, true_phonemes
+from lipsync.evaluation.speech import speech_frames
+from lipsync.evaluation.splits import Part, read_parts, words_part
+from lipsync.evaluation.timing import Times, live_times, published_times
+from lipsync.phonemes import PhonemeEvent
+
+Sentences = Sequence[Sequence[PhonemeEvent]]
+Row = dict[str, object]
+Train = Callable[[Corpus], FaceModel]
+Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
+
+PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
+#: Sentences that speed is measured on.
+_TIMED = 40
+
+
+class BenchError(UserError):
+    """Something asked of the bench that it cannot do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is to be scored: methods, look-aheads, and which phonemes they hear."""
+
+    methods: tuple[Method, ...]
+    lookaheads_ms: tuple[int, ...]
+    phonemes: str
+    words: frozenset[str] | None
+
+
+def question(strategy: str | None, lookaheads: str, phonemes: str, words: str | None) -> Question:
+    """From the command line's texts; raises BenchError for what is not known here."""
+    methods = all_methods()
+    if strategy is not None and strategy not in methods:
+        raise BenchError(f"unknown strategy {strategy!r}; known here: {', '.join(methods)}")
+    if phonemes not in (PHONEMES_TRUE, PHONEMES_RECOGNIZED):
+        raise BenchError(f"unknown phonemes {phonemes!r}; known here: true, recognized")
+    try:
+        lookaheads_ms = tuple(int(text) for text in lookaheads.split(","))
+    except ValueError:
+        raise BenchError(f"look-ahead {lookaheads!r}: give whole ms, such as 0,100,200") from None
+    if not all(0 <= ms <= 1000 for ms in lookaheads_ms):
+        raise BenchError(f"look-ahead {lookaheads!r}: 0 to 1000 ms are possible")
+    named = None if words is None else frozenset(w.strip() for w in words.split(",") if w.strip())
+    if named is not None and not named:
+        raise BenchError("--words names no word")
+    chosen = tuple(methods.values()) if strategy is None else (methods[strategy],)
+    return Question(chosen, lookaheads_ms, phonemes, named)
+
+
+def score_model(model: FaceModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
+    """A given model on a folder that it was not trained on."""
+    utterances = check_scorable(model, corpus)
+    if asked.words is not None and not any(speech_frames(u, asked.words).any() for u in utterances):
+        raise BenchError(f"{corpus.name}: no sentence holds {', '.join(sorted(asked.words))}")
+    part = Part("given", frozenset(), frozenset(u.name for u in utterances), asked.words)
+    return _rows([(model, part)], corpus, asked, track)
+
+
+def paper_rows(model: FaceModel, corpus: Corpus) -> dict[str, object]:
+    """Tables 2 and 3 and Figure 6 of the paper, with the live recogniser for case 2."""
+    utterances = check_scorable(model, corpus)
+    return dict(paper_tables(model, utterances, _listener(PHONEMES_RECOGNIZED)))
+
+
+def cross_validate(
+    folder: Path,
+    corpus: Corpus,
+    asked: Question,
+    train: Callable[[Corpus], FaceModel],
+    track: Track,
+) -> list[Row]:
+    """Models trained on the training part of each split, scored on the rest."""
+    labelled = corpus.labelled()
+    if asked.words is not None:
+        parts = [words_part("words", labelled, asked.words)]
+    else:
+        parts = read_parts(folder, labelled)
+    rows: list[Row] = []
+    for split in dict.fromkeys(part.split for part in parts):
+        trained = [(train(labelled.keep(set(p.train))), p) for p in parts if p.split == split]
+        rows += _rows(trained, labelled, asked, track)
+    return rows
+
+
+def _rows(
+    trained: Sequence[tuple[FaceModel, Part]], corpus: Corpus, asked: Question, track: Track
+) -> list[Row]:
+    """One split: the sums of all its parts together."""
+    scores = Scores()
+    listen = _listener(asked.phonemes)
+    for model, part in trained:
+        add_scores(
+            scores,
+            model,
+            corpus.keep(set(part.test)).utterances,
+            asked.methods,
+            asked.lookaheads_ms,
+            words=part.words,
+            listen=listen,
+            progress=partial(track, f"scoring {part.split}"),
+        )
+    model, part = trained[0]
+    sentences = [u.phones for u in corpus.keep(set(part.test)).utterances]
+    rows = []
+    for method in asked.methods:
+        times = _times(method.name, model, sentences[:_TIMED])
+        strategy = STRATEGIES.get(method.name)
+        for lookahead_ms in asked.lookaheads_ms:
+            rows.append(
+                {
+                    "strategy": method.name,
+                    "lookahead_ms": lookahead_ms,
+                    "split": part.split,
+                    "phonemes": asked.phonemes,
+                    **scores.row(method.name, lookahead_ms),
+                    "miss_rate": strategy and miss_rate(model, strategy, sentences),
+                    "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
+                    "ms_per_frame_p95": times and times.frame_p95_ms,
+                }
+            )
+    return rows
+
+
+def _times(
+    name: str, model: FaceModel, sentences: Sequence[Sequence[PhonemeEvent]]
+) -> Times | None:
+    """None for methods that only exist offline, a whole sentence at a time."""
+    if name == LIVE_STRATEGY:
+        return live_times(model, sentences)
+    if name in STRATEGIES:
+        return published_times(model, STRATEGIES[name], sentences)
+    return None
+
+
+def _listener(phonemes: str) -> Callable[[Utterance], Heard]:
+    if phonemes == PHONEMES_TRUE:
+        return true_phonemes
+    from lipservo.manner import make_recognizer
+    from lipsync.evaluation.listening import heard_by
+
+    recognizer = make_recognizer()
+    return lambda utterance: heard_by(recognizer, utterance.sound_path)

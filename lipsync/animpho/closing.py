@@ -1,0 +1,104 @@
+"""When lips must touch: closures planned from the phonemes known now, smooth in time."""
+
+import math
+from bisect import bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from lipsync.expectation.context import PhonemeTrack
+
+#: Lips shut, and lower lip at the upper teeth.
+BILABIALS = ("P", "B", "M")
+LABIODENTALS = ("F", "V")
+
+#: Lips take this long to close, and to part. Chosen on inner splits of the training part
+#: (docs/motion.md): shorter is more abrupt, longer closes the vowels around as well.
+CLOSING_S = 0.04
+PARTING_S = 0.04
+#: They touch this long at least, around the moment at which the recordings are tightest.
+HOLD_S = 0.02
+#: Sums of the same times differ by less.
+_ROUNDING_S = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Amount:
+    """A cubic from a value and a slope at `start_s` to rest at `goal`; there it stays.
+
+    Hermite's form, so that a new one takes over from any instant of the old one smoothly.
+    touched_s: when the last closure begun was, or will be, complete.
+    """
+
+    start_s: float
+    duration_s: float
+    value: float
+    slope_per_s: float
+    goal: float
+    touched_s: float = -math.inf
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Value and slope per second at a time not before the start."""
+        u = (time_s - self.start_s) / self.duration_s
+        if u >= 1.0:
+            return self.goal, 0.0
+        fall = (1.0 + 2.0 * u) * (1.0 - u) ** 2
+        slope = self.slope_per_s * self.duration_s
+        value = self.goal + (self.value - self.goal) * fall + slope * u * (1.0 - u) ** 2
+        change = 6.0 * u * (u - 1.0) * (self.value - self.goal)
+        change += slope * (1.0 - u) * (1.0 - 3.0 * u)
+        return value, change / self.duration_s
+
+    def smooth(self, time_s: float) -> float:
+        """The value within 0 and 1, with slope 0 at both ends whatever the cubic does there."""
+        value = min(1.0, max(0.0, self.at(time_s)[0]))
+        return value * value * (3.0 - 2.0 * value)
+
+
+OPEN = Amount(0.0, PARTING_S, 0.0, 0.0, 0.0)
+
+
+def planned(
+    now: Amount,
+    moments_s: Mapping[int, float],
+    track: PhonemeTrack,
+    time_s: float,
+    known_until_s: float,
+) -> Amount:
+    """What the amount does from `time_s` on. Once begun, a closure is completed before it ends.
+
+    moments_s: for each phoneme that closes, when after its onset it is tightest.
+    """
+    if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
+        return now
+    if _is_due(now.touched_s, moments_s, track, time_s, known_until_s):
+        goal, duration_s, touched_s = 1.0, CLOSING_S, time_s + CLOSING_S
+    else:
+        goal, duration_s, touched_s = 0.0, PARTING_S, now.touched_s
+    if goal == now.goal:
+        return now
+    return Amount(time_s, duration_s, *now.at(time_s), goal, touched_s)
+
+
+def _is_due(
+    touched_s: float,
+    moments_s: Mapping[int, float],
+    track: PhonemeTrack,
+    time_s: float,
+    known_until_s: float,
+) -> bool:
+    """Whether the lips should be closing or closed, by all that is known."""
+    # A tightest moment is at most so far from its onset, before or after.
+    first = bisect_right(track.starts_s, time_s) - 2
+    for i in range(max(0, first), len(track.phonemes)):
+        start_s, end_s = track.starts_s[i], track.ends_s[i]
+        if start_s > known_until_s + _ROUNDING_S:
+            return False
+        if track.phonemes[i] in moments_s:
+            moment_s = min(start_s + moments_s[track.phonemes[i]], end_s)
+            until_s = moment_s + HOLD_S / 2.0
+            if touched_s < start_s - HOLD_S:
+                until_s = max(until_s, end_s)  # heard of late: close late, as long as it goes on
+            begins_s = moment_s - HOLD_S / 2.0 - CLOSING_S
+            if begins_s <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S:
+                return True
+    return False

@@ -1,0 +1,182 @@
+"""The learned expectation of the mouth given context: a few small networks, averaged.
+
+Inference only, NumPy only. Every network has two hidden layers of rectifiers. Phonemes enter by
+table look-up (a row for each slot and phoneme, the first layer already applied to what the phoneme
+is), so a frame costs a few matrix-vector products.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.expectation.context import SLOTS, UNKNOWN
+from lipsync.phonemes import PHONEMES
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Times are capped here, s: since the starts of the phone before last, the last, this one; until
+#: the ends of this one, the next, the one after. 95 % of the phones of grid_s1 are shorter than
+#: half of it; a longer memory only tells sentences apart.
+_LONGEST_S = np.array([0.5, 0.4, 0.3, 0.25, 0.3, 0.3])
+#: How fast an end that comes near makes itself felt, s: the last frame, and the last few.
+_NEAR_S = (0.04, 0.1)
+#: Windows of one recorded frame each, from 280 ms before to 200 ms after: what a mouth remembers
+#: and the most that is ever known beforehand.
+_WINDOW_S = 0.04
+_WINDOWS_S = np.arange(-7, 6) * _WINDOW_S
+N_WINDOWS = len(_WINDOWS_S) - 1
+#: The unit of the look-ahead feature.
+_LOOKAHEAD_UNIT_S = 0.1
+N_TIMING = 6 + 3 + 2 + 3 * len(_NEAR_S) + 3 + 1
+
+
+def timing_features(times_s: Array, lookahead_s: Array) -> Array:
+    """What the times of a context mean, between 0 and about 1; (n, 6), (n,) -> (n, N_TIMING)."""
+    known = ~np.isnan(times_s)
+    share = np.where(known, np.clip(times_s, 0.0, _LONGEST_S), 0.0) / _LONGEST_S
+    ends_s = np.where(known[:, 3:], times_s[:, 3:], np.inf)
+    starts_s = np.where(known[:, :3], times_s[:, :3], np.inf)
+    near = [np.exp(-ends_s / unit_s) for unit_s in _NEAR_S]
+    fresh = np.exp(-starts_s / _NEAR_S[1])
+    lookahead = lookahead_s[:, None] / _LOOKAHEAD_UNIT_S
+    features = np.concatenate(
+        [share, known[:, 3:], np.sqrt(share[:, 2:4]), *near, fresh, lookahead], axis=1
+    )
+    return np.asarray(features, dtype=np.float64)
+
+
+def window_shares(times_s: Array, lookahead_s: Array) -> Array:
+    """How much of each window each phoneme of a context fills: (n, N_WINDOWS, SLOTS), 0 to 1.
+
+    What is not known, and what lies beyond t + L, fills nothing.
+    """
+    limit_s = lookahead_s[:, None]
+    ends_s = np.where(np.isnan(times_s[:, 3:]), limit_s, np.minimum(times_s[:, 3:], limit_s))
+    borders_s = np.concatenate([-times_s[:, :3], np.maximum.accumulate(ends_s, axis=1)], axis=1)
+    from_s = np.maximum(borders_s[:, None, :-1], _WINDOWS_S[:-1, None])
+    until_s = np.minimum(borders_s[:, None, 1:], _WINDOWS_S[1:, None])
+    return np.asarray(np.clip((until_s - from_s) / _WINDOW_S, 0.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Stack:
+    """m networks with h1 and h2 hidden units, from their first layer's sums on.
+
+    bias: (N_TIMING + 1, m h1), the first layer for the timing features, its bias in the last row;
+    hidden: (m, h1 + 1, h2), the second layer, its bias in the last row;
+    output: (m h2 + 1, n_components), the last layer, its bias in the last row, already divided by
+    the number of all networks that are averaged.
+    """
+
+    timing: Array
+    hidden: Array
+    output: Array
+
+    def faces(self, first: Array, timing: Array) -> Array:
+        """(n, n_components) from what the phonemes add up to (n, m h1), and timing features."""
+        first = first + timing @ self.timing[:-1] + self.timing[-1]
+        np.maximum(first, 0.0, out=first)
+        n_networks, n_first = len(self.hidden), self.hidden.shape[1] - 1
+        grouped = first.reshape(len(first), n_networks, n_first).transpose(1, 0, 2)
+        second = np.matmul(grouped, self.hidden[:, :-1]) + self.hidden[:, -1:]
+        np.maximum(second, 0.0, out=second)
+        joined = second.transpose(1, 0, 2).reshape(len(first), -1)
+        return np.asarray(joined @ self.output[:-1] + self.output[-1])
+
+
+@dataclass(frozen=True, slots=True)
+class Expectation:
+    """Two families of networks that err differently: what they say is averaged.
+
+    The first reads phonemes by their place in the sequence: slot_tables (SLOTS, 41, m h1), the
+    first layer for each slot and phoneme. The second reads them by their place in time: for each
+    window of 40 ms, how much of it each phoneme fills; window_tables (N_WINDOWS, 41, m h1). The
+    last row of a table is for UNKNOWN.
+    """
+
+    slot_tables: Array
+    slots: Stack
+    window_tables: Array
+    windows: Stack
+
+    def at(self, phonemes: list[int], times_s: list[float], lookahead_s: float) -> Array:
+        """The expected face (n_components,) in one context."""
+        face: Array = self.faces(
+            np.array([phonemes]), np.array([times_s]), np.array([lookahead_s])
+        )[0]
+        return face
+
+    def faces(self, phonemes: Indices, times_s: Array, lookahead_s: Array) -> Array:
+        """Expected faces (n, n_components) in contexts: (n, 5), (n, 6), (n,)."""
+        timing = timing_features(times_s, lookahead_s)
+        by_slot = self.slot_tables[np.arange(SLOTS), phonemes].sum(axis=1)
+        filled = window_shares(times_s, lookahead_s).reshape(len(phonemes), 1, -1)
+        windows = np.arange(N_WINDOWS)[:, None]
+        rows = self.window_tables[windows, phonemes[:, None, :]]
+        by_window = (filled @ rows.reshape(len(phonemes), N_WINDOWS * SLOTS, -1))[:, 0]
+        return self.slots.faces(by_slot, timing) + self.windows.faces(by_window, timing)
+
+    def arrays(self) -> dict[str, Array]:
+        """All that a file must keep, by name."""
+        return {
+            "slot_tables": self.slot_tables,
+            "window_tables": self.window_tables,
+            **{f"slots_{name}": getattr(self.slots, name) for name in _STACK},
+            **{f"windows_{name}": getattr(self.windows, name) for name in _STACK},
+        }
+
+    def check(self, n_components: int) -> None:
+        """Raises ValueError unless the arrays fit together and are finite."""
+        shapes: dict[str, tuple[tuple[int, ...], tuple[int, ...]]] = {}
+        families = (
+            ("slot", SLOTS, self.slot_tables, self.slots),
+            ("window", N_WINDOWS, self.window_tables, self.windows),
+        )
+        for name, n_tables, tables, stack in families:
+            n_networks, n_inputs, n_second = stack.hidden.shape
+            width = n_networks * (n_inputs - 1)
+            n_last = n_networks * n_second + 1
+            shapes[f"{name}_tables"] = (tables.shape, (n_tables, UNKNOWN + 1, width))
+            shapes[f"{name}s_timing"] = (stack.timing.shape, (N_TIMING + 1, width))
+            shapes[f"{name}s_output"] = (stack.output.shape, (n_last, n_components))
+        for field, (found, expected) in shapes.items():
+            if found != expected:
+                raise ValueError(f"expectation {field} has shape {found}, expected {expected}")
+        for field, values in self.arrays().items():
+            if not np.isfinite(values).all():
+                raise ValueError(f"expectation {field} holds values that are not finite")
+
+
+_STACK = ("timing", "hidden", "output")
+
+
+def expectation_of(arrays: dict[str, Array]) -> Expectation:
+    """From what `Expectation.arrays` gave; raises KeyError for what is missing."""
+    slots, windows = (
+        Stack(*(arrays[f"{family}_{name}"] for name in _STACK)) for family in ("slots", "windows")
+    )
+    return Expectation(arrays["slot_tables"], slots, arrays["window_tables"], windows)
+
+
+def constant_expectation(faces: Array) -> Expectation:
+    """One that knows only the phoneme going on; faces (40, n_components), a row for each phoneme.
+
+    For corpora too small to learn from. Exact: each phoneme has two rectifiers a component.
+    """
+    n_components = faces.shape[1]
+    width = 2 * n_components
+    tables = np.zeros((SLOTS, UNKNOWN + 1, width))
+    tables[2, : len(PHONEMES)] = np.concatenate([faces, -faces], axis=1)
+    timing = np.zeros((N_TIMING + 1, width))
+    hidden = np.concatenate([np.eye(width), np.zeros((1, width))])[None]
+    output = np.concatenate(
+        [np.eye(n_components), -np.eye(n_components), np.zeros((1, n_components))]
+    )
+    return Expectation(
+        tables,
+        Stack(timing, hidden, output),
+        np.zeros((N_WINDOWS, UNKNOWN + 1, width)),
+        Stack(timing, hidden, np.zeros_like(output)),
+    )

@@ -1,0 +1,196 @@
+"""Learning the expectation from recorded sentences: contexts in, faces out."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from lipsync.corpus.utterance import Utterance
+from lipsync.expectation.articulation import articulatory_features
+from lipsync.expectation.context import SLOTS, UNKNOWN, contexts, track_of
+from lipsync.expectation.expectation import (
+    N_WINDOWS,
+    Expectation,
+    Stack,
+    constant_expectation,
+    timing_features,
+    window_shares,
+)
+from lipsync.expectation.networks import Layers, Schedule, fit, initial_layers
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Indices = NDArray[np.int64]
+Progress = Callable[[str], None]
+
+#: One model serves every look-ahead between these; learned with all three at once.
+TRAINED_LOOKAHEADS_S = (0.0, 0.1, 0.2)
+#: Silence this near to speech is learned too: the mouth opens before the sound, and closes after.
+_NEAR_SPEECH_S = 0.3
+
+
+#: Chosen on an inner split of fold 0's training part and on inner new words (docs/motion.md).
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Networks that read the context in one way."""
+
+    name: str
+    n_networks: int
+    hidden: tuple[int, int]
+
+
+_SLOT_FAMILY = Family("slots", 4, (128, 64))
+_WINDOW_FAMILY = Family("windows", 1, (96, 48))
+_N_NETWORKS = _SLOT_FAMILY.n_networks + _WINDOW_FAMILY.n_networks
+_SCHEDULE = Schedule(n_epochs=8, decay=0.0025)
+#: With fewer frames there is nothing to learn but the phonemes' centres.
+_FEWEST_FRAMES = 200
+#: Slots whose phoneme and viseme class enter by name too, not by articulation alone.
+_NAMED_SLOTS = (1, 2, 3)
+#: A feature that hardly varies in training must not run away when it does later.
+_SMALLEST_SPREAD = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Lessons:
+    """What the mouth did in which context: phonemes (n, 5), times (n, 6), faces (n, n_components).
+
+    Contexts are those of every trained look-ahead, one after the other, for the same n / 3 frames.
+    """
+
+    phonemes: Indices
+    times_s: Array
+    lookahead_s: Array
+    faces: Array
+
+
+def collect_lessons(utterances: Iterable[Utterance], coefficients: Sequence[Array]) -> Lessons:
+    """All frames in or near speech; coefficients: (n_frames, n_components) of each utterance."""
+    found: list[list[tuple[Indices, Array]]] = [[] for _ in TRAINED_LOOKAHEADS_S]
+    faces = []
+    for utterance, motion in zip(utterances, coefficients, strict=True):
+        spoken = [p for p in utterance.phones if p.phoneme != SILENCE and p.end_s is not None]
+        if not spoken:
+            continue
+        times_s = np.arange(len(motion)) / utterance.frame_rate_hz
+        last_s = max(p.end_s or 0.0 for p in spoken)
+        near = times_s >= spoken[0].start_s - _NEAR_SPEECH_S
+        near &= times_s <= last_s + _NEAR_SPEECH_S
+        track = track_of(utterance.phones)
+        for list_, lookahead_s in zip(found, TRAINED_LOOKAHEADS_S, strict=True):
+            list_.append(contexts(track, times_s[near], lookahead_s))
+        faces.append(motion[near])
+    if not faces:
+        n_components = coefficients[0].shape[1] if coefficients else 0
+        none = np.empty((0, SLOTS), dtype=np.int64)
+        return Lessons(none, np.empty((0, 6)), np.empty(0), np.empty((0, n_components)))
+    each = np.concatenate(faces)
+    return Lessons(
+        np.concatenate([p for list_ in found for p, _ in list_]),
+        np.concatenate([t for list_ in found for _, t in list_]),
+        np.repeat(TRAINED_LOOKAHEADS_S, len(each)),
+        np.tile(each, (len(TRAINED_LOOKAHEADS_S), 1)),
+    )
+
+
+def fit_expectation(
+    lessons: Lessons, centres: Array, *, seed: int, progress: Progress = lambda _: None
+) -> Expectation:
+    """Learn from the lessons; the same lessons and seed give the same expectation.
+
+    centres: (40, n_components), what a phoneme looks like where there are too few frames to learn.
+    """
+    if len(lessons.faces) < _FEWEST_FRAMES * len(TRAINED_LOOKAHEADS_S):
+        return constant_expectation(centres)
+    slots, windows = phoneme_features(), articulation_table()
+    timing = timing_features(lessons.times_s, lessons.lookahead_s).astype(np.float32)
+    by_slot = [table[lessons.phonemes[:, slot]] for slot, table in enumerate(slots)]
+    by_slot_inputs = np.concatenate([*by_slot, timing], axis=1)
+    by_window_inputs = np.concatenate([_window_inputs(lessons, windows), timing], axis=1)
+    with threadpool_limits(limits=1):  # several threads add up in changing order
+        slot_tables, slot_stack = _fit_family(
+            by_slot_inputs, lessons.faces, slots, _SLOT_FAMILY, [seed, 0], progress
+        )
+        window_tables, window_stack = _fit_family(
+            by_window_inputs,
+            lessons.faces,
+            [windows] * N_WINDOWS,
+            _WINDOW_FAMILY,
+            [seed, 1],
+            progress,
+        )
+    return Expectation(slot_tables, slot_stack, window_tables, window_stack)
+
+
+def _fit_family(
+    inputs: Array32,
+    faces: Array,
+    dictionary: Sequence[Array32],
+    family: Family,
+    seed: Sequence[int],
+    progress: Progress,
+) -> tuple[Array, Stack]:
+    """Train the networks of a family; its tables and the rest of it."""
+    mean = inputs.mean(axis=0)
+    spread = inputs.std(axis=0) + _SMALLEST_SPREAD
+    inputs = (inputs - mean) / spread
+    unit = float(faces.std())
+    targets = (faces / unit).astype(np.float32)
+    networks: list[Layers] = []
+    for number in range(family.n_networks):
+        progress(f"expectation by {family.name}, network {number + 1} of {family.n_networks}")
+        rng = np.random.default_rng([*seed, number])
+        layers = initial_layers((inputs.shape[1], *family.hidden, targets.shape[1]), rng)
+        networks.append(fit(layers, inputs, targets, _SCHEDULE, rng))
+    return _exported(networks, dictionary, mean, spread, unit)
+
+
+def articulation_table() -> Array32:
+    """(41, 22): articulatory features of each phoneme, zeros for UNKNOWN."""
+    features = articulatory_features()
+    return np.concatenate([features, np.zeros((1, features.shape[1]))]).astype(np.float32)
+
+
+def phoneme_features() -> list[Array32]:
+    """For each slot (41, n_features): articulation; in the middle slots class and name as well."""
+    articulation = articulation_table()
+    viseme = np.zeros((UNKNOWN + 1, len(VISEME_CLASSES)), dtype=np.float32)
+    viseme[np.arange(len(PHONEMES)), [VISEME_OF[p] for p in PHONEMES]] = 1.0
+    names = np.eye(UNKNOWN + 1, len(PHONEMES), dtype=np.float32)
+    named = np.concatenate([articulation, viseme, names], axis=1)
+    return [named if slot in _NAMED_SLOTS else articulation for slot in range(SLOTS)]
+
+
+def _window_inputs(lessons: Lessons, table: Array32) -> Array32:
+    """(n, N_WINDOWS * 22): what the phonemes are, window by window."""
+    shares = window_shares(lessons.times_s, lessons.lookahead_s).astype(np.float32)
+    inputs = np.zeros((len(shares), N_WINDOWS, table.shape[1]), dtype=np.float32)
+    for slot in range(SLOTS):
+        inputs += shares[:, :, slot, None] * table[lessons.phonemes[:, slot]][:, None, :]
+    return inputs.reshape(len(shares), -1)
+
+
+def _exported(
+    networks: list[Layers],
+    dictionary: Sequence[Array32],
+    mean: Array32,
+    spread: Array32,
+    unit: float,
+) -> tuple[Array, Stack]:
+    """The first layer folded into tables, scaling undone, networks side by side."""
+    first = np.concatenate([n[0] for n in networks], axis=1) / spread[:, None].astype(np.float64)
+    bias = np.concatenate([n[1] for n in networks]) - mean @ first
+    pieces = np.split(first, np.cumsum([table.shape[1] for table in dictionary]))
+    hidden = [np.concatenate([n[2], n[3][None]]) for n in networks]
+    output = np.concatenate(
+        [*(n[4] for n in networks), np.sum([n[5] for n in networks], axis=0)[None]]
+    )
+    stack = Stack(
+        np.concatenate([pieces[-1], bias[None]]),
+        np.array(hidden, dtype=np.float64),
+        output * (unit / _N_NETWORKS),
+    )
+    return np.array([t @ p for t, p in zip(dictionary, pieces, strict=False)]), stack

@@ -1,0 +1,53 @@
+"""The whole bridge against scripted faults; the full campaign is `lipservo bench faults`."""
+
+import pytest
+
+from firmware_bridge.simulator.campaign import Case, cases, play
+from firmware_bridge.simulator.faults import KINDS, Fault, read_faults
+
+
+@pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
+def test_a_fault_is_survived_without_a_wrong_goal(kind):
+    outcome = play(Case(kind, 1, 5, 30.0))
+
+    assert outcome.survived, outcome
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_fault_is_survived(kind):
+    for case in cases():
+        if case.kind == kind and (case.n_servos, case.rate_hz) == (5, 30.0):
+            assert play(case).survived, case
+
+
+def test_the_campaign_is_as_large_as_promised():
+    assert len(KINDS) >= 25
+    assert len(list(cases())) == len(KINDS) * 3 * 3 * 2
+
+
+def test_a_fault_script_is_read_from_yaml():
+    seed, (drop, reboot) = read_faults(
+        "seed: 7\n"
+        "faults:\n"
+        "- {kind: drop_reply, probability: 0.01, servos: [2]}\n"
+        "- {kind: reboot, at_s: 3.0}\n"
+    )
+
+    assert seed == 7
+    assert drop == Fault("drop_reply", servos=(2,), probability=0.01)
+    assert reboot == Fault("reboot", at_s=(3.0,))
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [
+        ("faults: [{kind: gremlin}]", "'gremlin' is not known"),
+        ("faults: [{kind: drop_reply, probability: 2}]", "outside 0..1"),
+        ("faults: [{kind: reboot, when: 3}]", "a fault needs `kind`"),
+        ("- 3", "needs `faults"),
+    ],
+)
+def test_a_mistake_in_a_script_is_explained(script, said):
+    with pytest.raises(ValueError, match=said):
+        read_faults(script)
