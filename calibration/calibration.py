@@ -182,3 +182,17 @@ def check_calibration(
             f"calibration was made for face {calibration.face_checksum}, "
             f"this is face {face_checksum}: its servos or limits have changed since; {_REMEDY}"
         )
+
+
+def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) -> None:
+    """Raises CalibrationError where a servo is of another model than the one that was measured.
+
+    servo_models: of the calibrated servos, in their order. A file that names none says nothing of
+    how its servos follow, and passes.
+    """
+    measured = calibration.origin.servo_models or tuple(servo_models)
+    for name, was, now in zip(calibration.servo_names, measured, servo_models, strict=True):
+        if was != now:
+            raise CalibrationError(
+                f"servo {name!r} was calibrated as a {was} and is a {now} in this face; {_REMEDY}"
+            )

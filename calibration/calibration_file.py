@@ -127,11 +127,12 @@ def _parse(file: Place) -> Calibration:
 
 
 def _parse_origin(file: Place, servos: list[Place]) -> Origin:
+    named = any(servo.has("model") for servo in servos)
     return Origin(
         method=file.at("method").text(),
         date=file.at("date").text(),
         poses=file.at("poses").count(),
-        servo_models=tuple(s.at("model").text() for s in servos if s.has("model")),
+        servo_models=tuple(s.at("model").text() for s in servos) if named else (),
     )
 
 

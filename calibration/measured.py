@@ -36,6 +36,9 @@ MAX_FITTED, MAX_HELD_OUT = 240, 160
 #: (https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications). Soft lips need less.
 TOUCH_CURRENT_MA = 294.0
 
+#: Each round takes away most of what the last one missed.
+_TOUCH_ROUNDS = 4
+
 
 @dataclass(frozen=True, slots=True)
 class MeasuredFit:
@@ -116,9 +119,16 @@ def play_only(backlash_deg: Array) -> Following:
 def _touch_deg(
     face: RobotFace, retargeting: Retargeting, names: Correspondence, limits: tuple[Array, Array]
 ) -> Array:
-    """(n_servos,): the pose nearest to the robot's closed mouth with lips that just meet."""
+    """(n_servos,): near the robot's closed mouth, with the middle of the lips just meeting.
+
+    The closed mouth of speech is pressed, and the shape of the pressed lips pulls the gap with it;
+    so the gap asked for is put off by what was missed, a few times.
+    """
     closed_mm = retargeting.neutral_mm[None]
     gaps_mm = names.look.gaps_mm(closed_mm)
     gaps_mm[..., 1] = 0.0
-    wanted = names.look.features(closed_mm, gaps_mm)
-    return np.asarray(nearest_poses_deg(face.markers_mm, wanted, names.look, limits)[0])
+    for _ in range(_TOUCH_ROUNDS):
+        wanted = names.look.features(closed_mm, gaps_mm)
+        pose_deg = nearest_poses_deg(face.markers_mm, wanted, names.look, limits)
+        gaps_mm[..., 1] -= names.look.gaps_mm(face.markers_mm(pose_deg))[:, :1, 1]
+    return np.asarray(pose_deg[0])

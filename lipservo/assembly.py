@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calibration.calibration import Calibration, check_calibration
+from calibration.calibration import Calibration, check_calibration, check_servo_models
 from calibration.calibration_file import parse_calibration
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus
@@ -51,6 +51,7 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     file = calibration_file(settings, folder)
     calibration = parse_calibration(file.read_text(encoding="utf-8"), file.name)
     check_calibration(calibration, model, list(settings.mouth_servos), settings.checksum)
+    check_servo_models(calibration, [servo.model for servo in settings.mouth_servos.values()])
     whole = calibration.for_servos(list(settings.servos))
     return Face(settings, model, whole, settings.joints())
 

@@ -7,7 +7,12 @@ import pytest
 from scipy.optimize import lsq_linear
 from small_model import small_model
 
-from calibration.calibration import CalibrationError, Following, check_calibration
+from calibration.calibration import (
+    CalibrationError,
+    Following,
+    check_calibration,
+    check_servo_models,
+)
 from calibration.calibration_file import load_calibration, parse_calibration, save_calibration
 from calibration.calibration_text import calibration_text
 from calibration.capture import Capture, capture_poses
@@ -266,6 +271,20 @@ def test_damage_to_the_newer_parts_is_named(fit, old, new, message):
     assert old in text
     with pytest.raises(CalibrationError, match=message):
         parse_calibration(text.replace(old, new, 1), "c.yaml")
+
+
+def test_a_servo_exchanged_for_another_model_is_refused_with_the_remedy(fit):
+    check_servo_models(fit.calibration, ["XL330-M288"] * 10)
+    with pytest.raises(
+        CalibrationError, match=r"'jaw' was calibrated as a XL330-M288 and is a XM430-W350 .*run `"
+    ):
+        check_servo_models(fit.calibration, ["XM430-W350"] + ["XL330-M288"] * 9)
+
+
+def test_a_file_that_names_only_some_servo_models_is_refused(fit):
+    text = calibration_text(fit.calibration).replace("    model: XL330-M288\n", "", 1)
+    with pytest.raises(CalibrationError, match=r"servos\.jaw\.model is missing"):
+        parse_calibration(text, "c.yaml")
 
 
 def test_servos_of_neck_and_eyes_stay_at_zero(fit):
