@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -60,6 +60,7 @@ def test_a_servo_that_does_not_follow_is_named():
         identify(drive, JOINTS, np.zeros(2))
 
 
+@settings(deadline=None)  # machines are shared
 @given(
     lags_ms=st.lists(st.floats(0, 150), min_size=1, max_size=5),
     look_ahead_ms=st.floats(0, 200),
@@ -105,6 +106,7 @@ def test_after_a_reset_nothing_is_left_of_earlier_poses():
     assert np.array_equal([follower.feed(pose) for pose in poses], first)
 
 
+@settings(deadline=None)  # machines are shared
 @given(seed=st.integers(0, 1000), play_deg=st.floats(0.1, 2.0))
 def test_horns_behind_play_stand_where_they_should_once_moving(seed, play_deg):
     """A play operator after the compensation: off by the play at most within the dead band."""
