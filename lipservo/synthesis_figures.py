@@ -19,7 +19,6 @@ from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.file import FileSource
 from lipsync.audio.silence import SilenceAfter
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
-from lipsync.recognition.allphone import PocketsphinxRecognizer
 
 #: Each recording is replayed so often; the median counts, as machines are shared.
 _REPLAYS = 3
@@ -61,20 +60,6 @@ def synthesis_times_ms(
             times_ms.append((time.perf_counter() - began_s) * 1e3)
     p50, p95 = np.percentile(times_ms, [50, 95])
     return {"ms_per_phoneme_p50": float(p50), "ms_per_phoneme_p95": float(p95)}
-
-
-def recognized_phonemes(recording: Path) -> list[PhonemeEvent]:
-    """What the live recogniser makes of a recording in the end."""
-    recognizer = PocketsphinxRecognizer()
-    events: list[PhonemeEvent] = []
-    with SilenceAfter(FileSource(recording)) as source:
-        until_s = source.duration_s + recognizer.latency_s + 0.5
-        for block in source.blocks(until_s):
-            recognizer.feed(block)
-        for update in recognizer.updates(until_s):
-            events = [e for e in events if e.start_s < update.replace_from_s]
-            events += [e for e in update.events if e.end_s is not None]
-    return events
 
 
 def miss_rates(corpus_folder: Path) -> dict[str, float]:

@@ -42,7 +42,9 @@ def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet =
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
     from lipservo import synthesis_figures as measure
+    from lipservo.listening import heard_events
     from lipsync.animpho.model import load_shipped_model
+    from lipsync.audio.file import FileSource
 
     began_s = time.perf_counter()
     model = load_shipped_model()
@@ -56,7 +58,9 @@ def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet =
         Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
     ):
         steps = progress.add_task("synthesis", total=4)
-        figures |= measure.synthesis_times_ms(model, [measure.recognized_phonemes(clip)])
+        figures |= measure.synthesis_times_ms(
+            model, [list(heard_events(FileSource(clip), "network"))]
+        )
         progress.advance(steps)
         recordings = [path for name in _REPLAYED if (path := corpora / name).is_file()]
         figures["replay_speed"] = measure.replay_speed(recordings or [clip])
