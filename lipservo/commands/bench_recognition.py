@@ -1,6 +1,7 @@
 """`lipservo bench recognition` and `bench listening`: how well it hears, and what that costs."""
 
 import os
+from collections.abc import Callable
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -10,6 +11,7 @@ import typer
 from lipservo.commands.options import MESSAGES, RESULTS, Json, Quiet, machine_class, print_json
 from lipservo.commands.recognition import progress_bar
 from lipservo.manner import Engine
+from lipsync.phonemes import LiveRecognizer
 
 _CORPUS = Path("../shared/corpus/librispeech")
 EngineName = Annotated[Engine, typer.Option(help="Which recogniser listens.")]
@@ -95,7 +97,9 @@ def listening(
     _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
 
 
-def _maker(engine: Engine, latency_s: float, weights: Path | None):  # type: ignore[no-untyped-def]
+def _maker(
+    engine: Engine, latency_s: float, weights: Path | None
+) -> Callable[[], LiveRecognizer]:
     """A function that makes the engine itself, without the ladder: a failure must be seen."""
     from lipsync.recognition.allphone import PocketsphinxRecognizer
     from lipsync.recognition.live import NetworkRecognizer
