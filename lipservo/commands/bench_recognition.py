@@ -97,9 +97,7 @@ def listening(
     _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
 
 
-def _maker(
-    engine: Engine, latency_s: float, weights: Path | None
-) -> Callable[[], LiveRecognizer]:
+def _maker(engine: Engine, latency_s: float, weights: Path | None) -> Callable[[], LiveRecognizer]:
     """A function that makes the engine itself, without the ladder: a failure must be seen."""
     from lipsync.recognition.allphone import PocketsphinxRecognizer
     from lipsync.recognition.live import NetworkRecognizer
