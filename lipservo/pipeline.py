@@ -16,6 +16,7 @@ from calibration.viseme_trim import VisemeTrim
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.report import TickReport
 from firmware_bridge.targets import ServoTargets, TargetChannel
+from lipservo.arrival import ArrivalLag
 from lipsync.audio.block import BLOCK_S
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
@@ -107,6 +108,8 @@ class Speech:
             synthesizer.lookahead_s,
             actuation_s=self._follower.advance_s,
         )
+        self._arrival = ArrivalLag()
+        self._heard_until_s = 0.0
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
 
@@ -115,13 +118,16 @@ class Speech:
         """Phonemes that moved the mouth so far."""
         return self._synthesizer.phonemes_planned
 
+    @property
+    def lag_s(self) -> float:
+        """How far the sound of a live device is behind the clock; 0 for everything else."""
+        return self._arrival.lag_s
+
     def advance(self, now_s: float, zero_s: float) -> None:
         """Hear and publish all that is due at monotonic `now_s`; the sound began at `zero_s`."""
+        self._hear(now_s, zero_s)
+        zero_s += self.lag_s
         heard_s = now_s - zero_s
-        for block in self._source.blocks(heard_s):
-            self._recognizer.feed(block)
-        for update in self._recognizer.updates(heard_s):
-            self._synthesizer.push(update)
         # Half a nanosecond of grace, or rounding would hold a target back for a whole period.
         n_due = math.floor((heard_s - self.delay.synthesis_s + 5e-10) / PUBLISH_PERIOD_S) + 1
         n_too_old = n_due - round(_OLDEST_WORTH_SHOWING_S / PUBLISH_PERIOD_S)
@@ -134,6 +140,17 @@ class Speech:
         event = self._synthesizer.event_at(sound_s)
         phoneme = SILENCE if event is None else event.phoneme
         return phoneme, self._synthesizer.coefficients_at(sound_s)
+
+    def _hear(self, now_s: float, zero_s: float) -> None:
+        clock_s = now_s - zero_s
+        # A device gives what has arrived, whatever the clock says.
+        for block in self._source.blocks(math.inf if self._source.is_live else clock_s):
+            self._recognizer.feed(block)
+            self._heard_until_s = block.end_s
+        if self._source.is_live:
+            self._arrival.observe(now_s, clock_s - self._heard_until_s)
+        for update in self._recognizer.updates(clock_s - self.lag_s):
+            self._synthesizer.push(update)
 
     def _publish(self, sound_s: float, zero_s: float) -> None:
         phoneme, coefficients = self.shown_at(sound_s)
@@ -170,7 +187,7 @@ class Street:
 
     def sound_time_s(self, display_s: float) -> float:
         """The sound time whose face belongs to monotonic display time `display_s`."""
-        return display_s - self._zero_s - self.speech.delay.total_s
+        return display_s - self._zero_s - self.speech.lag_s - self.speech.delay.total_s
 
     def tick(self, time_s: float, late: int) -> StreetTick:
         """Everything that happens at monotonic grid time `time_s`."""

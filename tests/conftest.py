@@ -1,6 +1,11 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# Machines are shared: how long an example takes says nothing about the code.
+settings.register_profile("lipservo", deadline=None)
+settings.load_profile("lipservo")
 
 
 @pytest.fixture(scope="session")

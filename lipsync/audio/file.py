@@ -46,6 +46,7 @@ class FileSource:
     shorter than 25 ms, nothing but zeros, or holding NaN or infinite samples.
     """
 
+    is_live = False
     lost_blocks = 0
 
     def __init__(self, path: str | PathLike[str]) -> None:

@@ -64,6 +64,7 @@ class MicrophoneSource:
     """
 
     duration_s: float | None = None
+    is_live = True
 
     def __init__(self, device: str | int | None = None) -> None:
         self._sounddevice = _sounddevice()

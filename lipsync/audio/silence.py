@@ -15,6 +15,7 @@ class SilentSource:
 
     name = "silence"
     duration_s: float | None = None
+    is_live = False
     lost_blocks = 0
 
     def __init__(self) -> None:
@@ -38,6 +39,8 @@ class SilenceAfter:
 
     `duration_s` stays that of the source.
     """
+
+    is_live = False
 
     def __init__(self, source: AudioSource) -> None:
         if source.duration_s is None:

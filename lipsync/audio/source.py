@@ -25,6 +25,10 @@ class AudioSource(Protocol):
         """Length of the whole stream; None when it has no known end."""
 
     @property
+    def is_live(self) -> bool:
+        """Sound comes when it comes, by a clock of its own; `blocks(inf)` gives all that has."""
+
+    @property
     def lost_blocks(self) -> int:
         """Blocks that the device or the computer dropped (overruns)."""
 
