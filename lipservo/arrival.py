@@ -19,7 +19,7 @@ class ArrivalLag:
         self._observed_s: float | None = None
 
     def observe(self, now_s: float, behind_s: float) -> None:
-        """At monotonic `now_s` the newest sound was `behind_s` (maybe negative) behind the clock."""
+        """At monotonic `now_s` the newest sound is `behind_s` behind the clock, or before it."""
         elapsed_s = 0.0 if self._observed_s is None else max(0.0, now_s - self._observed_s)
         self._observed_s = now_s
         change_s = behind_s - self.lag_s
