@@ -67,8 +67,11 @@ def draw_trajectory(folder: Path, model: FaceModel, utterance: Utterance) -> Non
             thick = 2.0 if name in ("recorded", LIVE_STRATEGY) else 0.8
             axis.plot(times_s, values[number], label=name, linewidth=thick)
         axis.set_ylabel(label)
-    for phone in utterance.phones:
-        axes[2].text(phone.start_s, -2.0, phone.phoneme, fontsize=7)
+    for number, phone in enumerate(utterance.phones):
+        # Above the curves, on two lines in turn, so that short phones do not overlap.
+        height = 1.02 + 0.09 * (number % 2)
+        place = axes[0].get_xaxis_transform()
+        axes[0].text(phone.start_s, height, phone.phoneme, fontsize=7, transform=place)
     axes[0].legend(ncols=4, fontsize=8)
     axes[2].set_xlabel("s")
     figure.savefig(folder / "trajectory.png", dpi=110)
