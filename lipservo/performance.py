@@ -10,9 +10,9 @@ from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
 from lipservo.assembly import Face, assemble_face, at_port, make_bus, make_street
-from lipservo.commands.options import MESSAGES
 from lipservo.daemon import play
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
+from lipservo.output import MESSAGES
 from lipservo.pipeline import Street, TickObserver
 from lipservo.summary import Summary, Tally
 from lipservo.trace import BackgroundTrace, TraceFile

@@ -10,14 +10,8 @@ import typer
 from rich.progress import Progress
 
 from lipservo.commands import bench_motion
-from lipservo.commands.options import (
-    MESSAGES,
-    RESULTS,
-    Json,
-    Quiet,
-    machine_class,
-    print_json,
-)
+from lipservo.commands.options import Json, Quiet
+from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
 
 app = typer.Typer(no_args_is_help=True)
 app.command()(bench_motion.motion)

@@ -9,15 +9,8 @@ import typer
 from rich.progress import Progress
 from rich.table import Table
 
-from lipservo.commands.options import (
-    MESSAGES,
-    RESULTS,
-    Json,
-    Quiet,
-    SkipBad,
-    machine_class,
-    print_json,
-)
+from lipservo.commands.options import Json, Quiet, SkipBad
+from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
 
 if TYPE_CHECKING:
     from lipservo.motion_figures import Question

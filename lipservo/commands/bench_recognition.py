@@ -8,9 +8,10 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.options import MESSAGES, RESULTS, Json, Quiet, machine_class, print_json
+from lipservo.commands.options import Json, Quiet
 from lipservo.commands.recognition import progress_bar
 from lipservo.manner import Engine
+from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
 from lipsync.phonemes import LiveRecognizer
 
 _CORPUS = Path("../shared/corpus/librispeech")

@@ -5,14 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lipservo.commands.options import (
-    DEFAULT_FACE,
-    MESSAGES,
-    RESULTS,
-    Config,
-    Json,
-    print_json,
-)
+from lipservo.commands.options import DEFAULT_FACE, Config, Json
+from lipservo.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:

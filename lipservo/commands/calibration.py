@@ -8,16 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from lipservo.commands.options import (
-    DEFAULT_FACE,
-    MESSAGES,
-    RESULTS,
-    Config,
-    Json,
-    Model,
-    Quiet,
-    print_json,
-)
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
+from lipservo.output import MESSAGES, RESULTS, print_json
 
 if TYPE_CHECKING:
     from calibration.calibration import Calibration

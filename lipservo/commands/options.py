@@ -1,21 +1,12 @@
-"""Options that several commands share, and how results leave the program."""
+"""Options that several commands share."""
 
-import json
-import platform
-import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from lipservo.manner import Engine
 from lipsync.animpho.live import STRONGEST
-
-#: Results go to stdout; everything else, progress and logs and complaints, to stderr.
-RESULTS = Console()
-MESSAGES = Console(stderr=True)
 
 Config = Annotated[
     str, typer.Option(help="Face: the name of a shipped one, or the path of a YAML file.")
@@ -46,15 +37,3 @@ Strength = Annotated[
 Smoothness = Annotated[float, typer.Option(min=0.0, max=1.0, help="0 crisp, 1 slow.")]
 
 DEFAULT_FACE = "face_sim"
-
-
-def print_json(result: Mapping[str, object]) -> None:
-    """One object on one line of stdout."""
-    sys.stdout.write(json.dumps(result) + "\n")
-
-
-def machine_class() -> str:
-    """What kind of machine measured: processor architecture, cores, Python."""
-    import os
-
-    return f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"

@@ -15,7 +15,6 @@ from firmware_bridge.control_socket import StopLevel, ask, default_path
 from firmware_bridge.process import die_with_parent
 from lipservo.commands.options import (
     DEFAULT_FACE,
-    MESSAGES,
     Config,
     EngineChoice,
     Json,
@@ -24,9 +23,9 @@ from lipservo.commands.options import (
     Smoothness,
     Strategy,
     Strength,
-    print_json,
 )
 from lipservo.manner import Manner
+from lipservo.output import MESSAGES, print_json
 from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, Style
 from lipsync.errors import UserError
 

@@ -11,14 +11,8 @@ from typing import Annotated
 import typer
 from rich.progress import Progress, TimeRemainingColumn
 
-from lipservo.commands.options import (
-    MESSAGES,
-    RESULTS,
-    EngineChoice,
-    Json,
-    Quiet,
-    print_json,
-)
+from lipservo.commands.options import EngineChoice, Json, Quiet
+from lipservo.output import MESSAGES, RESULTS, print_json
 
 Jobs = Annotated[
     int | None,

@@ -10,8 +10,6 @@ from firmware_bridge.clock import ManualClock, MonotonicClock
 from lipservo.assembly import load_settings
 from lipservo.commands.options import (
     DEFAULT_FACE,
-    MESSAGES,
-    RESULTS,
     Config,
     EngineChoice,
     Json,
@@ -21,11 +19,11 @@ from lipservo.commands.options import (
     Smoothness,
     Strategy,
     Strength,
-    print_json,
 )
 from lipservo.commands.processes import Control, supervise
 from lipservo.daemon import stopped_by_signals
 from lipservo.manner import Manner
+from lipservo.output import MESSAGES, RESULTS, print_json
 from lipservo.performance import Performance
 from lipservo.sim_process import servo_port
 from lipservo.sources import open_source, open_source_or_silence

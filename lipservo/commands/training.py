@@ -8,14 +8,8 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
-from lipservo.commands.options import (
-    MESSAGES,
-    RESULTS,
-    Json,
-    Quiet,
-    SkipBad,
-    print_json,
-)
+from lipservo.commands.options import Json, Quiet, SkipBad
+from lipservo.output import MESSAGES, RESULTS, print_json
 
 
 def train(
