@@ -10,13 +10,16 @@ from rich.table import Table
 from rich.text import Text
 
 from firmware_bridge.joints import Joint
-from lipservo.mouth_drawing import draw_mouth
+from lipservo.mouth_drawing import MOUTH_COLUMNS, draw_mouth
 from lipservo.pipeline import StreetTick
 from lipsync.animpho.model import FaceModel
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 
 _REFRESH_HZ = 10
 _BAR_WIDTH = 31
+_SHORTEST_NEEDLE = 9
+#: "-12.3 deg" and the spaces between the columns.
+_ANGLE_COLUMNS = 14
 #: The mouth opens downwards: the closed one is drawn so far above the middle.
 _LOOK_BELOW_MM = np.array([0.0, 8.0, 0.0])
 #: A widely opened mouth; 99 % of the frames of grid_s1 stay below.
@@ -65,14 +68,17 @@ class TerminalView:
         head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s")
         head.add_row("phonemes", spoken)
         head.add_row("lip gap", _bar(gap_mm / _WIDEST_GAP_MM), f"{gap_mm:5.1f} mm")
-        servos = Table.grid(padding=(0, 2))
+        servos = Table.grid(padding=(0, 1))
+        name_width = max(len(joint.name) for joint in self._joints)
+        room = self._live.console.width - MOUTH_COLUMNS - name_width - _ANGLE_COLUMNS
+        width = min(max(room, _SHORTEST_NEEDLE), _BAR_WIDTH)
         for joint, sent_deg in zip(self._joints, tick.report.sent_deg, strict=True):
             where = (sent_deg - joint.min_deg) / (joint.max_deg - joint.min_deg)
-            servos.add_row(joint.name, _needle(where), f"{sent_deg:6.1f} deg")
+            servos.add_row(joint.name, _needle(where, width), f"{sent_deg:6.1f} deg")
         torque = "" if tick.report.torque_on else "   torque off"
         markers_mm = self._model.markers_mm(tick.coefficients[None])[0]
         mouth = Text("\n".join(draw_mouth(markers_mm, self._centre_mm)), style="red")
-        face = Table.grid(padding=(0, 3))
+        face = Table.grid(padding=(0, 1))
         face.add_row(mouth, servos)
         return Group(Text(self._title + torque, style="bold"), head, face)
 
@@ -83,9 +89,9 @@ def _bar(share: float) -> Text:
     return Text("█" * n + "·" * (_BAR_WIDTH - n), style="red")
 
 
-def _needle(share: float) -> Text:
-    """One mark on a scale; share 0..1."""
-    n = round(min(max(share, 0.0), 1.0) * (_BAR_WIDTH - 1))
+def _needle(share: float, width: int) -> Text:
+    """One mark on a scale of `width` characters; share 0..1."""
+    n = round(min(max(share, 0.0), 1.0) * (width - 1))
     text = Text("─" * n, style="dim")
     text.append("●", style="green")
-    return text.append("─" * (_BAR_WIDTH - 1 - n), style="dim")
+    return text.append("─" * (width - 1 - n), style="dim")

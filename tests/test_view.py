@@ -49,3 +49,19 @@ def test_the_view_shows_the_phoneme_and_every_servo():
         view.observe(StreetTick(0.5, "UW", model.rest, report))
     for text in ("clip -> face", "UW", "jaw", "12.5 deg", "lip", "-3.0 deg", "0.50 s"):
         assert text in screen.getvalue()
+
+
+def test_nothing_is_cut_off_in_a_terminal_of_80_columns():
+    model = small_model()
+    joints = [Joint("lower_lip_right", 1, -40.0, 40.0, 300.0)]
+    screen = io.StringIO()
+    none = np.zeros(1, dtype=bool)
+    report = TickReport(
+        1.0, 0, np.zeros(1), np.array([-33.3]), 0.0, StaleLevel.FRESH, True, none, none, none
+    )
+    console = Console(file=screen, force_terminal=True, width=80)
+    with TerminalView(console, "clip -> face", joints, model) as view:
+        view.observe(StreetTick(0.5, "UW", model.rest, report))
+    assert "lower_lip_right" in screen.getvalue()
+    assert "-33.3 deg" in screen.getvalue()
+    assert "…" not in screen.getvalue()
