@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from lipservo.manner import Engine
-from lipsync.animpho.live import STRONGEST
 
 Config = Annotated[
     str, typer.Option(help="Face: the name of a shipped one, or the path of a YAML file.")
@@ -20,20 +19,8 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no mes
 SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out sentences with a bad file, and list them.")
 ]
-
 EngineChoice = Annotated[
     Engine, typer.Option(help="Recogniser to begin with; a worse one takes over where it fails.")
 ]
-Strategy = Annotated[
-    str, typer.Option(help="How phonemes become motion: expected, or the paper's naive, priority.")
-]
-Lookahead = Annotated[
-    float,
-    typer.Option(min=0.0, max=1000.0, help="Show the face so much later, for what comes next."),
-]
-Strength = Annotated[
-    float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves; 1 as the talker.")
-]
-Smoothness = Annotated[float, typer.Option(min=0.0, max=1.0, help="0 crisp, 1 slow.")]
 
 DEFAULT_FACE = "face_sim"

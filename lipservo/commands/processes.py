@@ -13,20 +13,15 @@ import typer
 from firmware_bridge.bus import BusError
 from firmware_bridge.control_socket import StopLevel, ask, default_path
 from firmware_bridge.process import die_with_parent
+from lipservo.commands.manner_options import manner_arguments, takes_manner
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
-    EngineChoice,
     Json,
-    Lookahead,
     Model,
-    Smoothness,
-    Strategy,
-    Strength,
 )
 from lipservo.manner import Manner
 from lipservo.output import MESSAGES, print_json
-from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, Style
 from lipsync.errors import UserError
 
 Fd = Annotated[int, typer.Option(hidden=True)]
@@ -78,7 +73,7 @@ def supervise(
     bridge += ["--control", str(control or default_path())]
     bridge += [] if rate_hz is None else ["--rate-hz", str(rate_hz)]
     speech = [*common, "speech-process", "--config", config, "--fd", "{fd}"]
-    speech += _manner_options(manner)
+    speech += manner_arguments(manner)
     speech += [] if model is None else ["--model", str(model)]
     speech += [] if wav is None else ["--wav", str(wav)]
     speech += [] if mic is None else ["--mic", mic]
@@ -134,29 +129,15 @@ def bridge_process(
         )
 
 
-def _manner_options(manner: Manner) -> list[str]:
-    """The options of `speech-process` that give this manner."""
-    style = manner.style
-    return [
-        *("--engine", manner.engine),
-        *("--strategy", manner.strategy),
-        *("--lookahead-ms", str(style.lookahead_s * 1e3)),
-        *("--strength", str(style.strength)),
-        *("--smoothness", str(style.smoothness)),
-    ]
-
-
+@takes_manner
 def speech_process(
+    *,
     fd: Fd,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     wav: Path | None = None,
     mic: str | None = None,
-    engine: EngineChoice = "network",
-    strategy: Strategy = LIVE_STRATEGY,
-    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
-    strength: Strength = 1.0,
-    smoothness: Smoothness = 0.0,
+    manner: Manner,
 ) -> None:
     """Hear, recognise, and publish targets through a socket. Started by `daemon`."""
     parent = os.getppid()
@@ -170,7 +151,6 @@ def speech_process(
     from lipservo.pipeline import Speech
     from lipservo.sources import open_source_or_silence
 
-    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     face = assemble_face(config, model)
     with (
         stopped_by_signals() as stop,

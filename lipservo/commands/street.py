@@ -8,17 +8,13 @@ import typer
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
 from lipservo.assembly import load_settings
+from lipservo.commands.manner_options import takes_manner
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
-    EngineChoice,
     Json,
-    Lookahead,
     Model,
     Quiet,
-    Smoothness,
-    Strategy,
-    Strength,
 )
 from lipservo.commands.processes import Control, supervise
 from lipservo.daemon import stopped_by_signals
@@ -28,7 +24,6 @@ from lipservo.performance import Performance
 from lipservo.sim_process import servo_port
 from lipservo.sources import open_source, open_source_or_silence
 from lipservo.summary import Summary, print_summary
-from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, Style
 
 Trace = Annotated[
     Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
@@ -66,18 +61,16 @@ DryRun = Annotated[bool, typer.Option("--dry-run", help="Read the servos, never 
 _INTERRUPTED = 130
 
 
+@takes_manner
 def run(
+    *,
     wav: Wav = None,
     mic: Mic = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
-    engine: EngineChoice = "network",
-    strategy: Strategy = LIVE_STRATEGY,
-    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
-    strength: Strength = 1.0,
-    smoothness: Smoothness = 0.0,
+    manner: Manner,
     port: Port = None,
     sim: Sim = None,
     dry_run: DryRun = False,
@@ -86,7 +79,6 @@ def run(
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     _refuse_both(wav, mic)
-    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     quiet = quiet or as_json
     with (
         servo_port(port, sim, config) as at_port,
@@ -111,18 +103,16 @@ def run(
         raise typer.Exit(_INTERRUPTED)
 
 
+@takes_manner
 def daemon(
+    *,
     wav: Wav = None,
     mic: Mic = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
-    engine: EngineChoice = "network",
-    strategy: Strategy = LIVE_STRATEGY,
-    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
-    strength: Strength = 1.0,
-    smoothness: Smoothness = 0.0,
+    manner: Manner,
     port: Port = None,
     sim: Sim = None,
     control: Control = None,
@@ -134,7 +124,6 @@ def daemon(
     With servos at a port, bridge and speech are processes of their own, watched over.
     """
     _refuse_both(wav, mic)
-    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     with servo_port(port, sim, config) as at_port:
         if at_port is None:
             bus = load_settings(config)[0].bus
@@ -152,22 +141,19 @@ def daemon(
     _report(summary, as_json=as_json, quiet=quiet)
 
 
+@takes_manner
 def replay(
+    *,
     sound: Annotated[Path, typer.Argument(help="Sound file to replay.")],
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
-    engine: EngineChoice = "network",
-    strategy: Strategy = LIVE_STRATEGY,
-    lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
-    strength: Strength = 1.0,
-    smoothness: Smoothness = 0.0,
+    manner: Manner,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
-    manner = Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
     performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, manner=manner)
     with stopped_by_signals() as stop, open_source(sound, None) as source:
         summary = performance.play(source, ManualClock(), stop)
