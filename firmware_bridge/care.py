@@ -66,6 +66,7 @@ class ServoCare:
         n = len(joints)
         self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
         self._critical = np.array([joint.critical for joint in joints])
+        self._any_critical = bool(self._critical.any())
         self._until_s = np.zeros(n)
         self._reboots: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
         self._duty = np.zeros(n)
@@ -80,6 +81,8 @@ class ServoCare:
     @property
     def lost_critical(self) -> int | None:
         """A critical servo that has failed for good, by its index."""
+        if not self._any_critical:
+            return None
         lost = np.flatnonzero(self._critical & (self.states == ServoState.FAILED))
         return int(lost[0]) if len(lost) else None
 
@@ -105,6 +108,8 @@ class ServoCare:
 
     def look(self, health: Health, time_s: float, nurse: Nurse) -> int | None:
         """Act on one servo at most; the index of one that was woken just now."""
+        if self._all_well(health):
+            return None
         n = len(self.states)
         for k in range(n):
             index = (self._next + k) % n
@@ -113,6 +118,13 @@ class ServoCare:
                 self._next = index + 1
                 return index if woken else None
         return None
+
+    def _all_well(self, health: Health) -> bool:
+        """Whether every servo is driven and none needs anything, which is nearly always so."""
+        ill = (self.states != ServoState.DRIVEN) | (health.silent_s >= SILENT_S)
+        ill |= (health.hardware_errors != 0) | (health.room_degc <= 0.0)
+        ill |= health.watchdog_tripped | ~health.torque_on
+        return not ill.any()
 
     def _treat(self, i: int, health: Health, time_s: float, nurse: Nurse) -> tuple[bool, bool]:
         """Whether anything was done, and whether the servo is awake now."""

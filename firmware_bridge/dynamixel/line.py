@@ -1,7 +1,7 @@
 """Transactions on one half-duplex line: ask, wait as long as the wire needs, take what came."""
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from firmware_bridge.dynamixel import codec
@@ -13,6 +13,8 @@ from firmware_bridge.dynamixel.transport import Transport
 BITS_PER_BYTE: Final = 10
 #: Return delay of a servo fresh from the factory: 250 x 2 us.
 FACTORY_RETURN_DELAY_S: Final = 0.0005
+#: An int: looking a member up in its enumeration costs as much as comparing three.
+_STATUS: Final = int(Instruction.STATUS)
 
 
 class GoalWrite:
@@ -54,6 +56,15 @@ class SpanRead:
         ]
         n = len(self.ids)
         self.reply_size = codec.EMPTY_PACKET_SIZE - 2 + n * (size + 4) if fast else n * self._step
+
+    def is_over(self, stream: bytes) -> bool:
+        """Whether nothing more can come: all bytes are there, or the servo asked last has spoken.
+
+        On a half-duplex line nobody speaks after the last one, whoever was silent before.
+        """
+        if self.fast:
+            return len(stream) >= self.reply_size and stream.startswith(codec.HEADER)
+        return stream[-self._step : 8 - self._step] == self._heads[-1]
 
     def take_undisturbed(self, stream: bytes) -> list[Status] | None:
         """All statuses when `stream` is exactly what was asked for; None when anything differs."""
@@ -156,7 +167,7 @@ class Line:
                 statuses = self._salvage(span, stream)
             return statuses if last or len(statuses) == n else None
 
-        return self._converse(span.request, span.reply_size, take, n_turns=n) or []
+        return self._converse(span.request, span.reply_size, take, span.is_over, n_turns=n) or []
 
     def _salvage(self, span: SpanRead, stream: bytes) -> list[Status]:
         """Whatever is whole in a disturbed stream."""
@@ -199,6 +210,7 @@ class Line:
         request: bytes,
         reply_size: int,
         take: "Take",
+        is_over: Callable[[bytes], bool] = lambda _: False,
         *,
         n_turns: int = 1,
         patience_s: float = 0.0,
@@ -212,8 +224,9 @@ class Line:
         clock.sleep_until(due_s)
         stream = transport.read(deadline_s)
         while True:
-            if len(stream) >= reply_size:
-                statuses = take(stream, last=False)
+            ended = is_over(stream)
+            if ended or len(stream) >= reply_size:
+                statuses = take(stream, last=ended)
                 if statuses is not None:
                     self._quiet_s = clock.now()
                     self.latency.learn(self._quiet_s - due_s)
@@ -233,7 +246,7 @@ class Line:
         statuses = [
             Status(frame.packet_id, frame.parameters[0], frame.parameters[1:])
             for frame in self._parser.feed(stream)
-            if frame.instruction == Instruction.STATUS and frame.parameters
+            if frame.instruction == _STATUS and frame.parameters
         ]
         self.n_bad += self._parser.n_bad - n_bad
         return statuses

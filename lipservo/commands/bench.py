@@ -122,6 +122,27 @@ def faults(
 
 
 @app.command()
+def endurance(
+    cycles: Annotated[int, typer.Option(min=1_000, help="How many ticks of the bridge.")] = 100_000,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Drive simulated servos for hours on a virtual clock: memory, descriptors, wrong goals.
+
+    Exit status 1 when anything happened that must not.
+    """
+    from lipservo.endurance_figures import endurance_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("endurance", total=cycles)
+        figures = endurance_figures(cycles, lambda n: progress.update(steps, completed=n))
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    if figures["goals_outside_limits"] or figures["steps_above_clamp"] or figures["contention"]:
+        raise typer.Exit(1)
+
+
+@app.command()
 def calibration(
     seeds: Annotated[
         str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
