@@ -62,8 +62,15 @@ def complaints(servo: MountedServo, said: Introduction | None) -> list[str]:
     low, high = servo.pulse_range()
     found = said.eeprom
     lines = []
-    if found["operating_mode"] not in (3, 5):
-        lines.append(f"{name} is in operating mode {found['operating_mode']}, not 3; {_SETUP}")
+    cap, mode = servo.current_cap, found["operating_mode"]
+    if mode != 5 and (cap is not None or mode != 3):
+        wanted = 3 if cap is None else 5
+        lines.append(f"{name} is in operating mode {mode}, not {wanted}; {_SETUP}")
+    if cap is not None and found["current_limit"] != cap:
+        lines.append(
+            f"{name} has current limit {found['current_limit']}, the YAML's max_current_ma "
+            f"makes {cap}; {_SETUP}"
+        )
     if found["drive_mode"] & ~0x04:
         lines.append(f"{name} has drive mode {found['drive_mode']}, needs 0; {_SETUP}")
     if found["homing_offset"]:
