@@ -55,6 +55,10 @@ class SpanRead:
             for each in self.ids
         ]
         n = len(self.ids)
+        length = 1 + n * (size + 4)
+        self._fast_head = codec.HEADER + struct.pack("<BHB", BROADCAST_ID, length, _STATUS)
+        self._blocks = struct.Struct(f"<BB{size}s2x")  # error, id, data, inner CRC
+        self._id_bytes = bytes(self.ids)
         self.reply_size = codec.EMPTY_PACKET_SIZE - 2 + n * (size + 4) if fast else n * self._step
 
     def is_over(self, stream: bytes) -> bool:
@@ -71,9 +75,7 @@ class SpanRead:
         if len(stream) != self.reply_size:
             return None
         if self.fast:
-            statuses = codec.split_fast_status(stream, self.size)
-            asked = len(statuses) == len(self.ids)
-            return statuses if asked and _ids(statuses) == self.ids else None
+            return self._take_fast(stream)
         statuses = []
         at, step = 0, self._step
         for servo_id, head in zip(self.ids, self._heads, strict=True):
@@ -88,6 +90,15 @@ class SpanRead:
             statuses.append(Status(servo_id, stream[at + 8], data))
             at = end
         return statuses
+
+    def _take_fast(self, stream: bytes) -> list[Status] | None:
+        """The common frame in one go, when its head, ids and last CRC are as they should be."""
+        if stream[:8] != self._fast_head or stream[9 :: self.size + 4] != self._id_bytes:
+            return None
+        if crc16(stream[:-2]) != stream[-2] | stream[-1] << 8:
+            return None
+        blocks = self._blocks.iter_unpack(memoryview(stream)[8:])
+        return [Status(servo_id, error, data) for error, servo_id, data in blocks]
 
 
 class Line:
@@ -257,7 +268,3 @@ class Take(Protocol):
 
     def __call__(self, stream: bytes, *, last: bool) -> list[Status] | None:
         """Take what can be taken."""
-
-
-def _ids(statuses: Sequence[Status]) -> tuple[int, ...]:
-    return tuple(status.servo_id for status in statuses)
