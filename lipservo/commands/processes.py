@@ -51,8 +51,9 @@ def supervise(
 ) -> int:
     """Run bridge and speech as processes until stopped; the exit status."""
     from firmware_bridge.last_resort import make_limp
+    from firmware_bridge.service_notice import ServiceNotice
     from firmware_bridge.socket_channel import channel_pair
-    from firmware_bridge.supervisor import Supervisor, notify
+    from firmware_bridge.supervisor import Supervisor
     from lipservo.assembly import load_settings
     from lipservo.daemon import stopped_by_signals
     from lipservo.servos import port_opener
@@ -72,7 +73,8 @@ def supervise(
 
     common = [sys.executable, "-m", "lipservo"]
     bridge = [*common, "bridge-process", "--config", config, "--port", port, "--fd", "{fd}"]
-    bridge += ["--control", str(control or default_path())]
+    control = control or default_path()
+    bridge += ["--control", str(control)]
     bridge += [] if rate_hz is None else ["--rate-hz", str(rate_hz)]
     speech = [*common, "speech-process", "--config", config, "--fd", "{fd}"]
     speech += _manner_options(manner)
@@ -80,14 +82,13 @@ def supervise(
     speech += [] if wav is None else ["--wav", str(wav)]
     speech += [] if mic is None else ["--mic", mic]
     with stopped_by_signals() as stop:
-        notify("READY=1")
         return Supervisor(
             bridge,
             speech,
             channel_pair(),
             after_bridge_death=limp_by_force,
             say=_say,
-            alive=lambda: notify("WATCHDOG=1"),
+            alive=ServiceNotice(control),
         ).run(stop.is_set)
 
 
