@@ -23,6 +23,7 @@ from firmware_bridge.safety import (
     ease,
 )
 from firmware_bridge.targets import TargetChannel
+from firmware_bridge.tracking import TrackingRule
 
 #: Time to neutral when the joints can make it: quick for a person waiting, calm for a face.
 _EASE_S = 0.5
@@ -57,6 +58,7 @@ class Bridge:
         *,
         rate_hz: float,
         stale: StaleRule | None = None,
+        tracking: TrackingRule | None = None,
         prevent: Sequence[PreventRule] = (),
         tolerant: bool = False,
         dry_run: bool = False,
@@ -73,7 +75,7 @@ class Bridge:
         self._stale = StaleRule() if stale is None else stale
         self._track = TargetTrack(len(self._joints))
         self._limiter = Limiter(self._joints, period_s=1.0 / rate_hz, prevent=prevent)
-        self._care = ServoCare(self._joints)
+        self._care = ServoCare(self._joints, tracking)
         self._tolerant = tolerant
         self._dry_run = dry_run
         self._scale = np.ones(len(self._joints))
@@ -100,6 +102,12 @@ class Bridge:
             n_unplugged=self._n_unplugged,
             servo_states=tuple(ServoState(state) for state in self._care.states.tolist()),
         )
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """A line for each servo that is not driven, with the reason; for a log, not for a tick."""
+        reasons = zip(self._joints, self._care.reasons, strict=True)
+        return tuple(f"{named(joint)}: {why}" for joint, why in reasons if why)
 
     def arm(self) -> None:
         """Switch torque on without a jump: every servo is first told to stay where it is.
@@ -193,6 +201,7 @@ class Bridge:
         feedback = self._bus.feedback()
         health = self._bus.look_after()
         self._scale = self._care.scale(feedback, health)
+        self._care.follow(self._limiter.sent_deg, feedback)
         woken = self._care.look(health, time_s, self._bus)
         if woken is not None:
             self._limiter.start_one(woken, float(self._bus.read().positions_deg[woken]))

@@ -23,19 +23,25 @@ def run_bridge(
     control: Path,
     stopped: Callable[[], bool],
     parent: int,
+    say: Callable[[str], None],
 ) -> None:
     """Arm and tick until told to stop, by a signal, the control socket, or the parent's death.
 
     `bus` is entered here. However it ends, torque is off afterwards. FREEZE is no end: the face is
-    held where it is until something else is asked.
+    held where it is until something else is asked. say: a line for the log, when a servo gets into
+    trouble or out of it.
     """
     clock = MonotonicClock()
     with ControlSocket(control) as requests, bus:
         bridge.arm()
         run_on_time()
         level = StopLevel.SOFT
+        troubles = bridge.troubles
         for time_s, late in ticks(clock, rate_hz):
             report = bridge.tick(time_s, late)
+            if bridge.troubles != troubles:
+                troubles = bridge.troubles
+                say("; ".join(troubles) or "every servo is driven again")
             asked = requests.poll(_status(bridge, report))
             if asked is StopLevel.FREEZE:
                 bridge.freeze()
@@ -59,6 +65,7 @@ def _status(bridge: Bridge, report: TickReport) -> dict[str, object]:
         **status,
         **{f"{name}_total": int(np.sum(each)) for name, each in gate.items()},
         "servo_states": states,
+        "troubles": list(bridge.troubles),
         "pid": os.getpid(),
         "torque_on": report.torque_on,
         "stale": report.stale.name.lower(),

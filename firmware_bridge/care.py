@@ -1,7 +1,8 @@
 """Looks after single servos, so that one in trouble does not stop the face.
 
 DRIVEN ──silent, torque lost──▶ WAITING ──answers, wakes──▶ DRIVEN
-   └──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
+   ├──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
+   └──does not follow──────────▶ COOLING ──▶ WAITING
                                     └──third time in ten minutes──▶ FAILED, limp for good
 """
 
@@ -13,8 +14,9 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.health import Feedback, HardwareError, Health
+from firmware_bridge.health import Feedback, HardwareError, Health, describe_errors
 from firmware_bridge.joints import Joint
+from firmware_bridge.tracking import TrackingMonitor, TrackingRule
 
 #: A servo that has not answered for so long has no power or no cable: its goals are withheld.
 SILENT_S: Final = 0.5
@@ -34,6 +36,8 @@ _DERATE_FROM_DEGC: Final = 10.0
 _DUTY_S: Final = 60.0
 _DUTY_FULL: Final = 0.25
 _LEAST_SCALE: Final = 0.3
+#: A woken servo is slow for a second, then has to catch up.
+_CATCH_UP_S: Final = 2.0
 
 
 class ServoState(IntEnum):
@@ -60,12 +64,19 @@ class Nurse(Protocol):
 
 
 class ServoCare:
-    """One decision a tick, about the servo that needs it most; arrays are (n_servos,)."""
+    """One decision a tick, about the servo that needs it most; arrays are (n_servos,).
 
-    def __init__(self, joints: Sequence[Joint]) -> None:
+    reasons: why each servo is not driven, in words; empty while it is.
+    """
+
+    def __init__(self, joints: Sequence[Joint], tracking: TrackingRule | None = None) -> None:
         n = len(joints)
+        self._tracking = TrackingMonitor(n, tracking or TrackingRule())
+        self._behind = np.zeros(n, dtype=np.bool_)
+        self.reasons = [""] * n
         self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
         self._critical = np.array([joint.critical for joint in joints])
+        self._any_critical = bool(self._critical.any())
         self._until_s = np.zeros(n)
         self._reboots: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
         self._duty = np.zeros(n)
@@ -80,6 +91,8 @@ class ServoCare:
     @property
     def lost_critical(self) -> int | None:
         """A critical servo that has failed for good, by its index."""
+        if not self._any_critical:
+            return None
         lost = np.flatnonzero(self._critical & (self.states == ServoState.FAILED))
         return int(lost[0]) if len(lost) else None
 
@@ -87,11 +100,18 @@ class ServoCare:
         """Note how an attempt to wake a servo went."""
         self.states[index] = ServoState.DRIVEN if willing else ServoState.WAITING
         self._until_s[index] = time_s + _RETRY_S
+        self._behind[index] = False
+        self._tracking.excuse(index, time_s + _CATCH_UP_S)
+        self.reasons[index] = "" if willing else "will not hold its place"
 
     def lose_all(self, time_s: float) -> None:
         """The port is gone: nobody is driven."""
         self.states[self.states != ServoState.FAILED] = ServoState.WAITING
         self._until_s[:] = time_s
+
+    def follow(self, sent_deg: NDArray[np.float64], feedback: Feedback) -> None:
+        """Compare the goals sent last with where the servos stand."""
+        self._behind = self._tracking.behind(sent_deg, feedback)
 
     def scale(self, feedback: Feedback, health: Health) -> NDArray[np.float64]:
         """By how much each joint's amplitude shrinks, 0.3..1: heat now, and heat to come."""
@@ -105,6 +125,8 @@ class ServoCare:
 
     def look(self, health: Health, time_s: float, nurse: Nurse) -> int | None:
         """Act on one servo at most; the index of one that was woken just now."""
+        if self._all_well(health):
+            return None
         n = len(self.states)
         for k in range(n):
             index = (self._next + k) % n
@@ -113,6 +135,13 @@ class ServoCare:
                 self._next = index + 1
                 return index if woken else None
         return None
+
+    def _all_well(self, health: Health) -> bool:
+        """Whether every servo is driven and none needs anything, which is nearly always so."""
+        ill = (self.states != ServoState.DRIVEN) | (health.silent_s >= SILENT_S)
+        ill |= (health.hardware_errors != 0) | (health.room_degc <= 0.0)
+        ill |= health.watchdog_tripped | ~health.torque_on | self._behind
+        return not ill.any()
 
     def _treat(self, i: int, health: Health, time_s: float, nurse: Nurse) -> tuple[bool, bool]:
         """Whether anything was done, and whether the servo is awake now."""
@@ -136,21 +165,46 @@ class ServoCare:
 
     def _check(self, i: int, health: Health, time_s: float, nurse: Nurse) -> bool:
         if health.silent_s[i] >= SILENT_S:
-            self.states[i] = ServoState.WAITING
-            self._until_s[i] = time_s
+            self._wait(i, time_s, "does not answer")
             return False
         if health.hardware_errors[i] or health.room_degc[i] <= 0.0:
-            nurse.relax(i)
-            self._cool(i, time_s)
+            error = int(health.hardware_errors[i])
+            self._let_go(i, time_s, nurse, describe_errors(error) if error else "too hot")
             return True
-        if not health.torque_on[i] or health.watchdog_tripped[i]:
-            self.states[i] = ServoState.WAITING
-            self._until_s[i] = time_s
+        if self._behind[i]:
+            off_deg, rule = self._tracking.error_deg[i], self._tracking.rule
+            why = f"does not follow, {off_deg:.0f} deg off for {rule.after_s:g} s: jammed or weak"
+            self._let_go(i, time_s, nurse, why)
+            self._count(i, time_s)
+            return True
+        if health.watchdog_tripped[i]:
+            self._wait(i, time_s, "stopped by its watchdog")
+        elif not health.torque_on[i]:
+            self._wait(i, time_s, "has lost its torque")
         return False
+
+    def _wait(self, i: int, time_s: float, why: str) -> None:
+        self.states[i] = ServoState.WAITING
+        self._until_s[i] = time_s
+        self.reasons[i] = why
+
+    def _let_go(self, i: int, time_s: float, nurse: Nurse, why: str) -> None:
+        nurse.relax(i)
+        self.reasons[i] = why
+        self._cool(i, time_s)
 
     def _cool(self, i: int, time_s: float) -> None:
         self.states[i] = ServoState.COOLING
         self._until_s[i] = time_s + _COOL_DOWN_S
+
+    def _count(self, i: int, time_s: float) -> None:
+        """One more time out of three within ten minutes; then it stays limp."""
+        past = self._reboots[i]
+        if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
+            self.states[i] = ServoState.FAILED
+            self.reasons[i] += ", again and again: it stays limp"
+            return
+        past.append(time_s)
 
     def _revive(self, i: int, health: Health, time_s: float, nurse: Nurse) -> bool:
         if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
@@ -163,11 +217,9 @@ class ServoCare:
             and health.silent_s[i] > SILENT_S
         ):
             return False
-        past = self._reboots[i]
-        if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
-            self.states[i] = ServoState.FAILED
+        self._count(i, time_s)
+        if self.states[i] == ServoState.FAILED:
             return False
-        past.append(time_s)
         nurse.reboot(i)
         self.states[i] = ServoState.REBOOTING
         self._until_s[i] = time_s + _REBOOT_S

@@ -64,13 +64,13 @@ class ControlSocket:
         self._path.unlink(missing_ok=True)
 
 
-def ask(path: Path, word: str) -> dict[str, object]:
+def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> dict[str, object]:
     """Send one word to the bridge at `path`; its answer. Raises OSError when nobody answers."""
     with tempfile.TemporaryDirectory() as folder:
         own = Path(folder) / "answer.sock"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as client:
             client.bind(str(own))
-            client.settimeout(_PATIENCE_S)
+            client.settimeout(patience_s)
             client.sendto(word.encode(), str(path))
             answer = json.loads(client.recv(_LONGEST))
     return dict(answer)

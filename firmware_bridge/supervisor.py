@@ -1,6 +1,5 @@
 """Keeps the processes of one face alive, and the face safe while one of them is not."""
 
-import os
 import signal
 import socket
 import subprocess
@@ -103,14 +102,3 @@ class Supervisor:
                 process.wait()
                 if name == "bridge":
                     self._say(self._after_bridge_death())
-
-
-def notify(state: str) -> None:
-    """Tell systemd, if it started us: `READY=1`, `WATCHDOG=1`; see sd_notify(3)."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    if address.startswith("@"):
-        address = "\0" + address[1:]
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifier:
-        notifier.sendto(state.encode(), address)

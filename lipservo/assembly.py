@@ -5,13 +5,12 @@ from pathlib import Path
 
 from calibration.calibration import Calibration, check_calibration, check_servo_models
 from calibration.calibration_file import parse_calibration
-from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
 from lipservo.pipeline import Speech, Street, Synthesizer
-from lipservo.servos import bus_for, prevent_rules
+from lipservo.servos import bridge_for, bus_for
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.audio.source import AudioSource
@@ -86,6 +85,5 @@ def make_street(
     """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
     channel = MemoryTargetChannel()
     speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
-    prevent = prevent_rules(face.settings)
-    bridge = Bridge(bus, face.joints, channel, rate_hz=rate_hz, prevent=prevent, dry_run=dry_run)
+    bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
     return Street(speech, bridge, zero_s)

@@ -1,10 +1,8 @@
-"""What the servo bus costs and gives: own code and dynamixel-sdk side by side, in one run."""
+"""What the servo bus gives: against the wire, with faults, and after the plug was pulled."""
 
 import statistics
-import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,10 +16,9 @@ from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.group import SpanGroup
-from firmware_bridge.dynamixel.line import GoalWrite, Line, SpanRead
+from firmware_bridge.dynamixel.line import Line, SpanRead
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
-from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.joints import Joint
 from firmware_bridge.process import on_time
 from firmware_bridge.targets import ServoTargets
@@ -32,104 +29,13 @@ BAUD_RATE = 1_000_000
 #: present_current, present_velocity, present_position
 _ADDRESS, _SIZE = 126, 10
 _IDS = list(range(1, N_SERVOS + 1))
-_MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
-_ROUNDS, _CALLS = 15, 40
+_REPLUG_RATE_HZ = 50.0
 
 
-def cpu_ratios() -> dict[str, float]:
-    """CPU of the same work, ours over the SDK's: medians of interleaved rounds, no wire time."""
-    with _canned_peer() as port, _canned_peer() as other_port:
-        own, sdk = _own_calls(port), _sdk_calls(other_port)
-        spent: dict[str, list[float]] = {name: [] for name in (*own, *sdk)}
-        for _ in range(_ROUNDS):
-            for name, call in (*own.items(), *sdk.items()):
-                spent[name].append(_cpu_us(call))
-    cpu_us = {name: statistics.median(each) for name, each in spent.items()}
-    return {
-        "cpu_sync_write_ratio": cpu_us["own write"] / cpu_us["sdk write"],
-        "cpu_sync_read_ratio": cpu_us["own read"] / cpu_us["sdk read"],
-        "cpu_cycle_ratio": cpu_us["own cycle"] / cpu_us["sdk cycle"],
-    }
-
-
-def _own_calls(port: str) -> dict[str, Callable[[], object]]:
-    """Write 20 goals; read 20 x 3 values, a frame each; and both, read in one frame."""
-    line = Line(_NoWire(open_port(port, 4_000_000)), return_delay_s=0.0)
-    goals = np.full(N_SERVOS, 2048)
-    plain = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
-    fast = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
-
-    goal_write = GoalWrite(_IDS, 116)
-
-    def write() -> None:
-        line.tell(goal_write.request(goals.tolist()))
-
-    def read(span: SpanRead = plain) -> list[list[int]]:
-        values = np.frombuffer(b"".join([s.data for s in line.sync_read(span)]), dtype=_MOTION)
-        return [values[name].tolist() for name in ("current", "velocity", "position")]
-
-    def cycle() -> None:
-        write()
-        read(fast)
-
-    return {"own write": write, "own read": read, "own cycle": cycle}
-
-
-class _NoWire:
-    """A transport whose bytes take no time, so that only work is measured and no waiting."""
-
-    baud_rate = 10**12
-
-    def __init__(self, transport: Transport) -> None:
-        self.clock = transport.clock
-        self.write = transport.write
-        self.read = transport.read
-        self.discard_input = transport.discard_input
-        self.close = transport.close
-
-
-def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
-    """The same with dynamixel-sdk, as its own examples do it."""
-    import dynamixel_sdk as sdk
-
-    handler = sdk.PortHandler(port)
-    handler.openPort()
-    handler.setBaudRate(4_000_000)
-    packets = sdk.PacketHandler(2.0)
-    group_write = sdk.GroupSyncWrite(handler, packets, 116, 4)
-    group_read = sdk.GroupSyncRead(handler, packets, _ADDRESS, _SIZE)
-    for servo_id in _IDS:
-        group_write.addParam(servo_id, [0, 8, 0, 0])
-        group_read.addParam(servo_id)
-
-    def write() -> None:
-        for servo_id in _IDS:
-            group_write.changeParam(servo_id, [0, 8, 0, 0])
-        group_write.txPacket()
-
-    def read() -> list[list[int]]:
-        group_read.txRxPacket()
-        return [
-            [group_read.getData(servo_id, address, size) for servo_id in _IDS]
-            for address, size in ((126, 2), (128, 4), (132, 4))
-        ]
-
-    def cycle() -> None:
-        write()
-        read()
-
-    return {"sdk write": write, "sdk read": read, "sdk cycle": cycle}
-
-
-@contextmanager
-def _canned_peer() -> Iterator[str]:
-    command = [sys.executable, "-m", "firmware_bridge.simulator.canned_peer", str(N_SERVOS)]
-    with subprocess.Popen(
-        [*command, str(_SIZE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as peer:
-        assert peer.stdout is not None
-        yield peer.stdout.readline().strip()
-        peer.terminate()
+def scheduling() -> str:
+    """The class that wire and fault figures are measured in, as `chrt` names it."""
+    with on_time() as granted:
+        return "SCHED_FIFO" if granted else "SCHED_OTHER"
 
 
 def wire_figures(seconds: float = 4.0) -> dict[str, float]:
@@ -192,8 +98,8 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float]:
     return n_heard / (len(ids) * n_cycles), float(np.percentile(over_s, 99)) * 1e3
 
 
-def replug_s(n_servos: int = 10) -> float:
-    """From the moment a port is back until every servo has been woken again, soft."""
+def replug_figures(n_servos: int = 10) -> dict[str, float]:
+    """From the moment a port is back: until every servo is awake again, and at full strength."""
     model = servo_models()["XL330-M288"]
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
     with TemporaryDirectory() as folder:
@@ -205,17 +111,20 @@ def replug_s(n_servos: int = 10) -> float:
             channel = MemoryTargetChannel()
             servos = [MountedServo(joint, model) for joint in joints]
             with DynamixelBus(servos, lambda: open_port(str(link), BAUD_RATE)) as bus:
-                bridge = Bridge(bus, joints, channel, rate_hz=50.0, tolerant=True)
+                bridge = Bridge(bus, joints, channel, rate_hz=_REPLUG_RATE_HZ, tolerant=True)
                 bridge.arm()
-                back_s = 0.0
-                for time_s, late in ticks(clock, 50.0):
+                back_s = awake_s = 0.0
+                for time_s, late in ticks(clock, _REPLUG_RATE_HZ):
                     channel.publish(ServoTargets(time_s, np.zeros(n_servos)))
                     before = bridge.status
                     bridge.tick(time_s, late)
                     if before.n_unplugged and not back_s and link.exists():
                         back_s = link.lstat().st_mtime - time.time() + clock.now()
-                    if bridge.status.n_armed == 2:
-                        return clock.now() - back_s
+                    if bridge.status.n_armed == 2 and not awake_s:
+                        awake_s = clock.now()
+                    if awake_s and bus.at_full_strength:
+                        full_s = clock.now()
+                        return {"replug_s": awake_s - back_s, "full_strength_s": full_s - back_s}
     raise AssertionError("unreachable: ticks never end")
 
 
@@ -229,10 +138,3 @@ def _simulated(baud_rate: int, *arguments: str) -> Iterator[Line]:
             yield Line(transport, return_delay_s=0.0)
         finally:
             transport.close()
-
-
-def _cpu_us(call: Callable[[], object], n_calls: int = _CALLS) -> float:
-    start_s = time.process_time()
-    for _ in range(n_calls):
-        call()
-    return (time.process_time() - start_s) / n_calls * 1e6

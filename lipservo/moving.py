@@ -4,12 +4,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from firmware_bridge.bridge import Bridge
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import MonotonicClock, ticks
 from firmware_bridge.targets import ServoTargets
 from lipservo.assembly import load_settings, settings_at_port
-from lipservo.servos import bus_for, prevent_rules
+from lipservo.servos import bridge_for, bus_for
 from lipsync.errors import UserError
 
 #: Slow enough to watch and to stop; no joint is in a hurry here.
@@ -39,9 +38,7 @@ def move_to(
     clock = MonotonicClock()
     channel = MemoryTargetChannel()
     with bus_for(settings, clock) as bus:
-        bridge = Bridge(
-            bus, joints, channel, rate_hz=settings.rate_hz, prevent=prevent_rules(settings)
-        )
+        bridge = bridge_for(settings, bus, channel)
         start_deg = bus.read().positions_deg
         goal_deg = np.zeros(len(joints)) if wanted_deg is None else start_deg.copy()
         for name, angle_deg in (wanted_deg or {}).items():

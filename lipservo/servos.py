@@ -1,7 +1,8 @@
-"""The servos of a face's YAML as the bus knows them, and the bus they hang on."""
+"""The servos of a face's YAML as the bus knows them, their bus, and the bridge that drives them."""
 
 from collections.abc import Callable
 
+from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import Clock
 from firmware_bridge.coupling import PreventRule
@@ -10,14 +11,23 @@ from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.safety import StaleRule
 from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.targets import TargetChannel
+from firmware_bridge.tracking import TrackingRule
 from lipservo.settings import FaceSettings
 
 
 def mounted_servos(face: FaceSettings) -> list[MountedServo]:
     """Every servo in its place, in the order of the YAML."""
     return [
-        MountedServo(joint, servo_models()[servo.model], servo.sign, servo.zero_offset_deg)
+        MountedServo(
+            joint,
+            servo_models()[servo.model],
+            servo.sign,
+            servo.zero_offset_deg,
+            servo.max_current_ma,
+        )
         for joint, servo in zip(face.joints(), face.servos.values(), strict=True)
     ]
 
@@ -30,6 +40,29 @@ def prevent_rules(face: FaceSettings) -> list[PreventRule]:
         )
         for rule in face.prevent
     ]
+
+
+def bridge_for(
+    face: FaceSettings,
+    bus: ServoBus,
+    channel: TargetChannel,
+    *,
+    rate_hz: float | None = None,
+    tolerant: bool = False,
+    dry_run: bool = False,
+) -> Bridge:
+    """The bridge with all rules of the face's YAML. rate_hz: default the face's."""
+    return Bridge(
+        bus,
+        face.joints(),
+        channel,
+        rate_hz=rate_hz or face.rate_hz,
+        stale=StaleRule(face.stale.hold_s, face.stale.neutral_s, face.stale.limp_s),
+        tracking=TrackingRule(face.tracking.error_deg, face.tracking.after_s),
+        prevent=prevent_rules(face),
+        tolerant=tolerant,
+        dry_run=dry_run,
+    )
 
 
 def port_opener(port: str, baud_rate: int) -> Callable[[], Transport]:

@@ -7,21 +7,32 @@ from collections.abc import Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Literal, Self
 
 from pydantic import (
-    AfterValidator,
-    BaseModel,
-    ConfigDict,
-    StringConstraints,
     ValidationError,
     field_validator,
     model_validator,
 )
 
-from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
+from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.joints import Joint
+from lipservo.gate_settings import PreventSettings, StaleSettings, TrackingSettings
 from lipservo.mistakes import explain
+from lipservo.setting_types import (
+    Acceleration,
+    BaudRate,
+    CalibrationName,
+    Degrees,
+    JointName,
+    Milliamperes,
+    RateHz,
+    ServoId,
+    Sign,
+    Speed,
+    Strict,
+    Text,
+)
 from lipservo.strict_yaml import SettingsError, read_mapping
 
 __all__ = [
@@ -38,52 +49,6 @@ __all__ = [
 _CALIBRATION_SUFFIX = ".calibration.yaml"
 
 
-def _within(low: float, high: float) -> AfterValidator:
-    """Accept numbers from `low` to `high`; one check, so that the message can name both ends."""
-
-    def check(value: float) -> float:
-        if not low <= value <= high:
-            raise ValueError(f"{value:g} is outside {low:g}..{high:g}")
-        return value
-
-    return AfterValidator(check)
-
-
-def _check_sign(value: int) -> int:
-    if value not in (1, -1):
-        raise ValueError(f"{value} is neither 1 nor -1")
-    return value
-
-
-def _check_baud_rate(value: int) -> int:
-    known = sorted(baud_rates().values())
-    if value not in known:
-        raise ValueError(f"{value} is no rate of these servos; use one of {known}")
-    return value
-
-
-#: Ids a Dynamixel may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
-ServoId = Annotated[int, _within(0, 252)]
-#: Half a turn to each side is all that position control reaches (control mode 3, one turn).
-Degrees = Annotated[float, _within(-180.0, 180.0)]
-#: The fastest servo below, XL330-M077-T, makes 383 rev/min without load at 5 V (its e-manual page).
-#: Slower than 1 deg/s no mouth speaks, and Ctrl-C would not bring it home.
-Speed = Annotated[float, _within(1.0, 2298.0)]
-#: Top speed within 50 ms at least, or speech is lost; within a millisecond is no limit any more.
-Acceleration = Annotated[float, _within(100.0, 2_000_000.0)]
-Factor = Annotated[float, _within(-1000.0, 1000.0)]
-#: Not a Literal: that would take `true` for 1.
-Sign = Annotated[int, AfterValidator(_check_sign)]
-BaudRate = Annotated[int, AfterValidator(_check_baud_rate)]
-#: 30 Hz is video's pace. Twenty servos at 1 Mbaud can be written and read 187 times a second with
-#: a millisecond for USB (bytes on the wire, fast sync read), ten 298 times; nothing needs more.
-RateHz = Annotated[float, _within(30.0, 200.0)]
-#: One word in every file, table and command: no spaces, dots or capitals to get wrong.
-JointName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
-#: A file beside the face or among the shipped ones, never a path.
-CalibrationName = Annotated[str, StringConstraints(pattern=r"^[\w.-]+\.yaml$")]
-Text = Annotated[str, StringConstraints(min_length=1)]
-
 ServoModel = Literal[
     "XL330-M077",
     "XL330-M288",
@@ -95,13 +60,7 @@ ServoModel = Literal[
 ]
 
 
-class _Strict(BaseModel):
-    """No unknown key, no conversion between types, no change after reading."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class BusSettings(_Strict):
+class BusSettings(Strict):
     """How the servos are reached: in memory, or through a serial port."""
 
     kind: Literal["simulated", "dynamixel"] = "simulated"
@@ -116,19 +75,12 @@ class BusSettings(_Strict):
         return self
 
 
-class PreventSettings(_Strict):
-    """Joints that must not go there together: the sum of factor x angle stays at most `above`."""
-
-    joints: Mapping[JointName, Factor]
-    above: Factor
-    because: Text
-
-
-class ServoSettings(_Strict):
+class ServoSettings(Strict):
     """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.
 
     `positive` says in a word what a positive angle does. The servo's own angle is
     sign x (joint angle + zero_offset_deg). critical: without this servo the whole face stops.
+    max_current_ma: the servo never pulls harder; only models that measure current.
     """
 
     id: ServoId
@@ -140,6 +92,7 @@ class ServoSettings(_Strict):
     sign: Sign = 1
     zero_offset_deg: Degrees = 0.0
     max_acceleration_deg_s2: Acceleration | None = None
+    max_current_ma: Milliamperes | None = None
     critical: bool = False
     #: What it moves; only the mouth is calibrated to a talker.
     part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
@@ -168,8 +121,23 @@ class ServoSettings(_Strict):
             )
         return self
 
+    @model_validator(mode="after")
+    def _the_servo_can_limit_its_current(self) -> Self:
+        model = servo_models()[self.model]
+        if self.max_current_ma is None:
+            return self
+        if model.current_unit_ma is None:
+            raise ValueError(f"max_current_ma: an {self.model} does not measure current")
+        most_ma = model.defaults["current_limit"] * model.current_unit_ma
+        if self.max_current_ma > most_ma:
+            raise ValueError(
+                f"max_current_ma {self.max_current_ma:g} is more than an {self.model} takes, "
+                f"{most_ma:g}"
+            )
+        return self
 
-class FaceSettings(_Strict):
+
+class FaceSettings(Strict):
     """A whole face. The order of `servos` is the order of positions everywhere."""
 
     name: Text
@@ -178,6 +146,8 @@ class FaceSettings(_Strict):
     bus: BusSettings = BusSettings()
     calibration: CalibrationName | None = None
     prevent: tuple[PreventSettings, ...] = ()
+    stale: StaleSettings = StaleSettings()
+    tracking: TrackingSettings = TrackingSettings()
 
     @field_validator("prevent", mode="before")
     @classmethod

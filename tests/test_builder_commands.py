@@ -15,7 +15,7 @@ FACE = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
 
 def lipservo(*arguments, **options):
     command = [sys.executable, "-m", "lipservo", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=180, **options)
 
 
 @pytest.fixture(scope="module")

@@ -89,7 +89,7 @@ def test_ctrl_c_eases_to_neutral_and_completes_the_trace(tmp_path, command):
         assert process.poll() is None
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
-    stdout, stderr = process.communicate(timeout=20)
+    stdout, stderr = process.communicate(timeout=120)
     assert process.returncode == (130 if command == "run" else 0), stderr
     assert json.loads(stdout)["frames_sent"] > 0
     _, ticks, end = trace_of(trace)
@@ -107,7 +107,7 @@ def test_an_idle_daemon_keeps_the_mouth_closed_until_stopped(tmp_path):
         assert process.poll() is None
         time.sleep(0.02)
     process.terminate()
-    assert process.wait(timeout=20) == 0
+    assert process.wait(timeout=120) == 0
     process.stderr.close()
     _, ticks, _ = trace_of(trace)
     assert np.abs([tick["sent_deg"] for tick in ticks]).max() == 0.0

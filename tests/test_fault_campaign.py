@@ -3,6 +3,7 @@
 import pytest
 
 from firmware_bridge.simulator.campaign import Case, cases, play
+from firmware_bridge.simulator.endurance import endure
 from firmware_bridge.simulator.faults import KINDS, Fault, read_faults
 
 
@@ -24,6 +25,29 @@ def test_every_kind_of_fault_is_survived(kind):
 def test_the_campaign_is_as_large_as_promised():
     assert len(KINDS) >= 25
     assert len(list(cases())) == len(KINDS) * 3 * 3 * 2
+
+
+def endured(n_cycles):
+    """Drive a face for a while; what must not have happened is checked here."""
+    result = endure(n_cycles, lambda _: None)
+
+    assert result.cycles == n_cycles
+    assert result.goals > 4 * n_cycles
+    assert (result.goals_outside_limits, result.steps_above_clamp, result.contention) == (0, 0, 0)
+    assert result.descriptors_at_end == result.descriptors_at_tenth
+    return result
+
+
+def test_ten_thousand_cycles_leave_nothing_open_and_send_nothing_wrong():
+    endured(10_000)
+
+
+@pytest.mark.campaign
+def test_three_hundred_thousand_cycles_do_not_grow():
+    result = endured(300_000)
+
+    assert result.replugs >= 1
+    assert result.rss_mb_at_end - result.rss_mb_at_tenth < 2.0
 
 
 def test_a_fault_script_is_read_from_yaml():

@@ -11,6 +11,7 @@ from firmware_bridge.coupling import Prevention, PreventRule
 from firmware_bridge.health import Feedback, Health
 from firmware_bridge.joints import Joint
 from firmware_bridge.safety import Limiter
+from firmware_bridge.tracking import TrackingMonitor, TrackingRule
 
 PERIOD_S = 0.01
 JOINT = Joint("jaw", 1, -10.0, 20.0, 300.0, max_acceleration_deg_s2=6000.0)
@@ -174,3 +175,43 @@ def test_a_joint_that_works_hard_for_minutes_moves_less():
 
     assert scale[0] == 1.0
     assert scale[1] == pytest.approx(0.3)
+
+
+def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
+    ward = Ward()
+    for tick in range(3000):
+        time_s = tick * 0.02
+        stands = np.array([5.0, -20.0])  # the second is jammed far from its goal
+        feedback = Feedback(time_s, stands, np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
+        ward.care.follow(np.array([5.0, 10.0]), feedback)
+        ward.look(time_s)
+
+    assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
+    assert [act for act, _ in ward.done].count("wake") == 3
+    assert ward.care.reasons[0] == ""
+    assert "does not follow, 30 deg off for 0.5 s" in ward.care.reasons[1]
+    assert "it stays limp" in ward.care.reasons[1]
+
+
+@pytest.mark.parametrize(
+    ("lag_deg", "age_s", "behind"), [(14.9, 0.0, False), (15.1, 0.0, True), (90.0, 1.0, False)]
+)
+def test_only_a_lasting_error_that_was_heard_counts(lag_deg, age_s, behind):
+    monitor = TrackingMonitor(1, TrackingRule(error_deg=15.0, after_s=0.5))
+    found = []
+    for tick in range(60):
+        age = np.array([age_s])
+        feedback = Feedback(tick * 0.01, np.zeros(1), np.zeros(1), np.zeros(1, np.uint8), age)
+        found.append(bool(monitor.behind(np.array([lag_deg]), feedback)[0]))
+
+    assert found == [behind and tick > 50 for tick in range(60)]
+
+
+def test_quick_motion_that_crosses_its_goal_is_no_failure_to_follow():
+    """25 deg to and fro, always 30 ms late: up to 20 deg behind, but never for half a second."""
+    monitor = TrackingMonitor(1, TrackingRule())
+    for tick in range(1000):
+        time_s = tick * 0.01
+        goal, place = (25.0 * np.sin(2 * np.pi * 4.0 * s) for s in (time_s, time_s - 0.03))
+        heard = Feedback(time_s, np.array([place]), np.zeros(1), np.zeros(1, np.uint8), np.zeros(1))
+        assert not monitor.behind(np.array([goal]), heard).any()

@@ -2,18 +2,12 @@
 
 import struct
 
-import numpy as np
 import pytest
 import serial
-from dynamixel_chain import mounted
 
 from firmware_bridge.bus import PortError
-from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.dynamixel import codec
-from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.frames import FrameParser
-from firmware_bridge.dynamixel.line import Line
-from firmware_bridge.dynamixel.sdk_line import SdkLine, SdkTransport
 from firmware_bridge.dynamixel.serial_transport import open_port
 from lipservo.sim_process import simulated_port
 
@@ -114,25 +108,3 @@ def test_a_port_has_one_owner(port):
 def test_a_port_that_is_none_is_explained(path, said):
     with pytest.raises(PortError, match=said):
         open_port(path, BAUD_RATE)
-
-
-@pytest.mark.parametrize(
-    ("open_transport", "make_line"), [(open_port, Line), (SdkTransport, SdkLine)]
-)
-def test_a_face_moves_over_a_real_terminal(port, open_transport, make_line):
-    servos = mounted(4)
-    clock = MonotonicClock()
-    with DynamixelBus(
-        servos, lambda: open_transport(port, BAUD_RATE), make_line=make_line, watchdog_s=0.0
-    ) as bus:
-        bus.write_positions(bus.read().positions_deg)
-        bus.set_torque(True)
-        place_deg = bus.read().positions_deg
-        for step in range(60):
-            bus.write_positions(place_deg + min(step, 40) * 0.25)
-            bus.feedback()
-            bus.look_after()
-            clock.sleep_until(clock.now() + 0.02)
-        feedback = bus.feedback()
-
-    np.testing.assert_allclose(feedback.positions_deg, place_deg + 10.0, atol=1.0)

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -16,7 +17,7 @@ from lipservo.sim_process import simulated_port
 BAUD_RATE = 1_000_000
 IDS = range(11, 21)
 #: Far more than anything here takes, even on a busy machine.
-PATIENCE_S = 40.0
+PATIENCE_S = 120.0
 
 
 @pytest.fixture
@@ -32,16 +33,28 @@ def daemon(port, tmp_path):
     command = [sys.executable, "-m", "lipservo", "daemon", "--port", port]
     said = tmp_path / "said.txt"
     with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd,
         said.open("w") as errors,
-        subprocess.Popen([*command, "--control", str(control)], stderr=errors) as process,
     ):
-        process.control = control
-        process.said = said
-        wait_for(lambda: status(process).get("stale") == "fresh")
-        yield process
-        if process.poll() is None:
-            process.terminate()
-            process.wait(PATIENCE_S)
+        systemd.bind(str(tmp_path / "notify.sock"))
+        systemd.settimeout(PATIENCE_S)
+        with subprocess.Popen(
+            [*command, "--control", str(control)],
+            stderr=errors,
+            env={**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify.sock")},
+        ) as process:
+            process.systemd = systemd
+            process.control = control
+            process.said = said
+            try:
+                wait_for(lambda: status(process).get("stale") == "fresh")
+                yield process
+            finally:
+                process.terminate()
+                try:
+                    process.wait(PATIENCE_S)
+                except subprocess.TimeoutExpired:
+                    process.kill()
 
 
 def wait_for(condition):
@@ -125,10 +138,12 @@ def test_stop_ends_the_face_limp_and_the_program_well(daemon, port, level):
     assert torque(port) == [0] * 10
 
 
-def test_sigterm_ends_the_face_limp(daemon, port):
+def test_systemd_hears_that_the_face_is_ready_and_lives_and_its_sigterm_ends_it_limp(daemon, port):
+    said = [daemon.systemd.recv(100) for _ in range(3)]
     daemon.terminate()
     daemon.wait(PATIENCE_S)
 
+    assert said == [b"READY=1", b"WATCHDOG=1", b"WATCHDOG=1"]
     assert torque(port) == [0] * 10
 
 

@@ -15,13 +15,13 @@ from firmware_bridge.dynamixel.group import SpanGroup
 from firmware_bridge.dynamixel.handshake import introduce_all
 from firmware_bridge.dynamixel.knowledge import Knowledge
 from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S, GoalWrite, Line
-from firmware_bridge.dynamixel.mounting import VELOCITY_UNIT_DEG_S, MountedServo, Mounting
+from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
+from firmware_bridge.dynamixel.soft_start import SoftStart
 from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.dynamixel.watchdog import Watchdogs
 from firmware_bridge.health import Feedback, Health
 
 _TORQUE, _GOAL = register("torque_enable").address, register("goal_position").address
-_WATCHDOG = register("bus_watchdog").address
-_PROFILE = register("profile_acceleration").address
 _LEVEL = register("status_return_level").address
 #: torque_enable .. bus_watchdog, and what lies between: health in one read.
 _HEALTH_SIZE: Final = register("bus_watchdog").end - _TORQUE
@@ -30,14 +30,8 @@ _WARMTH = register("present_input_voltage").address
 _PRESENT = register("present_current").address
 #: goal_position .. present_position
 _MOTION_SIZE: Final = register("present_position").end - _GOAL
-_WATCHDOG_UNIT_S: Final = 0.020
 #: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
 _LIMP_REPEATS: Final = 3
-#: Newly woken servos go no faster than this for a while, whatever they are asked.
-_SOFT_DEG_S: Final = 60.0
-_SOFT_FOR_S: Final = 1.0
-#: The servo itself goes this much faster than the gate allows, so that it never lags behind it.
-_SPEED_MARGIN: Final = 1.5
 #: Torque comes on one servo after another: twenty at once make the supply sag.
 _STAGGER_S: Final = 0.010
 
@@ -68,20 +62,22 @@ class DynamixelBus:
         self._ids = [servo.joint.servo_id for servo in servos]
         self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
         self._open_transport = open_transport
-        self._watchdog = min(127, int(np.ceil(watchdog_s / _WATCHDOG_UNIT_S - 1e-9)))
+        self._watchdogs = Watchdogs(self._ids, watchdog_s)
         self._strict = strict
         self._mounting = Mounting(servos)
-        n = len(servos)
         self._known = Knowledge(servos)
-        self._soft_until_s = np.full(n, np.inf)
+        self._soft_start = SoftStart(servos)
         self._goal_write = GoalWrite(self._ids, _GOAL)
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
         self._whole = SpanGroup(self._ids, _GOAL, _MOTION_SIZE)
         self._holding = SpanGroup(self._ids, _TORQUE, 1)
         self._turn = 0
-        self._spoke_s = 0.0
-        self._lapsed = False  # the servos may have stopped by themselves
         self._line: Line | None = None
+
+    @property
+    def at_full_strength(self) -> bool:
+        """Whether every servo with torque on has been told its full speed and current."""
+        return not self._soft_start.soft
 
     @property
     def line(self) -> Line:
@@ -97,7 +93,7 @@ class DynamixelBus:
                 self._switch_on(n)
             return
         line = self.line
-        self._soft_until_s[:] = np.inf
+        self._soft_start.forget()
         request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
         for _ in range(_LIMP_REPEATS):
             line.tell(request)
@@ -116,7 +112,7 @@ class DynamixelBus:
                 f"expected positions of shape {self._known.goals.shape}, got {positions_deg.shape}"
             )
         line = self.line
-        self._keep_watchdogs(line)
+        self._watchdogs.keep(line)
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._known.low <= pulses) & (pulses <= self._known.high)
         self._known.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
@@ -188,14 +184,14 @@ class DynamixelBus:
             self._note([status])
             for group in (self._motion, self._whole, self._holding):
                 group.trust(servo_id)
-        self._harden(line)
+        self._soft_start.harden(line)
         return self._known.health(line.transport.clock.now())
 
     def wake(self, index: int) -> bool:
         """Goal := place, checked, then slow profile, watchdog, torque."""
         line, servo_id = self.line, self._ids[index]
         line.write(servo_id, _LEVEL, b"\2")
-        line.write(servo_id, _WATCHDOG, b"\0")
+        self._watchdogs.clear(line, servo_id)
         status = line.read(servo_id, _GOAL, _MOTION_SIZE)
         if status is None or len(status.data) != _MOTION_SIZE:
             return False
@@ -269,59 +265,26 @@ class DynamixelBus:
             self._line = None
 
     def _switch_on(self, index: int) -> bool:
-        """Profile, watchdog, torque of one servo; whether it says that it holds."""
+        """Soft settings, watchdog, torque of one servo; whether it says that it holds."""
         line, servo_id = self.line, self._ids[index]
         clock = line.transport.clock
         self._known.tripped[index] = False
-        line.write(servo_id, _PROFILE, struct.pack("<II", 0, _velocity(_SOFT_DEG_S)))
-        line.write(servo_id, _WATCHDOG, b"\0")
-        if self._watchdog:
-            line.write(servo_id, _WATCHDOG, bytes((self._watchdog,)))
+        self._soft_start.soften(line, index)
+        self._watchdogs.arm(line, servo_id)
         for _ in range(_LIMP_REPEATS):
             status = line.write(servo_id, _TORQUE, b"\1")
             if status is not None:
                 self._known.torque[index] = not status.error & 0x7F
-                self._soft_until_s[index] = clock.now() + _SOFT_FOR_S
+                self._soft_start.began(index, clock.now())
                 break
-        self._spoke_s = clock.now()
-        clock.sleep_until(self._spoke_s + _STAGGER_S)
+        now_s = clock.now()
+        self._watchdogs.spoke(now_s)
+        clock.sleep_until(now_s + _STAGGER_S)
         return bool(self._known.torque[index])
-
-    def _harden(self, line: Line) -> None:
-        """Give servos woken a while ago their full speed."""
-        now_s = line.transport.clock.now()
-        due = np.flatnonzero(self._soft_until_s <= now_s).tolist()
-        if due:
-            profile = codec.sync_write(_PROFILE, 8, [(self._ids[n], self._profile(n)) for n in due])
-            line.tell(profile)
-            self._soft_until_s[due] = np.inf
-
-    def _profile(self, index: int) -> bytes:
-        speed = self._servos[index].joint.max_speed_deg_s * _SPEED_MARGIN
-        return struct.pack("<II", 0, _velocity(speed))
-
-    def _keep_watchdogs(self, line: Line) -> None:
-        """After a silence of ours the servos have stopped by themselves: set them going again."""
-        self._notice_silence(line.transport.clock.now())
-        if self._lapsed:
-            self._lapsed = False
-            for value in (b"\0", bytes((self._watchdog,))):
-                line.tell(codec.sync_write(_WATCHDOG, 1, [(each, value) for each in self._ids]))
-
-    def _notice_silence(self, now_s: float) -> None:
-        """Whether the servos' watchdogs may have stopped them since we spoke last."""
-        silence_s = now_s - self._spoke_s
-        self._lapsed |= 0 < self._watchdog * _WATCHDOG_UNIT_S <= silence_s
-        self._spoke_s = now_s
 
     def _note(self, statuses: list[Status]) -> list[Status]:
         """Remember who answered, and with what error."""
         now_s = self.line.transport.clock.now()
-        self._notice_silence(now_s)
+        self._watchdogs.spoke(now_s)
         self._known.note(statuses, now_s)
         return statuses
-
-
-def _velocity(deg_s: float) -> int:
-    """In units of the profile velocity register, at least 1: 0 would mean without bound."""
-    return max(1, min(32_767, round(deg_s / VELOCITY_UNIT_DEG_S)))

@@ -14,6 +14,7 @@ from firmware_bridge.dynamixel.codec import (
 
 #: Parameters of the fast replies are positional and not stuffed.
 _UNSTUFFED_ID: Final = BROADCAST_ID
+_STATUS: Final = int(Instruction.STATUS)
 
 
 class Frame(NamedTuple):
@@ -104,7 +105,7 @@ class FrameParser:
 
 def _frame(raw: bytes) -> Frame:
     packet_id, instruction, parameters = raw[4], raw[7], raw[8:-2]
-    fast_reply = packet_id == _UNSTUFFED_ID and instruction == Instruction.STATUS
+    fast_reply = packet_id == _UNSTUFFED_ID and instruction == _STATUS
     if not fast_reply:
         parameters = unstuff(parameters)
     return Frame(packet_id, instruction, parameters, raw)

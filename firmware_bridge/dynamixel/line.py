@@ -1,7 +1,7 @@
 """Transactions on one half-duplex line: ask, wait as long as the wire needs, take what came."""
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from firmware_bridge.dynamixel import codec
@@ -13,6 +13,8 @@ from firmware_bridge.dynamixel.transport import Transport
 BITS_PER_BYTE: Final = 10
 #: Return delay of a servo fresh from the factory: 250 x 2 us.
 FACTORY_RETURN_DELAY_S: Final = 0.0005
+#: An int: looking a member up in its enumeration costs as much as comparing three.
+_STATUS: Final = int(Instruction.STATUS)
 
 
 class GoalWrite:
@@ -53,16 +55,27 @@ class SpanRead:
             for each in self.ids
         ]
         n = len(self.ids)
+        length = 1 + n * (size + 4)
+        self._fast_head = codec.HEADER + struct.pack("<BHB", BROADCAST_ID, length, _STATUS)
+        self._blocks = struct.Struct(f"<BB{size}s2x")  # error, id, data, inner CRC
+        self._id_bytes = bytes(self.ids)
         self.reply_size = codec.EMPTY_PACKET_SIZE - 2 + n * (size + 4) if fast else n * self._step
+
+    def is_over(self, stream: bytes) -> bool:
+        """Whether nothing more can come: all bytes are there, or the servo asked last has spoken.
+
+        On a half-duplex line nobody speaks after the last one, whoever was silent before.
+        """
+        if self.fast:
+            return len(stream) >= self.reply_size and stream.startswith(codec.HEADER)
+        return stream[-self._step : 8 - self._step] == self._heads[-1]
 
     def take_undisturbed(self, stream: bytes) -> list[Status] | None:
         """All statuses when `stream` is exactly what was asked for; None when anything differs."""
         if len(stream) != self.reply_size:
             return None
         if self.fast:
-            statuses = codec.split_fast_status(stream, self.size)
-            asked = len(statuses) == len(self.ids)
-            return statuses if asked and _ids(statuses) == self.ids else None
+            return self._take_fast(stream)
         statuses = []
         at, step = 0, self._step
         for servo_id, head in zip(self.ids, self._heads, strict=True):
@@ -77,6 +90,15 @@ class SpanRead:
             statuses.append(Status(servo_id, stream[at + 8], data))
             at = end
         return statuses
+
+    def _take_fast(self, stream: bytes) -> list[Status] | None:
+        """The common frame in one go, when its head, ids and last CRC are as they should be."""
+        if stream[:8] != self._fast_head or stream[9 :: self.size + 4] != self._id_bytes:
+            return None
+        if crc16(stream[:-2]) != stream[-2] | stream[-1] << 8:
+            return None
+        blocks = self._blocks.iter_unpack(memoryview(stream)[8:])
+        return [Status(servo_id, error, data) for error, servo_id, data in blocks]
 
 
 class Line:
@@ -156,7 +178,7 @@ class Line:
                 statuses = self._salvage(span, stream)
             return statuses if last or len(statuses) == n else None
 
-        return self._converse(span.request, span.reply_size, take, n_turns=n) or []
+        return self._converse(span.request, span.reply_size, take, span.is_over, n_turns=n) or []
 
     def _salvage(self, span: SpanRead, stream: bytes) -> list[Status]:
         """Whatever is whole in a disturbed stream."""
@@ -199,6 +221,7 @@ class Line:
         request: bytes,
         reply_size: int,
         take: "Take",
+        is_over: Callable[[bytes], bool] = lambda _: False,
         *,
         n_turns: int = 1,
         patience_s: float = 0.0,
@@ -212,8 +235,9 @@ class Line:
         clock.sleep_until(due_s)
         stream = transport.read(deadline_s)
         while True:
-            if len(stream) >= reply_size:
-                statuses = take(stream, last=False)
+            ended = is_over(stream)
+            if ended or len(stream) >= reply_size:
+                statuses = take(stream, last=ended)
                 if statuses is not None:
                     self._quiet_s = clock.now()
                     self.latency.learn(self._quiet_s - due_s)
@@ -233,7 +257,7 @@ class Line:
         statuses = [
             Status(frame.packet_id, frame.parameters[0], frame.parameters[1:])
             for frame in self._parser.feed(stream)
-            if frame.instruction == Instruction.STATUS and frame.parameters
+            if frame.instruction == _STATUS and frame.parameters
         ]
         self.n_bad += self._parser.n_bad - n_bad
         return statuses
@@ -244,7 +268,3 @@ class Take(Protocol):
 
     def __call__(self, stream: bytes, *, last: bool) -> list[Status] | None:
         """Take what can be taken."""
-
-
-def _ids(statuses: Sequence[Status]) -> tuple[int, ...]:
-    return tuple(status.servo_id for status in statuses)

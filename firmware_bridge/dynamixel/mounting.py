@@ -20,12 +20,32 @@ VELOCITY_UNIT_DEG_S: Final = 0.229 * 6.0
 
 @dataclass(frozen=True, slots=True)
 class MountedServo:
-    """One servo and the joint it drives. servo angle = sign x (joint angle + zero_offset_deg)."""
+    """One servo and the joint it drives. servo angle = sign x (joint angle + zero_offset_deg).
+
+    max_current_ma: it never pulls harder (operating mode 5); None: as hard as it can (mode 3).
+    Raises ValueError for a current limit on a model that does not measure current.
+    """
 
     joint: Joint
     model: ServoModel
     sign: int = 1
     zero_offset_deg: float = 0.0
+    max_current_ma: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.max_current_ma is not None and not self.model.measures_current:
+            raise ValueError(
+                f"joint {self.joint.name!r}: an {self.model.name} does not measure current, "
+                "so max_current_ma cannot be kept"
+            )
+
+    @property
+    def current_cap(self) -> int | None:
+        """The most that goal_current may be, in the register's unit; None: no cap."""
+        unit_ma = self.model.current_unit_ma
+        if self.max_current_ma is None or unit_ma is None:
+            return None
+        return max(1, int(self.max_current_ma / unit_ma))
 
     def pulse(self, joint_deg: float) -> int:
         """The position register's value for a joint angle."""

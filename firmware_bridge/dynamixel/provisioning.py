@@ -39,17 +39,19 @@ def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
     low, high = servo.pulse_range()
     margin = round(LIMIT_MARGIN_DEG * PULSES_PER_TURN / 360.0)
     code = next(code for code, rate in baud_rates().items() if rate == baud_rate)
+    cap = servo.current_cap
     return {
         "id": servo.joint.servo_id,
         "baud_rate": code,
         "return_delay_time": 0,
         "drive_mode": 0,
-        "operating_mode": 3,
+        "operating_mode": 3 if cap is None else 5,
         "homing_offset": 0,
         "max_position_limit": min(high + margin, PULSES_PER_TURN - 1),
         "min_position_limit": max(low - margin, 0),
         "startup_configuration": 0,
         "shutdown": servo.model.defaults["shutdown"],
+        **({} if cap is None else {"current_limit": cap}),
     }
 
 

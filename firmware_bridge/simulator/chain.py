@@ -3,6 +3,8 @@
 from collections.abc import Iterable, Sequence
 from typing import Final
 
+import numpy as np
+
 from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
 from firmware_bridge.dynamixel.frames import Frame, FrameParser
@@ -15,8 +17,12 @@ from firmware_bridge.simulator.wire import BITS_PER_BYTE, Wire, WireCounts, Wire
 #: Servos answer a broadcast ping one after another, in the order of their ids. The manual does not
 #: say how far apart; the SDK waits for 14 bytes each.
 _PING_SLOT_BYTES: Final = 14
-#: How often the servos look for a hardware error. Ours; finer than any loop.
+#: How often the servos look at watchdog and hardware. Ours; finer than any loop.
 _CHECK_S: Final = 0.010
+#: Ints: looking a member up in its enumeration costs as much as comparing three.
+_SYNC_WRITE: Final = int(Instruction.SYNC_WRITE)
+_SYNC_READ: Final = int(Instruction.SYNC_READ)
+_FAST_SYNC_READ: Final = int(Instruction.FAST_SYNC_READ)
 
 
 class SimulatedChain:
@@ -53,6 +59,7 @@ class SimulatedChain:
         self._chain_stops = rules is not None and rules.chain_stops
         self._afflictions = Afflictions(self.servos, self.motors, faults)
         self._parser = FrameParser()
+        self._now_s = -1.0
         self._checked_s = 0.0
 
     @property
@@ -77,21 +84,30 @@ class SimulatedChain:
 
     def advance(self, now_s: float) -> None:
         """Let motors, watchdogs and scripted faults run until `now_s`."""
+        if now_s == self._now_s:
+            return
+        self._now_s = now_s
         self._afflictions.advance(now_s)
         if not self.plugged:
             self._wire.clear()
             self._parser.reset()
+        check = now_s - self._checked_s >= _CHECK_S
+        if check:
+            self._trip_watchdogs(now_s)
+        self.motors.advance(now_s)
+        if check:
+            self._checked_s = now_s
+            bits = self._afflictions.hardware_errors()
+            for index in np.flatnonzero(bits).tolist():
+                self.servos[index].latch(int(bits[index]))
+
+    def _trip_watchdogs(self, now_s: float) -> None:
+        """Stop those that have heard nothing for too long, each where it stood then."""
         for servo in self.servos:
             trip_s = servo.heard_s + servo.patience_s
             if trip_s <= now_s:
                 self.motors.advance(trip_s)
                 servo.trip_watchdog()
-        self.motors.advance(now_s)
-        if now_s - self._checked_s >= _CHECK_S:
-            self._checked_s = now_s
-            for servo, bits in zip(self.servos, self._afflictions.hardware_errors(), strict=True):
-                if bits:
-                    servo.latch(int(bits))
 
     def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
         """The computer writes `data` at `now_s`, at its baud rate."""
@@ -120,11 +136,11 @@ class SimulatedChain:
             servo.heard_s = end_s
         self._wire.until_s = end_s
         instruction, parameters = frame.instruction, frame.parameters
-        if instruction == Instruction.SYNC_WRITE:
+        if instruction == _SYNC_WRITE:
             _sync_write(awake, parameters)
-        elif instruction == Instruction.SYNC_READ:
+        elif instruction == _SYNC_READ:
             self._sync_read(awake, parameters, byte_s)
-        elif instruction == Instruction.FAST_SYNC_READ:
+        elif instruction == _FAST_SYNC_READ:
             self._fast_sync_read(awake, parameters, byte_s)
         elif frame.packet_id == BROADCAST_ID:
             self._broadcast(awake, instruction, parameters, byte_s)

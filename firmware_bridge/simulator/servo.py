@@ -210,8 +210,12 @@ class SimulatedServo:
             )
         elif name in ("goal_current", "operating_mode") and "goal_current" in self._registers:
             limited = self["operating_mode"] == 5
-            share = abs(self["goal_current"]) / max(1, self["current_limit"])
-            motors.strength[i] = share if limited else 1.0
+            motors.strength[i] = self._share_of_stall() if limited else 1.0
+
+    def _share_of_stall(self) -> float:
+        """What goal_current lets the motor do, as a share of its stall torque."""
+        milliamperes = abs(self["goal_current"]) * (self.model.current_unit_ma or 0.0)
+        return min(1.0, milliamperes / (self.model.stall_a * 1e3))
 
     def _set_torque(self, *, on: bool) -> None:
         motors, i = self._motors, self.index
@@ -258,7 +262,7 @@ class SimulatedServo:
         motors, i = self._motors, self.index
         motors.torque_on[i] = False
         motors.overload_s[i] = 0.0
-        motors.strength[i] = 1.0
+        motors.strength[i] = self._share_of_stall() if self["operating_mode"] == 5 else 1.0
         motors.set_profile(i, 0.0, 0.0)
         self["goal_position"] = round(motors.position[i])
 

@@ -12,6 +12,8 @@ from firmware_bridge.simulator.servo import SimulatedServo
 
 #: Start bit, eight data bits, stop bit: https://emanual.robotis.com/docs/en/dxl/protocol2/
 BITS_PER_BYTE: Final = 10
+#: Rounding of sums of byte times; a bit lasts 220 ns at the fastest rate.
+_SAME_S: Final = 1e-9
 #: What an adapter that hears itself sends back before the reply: here a broadcast ping.
 _ECHO: Final = b"\xff\xff\xfd\x00\xfe\x03\x00\x01\x31\x42"
 
@@ -91,7 +93,9 @@ class Wire:
         start_s = max(now_s, self.host_until_s)
         self._disturbed = False
         self.host_until_s = start_s + len(data) * byte_s
-        hit = [r for r in self._out if r.start_s < self.host_until_s and start_s < r.end_s]
+        hit = [
+            r for r in self._out if r.start_s < self.host_until_s and start_s < r.end_s - _SAME_S
+        ]
         self.counts.contention += any(not reply.uninvited for reply in hit)
         self.counts.talked_over_uninvited += any(reply.uninvited for reply in hit)
         for reply in hit:
@@ -181,14 +185,14 @@ class Wire:
         """Put bytes on the wire; two servos speaking at once spoil each other's."""
         end_s = start_s + len(raw) * byte_s
         for other in self._out:
-            if other.start_s < end_s - 1e-12 and start_s < other.end_s - 1e-12:
+            if other.start_s < end_s - _SAME_S and start_s < other.end_s - _SAME_S:
                 self.counts.contention += not (uninvited or other.uninvited)
                 n = min(len(raw), len(other.data))
                 mixed = bytes(a & b for a, b in zip(raw, other.data, strict=False))
                 # Two transmitters are never in step: bits are lost even where both say the same.
                 raw = mixed[:-1] + bytes(each ^ 0xFF for each in mixed[-1:]) + raw[n:]
                 other.data = b""
-        if self.host_until_s > start_s + 1e-12:
+        if self.host_until_s > start_s + _SAME_S:
             self.counts.contention += 1
             raw = b"\x00" * len(raw)
         self.counts.replies += 1

@@ -71,17 +71,21 @@ def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet =
 
 @app.command()
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure the servo bus against the wire and dynamixel-sdk, on simulated servos."""
+    """Measure the servo bus against the wire and dynamixel-sdk, on simulated servos.
+
+    Against rustypot too, when that is installed.
+    """
     from lipservo import bus_figures as measure
+    from lipservo.bus_cpu_figures import cpu_ratios
 
     began_s = time.perf_counter()
     parts = (
-        measure.cpu_ratios,
+        cpu_ratios,
         measure.wire_figures,
         measure.fault_figures,
-        lambda: {"replug_s": measure.replug_s()},
+        measure.replug_figures,
     )
-    figures: dict[str, float] = {}
+    figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("bus", total=len(parts))
         for part in parts:
@@ -91,13 +95,27 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
 
 
 @app.command()
-def loop(as_json: Json = False) -> None:
+def loop(
+    seconds: Annotated[
+        float, typer.Option(min=4.0, help="How long each rate is watched, in four windows.")
+    ] = 20.0,
+    with_bus: Annotated[
+        bool, typer.Option("--with-bus", help="Drive ten simulated servos in every tick, too.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
     """Measure how late the loop begins its ticks while every core is busy."""
     from lipservo.loop_figures import lateness_figures
 
     began_s = time.perf_counter()
-    with MESSAGES.status("measuring"):
-        figures = lateness_figures()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("loop", total=None)
+
+        def advance(n_done: int, n_runs: int) -> None:
+            progress.update(steps, completed=n_done, total=n_runs)
+
+        figures = lateness_figures(seconds, advance, with_bus=with_bus)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 
@@ -122,6 +140,27 @@ def faults(
 
 
 @app.command()
+def endurance(
+    cycles: Annotated[int, typer.Option(min=1_000, help="How many ticks of the bridge.")] = 100_000,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Drive simulated servos for hours on a virtual clock: memory, descriptors, wrong goals.
+
+    Exit status 1 when anything happened that must not.
+    """
+    from lipservo.endurance_figures import endurance_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("endurance", total=cycles)
+        figures = endurance_figures(cycles, lambda n: progress.update(steps, completed=n))
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    if figures["goals_outside_limits"] or figures["steps_above_clamp"] or figures["contention"]:
+        raise typer.Exit(1)
+
+
+@app.command()
 def calibration(
     seeds: Annotated[
         str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
@@ -140,7 +179,7 @@ def calibration(
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 
-def _print(figures: Mapping[str, float], seconds: float, *, as_json: bool) -> None:
+def _print(figures: Mapping[str, float | str], seconds: float, *, as_json: bool) -> None:
     result = {**figures, "machine": machine_class(), "seconds": seconds}
     if as_json:
         print_json(result)

@@ -46,8 +46,9 @@ def supervise(
 ) -> int:
     """Run bridge and speech as processes until stopped; the exit status."""
     from firmware_bridge.last_resort import make_limp
+    from firmware_bridge.service_notice import ServiceNotice
     from firmware_bridge.socket_channel import channel_pair
-    from firmware_bridge.supervisor import Supervisor, notify
+    from firmware_bridge.supervisor import Supervisor
     from lipservo.assembly import load_settings
     from lipservo.daemon import stopped_by_signals
     from lipservo.servos import port_opener
@@ -65,12 +66,10 @@ def supervise(
             return f"torque off was not confirmed by ids {stiff}"
         return f"torque off confirmed by all {len(ids)} servos"
 
-    def say(line: str) -> None:
-        MESSAGES.print(line, soft_wrap=True, highlight=False)
-
     common = [sys.executable, "-m", "lipservo"]
     bridge = [*common, "bridge-process", "--config", config, "--port", port, "--fd", "{fd}"]
-    bridge += ["--control", str(control or default_path())]
+    control = control or default_path()
+    bridge += ["--control", str(control)]
     bridge += [] if rate_hz is None else ["--rate-hz", str(rate_hz)]
     speech = [*common, "speech-process", "--config", config, "--fd", "{fd}"]
     speech += manner_arguments(manner)
@@ -78,15 +77,18 @@ def supervise(
     speech += [] if wav is None else ["--wav", str(wav)]
     speech += [] if mic is None else ["--mic", mic]
     with stopped_by_signals() as stop:
-        notify("READY=1")
         return Supervisor(
             bridge,
             speech,
             channel_pair(),
             after_bridge_death=limp_by_force,
-            say=say,
-            alive=lambda: notify("WATCHDOG=1"),
+            say=_say,
+            alive=ServiceNotice(control),
         ).run(stop.is_set)
+
+
+def _say(line: str) -> None:
+    MESSAGES.print(line, soft_wrap=True, highlight=False)
 
 
 def bridge_process(
@@ -99,26 +101,19 @@ def bridge_process(
     """Own the port and drive the servos; targets come through a socket. Started by `daemon`."""
     parent = os.getppid()
     die_with_parent(signal.SIGTERM)
-    from firmware_bridge.bridge import Bridge
     from firmware_bridge.bridge_process import run_bridge
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.socket_channel import SocketTargetChannel
     from lipservo.assembly import load_settings, settings_at_port
     from lipservo.daemon import stopped_by_signals
-    from lipservo.servos import bus_for, prevent_rules
+    from lipservo.servos import bridge_for, bus_for
 
     settings = settings_at_port(load_settings(config)[0], port)
     with stopped_by_signals() as stop, socket.socket(fileno=fd) as end:
         rate = rate_hz or settings.rate_hz
         bus = bus_for(settings, MonotonicClock(), strict=False)
-        bridge = Bridge(
-            bus,
-            settings.joints(),
-            SocketTargetChannel(end),
-            rate_hz=rate,
-            prevent=prevent_rules(settings),
-            tolerant=True,
-        )
+        channel = SocketTargetChannel(end)
+        bridge = bridge_for(settings, bus, channel, rate_hz=rate, tolerant=True)
         run_bridge(
             bus,
             bridge,
@@ -126,6 +121,7 @@ def bridge_process(
             control=control or default_path(),
             stopped=stop.is_set,
             parent=parent,
+            say=_say,
         )
 
 

@@ -1,0 +1,50 @@
+"""The watchdog in every servo: it stops by itself when the bus has been silent for too long."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.dynamixel import codec
+from firmware_bridge.dynamixel.control_table import register
+from firmware_bridge.dynamixel.line import Line
+
+_ADDRESS: Final = register("bus_watchdog").address
+#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#bus-watchdog98
+_UNIT_S: Final = 0.020
+_LONGEST: Final = 127
+
+
+class Watchdogs:
+    """Sets the watchdogs of all servos, and notices when our own silence may have tripped them."""
+
+    def __init__(self, ids: Sequence[int], patience_s: float) -> None:
+        """patience_s: how long servos go on without hearing anything; 0 = for ever."""
+        self._ids = tuple(ids)
+        self._setting = min(_LONGEST, int(np.ceil(patience_s / _UNIT_S - 1e-9)))
+        self._spoke_s = 0.0
+        self._lapsed = False
+
+    def arm(self, line: Line, servo_id: int) -> None:
+        """Clear one servo's watchdog and start it; a tripped one takes no goals before."""
+        line.write(servo_id, _ADDRESS, b"\0")
+        if self._setting:
+            line.write(servo_id, _ADDRESS, bytes((self._setting,)))
+
+    def clear(self, line: Line, servo_id: int) -> None:
+        """Switch one servo's watchdog off."""
+        line.write(servo_id, _ADDRESS, b"\0")
+
+    def spoke(self, now_s: float) -> None:
+        """The servos hear us now; whether they heard us in time before is remembered."""
+        silence_s = now_s - self._spoke_s
+        self._lapsed |= 0 < self._setting * _UNIT_S <= silence_s
+        self._spoke_s = now_s
+
+    def keep(self, line: Line) -> None:
+        """Set servos going again that may have stopped by themselves; before every goal."""
+        self.spoke(line.transport.clock.now())
+        if self._lapsed:
+            self._lapsed = False
+            for value in (b"\0", bytes((self._setting,))):
+                line.tell(codec.sync_write(_ADDRESS, 1, [(each, value) for each in self._ids]))

@@ -1,0 +1,114 @@
+"""A face driven for days on a virtual clock: what grows, and what the wire saw in the meantime."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from firmware_bridge.bridge import Bridge
+from firmware_bridge.channel import MemoryTargetChannel
+from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.simulator.campaign import BAUD_RATE, Auditor, face, wanted_deg
+from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.simulator.faults import Fault
+from firmware_bridge.simulator.memory_transport import MemoryTransport
+from firmware_bridge.targets import ServoTargets
+
+#: As on a fair bus: now and then a packet is lost or spoilt, and the plug is pulled twice an hour.
+#: Whatever leaks, leaks where things go wrong.
+FAULTS: Final = (
+    Fault("drop_reply", probability=0.001),
+    Fault("corrupt_reply", probability=0.0005),
+    Fault("unplug", from_s=0.0, every_s=1_800.0, lasts_s=2.0),
+)
+#: Once so many cycles are over, everything is loaded and warm: memory is first looked at.
+_WARM_SHARE: Final = 0.1
+_REPORTS: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Endurance:
+    """What a long run showed. Memory is resident, in MB (10^6 bytes), of this process."""
+
+    cycles: int
+    virtual_hours: float
+    rss_mb_at_tenth: float
+    rss_mb_at_end: float
+    descriptors_at_tenth: int
+    descriptors_at_end: int
+    goals: int
+    goals_outside_limits: int
+    steps_above_clamp: int
+    contention: int
+    replugs: int
+
+
+def endure(
+    n_cycles: int,
+    progress: Callable[[int], None],
+    *,
+    n_servos: int = 5,
+    rate_hz: float = 100.0,
+    seed: int = 1,
+) -> Endurance:
+    """Drive simulated servos for `n_cycles` ticks, byte by byte, through bus, bridge and gate.
+
+    progress: called now and then with the cycles done so far.
+    """
+    servos = face(n_servos)
+    clock = ManualClock()
+    chain = chain_for(servos, BAUD_RATE, faults=FAULTS, seed=seed)
+    auditor = Auditor(servos, 1.0 / rate_hz)
+    bus = DynamixelBus(
+        servos, lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see), strict=False
+    )
+    channel = MemoryTargetChannel()
+    joints = [servo.joint for servo in servos]
+    bridge = Bridge(bus, joints, channel, rate_hz=rate_hz, tolerant=True)
+    warm_at, report_every = int(n_cycles * _WARM_SHARE), max(1, n_cycles // _REPORTS)
+    warm = (0.0, 0)
+    with bus:
+        bridge.arm()
+        for n, (time_s, late) in enumerate(ticks(clock, rate_hz)):
+            if n == warm_at:
+                warm = resident_mb(), open_descriptors()
+            if n % report_every == 0:
+                progress(n)
+            if n >= n_cycles:
+                break
+            channel.publish(ServoTargets(time_s, wanted_deg(time_s, n_servos)))
+            bridge.tick(time_s, late)
+        end = resident_mb(), open_descriptors()
+        bridge.ease_to_neutral(clock)
+    return Endurance(
+        cycles=bridge.status.n_ticks,
+        virtual_hours=clock.now() / 3600.0,
+        rss_mb_at_tenth=warm[0],
+        rss_mb_at_end=end[0],
+        descriptors_at_tenth=warm[1],
+        descriptors_at_end=end[1],
+        goals=auditor.goals,
+        goals_outside_limits=auditor.outside,
+        steps_above_clamp=auditor.too_far,
+        contention=chain.counts.contention,
+        replugs=bridge.status.n_unplugged,
+    )
+
+
+def resident_mb() -> float:
+    """Resident memory of this process now, MB; 0 where /proc does not tell."""
+    try:
+        n_pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0.0
+    return n_pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def open_descriptors() -> int:
+    """How many files, pipes and sockets this process holds open; 0 where /proc does not tell."""
+    try:
+        return len(os.listdir("/proc/self/fd")) - 1  # the one that lists them
+    except OSError:
+        return 0
