@@ -17,13 +17,15 @@ from calibration.calibration_file import load_calibration, parse_calibration, sa
 from calibration.calibration_text import calibration_text
 from calibration.capture import Capture, capture_poses
 from calibration.capture_plan import plan_poses
+from calibration.correspondence import correspond
+from calibration.coupling_rule import CouplingRule
 from calibration.guided import CLOSED, fit_guided, landmark_poses
 from calibration.hold_out import CLOSED_GAP_MM
-from calibration.inverse import CouplingRule, Look, nearest_poses_deg
+from calibration.inverse import Look, nearest_poses_deg
 from calibration.joint_range import JointRange
 from calibration.measured import MeasuredFit, fit_measured, split_frames
 from calibration.measured_errors import lips_apart_mm
-from calibration.retargeting import MOST_EXAGGERATION, correspond
+from calibration.retargeting import MOST_EXAGGERATION
 from calibration.robot_face import fit_robot_face
 from calibration.run_time_map import fit_run_time_map
 from calibration.simulated_face import POSITIVE_DIRECTIONS
