@@ -8,6 +8,7 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.budget import budget
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
+from firmware_bridge.dynamixel.handshake import read_introductions
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.provisioning import (
     differences,
@@ -132,3 +133,37 @@ def test_a_bus_that_is_too_slow_is_told_what_to_do():
     assert "set 1,000,000 baud" in said
     assert budget(12, 1_000_000, 30.0) is None
     assert "return delay" in budget(20, 1_000_000, 100.0, return_delay_s=0.0005)
+
+
+def test_what_servos_hold_is_read_for_whoever_compares_it():
+    face = MemoryFace(3)
+    face.chain.servos[2]["id"] = 77
+    first, second, third = read_introductions(face.open, face.servos)
+
+    assert (first.model_number, first.firmware) == (1200, 52)
+    assert (second.eeprom["homing_offset"], second.eeprom["drive_mode"]) == (0, 0)
+    assert first.eeprom["min_position_limit"] < first.eeprom["max_position_limit"]
+    assert third is None
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "said"),
+    [
+        ("homing_offset", -300, "has homing offset -300 pulses, needs 0"),
+        ("drive_mode", 1, "has drive mode 1, needs 0"),
+        ("operating_mode", 16, "is in operating mode 16"),
+        ("max_position_limit", 2100, "has limits"),
+        ("startup_configuration", 1, "switches torque on by itself"),
+    ],
+)
+def test_servos_that_differ_from_the_yaml_are_refused_with_the_remedy(register, value, said):
+    face = MemoryFace(3)
+    face.chain.servos[1][register] = value
+    with pytest.raises(ServoError) as error:
+        read_introductions(face.open, face.servos)
+
+    first, last = str(error.value).splitlines()
+    assert first.startswith(f"servo 'joint_2' (id 2) {said}")
+    assert "setup-servos" in first
+    assert "lipservo doctor" in last
+    assert not any(servo.torque_on for servo in face.chain.servos)

@@ -1,18 +1,20 @@
 """What is asked of every servo before the first goal: who it is, and whether it is set up."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.control_table import model_by_number, register
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.transport import Transport
 
 #: The EEPROM from id to shutdown in one read.
 _FIRST, _LAST = register("id").address, register("shutdown").end
 #: A servo that is there answers one of five questions even on a bad line and a busy computer.
 _TRIES = 5
 _SETUP = "run `lipservo setup-servos`"
+_DOCTOR = "`lipservo doctor` shows every difference between the servos and the YAML"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,8 @@ def complaints(servo: MountedServo, said: Introduction | None) -> list[str]:
         lines.append(f"{name} is in operating mode {found['operating_mode']}, not 3; {_SETUP}")
     if found["drive_mode"] & ~0x04:
         lines.append(f"{name} has drive mode {found['drive_mode']}, needs 0; {_SETUP}")
+    if found["homing_offset"]:
+        lines.append(f"{name} has homing offset {found['homing_offset']} pulses, needs 0; {_SETUP}")
     if found["startup_configuration"] & 0x01:
         lines.append(f"{name} switches torque on by itself at power-up; {_SETUP}")
     if not found["min_position_limit"] <= low <= high <= found["max_position_limit"]:
@@ -92,5 +96,20 @@ def introduce_all(
         for complaint in complaints(servo, answer)
     ]
     if lines:
-        raise ServoError("\n".join(lines))
+        raise ServoError("\n".join([*lines, _DOCTOR]))
     return said
+
+
+def read_introductions(
+    open_transport: Callable[[], Transport], servos: Sequence[MountedServo]
+) -> list[Introduction | None]:
+    """Model and EEPROM of every servo, in the order given, before anybody drives them.
+
+    Opens the port for this alone; None: a servo that does not answer, unless it is critical or
+    nobody answers. Raises PortError, and ServoError when a servo differs from the face's YAML.
+    """
+    transport = open_transport()
+    try:
+        return introduce_all(Line(transport), servos, strict=False)
+    finally:
+        transport.close()
