@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.hold_out import HoldOutErrors
 from lipsync.animpho.model import FaceModel
 from lipsync.errors import UserError
@@ -76,7 +77,8 @@ class Calibration:
     or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,), the angles there;
     x_range: (2, n_components), least and most that the fit saw; min_deg, max_deg: (n_servos,), the
     face's limits at the time of the fit. trim: degrees (n_servos,) to add for a viseme class, by
-    the first phoneme of the class.
+    the first phoneme of the class. rules: of the face's YAML, never of the file; kept by every
+    pose.
     """
 
     servo_names: tuple[str, ...]
@@ -95,6 +97,7 @@ class Calibration:
     touch: Touch | None = None
     coverage: Mapping[str, VisemeReach] = field(default_factory=dict)
     trim: Mapping[str, Array] = field(default_factory=dict)
+    rules: tuple[CouplingRule, ...] = ()
 
     def positions_deg(self, coefficients: Array) -> Array:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
@@ -104,7 +107,7 @@ class Calibration:
             first, second = pairs(len(x))
             free_deg = free_deg + self.bends @ (x[first] * x[second])
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
-        return kept_deg
+        return keep_rules(self.rules, kept_deg)
 
     def for_servos(self, servo_names: Sequence[str]) -> "Calibration":
         """The same for a face with more servos: those without calibration (neck, eyes) stay at 0.
@@ -142,6 +145,7 @@ class Calibration:
             ),
             touch=self.touch and Touch(spread(self.touch.positions_deg), self.touch.current_cap_ma),
             trim={viseme: spread(degrees) for viseme, degrees in self.trim.items()},
+            rules=tuple(CouplingRule(spread(r.weights), r.at_most_deg) for r in self.rules),
         )
 
 

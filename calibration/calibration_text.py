@@ -12,8 +12,9 @@ from lipsync.phonemes import VISEME_CLASSES
 
 Array = NDArray[np.float64]
 
-#: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest.
-CALIBRATION_VERSION = 2
+#: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest,
+#: version 2 no error of each marker and nothing of the servos' own settings.
+CALIBRATION_VERSION = 3
 
 _HEADER = """\
 # From a talker's mouth to this robot's servos, made by `lipservo calibrate`.
@@ -29,6 +30,8 @@ _HOLD_OUT_NOTES = {
     "n_closures": "frames with the talker's lips closed",
     "closed_gap_mm": "the robot's gap in 95 % of them, at most",
 }
+#: One for each servo, and written there; one for each marker.
+_WRITTEN_APART = ("joint_rms_deg", "each_marker_rms_mm")
 
 
 def calibration_text(calibration: Calibration) -> str:
@@ -105,11 +108,16 @@ def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
     lines = ["hold_out:"]
     for field in fields(errors):
         value = getattr(errors, field.name)
-        if isinstance(value, tuple):  # one for each servo, and written there
+        if field.name in _WRITTEN_APART:
             continue
         note = _HOLD_OUT_NOTES.get(field.name)
         shown = str(value) if isinstance(value, int) else _four(value)
         lines.append(f"  {field.name}: {shown}" + (f"  # {note}" if note else ""))
+    each = errors.each_marker_rms_mm
+    lines.append(f"  n_markers: {len(each)}")
+    if each:
+        lines.append("  each_marker_rms_mm:")
+        lines += [f"    {name}: {_four(rms_mm)}" for name, rms_mm in each.items()]
     return lines
 
 

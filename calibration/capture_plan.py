@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from calibration.calibration import CalibrationError
+from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.joint_range import JointRange
 
 Array = NDArray[np.float64]
@@ -50,9 +51,16 @@ def least_poses(n_servos: int) -> int:
     return _NEUTRAL_POSES + 2 * _POSES_PER_SWEEP * n_servos
 
 
-def plan_poses(joints: Sequence[JointRange], n_poses: int, *, seed: int = 0) -> PosePlan:
+def plan_poses(
+    joints: Sequence[JointRange],
+    n_poses: int,
+    *,
+    rules: Sequence[CouplingRule] = (),
+    seed: int = 0,
+) -> PosePlan:
     """Neutral, every joint alone from both sides, then a Latin hypercube within the limits.
 
+    rules: what the joints must not do together; a pose that breaks one is led back to neutral.
     Raises CalibrationError for fewer poses than `least_poses`.
     """
     least = least_poses(len(joints))
@@ -68,7 +76,9 @@ def plan_poses(joints: Sequence[JointRange], n_poses: int, *, seed: int = 0) -> 
     goals_deg = np.concatenate([single, low + cube * (high - low)])
     side = np.concatenate([single_side, rng.choice([-1.0, 1.0], (n_cube, len(joints)))])
     limits = np.array([[j.min_deg for j in joints], [j.max_deg for j in joints]])
+    goals_deg = np.array([keep_rules(rules, goal) for goal in goals_deg])
     start_deg = np.clip(goals_deg - LEAD_IN_DEG * side, *limits)
+    start_deg = np.array([keep_rules(rules, start) for start in start_deg])
     return PosePlan(tuple(j.name for j in joints), goals_deg, side, start_deg)
 
 

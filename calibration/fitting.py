@@ -1,17 +1,20 @@
 """Fit a calibration against the simulated face. Loads scikit-learn; the live path never does."""
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import RidgeCV
 
 from calibration.calibration import Calibration, CalibrationError, linear_calibration_parts
+from calibration.correspondence import RobotMouth, correspond
+from calibration.coupling_rule import CouplingRule
 from calibration.hold_out import HoldOutErrors, measure_hold_out
 from calibration.joint_range import JointRange
-from calibration.nearest_pose import nearest_positions_deg
-from calibration.simulated_face import SimulatedFace, marker_positions_mm, simulated_face
+from calibration.simulated_face import marker_positions_mm, simulated_face
 from lipsync.animpho.model import FaceModel
+from lipsync.markers import MARKER_NAMES
 
 Array = NDArray[np.float64]
 
@@ -29,6 +32,7 @@ def fit_calibration(
     joints: Sequence[JointRange],
     face_checksum: str,
     *,
+    rules: Sequence[CouplingRule] = (),
     seed: int = 0,
     max_animphos: int = MAX_ANIMPHOS,
 ) -> Calibration:
@@ -47,7 +51,9 @@ def fit_calibration(
         face = simulated_face(neutral_mm, [joint.name for joint in joints])
     except ValueError as error:
         raise CalibrationError(str(error)) from error
-    nearest_deg = nearest_positions_deg(face, model.markers_mm(fit), min_deg, max_deg)
+    names = correspond(MARKER_NAMES)
+    mouth = RobotMouth(partial(marker_positions_mm, face), names, (min_deg, max_deg), tuple(rules))
+    nearest_deg = mouth.nearest_deg(names.look.features(model.markers_mm(fit)))
     weights = ridge_weights(fit - model.rest, nearest_deg)
     bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     return Calibration(
@@ -59,9 +65,10 @@ def fit_calibration(
         x_range=x_range,
         min_deg=min_deg,
         max_deg=max_deg,
-        errors=_errors(model, face, weights, held_out, min_deg, max_deg),
+        errors=_errors(model, mouth, weights, held_out),
         model_checksum=model.checksum,
         face_checksum=face_checksum,
+        rules=tuple(rules),
     )
 
 
@@ -86,22 +93,15 @@ def _split(model: FaceModel, seed: int, max_animphos: int) -> tuple[Array, Array
     return np.concatenate(frames[n_held_out:]), np.concatenate(frames[:n_held_out])
 
 
-def _errors(
-    model: FaceModel,
-    face: SimulatedFace,
-    weights: Array,
-    held_out: Array,
-    min_deg: Array,
-    max_deg: Array,
-) -> HoldOutErrors:
+def _errors(model: FaceModel, mouth: RobotMouth, weights: Array, held_out: Array) -> HoldOutErrors:
     human_mm = model.markers_mm(held_out)
-    nearest_deg = nearest_positions_deg(face, human_mm, min_deg, max_deg)
+    nearest_deg = mouth.nearest_deg(mouth.names.look.features(human_mm))
     free_deg = (held_out - model.rest) @ weights.T
-    positions_deg = np.clip(free_deg, min_deg, max_deg)
+    positions_deg = mouth.kept_deg(free_deg)
     return measure_hold_out(
         human_mm,
-        marker_positions_mm(face, positions_deg),
-        marker_positions_mm(face, nearest_deg),
+        mouth.markers_of(positions_deg),
+        mouth.markers_of(nearest_deg),
         positions_deg - nearest_deg,
         (free_deg != positions_deg).any(axis=1),
     )

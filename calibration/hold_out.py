@@ -1,11 +1,12 @@
 """How well a calibrated face follows motion it was not fitted to."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_NAMES, UPPER_INNER_LIP
 
 Array = NDArray[np.float64]
 
@@ -38,6 +39,8 @@ class HoldOutErrors:
     """Part of the frames, 0..1, in which some servo stood at a limit."""
     joint_rms_deg: tuple[float, ...]
     """For each servo, against the best angles of each frame."""
+    each_marker_rms_mm: Mapping[str, float] = field(default_factory=dict)
+    """For each marker by its name; empty where none was measured."""
 
 
 def measure_hold_out(
@@ -66,7 +69,14 @@ def measure_hold_out(
         closed_gap_mm=float(np.quantile(robot_gap_mm[closed], 0.95)) if closed.any() else 0.0,
         clipped_share=float(clipped.mean()),
         joint_rms_deg=tuple(_rms(column) for column in joint_errors_deg.T),
+        each_marker_rms_mm=each_marker_rms_mm(MARKER_NAMES, robot_mm - human_mm),
     )
+
+
+def each_marker_rms_mm(marker_names: Sequence[str], off_mm: Array) -> dict[str, float]:
+    """(n, n_markers, 3), how far each marker is off -> rms over the frames, by name."""
+    rms_mm = np.sqrt(np.mean(np.sum(off_mm**2, axis=2), axis=0))
+    return dict(zip(marker_names, rms_mm.tolist(), strict=True))
 
 
 def _gap_mm(markers_mm: Array) -> Array:

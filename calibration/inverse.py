@@ -6,28 +6,25 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.nearest_pose import bounded_minimum
+from calibration.coupling_rule import CouplingRule
 
 Array = NDArray[np.float64]
 
 #: (n, n_servos) degrees -> (n, n_markers, 3) millimetres.
 MarkersOf = Callable[[Array], Array]
 
-#: As in nearest_pose: lips are looked at, the skin around them only helps.
+#: Weights of a millimetre: lips are looked at, cheeks and chin only help; whether lips touch shows
+#: most, so the lip gaps count on top of the lips themselves.
 _LIP_WEIGHT, _SKIN_WEIGHT, _GAP_WEIGHT = 1.0, 0.3, 4.0
+#: Millimetres a degree away from neutral is worth: decides between poses that look the same. From
+#: 0.005 to 0.05 no error on grid_s1 changes by 0.005 mm.
 _NEUTRAL_WEIGHT_MM_PER_DEG = 0.02
 #: A millimetre for each degree by which a coupling rule is broken: more than the lips weigh.
 _RULE_WEIGHT_MM_PER_DEG = 5.0
+#: Enough for angles within 0.001 degree of where they would end, measured on grid_s1.
 _ROUNDS = 4
+_SWEEPS = 60
 _DIFFERENCE_DEG = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class CouplingRule:
-    """sum_s weights_s x angle_s <= at_most_deg, e.g. lips that would run into each other."""
-
-    weights: Array
-    at_most_deg: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,3 +94,17 @@ def _slopes(markers_of: MarkersOf, look: Look, angles_deg: Array, reached: Array
         for step in _DIFFERENCE_DEG * np.eye(angles_deg.shape[1])
     ]
     return np.stack(columns, axis=2)
+
+
+def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) -> Array:
+    """The x that minimises x'Ax/2 - b'x with lower <= x <= upper, for n problems at once.
+
+    matrices: (n, k, k), positive definite; rights: (n, k); lower, upper: (k,). Coordinate descent:
+    each coordinate in turn goes to its own bounded minimum, which converges for such problems.
+    """
+    x = np.clip(np.linalg.solve(matrices, rights[..., None])[..., 0], lower, upper)
+    for _ in range(_SWEEPS):
+        for i in range(len(lower)):
+            slope = np.einsum("nk,nk->n", matrices[:, i], x) - rights[:, i]
+            x[:, i] = np.clip(x[:, i] - slope / matrices[:, i, i], lower[i], upper[i])
+    return np.asarray(x)

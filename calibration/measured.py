@@ -17,10 +17,11 @@ from calibration.calibration import (
     Touch,
 )
 from calibration.capture import Capture
-from calibration.inverse import nearest_poses_deg
+from calibration.correspondence import Correspondence, RobotMouth, correspond
+from calibration.coupling_rule import CouplingRule
 from calibration.joint_range import JointRange
 from calibration.measured_errors import ShapeErrors, measure_shapes
-from calibration.retargeting import Correspondence, Retargeting, correspond, fit_retargeting
+from calibration.retargeting import Retargeting, fit_retargeting
 from calibration.robot_face import RobotFace, fit_robot_face
 from calibration.run_time_map import fit_run_time_map
 from calibration.sanity import check_capture
@@ -61,23 +62,25 @@ def fit_measured(
     date: str = "",
     servo_models: tuple[str, ...] = (),
     positive: Sequence[str] = (),
+    rules: tuple[CouplingRule, ...] = (),
     seed: int = 0,
 ) -> MeasuredFit:
     """The whole way: sanity, face, retargeting, inverse, run-time map, errors on held-out AnimPhos.
 
     positive: what a positive angle does, one word a joint as in the face YAML; lets a reversed
-    joint be found. Raises CalibrationError for a capture that cannot be trusted.
+    joint be found. rules: what the joints must not do together. Raises CalibrationError for a
+    capture that cannot be trusted.
     """
     names = correspond(capture.marker_names)
     warnings = check_capture(capture, model, positive)
     face = fit_robot_face(capture)
     limits = (np.array([j.min_deg for j in joints]), np.array([j.max_deg for j in joints]))
     fit, held_out = split_frames(model, seed)
-    retargeting = fit_retargeting(model, fit, names, face.markers_mm, limits)
-    wanted = names.look.features(retargeting.targets_mm(fit - model.rest))
-    poses_deg = nearest_poses_deg(face.markers_mm, wanted, names.look, limits)
+    mouth = RobotMouth(face.markers_mm, names, limits, rules)
+    retargeting = fit_retargeting(model, fit, mouth)
+    found = ShapeErrors(model, mouth, retargeting)
+    poses_deg = found.best_deg(retargeting.targets_mm(fit - model.rest))
     run = fit_run_time_map(fit - model.rest, poses_deg, face.markers_mm, names.look)
-    found = ShapeErrors(model, face.markers_mm, retargeting, names, limits)
     errors, coverage = measure_shapes(found, run, held_out)
     calibration = Calibration(
         servo_names=capture.servo_names,
@@ -93,8 +96,9 @@ def fit_measured(
         face_checksum=face_checksum,
         origin=Origin("measured", date, len(capture), servo_models),
         following=play_only(face.backlash_deg),
-        touch=Touch(_touch_deg(face, retargeting, names, limits), TOUCH_CURRENT_MA),
+        touch=Touch(_touch_deg(mouth, retargeting), TOUCH_CURRENT_MA),
         coverage=coverage,
+        rules=rules,
     )
     return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
 
@@ -116,19 +120,17 @@ def play_only(backlash_deg: Array) -> Following:
     return Following(np.zeros(len(backlash_deg)), backlash_deg, unknown, unknown)
 
 
-def _touch_deg(
-    face: RobotFace, retargeting: Retargeting, names: Correspondence, limits: tuple[Array, Array]
-) -> Array:
+def _touch_deg(mouth: RobotMouth, retargeting: Retargeting) -> Array:
     """(n_servos,): near the robot's closed mouth, with the middle of the lips just meeting.
 
     The closed mouth of speech is pressed, and the shape of the pressed lips pulls the gap with it;
     so the gap asked for is put off by what was missed, a few times.
     """
+    look = mouth.names.look
     closed_mm = retargeting.neutral_mm[None]
-    gaps_mm = names.look.gaps_mm(closed_mm)
+    gaps_mm = look.gaps_mm(closed_mm)
     gaps_mm[..., 1] = 0.0
     for _ in range(_TOUCH_ROUNDS):
-        wanted = names.look.features(closed_mm, gaps_mm)
-        pose_deg = nearest_poses_deg(face.markers_mm, wanted, names.look, limits)
-        gaps_mm[..., 1] -= names.look.gaps_mm(face.markers_mm(pose_deg))[:, :1, 1]
+        pose_deg = mouth.nearest_deg(look.features(closed_mm, gaps_mm))
+        gaps_mm[..., 1] -= look.gaps_mm(mouth.markers_of(pose_deg))[:, :1, 1]
     return np.asarray(pose_deg[0])

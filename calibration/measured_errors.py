@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import VisemeReach
-from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors
-from calibration.inverse import MarkersOf, nearest_poses_deg
-from calibration.retargeting import Correspondence, Retargeting
+from calibration.correspondence import RobotMouth
+from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors, each_marker_rms_mm
+from calibration.retargeting import Retargeting
 from calibration.run_time_map import RunTimeMap
 from lipsync.animpho.model import FaceModel
 from lipsync.phonemes import VISEME_CLASSES
@@ -28,23 +28,20 @@ _FRAMES_PER_CLASS = 30
 
 @dataclass(frozen=True, slots=True)
 class ShapeErrors:
-    """What shapes are measured with: the talker, the face as learnt, what is aimed for, limits."""
+    """What shapes are measured with: the talker, the mouth as learnt, what is aimed for."""
 
     model: FaceModel
-    markers_of: MarkersOf
+    mouth: RobotMouth
     retargeting: Retargeting
-    names: Correspondence
-    limits_deg: tuple[Array, Array]
 
     def best_deg(self, targets_mm: Array) -> Array:
         """(n, n_markers, 3) -> (n, n_servos): the poses that come nearest."""
-        look = self.names.look
-        return nearest_poses_deg(self.markers_of, look.features(targets_mm), look, self.limits_deg)
+        return self.mouth.nearest_deg(self.mouth.names.look.features(targets_mm))
 
     def apart_mm(self, poses_deg: Array, targets_mm: Array) -> Array:
         """(n,): distance of the face's lips from the targets, rms over the lip markers."""
-        lips = list(self.names.look.lips)
-        return lips_apart_mm(self.markers_of(poses_deg), targets_mm, lips)
+        lips = list(self.mouth.names.look.lips)
+        return lips_apart_mm(self.mouth.markers_of(poses_deg), targets_mm, lips)
 
 
 def lips_apart_mm(markers_mm: Array, targets_mm: Array, lips: list[int]) -> Array:
@@ -65,8 +62,8 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
     targets_mm = on.retargeting.targets_mm(from_rest)
     best_deg = on.best_deg(targets_mm)
     free_deg = run.free_deg(from_rest)
-    poses_deg = np.clip(free_deg, *on.limits_deg)
-    robot_mm = on.markers_of(poses_deg)
+    poses_deg = on.mouth.kept_deg(free_deg)
+    robot_mm = on.mouth.markers_of(poses_deg)
     human_gap_mm = np.array([on.model.lip_gap_mm(frame) for frame in held_out])
     gap_mm = _signed_gap_mm(on, robot_mm)
     closed = human_gap_mm <= CLOSED_GAP_MM
@@ -82,6 +79,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
         closed_gap_mm=max(0.0, float(np.quantile(gap_mm[closed], 0.95))) if closed.any() else 0.0,
         clipped_share=float((free_deg != poses_deg).any(axis=1).mean()),
         joint_rms_deg=tuple(_rms(column) for column in (poses_deg - best_deg).T),
+        each_marker_rms_mm=each_marker_rms_mm(on.mouth.names.marker_names, robot_mm - targets_mm),
     )
 
 
@@ -92,7 +90,7 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     from_rest = on.model.animphos[np.concatenate(list(rows.values())), 2] - on.model.rest
     targets_mm = on.retargeting.targets_mm(from_rest)
     best_mm = on.apart_mm(on.best_deg(targets_mm), targets_mm)
-    off_mm = on.apart_mm(np.clip(run.free_deg(from_rest), *on.limits_deg), targets_mm)
+    off_mm = on.apart_mm(on.mouth.kept_deg(run.free_deg(from_rest)), targets_mm)
     reach: dict[str, VisemeReach] = {}
     begin = 0
     for viseme, chosen in rows.items():
@@ -114,7 +112,7 @@ def _rows_of(model: FaceModel, viseme: tuple[str, ...]) -> NDArray[np.int64]:
 
 def _signed_gap_mm(on: ShapeErrors, markers_mm: Array) -> Array:
     """(n,): height of the middle of the upper inner lip over the lower; below 0: pressed."""
-    upper, lower = on.names.look.gaps[0]
+    upper, lower = on.mouth.names.look.gaps[0]
     return np.asarray(markers_mm[:, upper, 1] - markers_mm[:, lower, 1])
 
 

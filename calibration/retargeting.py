@@ -7,28 +7,17 @@ by point, so what the robot does at the poses nearest to that becomes the shape 
 function of the talker's coefficients like the talker's shapes themselves; lip gaps weigh most.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.calibration import CalibrationError
+from calibration.correspondence import Correspondence, RobotMouth
 from calibration.hold_out import CLOSED_GAP_MM
-from calibration.inverse import Look, MarkersOf, nearest_poses_deg
 from lipsync.animpho.model import FaceModel
-from lipsync.markers import LIP_MARKERS, MARKER_NAMES
 
 Array = NDArray[np.float64]
 
-#: Upper and lower; the middle one says how open a mouth is.
-_GAP_NAMES = (
-    ("inner_lip_13", "inner_lip_14"),
-    ("inner_lip_82", "inner_lip_87"),
-    ("inner_lip_312", "inner_lip_317"),
-)
-_MIDDLE_GAP = _GAP_NAMES[0]
-_CORNERS = ("outer_lip_61", "outer_lip_291")
 #: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that
 #: is off by this much still closes.
 PRESS_MM = 0.6
@@ -45,42 +34,6 @@ _USED_SHARE = 0.9
 _SIZES = (1.0, 0.92, 0.85, 0.77, 0.69, 0.62, 0.54)
 _FOLLOWED_MM, _FOLLOWED_SHARE = 0.35, 0.95
 _FRAMES_TO_TRY = 200
-
-
-@dataclass(frozen=True, slots=True)
-class Correspondence:
-    """Which markers both know. human: indices into the model's markers, in the robot's order."""
-
-    marker_names: tuple[str, ...]
-    human: tuple[int, ...]
-    look: Look
-    corners: tuple[int, int]
-
-
-def correspond(marker_names: Sequence[str]) -> Correspondence:
-    """Find what the robot's markers are called in the talker's face: the same.
-
-    Raises CalibrationError for names that no model knows, or without the middle and the corners of
-    the lips, which say how open and how wide a mouth is.
-    """
-    names = tuple(marker_names)
-    unknown = [name for name in names if name not in MARKER_NAMES]
-    if unknown:
-        raise CalibrationError(
-            f"marker {unknown[0]!r} is none of a talker's; known: {', '.join(MARKER_NAMES)}"
-        )
-    for name in (*_MIDDLE_GAP, *_CORNERS):
-        if name not in names:
-            raise CalibrationError(f"marker {name!r} is needed and was not captured")
-    human = tuple(MARKER_NAMES.index(name) for name in names)
-    lips = tuple(i for i, h in enumerate(human) if h in LIP_MARKERS)
-    gaps = tuple(
-        (names.index(upper), names.index(lower))
-        for upper, lower in _GAP_NAMES
-        if upper in names and lower in names
-    )
-    right, left = (names.index(name) for name in _CORNERS)
-    return Correspondence(names, human, Look(lips, gaps), (right, left))
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,23 +55,14 @@ class Retargeting:
         return self.neutral_mm + (from_rest @ self.slopes).reshape(-1, *self.neutral_mm.shape)
 
 
-def fit_retargeting(
-    model: FaceModel,
-    frames: Array,
-    names: Correspondence,
-    markers_of: MarkersOf,
-    limits_deg: tuple[Array, Array],
-) -> Retargeting:
+def fit_retargeting(model: FaceModel, frames: Array, mouth: RobotMouth) -> Retargeting:
     """As large as the robot can follow. frames: (n, n_components), the talker's motion to serve."""
-    human_mm = model.markers_mm(frames)[:, list(names.human)]
-    neutral_mm = markers_of(np.zeros((1, len(limits_deg[0]))))[0]
-    widest = match_ranges(human_mm, neutral_mm, names, markers_of, limits_deg)
+    widest = match_ranges(model.markers_mm(frames)[:, list(mouth.names.human)], mouth)
     some = np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_TO_TRY)).astype(int)
     for size in _SIZES:
-        tried = _aim(model, frames[some], names, markers_of, limits_deg, size * widest)
-        if tried.followed >= _FOLLOWED_SHARE:
+        if _aim(model, frames[some], mouth, size * widest).followed >= _FOLLOWED_SHARE:
             break
-    return _aim(model, frames, names, markers_of, limits_deg, size * widest).retargeting
+    return _aim(model, frames, mouth, size * widest).retargeting
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,27 +73,18 @@ class _Aim:
     followed: float
 
 
-def _aim(
-    model: FaceModel,
-    frames: Array,
-    names: Correspondence,
-    markers_of: MarkersOf,
-    limits_deg: tuple[Array, Array],
-    scale: Array,
-) -> _Aim:
-    human_mm = model.markers_mm(frames)[:, list(names.human)]
-    rest_mm = model.markers_mm(model.rest[None])[:, list(names.human)]
-    neutral_mm = markers_of(np.zeros((1, len(limits_deg[0]))))[0]
-    copies_mm = neutral_mm + scale * (human_mm - rest_mm)
-    wanted = names.look.features(copies_mm, wanted_gaps_mm(human_mm, names, scale))
-    poses_deg = nearest_poses_deg(markers_of, wanted, names.look, limits_deg)
-    shapes_mm = markers_of(poses_deg)
+def _aim(model: FaceModel, frames: Array, mouth: RobotMouth, scale: Array) -> _Aim:
+    human = list(mouth.names.human)
+    human_mm = model.markers_mm(frames)[:, human]
+    rest_mm = model.markers_mm(model.rest[None])[:, human]
+    copies_mm = mouth.neutral_mm() + scale * (human_mm - rest_mm)
+    look = mouth.names.look
+    wanted = look.features(copies_mm, wanted_gaps_mm(human_mm, mouth.names, scale))
+    shapes_mm = mouth.markers_of(mouth.nearest_deg(wanted))
     inputs = np.hstack([np.ones((len(frames), 1)), frames - model.rest])
-    fit: Array = np.linalg.lstsq(inputs, shapes_mm.reshape(len(frames), -1), rcond=None)[0].astype(
-        np.float64
-    )
+    fit = np.asarray(np.linalg.lstsq(inputs, shapes_mm.reshape(len(frames), -1), rcond=None)[0])
     aims_mm = (inputs @ fit).reshape(shapes_mm.shape)
-    lips = list(names.look.lips)
+    lips = list(look.lips)
     left_mm = np.sqrt(np.sum((shapes_mm - aims_mm)[:, lips] ** 2, axis=2).mean(axis=1))
     copy_mm = np.sum((shapes_mm - copies_mm)[:, lips] ** 2, axis=2)
     retargeting = Retargeting(fit[0].reshape(-1, 3), fit[1:], scale, float(np.sqrt(copy_mm.mean())))
@@ -163,22 +98,17 @@ def wanted_gaps_mm(human_mm: Array, names: Correspondence, scale: Array) -> Arra
     return gaps_mm
 
 
-def match_ranges(
-    human_mm: Array,
-    neutral_mm: Array,
-    names: Correspondence,
-    markers_of: MarkersOf,
-    limits_deg: tuple[Array, Array],
-) -> Array:
+def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
     """(3,): robot over talker. Up: so that openings fill the robot's; across: so that widths do.
 
     What is forward is scaled as what is across: both are what the lips' ring does when it rounds.
     """
+    names = mouth.names
     right, left = names.corners
-    size = _width_mm(neutral_mm, names) / np.median(human_mm[:, left, 0] - human_mm[:, right, 0])
-    opening_mm = human_mm[:, names.look.gaps[0][0], 1] - human_mm[:, names.look.gaps[0][1], 1]
     width_mm = human_mm[:, left, 0] - human_mm[:, right, 0]
-    most_open_mm, least_wide_mm, most_wide_mm = _robot_ranges_mm(names, markers_of, limits_deg)
+    size = _width_mm(mouth.neutral_mm(), names) / np.median(width_mm)
+    opening_mm = human_mm[:, names.look.gaps[0][0], 1] - human_mm[:, names.look.gaps[0][1], 1]
+    most_open_mm, least_wide_mm, most_wide_mm = _robot_ranges_mm(mouth)
     up = most_open_mm / np.quantile(opening_mm, _RANGE_QUANTILE)
     human_range_mm = np.diff(np.quantile(width_mm, [1 - _RANGE_QUANTILE, _RANGE_QUANTILE]))[0]
     across = (most_wide_mm - least_wide_mm) / max(human_range_mm, 1e-6)
@@ -192,13 +122,12 @@ def _width_mm(markers_mm: Array, names: Correspondence) -> float:
     return float(markers_mm[left, 0] - markers_mm[right, 0])
 
 
-def _robot_ranges_mm(
-    names: Correspondence, markers_of: MarkersOf, limits_deg: tuple[Array, Array]
-) -> tuple[float, float, float]:
+def _robot_ranges_mm(mouth: RobotMouth) -> tuple[float, float, float]:
     """The widest opening, the narrowest and the widest mouth, each joint at its better end.
 
     Joint by joint, as a hill is climbed along its axes: the faces are close to linear.
     """
+    names, limits_deg, markers_of = mouth.names, mouth.limits_deg, mouth.markers_of
     right, left = names.corners
     upper, lower = names.look.gaps[0]
 

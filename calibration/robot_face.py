@@ -4,59 +4,59 @@ Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.base import clone
-from sklearn.gaussian_process import GaussianProcessRegressor
-from sklearn.gaussian_process.kernels import RBF, ConstantKernel, DotProduct
 from sklearn.linear_model import Ridge
-from sklearn.model_selection import KFold, cross_val_predict
+from sklearn.model_selection import KFold
 from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import FunctionTransformer, PolynomialFeatures
+from sklearn.preprocessing import FunctionTransformer
 
 from calibration.capture import Capture
-from calibration.skin import skin_smoothing
+from calibration.skin_process import (
+    Likely,
+    Poses,
+    fit_process,
+    most_likely,
+    squared_distances_mm2,
+)
 
 Array = NDArray[np.float64]
 
 _FOLDS = 6
-#: Rounds between fitting the face, its play, and the points that the tracker lost; the play of the
-#: simulated robots changes by less than 0.01 degree after the third.
-_ROUNDS = 3
-#: How far along the skin markers are taken to move alike, to choose from; 0: not at all.
-_SKIN_WIDTHS_MM = (0.0, 10.0, 18.0)
-#: Play that a face shows too weakly to be measured is taken to be like that of the others.
-_PRIOR_PLAY_SD_DEG = 0.4
-_DIFFERENCE_DEG = 0.25
+#: Rounds between the likeliest setting and the points that the tracker lost.
+_ROUNDS = 2
 
 
-class Regressor(Protocol):
-    """What scikit-learn's regressors have in common."""
-
-    def fit(self, inputs: Array, outputs: Array) -> "Regressor":
-        """Learn (n, n_inputs) -> (n, n_outputs)."""
+class Learnt(Protocol):
+    """A fitted regression of either kind."""
 
     def predict(self, inputs: Array) -> Array:
-        """(n, n_inputs) -> (n, n_outputs)."""
+        """(n, n_servos) -> (n, n_markers, 3) off the centre."""
+
+
+class Learner(Protocol):
+    """Something that learns from poses, as the rivals below do."""
+
+    def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
+        """Learn (n, n_servos) -> (n, n_markers, 3)."""
 
 
 @dataclass(frozen=True, slots=True)
 class RobotFace:
     """A learnt face. backlash_deg: (n_servos,), the whole width of the play.
 
-    kind: which regression cross-validation chose; skin: (n_markers, n_markers), how it is smoothed
-    over neighbouring markers; left_out_rms_mm: its error on poses left out, in
+    kind: which regression cross-validation chose; left_out_rms_mm: its error on poses left out, in
     each axis, the tracker's noise included; noise_mm: what the fit leaves unexplained.
     """
 
     servo_names: tuple[str, ...]
     marker_names: tuple[str, ...]
     kind: str
-    regressor: Regressor
-    skin: Array
+    learnt: Learnt
     centre_mm: Array
     middle_deg: Array
     half_range_deg: Array
@@ -67,68 +67,81 @@ class RobotFace:
     def markers_mm(self, output_deg: Array) -> Array:
         """(n, n_servos), degrees in the middle of the play -> (n, n_markers, 3)."""
         inputs = (output_deg - self.middle_deg) / self.half_range_deg
-        learnt = np.asarray(self.regressor.predict(inputs))
-        moved_mm = self.skin @ learnt.reshape(len(output_deg), *self.centre_mm.shape)
-        return np.asarray(self.centre_mm + moved_mm)
+        return np.asarray(self.centre_mm + self.learnt.predict(inputs))
 
 
 def fit_robot_face(capture: Capture) -> RobotFace:
     """Learn the face from a capture; points that the tracker lost are left out of the fit.
 
-    The kind of regression is chosen by cross-validation over poses. Play is found from the side
-    that each pose was reached from, together with the face.
+    Play is found from the side that each pose was reached from, together with the face. The kind of
+    regression is chosen by cross-validation over poses.
     """
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
+    half_range_deg = np.maximum((high - low) / 2, 1e-6)
+    poses = Poses(capture.goals_deg, capture.from_below, (high + low) / 2, half_range_deg)
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
     seen = np.isfinite(capture.markers_mm)
     from_centre_mm = np.where(seen, capture.markers_mm - centre_mm, 0.0)
-    face = RobotFace(
+    apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
+    for _ in range(1 if seen.all() else _ROUNDS):
+        likely = most_likely(poses, from_centre_mm, apart_mm2)
+        inputs = poses.inputs(likely.play_deg)
+        process = fit_process(likely, inputs, from_centre_mm, apart_mm2)
+        from_centre_mm = np.where(seen, from_centre_mm, process.predict(inputs))
+    learners = _learners(likely, apart_mm2)
+    left_out_mm = {
+        kind: _left_out_rms_mm(learner, inputs, from_centre_mm, seen)
+        for kind, learner in learners.items()
+    }
+    kind = min(left_out_mm, key=lambda each: left_out_mm[each])
+    learnt = learners[kind].fit(inputs, from_centre_mm)
+    missed_mm = (from_centre_mm - learnt.predict(inputs))[seen]
+    return RobotFace(
         servo_names=capture.servo_names,
         marker_names=capture.marker_names,
-        kind="",
-        regressor=Ridge(),
-        skin=np.eye(len(centre_mm)),
+        kind=kind,
+        learnt=learnt,
         centre_mm=centre_mm,
-        middle_deg=(high + low) / 2,
-        half_range_deg=np.maximum((high - low) / 2, 1e-6),
-        backlash_deg=np.zeros(len(low)),
-        left_out_rms_mm=0.0,
-        noise_mm=0.0,
+        middle_deg=poses.middle_deg,
+        half_range_deg=half_range_deg,
+        backlash_deg=likely.play_deg,
+        left_out_rms_mm=left_out_mm[kind],
+        noise_mm=float(np.sqrt(np.mean(missed_mm**2))),
     )
-    for _ in range(_ROUNDS):
-        face = _refit(face, capture, from_centre_mm, {"ridge, straight": _KINDS["ridge, straight"]})
-        reached_mm = face.markers_mm(_reached_deg(face, capture)) - centre_mm
-        from_centre_mm = np.where(seen, from_centre_mm, reached_mm)
-        face = replace(face, backlash_deg=_play_deg(face, capture, from_centre_mm))
-    face = _refit(face, capture, from_centre_mm, _KINDS)
-    missed = (centre_mm + from_centre_mm - face.markers_mm(_reached_deg(face, capture)))[seen]
-    return replace(face, noise_mm=float(np.sqrt(np.mean(missed**2))))
 
 
-def _reached_deg(face: RobotFace, capture: Capture) -> Array:
-    """(n, n_servos): where the horns stood, behind the play."""
-    return np.asarray(capture.goals_deg - capture.from_below * face.backlash_deg / 2)
+@dataclass(frozen=True, slots=True)
+class _Process:
+    """The process of skin_process.py, its setting found beforehand."""
+
+    likely: Likely
+    apart_mm2: Array
+
+    def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
+        return fit_process(self.likely, inputs, from_centre_mm, self.apart_mm2)
 
 
-def _refit(
-    face: RobotFace, capture: Capture, from_centre_mm: Array, kinds: Mapping[str, Regressor]
-) -> RobotFace:
-    """The kind with the least error on poses left out, fitted to all of them."""
-    inputs = (_reached_deg(face, capture) - face.middle_deg) / face.half_range_deg
-    outputs = from_centre_mm.reshape(len(inputs), -1)
-    skins = [skin_smoothing(face.marker_names, face.centre_mm, w) for w in _SKIN_WIDTHS_MM]
-    folds = KFold(_FOLDS, shuffle=True, random_state=0)
-    least_mm, best = np.inf, face
-    for kind, regressor in kinds.items():
-        predicted = cross_val_predict(regressor, inputs, outputs, cv=folds)
-        for width_mm, skin in zip(_SKIN_WIDTHS_MM, skins, strict=True):
-            missed_mm = skin @ predicted.reshape(from_centre_mm.shape) - from_centre_mm
-            error_mm = float(np.sqrt(np.mean(missed_mm**2)))
-            if error_mm < least_mm:
-                label = f"{kind}, skin {width_mm:g} mm"
-                least_mm, best = error_mm, replace(face, kind=label, skin=skin, regressor=regressor)
-    regressor = clone(best.regressor).fit(inputs, outputs)
-    return replace(best, regressor=regressor, left_out_rms_mm=least_mm)
+class _Ridge:
+    """scikit-learn's regressions: every coordinate of every marker for itself."""
+
+    def __init__(self, regressor: Ridge) -> None:
+        self._regressor = regressor
+
+    def fit(self, inputs: Array, from_centre_mm: Array) -> "_Ridge":
+        fitted = clone(self._regressor).fit(inputs, from_centre_mm.reshape(len(inputs), -1))
+        return _Ridge(fitted)
+
+    def predict(self, inputs: Array) -> Array:
+        return np.asarray(self._regressor.predict(inputs)).reshape(len(inputs), -1, 3)
+
+
+def _learners(likely: Likely, apart_mm2: Array) -> Mapping[str, Learner]:
+    """Regressions to choose from; inputs run from -1 to 1, outputs are millimetres off centre."""
+    return {
+        "gaussian process": _Process(likely, apart_mm2),
+        "ridge, straight": _Ridge(Ridge(0.03)),
+        "ridge, own squares": _Ridge(make_pipeline(FunctionTransformer(_own_squares), Ridge(0.1))),
+    }
 
 
 def _own_squares(inputs: Array) -> Array:
@@ -136,43 +149,14 @@ def _own_squares(inputs: Array) -> Array:
     return np.hstack([inputs, 0.5 * inputs**2])
 
 
-def _candidates() -> dict[str, Regressor]:
-    """Regressions to choose from; inputs run from -1 to 1, outputs are millimetres off centre."""
-    # Straight lines of about 3 mm a half range and a smooth remainder; alpha: variance of noise.
-    straight = ConstantKernel(9.0, "fixed") * DotProduct(1.0, "fixed")
-    bend = ConstantKernel(0.3, "fixed") * RBF(2.0, "fixed")
-    return {
-        "ridge, straight": Ridge(0.03),
-        "ridge, own squares": make_pipeline(FunctionTransformer(_own_squares), Ridge(0.1)),
-        "ridge, all squares": make_pipeline(PolynomialFeatures(2, include_bias=False), Ridge(1.0)),
-        "gaussian process": GaussianProcessRegressor(straight + bend, alpha=0.3, optimizer=None),
-    }
-
-
-_KINDS = _candidates()
-
-
-def _play_deg(face: RobotFace, capture: Capture, from_centre_mm: Array) -> Array:
-    """(n_servos,): play by least squares on what the two sides of approach leave unexplained.
-
-    A joint that its face hardly shows is drawn towards the mean of those that are seen well.
-    """
-    reached_deg = _reached_deg(face, capture)
-    now_mm = face.markers_mm(reached_deg)
-    missing_mm = face.centre_mm + from_centre_mm - now_mm
-    columns = []
-    for step in _DIFFERENCE_DEG * np.eye(len(face.backlash_deg)):
-        slope = (face.markers_mm(reached_deg + step) - now_mm) / _DIFFERENCE_DEG
-        side = capture.from_below @ (step > 0)
-        columns.append((-side[:, None, None] / 2 * slope).ravel())
-    system = np.array(columns)
-    noise = np.mean(missing_mm**2)
-    normal = system @ system.T / noise
-    right = system @ missing_mm.ravel() / noise + normal @ face.backlash_deg
-    seen = np.diag(normal)
-    free = np.linalg.solve(normal + 1e-9 * np.eye(len(normal)), right)
-    mean = float(np.average(free, weights=seen)) if seen.sum() > 0 else 0.0
-    prior = np.eye(len(normal)) / _PRIOR_PLAY_SD_DEG**2
-    return np.maximum(
-        np.linalg.solve(normal + prior, right + prior @ np.full(len(free), mean)), 0.0
-    )
+def _left_out_rms_mm(
+    learner: Learner, inputs: Array, from_centre_mm: Array, seen: NDArray[np.bool_]
+) -> float:
+    """In each axis, over the points that the tracker saw."""
+    predicted = np.empty_like(from_centre_mm)
+    folds = KFold(min(_FOLDS, len(inputs)), shuffle=True, random_state=0)
+    for rows, left_out in folds.split(inputs):
+        predicted[left_out] = learner.fit(inputs[rows], from_centre_mm[rows]).predict(
+            inputs[left_out]
+        )
+    return float(np.sqrt(np.mean((predicted - from_centre_mm)[seen] ** 2)))

@@ -10,7 +10,7 @@ from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
 from lipservo.pipeline import Speech, Street, Synthesizer
-from lipservo.servos import bridge_for, bus_for
+from lipservo.servos import bridge_for, bus_for, mouth_rules
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.audio.source import AudioSource
@@ -51,7 +51,8 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     calibration = parse_calibration(file.read_text(encoding="utf-8"), file.name)
     check_calibration(calibration, model, list(settings.mouth_servos), settings.checksum)
     check_servo_models(calibration, [servo.model for servo in settings.mouth_servos.values()])
-    whole = calibration.for_servos(list(settings.servos))
+    kept = replace(calibration, rules=mouth_rules(settings))
+    whole = kept.for_servos(list(settings.servos))
     return Face(settings, model, whole, settings.joints())
 
 

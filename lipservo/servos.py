@@ -2,6 +2,9 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
+from calibration.coupling_rule import CouplingRule
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import Clock
@@ -62,6 +65,19 @@ def bridge_for(
         prevent=prevent_rules(face),
         tolerant=tolerant,
         dry_run=dry_run,
+    )
+
+
+def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
+    """The same rules as a calibration keeps them, in the order of the mouth's servos alone.
+
+    Necks and eyes count as at rest: a calibration moves the mouth only.
+    """
+    return tuple(
+        CouplingRule(
+            np.array([rule.joints.get(name, 0.0) for name in face.mouth_servos]), rule.above
+        )
+        for rule in face.prevent
     )
 
 

@@ -17,18 +17,19 @@ from calibration.calibration_file import load_calibration, parse_calibration, sa
 from calibration.calibration_text import calibration_text
 from calibration.capture import Capture, capture_poses
 from calibration.capture_plan import plan_poses
+from calibration.correspondence import correspond
+from calibration.coupling_rule import CouplingRule
 from calibration.guided import CLOSED, fit_guided, landmark_poses
 from calibration.hold_out import CLOSED_GAP_MM
-from calibration.inverse import CouplingRule, Look, nearest_poses_deg
+from calibration.inverse import Look, nearest_poses_deg
 from calibration.joint_range import JointRange
 from calibration.measured import MeasuredFit, fit_measured, split_frames
 from calibration.measured_errors import lips_apart_mm
-from calibration.retargeting import MOST_EXAGGERATION, correspond
+from calibration.retargeting import MOST_EXAGGERATION
 from calibration.robot_face import fit_robot_face
 from calibration.run_time_map import fit_run_time_map
 from calibration.simulated_face import POSITIVE_DIRECTIONS
 from calibration.simulated_robot import SimulatedRobot, draw_robot, true_markers_mm
-from calibration.skin import skin_smoothing
 from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_NAMES, UPPER_INNER_LIP
 from lipsync.phonemes import VISEME_CLASSES
 
@@ -86,20 +87,6 @@ def test_lost_points_hardly_matter(capture):
     poses_deg = np.random.default_rng(0).uniform(-12, 12, (50, 10)).clip(*LIMITS)
     missed_mm = face.markers_mm(poses_deg) - true_markers_mm(DRAW, poses_deg)
     assert np.sqrt(np.mean(missed_mm**2)) < 0.4
-
-
-def test_skin_smoothing_keeps_what_is_smooth_and_does_not_glue_the_lips():
-    smoothing = skin_smoothing(MARKER_NAMES, REST_MM, 18.0)
-    even = np.ones(47)
-    assert smoothing @ even == pytest.approx(even, abs=0.1)
-    opening = np.zeros(47)
-    opening[UPPER_INNER_LIP], opening[LOWER_INNER_LIP] = 1.0, -1.0
-    kept = smoothing @ opening
-    assert kept[UPPER_INNER_LIP] > 0.1
-    assert kept[LOWER_INNER_LIP] < -0.1
-    noise = np.random.default_rng(2).normal(size=(47, 500))
-    assert (smoothing @ noise).std() < 0.85
-    assert np.array_equal(skin_smoothing(MARKER_NAMES, REST_MM, 0.0), np.eye(47))
 
 
 def linear_face(slopes: np.ndarray):

@@ -1,0 +1,209 @@
+"""One Gaussian process over joints and skin: neighbouring markers move alike, joints bend a little.
+
+    cov(marker p at pose x, marker q at pose y) = K(x, y) S(p, q), each axis for itself, plus noise
+    K(x, y) = K0 + s + bend s^2,  s = sum_j reach_j x_j y_j     (straight lines, squares, products)
+    S(p, q) = exp(-d(p, q)^2 / 2 width^2) + own [p = q],         d along the skin
+
+The covariance is a Kronecker product, so two small eigendecompositions solve it (Rasmussen and
+Williams, Gaussian Processes for Machine Learning, 2006, sections 2.2 and 5.4.1). The play of the
+joints, their reaches, bend, width and noise are those under which the capture is most likely.
+Loads SciPy; the live path never does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
+
+Array = NDArray[np.float64]
+
+#: Variance of where a marker is on average, mm^2: unknown.
+_CONSTANT_MM2 = 100.0
+#: The plays of one robot are like one another by so much, about a common mean.
+_PLAY_SD_DEG = 0.4
+_FIRST_PLAY_DEG = 0.5
+#: Where the search for the most likely setting begins: reach in mm^2 of a half range, bend per
+#: mm^2, noise in mm^2, width in mm, own part. It ends at the same place from half or twice these.
+_FIRST = (3.0, 0.02, 0.3, 14.0, 0.05)
+_MOST_STEPS = 200
+
+_UPPER_LIP = (39, 37, 0, 267, 269, 82, 13, 312)
+_LOWER_LIP = (405, 314, 17, 84, 181, 317, 14, 87)
+#: The two lips count as this far from their corners across the slit, one up and one down, so that
+#: closed lips are not taken for one piece. Between 10 and 20 mm nothing changes by 0.01 mm.
+_SLIT_MM = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Poses:
+    """Where a face was captured: inputs are -1..1 over each joint's captured range.
+
+    goals_deg, from_below: (n, n_servos), from_below as in a `Capture`.
+    """
+
+    goals_deg: Array
+    from_below: Array
+    middle_deg: Array
+    half_range_deg: Array
+
+    def inputs(self, play_deg: Array) -> Array:
+        """(n, n_servos): where the horns stood, behind the play."""
+        reached_deg = self.goals_deg - self.from_below * play_deg / 2
+        return np.asarray((reached_deg - self.middle_deg) / self.half_range_deg)
+
+
+@dataclass(frozen=True, slots=True)
+class Likely:
+    """The most likely setting. play_deg, reach_mm2: (n_servos,)."""
+
+    play_deg: Array
+    reach_mm2: Array
+    bend: float
+    noise_mm2: float
+    width_mm: float
+    own: float
+
+    def joints(self, one: Array, other: Array) -> Array:
+        """(n, n_servos) and (m, n_servos) -> K, (n, m)."""
+        straight = (one * self.reach_mm2) @ other.T
+        return np.asarray(_CONSTANT_MM2 + straight + self.bend * straight**2)
+
+    def skin(self, apart_mm2: Array) -> Array:
+        """Squared distances (n_markers, n_markers) -> S."""
+        alike = np.exp(-0.5 * apart_mm2 / self.width_mm**2)
+        return np.asarray(alike + self.own * np.eye(len(apart_mm2)))
+
+
+@dataclass(frozen=True, slots=True)
+class SkinProcess:
+    """A face as the process expects it, fitted at `inputs` (n, n_servos).
+
+    solved: (n, n_markers, 3), what each captured pose adds.
+    """
+
+    likely: Likely
+    inputs: Array
+    solved: Array
+
+    def predict(self, inputs: Array) -> Array:
+        """(m, n_servos) -> (m, n_markers, 3), off the centre."""
+        weights = self.likely.joints(inputs, self.inputs)
+        return np.asarray(np.tensordot(weights, self.solved, axes=1))
+
+
+def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
+    """(n_markers, n_markers): along the skin, which is slit at the mouth. rest_mm: (n, 3)."""
+    beyond_slit_mm = np.array([_SLIT_MM * _side(name) for name in marker_names])
+    places_mm = np.column_stack([rest_mm, beyond_slit_mm])
+    return np.asarray(np.sum((places_mm[:, None] - places_mm) ** 2, axis=2))
+
+
+def _side(name: str) -> float:
+    """1 on the upper lip, -1 on the lower, 0 elsewhere and in the corners."""
+    if name not in MARKER_NAMES:
+        return 0.0
+    landmark = MARKER_LANDMARKS[MARKER_NAMES.index(name)]
+    return float(landmark in _UPPER_LIP) - float(landmark in _LOWER_LIP)
+
+
+def most_likely(poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> Likely:
+    """from_centre_mm: (n, n_markers, 3), without gaps; apart_mm2 as from above."""
+    n_servos = poses.goals_deg.shape[1]
+    first = np.concatenate(
+        [
+            np.full(n_servos, _FIRST_PLAY_DEG),
+            np.log(np.concatenate([np.full(n_servos, _FIRST[0]), _FIRST[1:]])),
+        ]
+    )
+    bounds = [(0.0, None)] * n_servos + [(-20.0, 20.0)] * (n_servos + 4)
+    found = minimize(
+        _Unlikeliness(poses, from_centre_mm, apart_mm2),
+        first,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=bounds,
+        options={"maxiter": _MOST_STEPS},
+    )
+    return _unpacked(found.x, n_servos)
+
+
+def fit_process(
+    likely: Likely, inputs: Array, from_centre_mm: Array, apart_mm2: Array
+) -> SkinProcess:
+    """What a capture says under a setting: the process given the captured poses."""
+    on = _Solution(likely.joints(inputs, inputs), likely.skin(apart_mm2), likely.noise_mm2)
+    weighed = on.rotated(from_centre_mm) / on.spread[:, :, None]
+    solved = np.einsum(
+        "ni,ijk,mj,mp->npk", on.poses, weighed, on.points, likely.skin(apart_mm2), optimize=True
+    )
+    return SkinProcess(likely, inputs, solved)
+
+
+def _unpacked(parameters: Array, n_servos: int) -> Likely:
+    reach = np.exp(parameters[n_servos : 2 * n_servos])
+    bend, noise, width, own = np.exp(parameters[2 * n_servos :]).tolist()
+    return Likely(parameters[:n_servos], reach, bend, noise, width, own)
+
+
+class _Solution:
+    """Eigenvectors of the two parts, and the variance in each pair of directions (n, n_markers)."""
+
+    def __init__(self, joints: Array, skin: Array, noise_mm2: float) -> None:
+        self.pose_sizes, self.poses = np.linalg.eigh(joints)
+        self.point_sizes, self.points = np.linalg.eigh(skin)
+        sizes = np.outer(self.pose_sizes, self.point_sizes)
+        self.spread = np.maximum(sizes, 0.0) + noise_mm2
+
+    def rotated(self, values: Array) -> Array:
+        """(n, n_markers, 3) into both sets of directions."""
+        return np.asarray(
+            np.einsum("ni,nmk,mj->ijk", self.poses, values, self.points, optimize=True)
+        )
+
+
+class _Unlikeliness:
+    """Minus the log likelihood and its slope, by the parameters of `_unpacked`."""
+
+    def __init__(self, poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> None:
+        self._poses = poses
+        self._values = from_centre_mm
+        self._apart = apart_mm2
+
+    def __call__(self, parameters: Array) -> tuple[float, Array]:
+        n_servos = self._poses.goals_deg.shape[1]
+        likely = _unpacked(parameters, n_servos)
+        x = self._poses.inputs(likely.play_deg)
+        on = _Solution(likely.joints(x, x), likely.skin(self._apart), likely.noise_mm2)
+        rotated = on.rotated(self._values)
+        weighed = rotated / on.spread[:, :, None]
+        axes = self._values.shape[2]
+        cost = 0.5 * float((rotated * weighed).sum()) + 0.5 * axes * float(np.log(on.spread).sum())
+
+        by_pose = -np.einsum("ajk,bjk,j->ab", weighed, weighed, on.point_sizes, optimize=True)
+        by_pose += np.diag(axes * (on.point_sizes / on.spread).sum(axis=1))
+        by_joints = 0.5 * on.poses @ by_pose @ on.poses.T
+        by_point = -np.einsum("iak,ibk,i->ab", weighed, weighed, on.pose_sizes, optimize=True)
+        by_point += np.diag(axes * (on.pose_sizes[:, None] / on.spread).sum(axis=0))
+        by_skin = 0.5 * on.points @ by_point @ on.points.T
+        by_noise = 0.5 * (axes * (1.0 / on.spread).sum() - (weighed**2).sum())
+
+        straight = (x * likely.reach_mm2) @ x.T
+        by_straight = by_joints * (1.0 + 2.0 * likely.bend * straight)
+        by_input = 2.0 * by_straight @ (x * likely.reach_mm2)
+        by_play = (by_input * -self._poses.from_below / 2 / self._poses.half_range_deg).sum(axis=0)
+        unlike = likely.play_deg - likely.play_deg.mean()
+        cost += 0.5 * float((unlike**2).sum()) / _PLAY_SD_DEG**2
+        by_play += unlike / _PLAY_SD_DEG**2
+        by_reach = np.einsum("ns,nm,ms->s", x, by_straight, x, optimize=True)
+        alike = np.exp(-0.5 * self._apart / likely.width_mm**2)
+        slopes = [
+            likely.bend * (by_joints * straight**2).sum(),
+            likely.noise_mm2 * by_noise,
+            (by_skin * alike * self._apart).sum() / likely.width_mm**2,
+            likely.own * np.trace(by_skin),
+        ]
+        return cost, np.concatenate([by_play, likely.reach_mm2 * by_reach, slopes])
