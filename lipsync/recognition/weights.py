@@ -14,7 +14,8 @@ from lipsync.recognition.features import N_BANDS, FeatureScale
 from lipsync.recognition.network import Layer, NetworkWeights
 
 _FORMAT = 1
-_SHIPPED = "recognizer.npz"
+#: The weights that come with the package, by name.
+SHIPPED = {"default": "recognizer.npz", "grid": "recognizer_grid.npz"}
 
 
 class WeightsError(UserError):
@@ -60,10 +61,21 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
     return weights
 
 
-def load_shipped_weights() -> NetworkWeights:
+def load_shipped_weights(name: str = "default") -> NetworkWeights:
     """The weights that come with the package; WeightsError where they are missing or damaged."""
-    with resources.as_file(resources.files("lipsync.models") / _SHIPPED) as path:
+    with resources.as_file(resources.files("lipsync.models") / SHIPPED[name]) as path:
         return load_weights(path)
+
+
+def find_weights(name_or_path: str) -> NetworkWeights:
+    """Shipped weights by name, or those of a file; WeightsError for neither."""
+    if name_or_path in SHIPPED:
+        return load_shipped_weights(name_or_path)
+    if not Path(name_or_path).exists():
+        raise WeightsError(
+            f"{name_or_path}: no such file; give one, or shipped weights: {', '.join(SHIPPED)}"
+        )
+    return load_weights(name_or_path)
 
 
 def _weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
