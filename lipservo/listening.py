@@ -35,7 +35,7 @@ def heard_events(source: AudioSource, engine: Engine) -> Iterator[PhonemeEvent]:
             if length_s is None:
                 heard_s = blocks[-1].end_s if blocks else 0.0
                 time.sleep(0.0 if blocks else _ASK_EVERY_S)
-            for update in recognizer.updates(heard_s):
+            for update in recognizer.updates():
                 timeline.apply(update)
             for event in _settled(timeline, told_until_s, end_s):
                 told_until_s = event.end_s or told_until_s

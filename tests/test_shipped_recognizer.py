@@ -45,7 +45,7 @@ def listen(recognizer, samples, on_block=lambda _timeline, _end_s: None):
     for first in range(0, len(samples), 160):
         block = AudioBlock(samples[first : first + 160].astype(np.float32), first / RATE_HZ)
         recognizer.feed(block)
-        for update in recognizer.updates(block.end_s):
+        for update in recognizer.updates():
             timeline.apply(update)
         on_block(timeline, block.end_s)
     return timeline

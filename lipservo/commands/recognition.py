@@ -134,9 +134,7 @@ def train_recognizer(
     ] = None,
     start_from: Annotated[
         str | None,
-        typer.Option(
-            help="Weights to go on from: default, grid, or a file.", show_default=False
-        ),
+        typer.Option(help="Weights to go on from: default, grid, or a file.", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
     steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 2_000,

@@ -104,8 +104,9 @@ def train_network(
     """Learn from arrays (the first one is the light copy); returns the averaged weights.
 
     `folder` keeps the state (`state.pt`) and the run log (`log.jsonl`): a run that finds a state
-    there goes on from it. `start`: weights to begin with in place of random ones; raises
-    TrainingError where they are of another shape than the plan's. `check` scores the weights so far; its figures go into the log.
+    there goes on from it. `start`: weights to begin with in place of random ones. `check` scores
+    the weights so far; its figures go into the log. Raises TrainingError where `start` is of
+    another shape than the plan's.
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)
