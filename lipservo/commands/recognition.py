@@ -12,8 +12,9 @@ from typing import Annotated
 import typer
 from rich.progress import Progress, TimeRemainingColumn
 
-from lipservo.commands.options import EngineChoice, Json, Quiet
+from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
 from lipservo.output import MESSAGES, RESULTS, print_json
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights_name
 
 Jobs = Annotated[
     int | None,
@@ -77,6 +78,7 @@ def recognize(
         Path | None, typer.Option("--output", "-o", help="TextGrid to write at the end.")
     ] = None,
     engine: EngineChoice = "network",
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
 ) -> None:
     """Print the phonemes of a sound file, or of a microphone as they are spoken, with their times.
@@ -90,10 +92,11 @@ def recognize(
     from lipsync.audio.file import FileSource
     from lipsync.textgrid import write_tiers
 
+    check_weights_name(weights)
     source = FileSource(sound) if sound is not None else open_microphone(mic or DEFAULT_MICROPHONE)
     events = []
     try:
-        for event in heard_events(source, engine):
+        for event in heard_events(source, engine, weights):
             if output is not None:
                 events.append(event)
             if as_json:
@@ -172,8 +175,12 @@ def train_recognizer(
     MESSAGES.print(f"{output}: done; run log: {folder / 'log.jsonl'}", soft_wrap=True)
 
 
+#: What is done, how many, of how many.
+Advance = Callable[[str, int, int], None]
+
+
 @contextmanager
-def progress_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+def progress_bar(*, quiet: bool) -> Iterator[Advance]:
     """A function (what, how many are done, of how many) that draws bars on stderr."""
     columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
     with Progress(*columns, console=MESSAGES, transient=True, disable=quiet) as progress:

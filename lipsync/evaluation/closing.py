@@ -2,14 +2,14 @@
 
 Recordings are cut dead in the middle of a vowel, or silence is put before a stop consonant, and
 recogniser and synthesiser run as they do live. All times are sound time: the face that belongs to
-an instant of the sound. Shown it is a constant later (`Closing.delay_s`), in which the look-ahead
-was spent; so a mouth may begin to close before the voice stops.
+an instant of the sound. Shown it is a constant later (`ClosingBench.delay_s`), in which the
+look-ahead was spent; so a mouth may begin to close before the voice stops.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,12 +25,21 @@ Samples = NDArray[np.float32]
 #: (phoneme, first frame, frame after the last), 10 ms each.
 Phones = Sequence[tuple[str, int, int]]
 
-_VOWELS = frozenset("AA AE AH AO AW AY EH ER EY IH IY OW OY UH UW".split())
+_VOWELS = frozenset(
+    ["AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW"]
+)
 #: P and B are stops too, but there the lips do close.
-_STOPS = frozenset("T D K G".split())
+_STOPS = frozenset(["T", "D", "K", "G"])
 _HOP = round(BLOCK_S * SAMPLE_RATE_HZ)
 #: Heard before the cut, and silence after it.
 _BEFORE_S, _AFTER_S = 2.0, 0.8
+_LEAST_BEFORE_S = 0.5
+#: Cuts and stops that are tried in each recording.
+_CUTS, _STOPS_EACH = 3, 1
+GAPS_S = (0.04, 0.08, 0.12)
+#: A mouth sent to rest by a gap is on its way so long after it.
+_GAP_MARGIN_S = 0.05
+_ROOM_DB = -40.0
 _LEAST_VOWEL_FRAMES = 6
 #: A mouth less open than this at the cut has nothing to close, mm beyond the gap at rest.
 _LEAST_OPENING_MM = 2.0
@@ -38,30 +47,21 @@ _LEAST_OPENING_MM = 2.0
 _BEGUN, _COMPLETE = 0.1, 0.9
 
 
-class SpeakingRecognizer(LiveRecognizer, Protocol):
-    """A recogniser that says whether somebody speaks."""
-
-    @property
-    def is_speaking(self) -> bool:
-        """Whether speech is going on."""
-
-
 @dataclass(frozen=True, slots=True)
 class Mouth:
-    """What the mouth does after an instant of sound.
+    """What the mouth does after an instant of sound, every 10 ms from there on.
 
-    opening_mm (n,): lip gap beyond the one at rest, every 10 ms from the instant on; is_speaking
-    (n,): the recogniser's voice activity when that much sound was heard.
+    opening_mm (n,): lip gap beyond the one at rest; is_resting (n,): whether it is going to rest.
     """
 
     opening_mm: Array
-    is_speaking: NDArray[np.bool_]
+    is_resting: NDArray[np.bool_]
 
 
 class ClosingBench:
     """A recogniser and a mouth to be watched."""
 
-    def __init__(self, recognizer: SpeakingRecognizer, model: FaceModel, lookahead_s: float) -> None:
+    def __init__(self, recognizer: LiveRecognizer, model: FaceModel, lookahead_s: float) -> None:
         self._recognizer = recognizer
         self._synthesizer = LiveSynthesizer(model, Style(lookahead_s))
         self._gap = lip_gap_of(model)
@@ -76,7 +76,7 @@ class ClosingBench:
         """Play samples (n,) from silence on; the mouth from `from_s` to the end."""
         self._recognizer.reset()
         self._synthesizer.reset()
-        openings, speaking = [], []
+        openings, resting = [], []
         n_behind = math.ceil(self.delay_s / BLOCK_S - 1e-6)
         padded = np.concatenate((samples, np.zeros(n_behind * _HOP, np.float32)))
         for number in range(len(padded) // _HOP):
@@ -84,17 +84,80 @@ class ClosingBench:
             self._recognizer.feed(AudioBlock(padded[start : start + _HOP], start / SAMPLE_RATE_HZ))
             for update in self._recognizer.updates():
                 self._synthesizer.push(update)
-            speaking.append(self._recognizer.is_speaking)
             if number + 1 >= n_behind:
                 face = self._synthesizer.coefficients_at((number + 1 - n_behind) * BLOCK_S)
                 openings.append(self._width_mm(face) - self._rest_mm)
-        # Openings are those at 0, 10, 20 ms; the activity is that after 10, 20, 30 ms of sound.
+                resting.append(self._synthesizer.is_resting)
         first = round(from_s / BLOCK_S)
-        n = len(openings)
-        return Mouth(np.array(openings[first:]), np.array(speaking[first - 1 : n - 1]))
+        return Mouth(np.array(openings[first:]), np.array(resting[first:]))
 
     def _width_mm(self, face: Array) -> float:
         return float(np.linalg.norm(self._gap.at_mean_mm + face @ self._gap.per_face))
+
+
+def closing_figures(
+    bench: ClosingBench,
+    recordings: Iterable[tuple[Samples, Phones]],
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    """Watch the mouth over recordings with their phones; figures by name.
+
+    Every recording is cut in some of its vowels and gets gaps before some of its stops, once with
+    digital silence there and once with room noise 40 dB below the speech all over.
+    """
+    cuts: list[tuple[float, float]] = []
+    rests: dict[float, list[bool]] = {gap_s: [] for gap_s in GAPS_S}
+    n_cuts = 0
+    for samples, phones in recordings:
+        room = _room_noise(rng, samples)
+        for cut_s in _some(rng, vowel_cuts(phones), _CUTS):
+            for noise in (None, room):
+                sound, at_s = cut_dead(samples, cut_s)
+                n_cuts += 1
+                times = closing_times(bench.watch(_in(noise, sound), at_s).opening_mm)
+                if times is not None:
+                    cuts.append(times)
+        for at_s in _some(rng, stop_onsets(phones), _STOPS_EACH):
+            for gap_s in GAPS_S:
+                for noise in (None, room):
+                    sound, from_s = with_gap(samples, at_s, gap_s)
+                    mouth = bench.watch(_in(noise, sound), from_s)
+                    n_gap = round((gap_s + _GAP_MARGIN_S) / BLOCK_S)
+                    rests[gap_s].append(bool(mouth.is_resting[:n_gap].any()))
+    figures: dict[str, float] = {"closing_cuts": n_cuts, "closing_cuts_with_open_mouth": len(cuts)}
+    for name, column in (("begins", 0), ("complete", 1)):
+        times_ms = 1e3 * np.array([times[column] for times in cuts] or [math.nan])
+        for percent in (50, 95, 100):
+            # Of the values themselves: infinite ones cannot be interpolated.
+            value = np.percentile(times_ms, percent, method="higher")
+            figures[f"closing_{name}_ms_p{percent}"] = float(value)
+    for gap_s, rested in rests.items():
+        figures[f"gap_{1e3 * gap_s:.0f}_ms_brought_to_rest"] = _share(rested)
+    figures["gaps_of_each_length"] = len(rests[GAPS_S[0]])
+    figures["closing_delay_ms"] = 1e3 * bench.delay_s
+    return figures
+
+
+def _share(flags: list[bool]) -> float:
+    return sum(flags) / len(flags) if flags else math.nan
+
+
+def _some(rng: np.random.Generator, instants_s: list[float], n: int) -> list[float]:
+    """At most n of the instants that have enough sound before them."""
+    late = [instant_s for instant_s in instants_s if instant_s >= _LEAST_BEFORE_S]
+    return [float(x) for x in rng.choice(late, min(n, len(late)), replace=False)] if late else []
+
+
+def _room_noise(rng: np.random.Generator, samples: Samples) -> Samples:
+    """Noise for any part of a recording: 40 dB below it, long enough for the longest part."""
+    n = round((2 * _BEFORE_S + _AFTER_S + max(GAPS_S)) * SAMPLE_RATE_HZ)
+    level = float(np.sqrt(np.mean(np.square(samples)))) * 10.0 ** (_ROOM_DB / 20.0)
+    noise: Samples = np.asarray(level * rng.standard_normal(n), np.float32)
+    return noise
+
+
+def _in(noise: Samples | None, sound: Samples) -> Samples:
+    return sound if noise is None else sound + noise[: len(sound)]
 
 
 def vowel_cuts(phones: Phones) -> list[float]:
@@ -110,7 +173,7 @@ def stop_onsets(phones: Phones) -> list[float]:
     """Where a stop consonant follows a vowel, s."""
     return [
         onset * BLOCK_S
-        for (before, _, _), (phone, onset, _) in zip(phones, phones[1:], strict=False)
+        for (before, _, _), (phone, onset, _) in pairwise(phones)
         if before in _VOWELS and phone in _STOPS
     ]
 

@@ -7,7 +7,6 @@ from numpy.typing import NDArray
 
 from lipsync.audio.block import AudioBlock
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeUpdate
-from lipsync.recognition.activity import VoiceActivity
 from lipsync.recognition.belief import FrameBelief
 from lipsync.recognition.decoder import QUICK, SMOOTH, DecoderSettings, SwitchDecoder
 from lipsync.recognition.features import FRAMES_PER_S, LevelNormalizer, LogMelStream
@@ -54,11 +53,6 @@ class NetworkRecognizer:
         """At sound time t the phonemes before t - latency_s are settled."""
         return _WINDOW_S + self._delay / FRAMES_PER_S
 
-    @property
-    def is_speaking(self) -> bool:
-        """Whether somebody speaks, or stopped less than 150 ms ago."""
-        return self._activity.is_speaking
-
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
         self._intake = SoundIntake()
@@ -66,7 +60,6 @@ class NetworkRecognizer:
         self._normalizer = LevelNormalizer(self._weights.scale)
         self._network = StreamingNetwork(self._weights)
         self._decoder = SwitchDecoder(self._weights.delays, self._delay, self._settings)
-        self._activity = VoiceActivity()
         self._belief = FrameBelief(FRAMES_PER_S, self._delay + 1)
         # Of the last frames, the newest last: whether there was anything to hear.
         self._audible = deque([True] * (self._weights.delays[-1] + 1), self._weights.delays[-1] + 1)
@@ -112,7 +105,6 @@ class NetworkRecognizer:
                 if not self._audible[-1 - delay]:  # each head speaks about a frame of its own
                     posteriors[head] = 0.0
                     posteriors[head, _SILENCE_INDEX] = 1.0
-            self._activity.hear(float(posteriors[0, _SILENCE_INDEX]))
             settled, self._open = self._decoder.push(posteriors)
             if settled is not None:
                 self._settled.append(settled)
