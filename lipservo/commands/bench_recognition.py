@@ -96,6 +96,9 @@ def listening(
     limit: Limit = None,
     cache: Cache = None,
     model: Model = None,
+    hours: Annotated[
+        float, typer.Option(min=0.0, help="Also hear so much speech without a pause.")
+    ] = 0.0,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -111,7 +114,8 @@ def listening(
         for name, sound in quiet_sounds(np.random.default_rng(0)).items()
     }
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        costs_s = block_costs_s(recognizer, read_speech(clip))
+        speech = read_speech(clip)
+    costs_s = block_costs_s(recognizer, speech)
     for percent in (50, 99):
         figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
     if corpus is not None:
@@ -133,6 +137,20 @@ def listening(
                 ),
                 np.random.default_rng(0),
             )
+    if hours > 0.0:
+        from lipservo.summary import resident_mb
+        from lipsync.recognition.endurance import endure, without_pauses
+
+        speech = without_pauses(recognizer, speech)
+        with progress_bar(quiet=quiet) as advance:
+            endured = endure(
+                recognizer,
+                speech,
+                hours * 3600.0,
+                resident_mb,
+                lambda done, whole: advance("enduring", done, whole),
+            )
+        figures |= endured.as_dict()
     _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
 
 
