@@ -10,19 +10,24 @@ from lipsync.audio.block import BLOCK_S
 from lipsync.audio.silence import SilenceAfter
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.weights import DEFAULT_WEIGHTS
 from lipsync.timeline import PhonemeTimeline
 
 #: How often a microphone is asked for what has come.
 _ASK_EVERY_S = 0.02
 
 
-def heard_events(source: AudioSource, engine: Engine) -> Iterator[PhonemeEvent]:
+def heard_events(
+    source: AudioSource, engine: Engine, weights: str = DEFAULT_WEIGHTS
+) -> Iterator[PhonemeEvent]:
     """Every phoneme of the source with its start and end, as soon as its end is settled.
 
     A file is heard as fast as it goes, and to its end; a microphone until nobody asks any more.
     """
     length_s = source.duration_s
-    recognizer = make_recognizer(engine, None if length_s is not None else time.perf_counter)
+    recognizer = make_recognizer(
+        engine, None if length_s is not None else time.perf_counter, weights
+    )
     sound = source if length_s is None else SilenceAfter(source)
     end_s = math.inf if length_s is None else length_s
     timeline, told_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
@@ -35,7 +40,7 @@ def heard_events(source: AudioSource, engine: Engine) -> Iterator[PhonemeEvent]:
             if length_s is None:
                 heard_s = blocks[-1].end_s if blocks else 0.0
                 time.sleep(0.0 if blocks else _ASK_EVERY_S)
-            for update in recognizer.updates(heard_s):
+            for update in recognizer.updates():
                 timeline.apply(update)
             for event in _settled(timeline, told_until_s, end_s):
                 told_until_s = event.end_s or told_until_s

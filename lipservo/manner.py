@@ -11,6 +11,7 @@ from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.ladder import RecognizerLadder, Rung
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights_name, find_weights
 
 #: Which recogniser is tried first.
 Engine = Literal["network", "pocketsphinx"]
@@ -21,13 +22,18 @@ _POCKETSPHINX_LATENCY_S = 0.09
 
 @dataclass(frozen=True, slots=True)
 class Manner:
-    """The recogniser to begin with, the strategy by name, and the style of ours."""
+    """The recogniser to begin with, the strategy by name, and the style of ours.
+
+    weights: shipped ones by name, or a file; refused here, as a live face would only fall back.
+    """
 
     engine: Engine = "network"
+    weights: str = DEFAULT_WEIGHTS
     strategy: str = LIVE_STRATEGY
     style: Style = field(default_factory=Style)
 
     def __post_init__(self) -> None:
+        check_weights_name(self.weights)
         known = (LIVE_STRATEGY, *STRATEGIES)
         if self.strategy not in known:
             raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
@@ -41,22 +47,28 @@ def make_synthesizer(model: FaceModel, manner: Manner) -> Synthesizer:
 
 
 def make_recognizer(
-    engine: Engine = "network", timer_s: Callable[[], float] | None = None
+    engine: Engine = "network",
+    timer_s: Callable[[], float] | None = None,
+    weights: str = DEFAULT_WEIGHTS,
 ) -> RecognizerLadder:
     """The live recogniser, from the engine's rung of the ladder down.
 
     timer_s: a clock in seconds, to see that a rung takes longer than the sound lasts; None where
     nobody waits for it.
     """
-    first = [rung.name for rung in _RUNGS].index(engine)
-    return RecognizerLadder(_RUNGS[first:], LATENCY_S, timer_s)
+    rungs = (
+        Rung("network", lambda: _network(weights)),
+        Rung("pocketsphinx", _pocketsphinx),
+        Rung("loudness", _loudness),
+    )
+    first = [rung.name for rung in rungs].index(engine)
+    return RecognizerLadder(rungs[first:], LATENCY_S, timer_s)
 
 
-def _network() -> LiveRecognizer:
+def _network(weights: str) -> LiveRecognizer:
     from lipsync.recognition.live import NetworkRecognizer
-    from lipsync.recognition.weights import load_shipped_weights
 
-    return NetworkRecognizer(load_shipped_weights(), LATENCY_S)
+    return NetworkRecognizer(find_weights(weights), LATENCY_S)
 
 
 def _pocketsphinx() -> LiveRecognizer:
@@ -69,10 +81,3 @@ def _loudness() -> LiveRecognizer:
     from lipsync.recognition.loudness import LoudnessRecognizer
 
     return LoudnessRecognizer()
-
-
-_RUNGS = (
-    Rung("network", _network),
-    Rung("pocketsphinx", _pocketsphinx),
-    Rung("loudness", _loudness),
-)

@@ -53,7 +53,7 @@ class Performance:
             zero_s = clock.now()
             # On a clock of its own nobody waits, and the same file must give the same trace.
             timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
-            recognizer = make_recognizer(self.manner.engine, timer_s)
+            recognizer = make_recognizer(self.manner.engine, timer_s, self.manner.weights)
             synthesizer = make_synthesizer(face.model, self.manner)
             street = make_street(
                 face,

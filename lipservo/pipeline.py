@@ -149,7 +149,7 @@ class Speech:
             self._heard_until_s = block.end_s
         if self._source.is_live:
             self._arrival.observe(now_s, clock_s - self._heard_until_s)
-        for update in self._recognizer.updates(clock_s - self.lag_s):
+        for update in self._recognizer.updates():
             self._synthesizer.push(update)
 
     def _publish(self, sound_s: float, zero_s: float) -> None:

@@ -111,22 +111,25 @@ class PhonemeUpdate:
     events: tuple[PhonemeEvent, ...]
 
 
-class PhonemeSource(Protocol):
-    """Anything that says which phoneme is spoken when: recogniser, speech synthesis, label file."""
+class PhonemeScript(Protocol):
+    """Phonemes that are known beforehand, let out in time: label file, speech synthesis."""
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """What a listener who has heard until `until_s` learns that was not told before."""
+
+
+class LiveRecognizer(Protocol):
+    """Phonemes from sound as it comes. What was fed is all it knows: no clock is passed in."""
 
     @property
     def latency_s(self) -> float:
         """At sound time t the phonemes before t - latency_s are settled."""
 
-    def updates(self, until_s: float) -> list[PhonemeUpdate]:
-        """What became known since the last call, with sound heard until `until_s`."""
-
-
-class LiveRecognizer(PhonemeSource, Protocol):
-    """A phoneme source that listens."""
-
     def feed(self, block: AudioBlock) -> None:
         """Hear the next block. Blocks of any size; a gap between blocks is heard as silence."""
+
+    def updates(self) -> list[PhonemeUpdate]:
+        """What became known since the last call."""
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""

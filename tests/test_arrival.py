@@ -76,7 +76,7 @@ class Deaf:
     def feed(self, block: AudioBlock) -> None:
         self.heard_s = block.end_s
 
-    def updates(self, until_s: float) -> list[object]:  # noqa: ARG002
+    def updates(self) -> list[object]:
         return []
 
     def reset(self) -> None: ...

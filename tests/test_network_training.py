@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import soundfile
+from small_network import random_weights
 from speech import CLIP_PATH
 
 from lipsync.phonemes import PHONEMES, SILENCE
@@ -181,3 +182,21 @@ def test_learning_lowers_the_loss(training, plan, small_arrays, tmp_path):
     log = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
 
     assert log[-1]["loss"] < log[0]["loss"]
+
+
+def test_a_network_started_from_weights_says_what_they_say(training, plan, small_arrays):
+    arrays, scale = small_arrays
+    weights = random_weights(n_channels=8, dilations=(1, 2), delays=(2, 7))
+    weights = replace(weights, scale=scale)
+    network = training.started_from(weights, arrays, plan)
+    again = training.exported(network, scale, plan)
+    features = arrays[0].features[:80].astype(np.float32)
+
+    assert (
+        np.abs(batch_posteriors(again, features) - batch_posteriors(weights, features)).max() < 1e-3
+    )
+
+
+def test_weights_of_another_shape_are_no_start(training, plan, small_arrays):
+    with pytest.raises(training.TrainingError, match="another shape"):
+        training.started_from(random_weights(n_channels=16), small_arrays[0], plan)

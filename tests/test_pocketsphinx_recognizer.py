@@ -40,7 +40,7 @@ def listen(samples, *, n_block=160, ask_every_s=0.01, latency_s=0.15):
         recognizer.feed(block)
         if math.floor(block.end_s / ask_every_s + 1e-9) > asked:
             asked = math.floor(block.end_s / ask_every_s + 1e-9)
-            updates += recognizer.updates(block.end_s)
+            updates += recognizer.updates()
     return updates
 
 
@@ -140,8 +140,8 @@ def test_updates_without_new_sound_say_nothing(clip):
     recognizer = PocketsphinxRecognizer()
     recognizer.feed(AudioBlock(clip[:1_000], 0.0))
 
-    assert len(recognizer.updates(1_000 / RATE_HZ)) == 1
-    assert recognizer.updates(1_000 / RATE_HZ) == []
+    assert len(recognizer.updates()) == 1
+    assert recognizer.updates() == []
 
 
 @pytest.mark.parametrize("gap_s", [0.5, 0.503, 4.0, 7_200.0])
@@ -151,7 +151,7 @@ def test_a_gap_is_silence_and_what_follows_is_at_its_own_time(clip, gap_s):
     recognizer, updates = PocketsphinxRecognizer(), []
     for block in [*blocks_of(half, 160), *blocks_of(half, 160, resumed_s)]:
         recognizer.feed(block)
-        updates += recognizer.updates(block.end_s)
+        updates += recognizer.updates()
     events = believed(updates)
 
     # The pause around the word boundary is heard before the hang-over ends.
@@ -198,7 +198,7 @@ def test_after_reset_the_same_sound_is_heard_the_same(clip):
         updates = []
         for block in blocks_of(clip[:24_000], 160):
             recognizer.feed(block)
-            updates += recognizer.updates(block.end_s)
+            updates += recognizer.updates()
         twice.append(updates)
         recognizer.reset()
 

@@ -86,7 +86,7 @@ def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
         "ms_per_phoneme", "utterances", "seconds", "alignment", "failed_alignments",
     }  # fmt: skip
     assert (figures["utterances"], figures["failed_alignments"]) == (2, 1)
-    assert figures["alignment"] == {"default": 2, "tight_not_scored": 0}
+    assert figures["alignment"] == {"default": 2, "labelled": 0, "tight_not_scored": 0}
     assert figures["seconds"] == pytest.approx(2 * 8.615)
     assert figures["viseme_all"] > 0.6
     assert len(cache.read_text().splitlines()) == 3

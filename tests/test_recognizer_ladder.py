@@ -41,7 +41,7 @@ def listen(recognizer, samples, start_s=0.0):
     for first in range(0, len(samples), 160):
         block = AudioBlock(samples[first : first + 160], start_s + first / RATE_HZ)
         recognizer.feed(block)
-        for update in recognizer.updates(block.end_s):
+        for update in recognizer.updates():
             timeline.apply(update)
     return timeline
 
@@ -120,9 +120,9 @@ def test_the_neutral_rung_takes_anything():
     neutral = NeutralRecognizer()
     neutral.feed(AudioBlock(np.full(10, np.nan, np.float32), 5.0))
 
-    (update,) = neutral.updates(5.0)
+    (update,) = neutral.updates()
     assert update.events[0].phoneme == SILENCE
-    assert neutral.updates(5.0) == []
+    assert neutral.updates() == []
 
 
 def test_weights_survive_the_file(tmp_path):

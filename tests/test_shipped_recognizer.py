@@ -16,7 +16,16 @@ from speech import (
 )
 
 from lipservo.manner import make_recognizer
+from lipsync.animpho.model import load_shipped_model
 from lipsync.audio.block import AudioBlock
+from lipsync.evaluation.closing import (
+    ClosingBench,
+    closing_times,
+    cut_dead,
+    stop_onsets,
+    vowel_cuts,
+    with_gap,
+)
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.live import NetworkRecognizer
@@ -40,14 +49,17 @@ def clip():
     return soundfile.read(CLIP_PATH, dtype="float32")[0]
 
 
-def listen(recognizer, samples, on_block=lambda _timeline, _end_s: None):
+def clip_phones():
+    return [event for event in read_phonemes(CLIP_LABELS_PATH) if event.end_s is not None]
+
+
+def listen(recognizer, samples):
     timeline = PhonemeTimeline(horizon_s=math.inf)
     for first in range(0, len(samples), 160):
         block = AudioBlock(samples[first : first + 160].astype(np.float32), first / RATE_HZ)
         recognizer.feed(block)
-        for update in recognizer.updates(block.end_s):
+        for update in recognizer.updates():
             timeline.apply(update)
-        on_block(timeline, block.end_s)
     return timeline
 
 
@@ -95,37 +107,52 @@ def test_white_noise_is_no_speech(weights, level_db):
     assert np.mean(spoken) <= 0.01
 
 
-def test_the_mouth_is_told_to_close_soon_after_the_last_sound(weights, clip):
-    """Speech cut off within a word: 250 ms later silence is settled, and the activity is over."""
-    for cut_s in (1.8, 4.4, 6.0):
-        samples = np.concatenate((clip[: int(cut_s * RATE_HZ)], np.zeros(RATE_HZ, np.float32)))
-        recognizer, closed_s, quiet_s = NetworkRecognizer(weights), [], []
-
-        def watch(timeline, end_s, recognizer=recognizer, closed_s=closed_s, quiet_s=quiet_s):
-            event = timeline.event_at(timeline.final_until_s - 0.001)
-            if event is not None and event.phoneme == SILENCE:
-                closed_s.append(end_s)
-            if not recognizer.is_speaking:
-                quiet_s.append(end_s)
-
-        listen(recognizer, samples, watch)
-        assert min(t for t in closed_s if t > cut_s) <= cut_s + 0.25
-        assert min(t for t in quiet_s if t > cut_s) <= cut_s + 0.25
+@pytest.fixture(scope="module")
+def closing(weights):
+    return ClosingBench(NetworkRecognizer(weights), load_shipped_model(), 0.1)
 
 
-def test_a_stop_gap_is_no_end_of_speech(weights, clip):
-    """120 ms of nothing inside a word do not end the activity; half a second does."""
-    recognizer, spoken, first = NetworkRecognizer(weights), {}, 6 * RATE_HZ
-    samples = np.concatenate(
-        (clip[:first], np.zeros(int(0.12 * RATE_HZ)), clip[first : first + 4_000], np.zeros(8_000))
+@pytest.mark.parametrize("cut_s", [1.8, 4.4, 6.0])
+def test_the_mouth_closes_soon_after_a_voice_stops_in_mid_word(closing, clip, cut_s):
+    mouth = closing.watch(*cut_dead(clip, cut_s))
+
+    assert mouth.is_resting.argmax() * 0.01 <= 0.25
+    assert mouth.is_resting[25:].all()
+    times_s = closing_times(mouth.opening_mm)
+    if times_s is not None:  # else the lips were closed already
+        assert times_s[0] <= 0.25
+        assert times_s[1] <= 0.40
+
+
+@pytest.mark.parametrize("gap_s", [0.04, 0.08, 0.12])
+def test_a_stop_gap_inside_a_word_sends_no_mouth_to_rest(closing, clip, gap_s):
+    labels = [(e.phoneme, round(e.start_s * 100), round(e.end_s * 100)) for e in clip_phones()]
+    for at_s in [t for t in stop_onsets(labels) if t > 0.5][:3]:
+        mouth = closing.watch(*with_gap(clip, at_s, gap_s))
+        assert not mouth.is_resting[: round(gap_s * 100) + 5].any()
+
+
+def test_closing_times_of_a_known_motion():
+    """Open by 5 mm until 50 ms, then 1 mm less a tick: less than a tenth is left at 100 ms."""
+    opening_mm = np.concatenate((np.full(6, 5.0), np.arange(4.0, -0.1, -1.0), np.zeros(60)))
+
+    assert closing_times(opening_mm) == pytest.approx((0.06, 0.10))
+    assert closing_times(np.zeros(80)) is None
+    assert closing_times(np.full(80, 5.0)) == (math.inf, math.inf)
+
+
+def test_digital_silence_does_not_reach_back_into_the_speech_before_it(weights, clip):
+    """A frame is silent where nothing could be heard in it, not where the head that speaks is."""
+    cut_s = vowel_cuts(
+        [(e.phoneme, round(e.start_s * 100), round(e.end_s * 100)) for e in clip_phones()]
+    )[3]
+    samples, at_s = cut_dead(clip, cut_s)
+    heard = listen(NetworkRecognizer(weights), samples)
+    silent_from_s = next(
+        e.start_s for e in heard.events if e.phoneme == SILENCE and e.start_s > at_s - 0.2
     )
 
-    def watch(_timeline, end_s):
-        spoken[round(end_s, 2)] = recognizer.is_speaking
-
-    listen(recognizer, samples, watch)
-    assert all(spoken[t] for t in np.arange(6.0, 6.3, 0.01).round(2))
-    assert not spoken[max(spoken)]
+    assert silent_from_s == pytest.approx(at_s, abs=0.03)
 
 
 def test_the_network_is_the_default_and_every_rung_can_listen(clip):

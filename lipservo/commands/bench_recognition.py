@@ -1,86 +1,108 @@
 """`lipservo bench recognition` and `bench listening`: how well it hears, and what that costs."""
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import typer
 
-from lipservo.commands.options import Json, Quiet
-from lipservo.commands.recognition import progress_bar
+from lipservo.commands.options import Json, Model, Quiet, WeightsChoice
+from lipservo.commands.recognition import Advance, progress_bar
 from lipservo.manner import Engine
 from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
 from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
 
 _CORPUS = Path("../shared/corpus/librispeech")
 EngineName = Annotated[Engine, typer.Option(help="Which recogniser listens.")]
-Weights = Annotated[
-    Path | None, typer.Option(help="Other weights than the shipped ones.", show_default=False)
+Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
+Limit = Annotated[
+    int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
 ]
+Cache = Annotated[
+    Path | None, typer.Option(help="File of alignments, as `lipservo align` writes it.")
+]
+_Item = TypeVar("_Item")
 
 
 def recognition(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like LibriSpeech.")] = _CORPUS,
-    speakers: Annotated[str, typer.Option(help="Only these, with commas between.")] = "",
-    limit: Annotated[
-        int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
+    corpus: Annotated[
+        Path, typer.Option(help="Folder laid out like LibriSpeech, or like grid_s1.")
+    ] = _CORPUS,
+    speakers: Speakers = "",
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE[:KEY]",
+            help="Only these utterances: a name a line, or a list in a JSON file.",
+            show_default=False,
+        ),
     ] = None,
+    limit: Limit = None,
     latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
     engine: EngineName = "network",
     noise: Annotated[
         str | None,
         typer.Option(metavar="KIND:DB", help="white, music, babble (signal to noise), level, ..."),
     ] = None,
-    cache: Annotated[
-        Path | None, typer.Option(help="File of alignments, as `lipservo align` writes it.")
-    ] = None,
-    weights: Weights = None,
+    cache: Cache = None,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes that align.")] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure a recogniser, live, against forced alignment of the transcripts."""
-    from lipsync.corpus.transcribed import of_speakers, read_transcribed
-    from lipsync.recognition.alignment_cache import align_corpus
+    from lipservo.aligned_corpus import Selection, aligned
     from lipsync.recognition.benchmark import measure
     from lipsync.recognition.conditions import parse_condition
 
     condition = None if noise is None else parse_condition(noise)
     make = _maker(engine, latency_ms / 1e3, weights)
-    chosen = frozenset(name.strip() for name in speakers.split(",") if name.strip())
-    utterances = of_speakers(read_transcribed(corpus), chosen, limit)
     with progress_bar(quiet=quiet) as advance:
-        counts = {"aligning": 0, "listening": 0}
+        selection = Selection(corpus, speakers, only, limit)
+        utterances, alignments = aligned(selection, cache, jobs, advance)
+        heard: list[str] = []
 
-        def count(what: str) -> None:
-            counts[what] += 1
-            advance(what, counts[what], len(utterances))
+        def count(name: str) -> None:
+            heard.append(name)
+            advance("listening", len(heard), len(utterances))
 
-        alignments = align_corpus(
-            utterances,
-            cache,
-            n_processes=jobs or os.cpu_count() or 1,
-            progress=lambda _name: count("aligning"),
-        )
-        figures = measure(
-            utterances, alignments, make, condition, progress=lambda _name: count("listening")
-        )
-    for aligned in alignments.values():
-        if aligned.error:
-            MESSAGES.print(f"not aligned: {aligned.name}: {aligned.error}", soft_wrap=True)
-    settings = {"engine": engine, "latency_ms": latency_ms, "noise": noise}
+        figures = measure(utterances, alignments, make, condition, progress=count)
+    for utterance in alignments.values():
+        if utterance.error:
+            MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)
+    settings = {
+        "engine": engine,
+        "weights": weights,
+        "latency_ms": latency_ms,
+        "noise": noise,
+    }
     _print({**figures.as_dict(), **settings, "machine": machine_class()}, as_json=as_json)
 
 
 def listening(
     engine: EngineName = "network",
     latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
-    weights: Weights = None,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    corpus: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also measure how soon the mouth closes, on a folder as for `bench recognition`.",
+            show_default=False,
+        ),
+    ] = None,
+    speakers: Speakers = "",
+    limit: Limit = None,
+    cache: Cache = None,
+    model: Model = None,
+    hours: Annotated[
+        float, typer.Option(min=0.0, help="Also hear so much speech without a pause.")
+    ] = 0.0,
     as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
-    """Measure what is called speech where nobody speaks, and the time that a block costs."""
+    """Measure false speech, the time that a block costs, and how soon the mouth closes."""
     import numpy as np
 
     from lipsync.recognition.benchmark import block_costs_s, false_speech, quiet_sounds
@@ -92,21 +114,62 @@ def listening(
         for name, sound in quiet_sounds(np.random.default_rng(0)).items()
     }
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        costs_s = block_costs_s(recognizer, read_speech(clip))
+        speech = read_speech(clip)
+    costs_s = block_costs_s(recognizer, speech)
     for percent in (50, 99):
         figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
+    if corpus is not None:
+        from lipservo.aligned_corpus import Selection, aligned
+        from lipservo.assembly import load_face_model
+        from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S
+        from lipsync.evaluation.closing import ClosingBench, closing_figures
+
+        bench = ClosingBench(recognizer, load_face_model(model), DEFAULT_LOOKAHEAD_S)
+        with progress_bar(quiet=quiet) as advance:
+            selection = Selection(corpus, speakers, limit=limit)
+            utterances, alignments = aligned(selection, cache, None, advance)
+            usable = [u for u in utterances if not alignments[u.name].error]
+            figures |= closing_figures(
+                bench,
+                (
+                    (read_speech(u.sound), alignments[u.name].phones)
+                    for u in _counted(usable, "closing", advance)
+                ),
+                np.random.default_rng(0),
+            )
+    if hours > 0.0:
+        from lipservo.summary import resident_mb
+        from lipsync.recognition.endurance import endure, without_pauses
+
+        speech = without_pauses(recognizer, speech)
+        with progress_bar(quiet=quiet) as advance:
+            endured = endure(
+                recognizer,
+                speech,
+                hours * 3600.0,
+                resident_mb,
+                lambda done, whole: advance("enduring", done, whole),
+            )
+        figures |= endured.as_dict()
     _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
 
 
-def _maker(engine: Engine, latency_s: float, weights: Path | None) -> Callable[[], LiveRecognizer]:
+def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_Item]:
+    """The items one after the other, on a progress bar."""
+    for number, item in enumerate(items):
+        advance(what, number, len(items))
+        yield item
+    advance(what, len(items), len(items))
+
+
+def _maker(engine: Engine, latency_s: float, weights: str) -> Callable[[], LiveRecognizer]:
     """A function that makes the engine itself, without the ladder: a failure must be seen."""
     from lipsync.recognition.allphone import PocketsphinxRecognizer
     from lipsync.recognition.live import NetworkRecognizer
-    from lipsync.recognition.weights import load_shipped_weights, load_weights
 
     if engine == "pocketsphinx":
         return lambda: PocketsphinxRecognizer(latency_s)
-    learned = load_shipped_weights() if weights is None else load_weights(weights)
+    learned = find_weights(weights)
     return lambda: NetworkRecognizer(learned, latency_s)
 
 

@@ -7,9 +7,10 @@ from typing import Annotated, Any
 
 import typer
 
-from lipservo.commands.options import EngineChoice
+from lipservo.commands.options import EngineChoice, WeightsChoice
 from lipservo.manner import Manner
 from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, STRONGEST, Style
+from lipsync.recognition.weights import DEFAULT_WEIGHTS
 
 Strategy = Annotated[
     str, typer.Option(help="How phonemes become motion: expected, or the paper's naive, priority.")
@@ -26,13 +27,14 @@ Smoothness = Annotated[float, typer.Option(min=0.0, max=1.0, help="0 crisp, 1 sl
 
 def chosen_manner(
     engine: EngineChoice = "network",
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
     strategy: Strategy = LIVE_STRATEGY,
     lookahead_ms: Lookahead = DEFAULT_LOOKAHEAD_S * 1e3,
     strength: Strength = 1.0,
     smoothness: Smoothness = 0.0,
 ) -> Manner:
     """The manner these options ask for."""
-    return Manner(engine, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
+    return Manner(engine, weights, strategy, Style(lookahead_ms / 1e3, strength, smoothness))
 
 
 def manner_arguments(manner: Manner) -> list[str]:
@@ -40,6 +42,7 @@ def manner_arguments(manner: Manner) -> list[str]:
     style = manner.style
     return [
         *("--engine", manner.engine),
+        *("--weights", manner.weights),
         *("--strategy", manner.strategy),
         *("--lookahead-ms", str(style.lookahead_s * 1e3)),
         *("--strength", str(style.strength)),

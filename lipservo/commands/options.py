@@ -22,5 +22,8 @@ SkipBad = Annotated[
 EngineChoice = Annotated[
     Engine, typer.Option(help="Recogniser to begin with; a worse one takes over where it fails.")
 ]
+WeightsChoice = Annotated[
+    str, typer.Option(help="What the network has learned: default, grid, or a file of weights.")
+]
 
 DEFAULT_FACE = "face_sim"

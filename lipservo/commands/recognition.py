@@ -1,5 +1,6 @@
 """`align`, `recognize` and `train-recognizer`: what has to do with hearing phonemes."""
 
+import importlib.util
 import json
 import os
 import sys
@@ -11,8 +12,9 @@ from typing import Annotated
 import typer
 from rich.progress import Progress, TimeRemainingColumn
 
-from lipservo.commands.options import EngineChoice, Json, Quiet
+from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
 from lipservo.output import MESSAGES, RESULTS, print_json
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights_name
 
 Jobs = Annotated[
     int | None,
@@ -76,6 +78,7 @@ def recognize(
         Path | None, typer.Option("--output", "-o", help="TextGrid to write at the end.")
     ] = None,
     engine: EngineChoice = "network",
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
 ) -> None:
     """Print the phonemes of a sound file, or of a microphone as they are spoken, with their times.
@@ -89,10 +92,11 @@ def recognize(
     from lipsync.audio.file import FileSource
     from lipsync.textgrid import write_tiers
 
+    check_weights_name(weights)
     source = FileSource(sound) if sound is not None else open_microphone(mic or DEFAULT_MICROPHONE)
     events = []
     try:
-        for event in heard_events(source, engine):
+        for event in heard_events(source, engine, weights):
             if output is not None:
                 events.append(event)
             if as_json:
@@ -110,7 +114,9 @@ def recognize(
 
 
 def train_recognizer(
-    corpora: Annotated[list[Path], typer.Argument(help="Folders laid out like LibriSpeech.")],
+    corpora: Annotated[
+        list[Path], typer.Argument(help="Folders laid out like LibriSpeech, or like grid_s1.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")],
     folder: Annotated[
         Path, typer.Option(help="Keeps alignments, state and run log; a run goes on from there.")
@@ -121,31 +127,47 @@ def train_recognizer(
     validation: Annotated[
         str, typer.Option(help="Speakers that only the run log hears, with commas between.")
     ] = "",
+    leave_out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE[:KEY]",
+            help="Utterances that train nothing: a name a line, or a list in a JSON file.",
+            show_default=False,
+        ),
+    ] = None,
+    start_from: Annotated[
+        str | None,
+        typer.Option(help="Weights to go on from: default, grid, or a file.", show_default=False),
+    ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
     steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 2_000,
+    rate: Annotated[
+        float, typer.Option(min=0.0, help="Learning rate at its peak; less to go on from weights.")
+    ] = 3e-3,
     copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 6,
     jobs: Jobs = None,
     quiet: Quiet = False,
 ) -> None:
-    """Learn the recogniser's weights (needs `pip install lipservo[train]`)."""
+    """Learn the recogniser's weights (needs the extra `train`: torch)."""
     if not output.parent.is_dir():
         raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
-    try:
-        import torch  # noqa: F401 - so that its absence is said first
-    except ImportError as error:
-        raise typer.BadParameter("needs torch: `pip install 'lipservo[train]'`") from error
+    if importlib.util.find_spec("torch") is None:
+        raise typer.BadParameter("needs torch: `pip install 'lipservo[train]'`")
+    from lipsync.corpus.transcribed import read_names
+    from lipsync.recognition.training import TrainingPlan
     from lipsync.recognition.training_run import TrainingRun, run_training
-    from lipsync.recognition.weights import save_weights
+    from lipsync.recognition.weights import find_weights, save_weights
 
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
         held_out=_names(held_out),
         validation=_names(validation),
-        seed=seed,
-        n_steps=steps,
+        left_out=frozenset() if leave_out is None else read_names(leave_out),
+        start=None if start_from is None else find_weights(start_from),
         n_copies=copies,
         n_processes=jobs or os.cpu_count() or 1,
+        plan=TrainingPlan(seed=seed, n_steps=steps, peak_rate=rate),
     )
     with progress_bar(quiet=quiet) as advance:
         weights = run_training(run, advance)
@@ -153,8 +175,12 @@ def train_recognizer(
     MESSAGES.print(f"{output}: done; run log: {folder / 'log.jsonl'}", soft_wrap=True)
 
 
+#: What is done, how many, of how many.
+Advance = Callable[[str, int, int], None]
+
+
 @contextmanager
-def progress_bar(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+def progress_bar(*, quiet: bool) -> Iterator[Advance]:
     """A function (what, how many are done, of how many) that draws bars on stderr."""
     columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
     with Progress(*columns, console=MESSAGES, transient=True, disable=quiet) as progress:

@@ -33,8 +33,12 @@ DEFAULT_LOOKAHEAD_S = 0.1
 USED_LOOKAHEAD_S = 0.2
 LONGEST_LOOKAHEAD_S = 1.0
 STRONGEST = 1.5
-#: A silence longer than this ends with the mouth at rest.
-PAUSE_S = 0.3
+#: Longer than a stop gap inside a word (to 120 ms) with its borders heard 50 ms wrong: a silence
+#: that lasts longer is a pause, and in a pause the mouth comes to rest.
+PAUSE_S = 0.17
+#: So long it takes to come to rest, and to leave it when the next phoneme is known: no snapping.
+RESTING_S = 0.15
+WAKING_S = 0.06
 #: Ticks kept for times that are asked for again.
 _KEPT = 64
 #: After a longer leap in time the motion in between was seen by nobody and is not computed.
@@ -77,7 +81,7 @@ class Style:
 class _Tick:
     """Motion from one grid point to the next: a cubic, and how far the lips are being closed.
 
-    Tick n ends at n TICK_S. Speeds are per tick.
+    Tick n ends at n TICK_S. Speeds are per tick. resting: how much of the rest pose a pause brings.
     """
 
     start: Array
@@ -86,6 +90,7 @@ class _Tick:
     end_speed: Array
     pressed: Amount
     bitten: Amount
+    resting: Amount
 
     def at(self, u: float) -> Array:
         """The face (n_components,) at share u of the tick."""
@@ -119,7 +124,8 @@ class LiveSynthesizer:
         self._timeline = PhonemeTimeline()
         self._track = track_of(())
         self._wanted = rest
-        self._ticks = deque([_Tick(rest, still, rest, still, OPEN, OPEN)], maxlen=_KEPT)
+        resting = Amount(0.0, RESTING_S, 1.0, 0.0, 1.0)
+        self._ticks = deque([_Tick(rest, still, rest, still, OPEN, OPEN, resting)], maxlen=_KEPT)
         self._newest = -1  # number of the newest tick
         self._phoneme_moved = -math.inf
         self.phonemes_planned = 0
@@ -143,7 +149,8 @@ class LiveSynthesizer:
             return self._model.rest
         tick = self._ticks[-1 - back]
         face = tick.at(min(1.0, max(0.0, time_s / TICK_S - number + 1.0)))
-        face = self._model.rest + self._style.strength * (face - self._model.rest)
+        awake = self._style.strength * (1.0 - tick.resting.smooth(time_s))
+        face = self._model.rest + awake * (face - self._model.rest)
         bitten, pressed = tick.bitten.smooth(time_s), tick.pressed.smooth(time_s)
         face = self._gap.narrowed(face, self._model.labiodental_gap_mm, bitten)
         return self._gap.narrowed(face, PRESSED_GAP_MM, pressed)
@@ -152,26 +159,34 @@ class LiveSynthesizer:
         """The phoneme believed at a time, for displays."""
         return self._timeline.event_at(time_s)
 
+    @property
+    def is_resting(self) -> bool:
+        """Whether the mouth is at rest, or on its way there, because nobody speaks."""
+        return self._ticks[-1].resting.goal == 1.0
+
     def _plan(self, number: int) -> None:
         """Decide the motion of one tick from what is known at its end."""
         time_s = number * TICK_S
         known_until_s = time_s + self._known_s
         last = self._ticks[-1]
-        wanted = self._expected(time_s, known_until_s)
+        begin_s = time_s - TICK_S
+        context = context_at(self._track, time_s, known_until_s)
+        resting = _resting(last.resting, *context, begin_s)
+        wanted = self._expected(time_s, *context, at_rest=resting.at(begin_s) == (1.0, 0.0))
         self._wanted = self._keep * self._wanted + (1.0 - self._keep) * wanted
         # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
         end_speed = (self._wanted - last.start) / 2.0
-        begin_s = time_s - TICK_S
         pressed = planned(last.pressed, self._bilabial_s, self._track, begin_s, known_until_s)
         bitten = planned(last.bitten, self._labiodental_s, self._track, begin_s, known_until_s)
-        tick = _Tick(last.end, last.end_speed, self._wanted, end_speed, pressed, bitten)
+        tick = _Tick(last.end, last.end_speed, self._wanted, end_speed, pressed, bitten, resting)
         self._ticks.append(tick)
         self._newest = number
 
-    def _expected(self, time_s: float, known_until_s: float) -> Array:
-        """What the mouth should look like; at rest in a long pause."""
-        phonemes, times_s = context_at(self._track, time_s, known_until_s)
-        if phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3]):
+    def _expected(
+        self, time_s: float, phonemes: list[int], times_s: list[float], *, at_rest: bool
+    ) -> Array:
+        """What the mouth should look like while somebody speaks."""
+        if at_rest:
             return self._model.rest
         self._count(time_s - times_s[2])
         return self._model.expectation.at(phonemes, times_s, self._known_s)
@@ -180,6 +195,15 @@ class LiveSynthesizer:
         if start_s > self._phoneme_moved:
             self._phoneme_moved = start_s
             self.phonemes_planned += 1
+
+
+def _resting(now: Amount, phonemes: list[int], times_s: list[float], time_s: float) -> Amount:
+    """How the mouth comes to rest in a pause, and leaves it when the end of the pause is known."""
+    is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
+    if is_pause == (now.goal == 1.0):
+        return now
+    duration_s, goal = (RESTING_S, 1.0) if is_pause else (WAKING_S, 0.0)
+    return Amount(time_s, duration_s, *now.at(time_s), goal)
 
 
 def _moments_s(model: FaceModel, phonemes: Iterable[str]) -> dict[int, float]:

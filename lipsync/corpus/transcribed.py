@@ -1,13 +1,20 @@
-"""Corpora of speech with transcripts and no motion: a folder laid out like LibriSpeech's.
+"""Corpora of speech whose words are known, in one of two layouts.
 
-`transcripts.txt` holds one utterance a line, its name first: SPEAKER-CHAPTER-NUMBER WORDS...;
-the sound is `audio/NAME` with any ending that libsndfile reads.
+LibriSpeech's: `transcripts.txt` holds one utterance a line, its name first: SPEAKER-CHAPTER-NUMBER
+WORDS...; grid_s1's: `labels/NAME.TextGrid` with a tier `words` and maybe one `phones`, all of one
+speaker, who is called as the folder. The sound is `audio/NAME` with any ending that libsndfile
+reads.
 """
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
 from lipsync.errors import UserError
+from lipsync.textgrid import read_tiers
+
+#: What label files write where nobody speaks.
+_NO_WORD = ("", "sil", "sp")
 
 
 class TranscriptError(UserError):
@@ -16,23 +23,33 @@ class TranscriptError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class TranscribedUtterance:
-    """One recording and what is said in it. speaker: the name up to the first hyphen."""
+    """One recording and what is said in it.
+
+    speaker: in LibriSpeech's layout the name up to the first hyphen. labels: a TextGrid with a tier
+    `phones`; None where nobody has labelled the phones.
+    """
 
     name: str
     speaker: str
     text: str
     sound: Path
+    labels: Path | None = None
 
 
 def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
-    """Every utterance of the corpus in the order of its transcripts.
+    """Every utterance of the corpus in the order of its transcripts, or of its label files.
 
     Raises TranscriptError for a folder without transcripts, a line without words, a name that is
-    there twice, and an utterance without a sound file.
+    there twice, and an utterance without a sound file; LabelError for a label file that cannot be
+    read.
     """
     path = folder / "transcripts.txt"
+    if not path.is_file() and (folder / "labels").is_dir():
+        return _read_labelled(folder)
     if not path.is_file():
-        raise TranscriptError(f"{path}: no such file; give a folder laid out like LibriSpeech")
+        raise TranscriptError(
+            f"{path}: no such file; give a folder laid out like LibriSpeech or grid_s1"
+        )
     sounds = {sound.stem: sound for sound in sorted((folder / "audio").glob("*"))}
     utterances: dict[str, TranscribedUtterance] = {}
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
@@ -50,6 +67,69 @@ def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
     if not utterances:
         raise TranscriptError(f"{path}: holds no utterance")
     return tuple(utterances.values())
+
+
+def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:
+    sounds = {sound.stem: sound for sound in sorted((folder / "audio").glob("*"))}
+    utterances = []
+    for path in sorted((folder / "labels").glob("*.TextGrid")):
+        tiers = read_tiers(path)
+        text = " ".join(word for word, _, _ in tiers.get("words", ()) if word not in _NO_WORD)
+        if not text:
+            raise TranscriptError(f"{path}: no words in a tier 'words'")
+        if path.stem not in sounds:
+            raise TranscriptError(f"{path}: no sound audio/{path.stem}.*")
+        labels = path if "phones" in tiers else None
+        sound = sounds[path.stem]
+        utterances.append(
+            TranscribedUtterance(path.stem, folder.resolve().name, text, sound, labels)
+        )
+    if not utterances:
+        raise TranscriptError(f"{folder / 'labels'}: holds no TextGrid")
+    return tuple(utterances)
+
+
+def read_names(listed: str) -> frozenset[str]:
+    """Names of utterances from `FILE`, one a line, or from `FILE.json:KEY`, a list under a key.
+
+    Raises TranscriptError for a file or a key that is not there and a list of anything but names.
+    """
+    file, _, key = listed.partition(".json:")
+    path = Path(f"{file}.json") if key else Path(listed)
+    try:
+        text = path.read_text(encoding="utf-8")
+        names = json.loads(text)[key] if key else text.split()
+    except (OSError, UnicodeDecodeError) as error:
+        raise TranscriptError(f"{path}: no readable list of names ({error})") from error
+    except (ValueError, LookupError, TypeError) as error:
+        raise TranscriptError(f"{path}: no JSON with a list under {key!r}") from error
+    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        raise TranscriptError(f"{listed}: not a list of names; write one a line, or FILE.json:KEY")
+    return frozenset(names)
+
+
+def of_names(
+    utterances: tuple[TranscribedUtterance, ...], names: frozenset[str]
+) -> tuple[TranscribedUtterance, ...]:
+    """The utterances of these names; TranscriptError for a name that is not there."""
+    _refuse_unknown(names, utterances)
+    return tuple(utterance for utterance in utterances if utterance.name in names)
+
+
+def without_names(
+    utterances: tuple[TranscribedUtterance, ...], names: frozenset[str]
+) -> tuple[TranscribedUtterance, ...]:
+    """All the other utterances; TranscriptError for a name that is not there."""
+    _refuse_unknown(names, utterances)
+    return tuple(utterance for utterance in utterances if utterance.name not in names)
+
+
+def _refuse_unknown(names: frozenset[str], utterances: tuple[TranscribedUtterance, ...]) -> None:
+    """A name that nobody has is a mistake: what was to be left out would be learned from."""
+    if missing := sorted(names - {utterance.name for utterance in utterances}):
+        raise TranscriptError(
+            f"{len(missing)} of {len(names)} listed utterances are not there, {missing[0]!r} first"
+        )
 
 
 def of_speakers(

@@ -25,7 +25,7 @@ def heard_by(recognizer: LiveRecognizer, recording: Path) -> Heard:
         for step in range(1, math.ceil(until_s / _STEP_S) + 1):
             for block in source.blocks(step * _STEP_S):
                 recognizer.feed(block)
-            for update in recognizer.updates(step * _STEP_S):
+            for update in recognizer.updates():
                 timeline.apply(update)
                 updates.append(update)
     events = [

@@ -14,7 +14,7 @@ from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.evaluation.dominance import Dominance, fixed_reference
 from lipsync.evaluation.spline import spline_faces, viseme_centres
 from lipsync.expectation.context import contexts, track_of
-from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 
 Array = NDArray[np.float64]
@@ -184,14 +184,12 @@ class _Replayed:
         return told
 
 
-def _source(heard: Heard, lookahead_s: float) -> ScriptedPhonemes | _Replayed:
+def _source(heard: Heard, lookahead_s: float) -> PhonemeScript:
     if heard.updates:
         return _Replayed(heard.updates, lookahead_s + heard.latency_s)
     return ScriptedPhonemes(heard.events, lookahead_s)
 
 
-def _listen(
-    synthesizer: LiveSynthesizer, source: ScriptedPhonemes | _Replayed, time_s: float
-) -> None:
+def _listen(synthesizer: LiveSynthesizer, source: PhonemeScript, time_s: float) -> None:
     for update in source.updates(time_s + _BORDER_S):
         synthesizer.push(update)

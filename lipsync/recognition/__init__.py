@@ -1,1 +1,1 @@
-"""Sound becomes phonemes, live: recognisers behind `lipsync.phonemes.PhonemeSource`."""
+"""Sound becomes phonemes, live: recognisers behind `lipsync.phonemes.LiveRecognizer`."""

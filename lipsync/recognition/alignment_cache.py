@@ -2,11 +2,12 @@
 
 One line an utterance: name, text, beams, phones [name, first frame, frame after the last], guessed
 words; or, for one that could not be aligned, name, text and error. An interrupted run loses no
-finished utterance; a failure is kept, so it is counted and not tried again.
+finished utterance; a failure is kept, so it is counted and not tried again. Where a corpus brings
+its own labels of the phones these are taken, and `beams` says so.
 """
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,8 +19,12 @@ from numpy.typing import NDArray
 
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.errors import UserError
-from lipsync.phonemes import PHONEMES, SILENCE
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 from lipsync.recognition.alignment import FRAMES_PER_S, ForcedAligner
+from lipsync.recognition.scripted import read_phonemes
+
+#: In place of the beams: the phones are those of the corpus's own label files.
+LABELLED = "labelled"
 
 PHONEME_INDEX: Mapping[str, int] = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
 
@@ -123,17 +128,31 @@ def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
     """Read and align one utterance; a user's mistake becomes its `error`."""
     from lipsync.recognition.sound import read_speech
 
+    if utterance.labels is not None:
+        return _labelled(utterance, utterance.labels)
     try:
         alignment = _aligner().align(read_speech(utterance.sound), utterance.text)
     except UserError as error:
         return AlignedUtterance(utterance.name, utterance.text, error=str(error))
-    phones = tuple(
-        (event.phoneme, round(event.start_s * FRAMES_PER_S), round(event.end_s * FRAMES_PER_S))
-        for event in alignment.phones
-        if event.end_s is not None
-    )
+    phones = _in_frames(alignment.phones)
     return AlignedUtterance(
         utterance.name, utterance.text, alignment.beams, phones, alignment.guessed
+    )
+
+
+def _labelled(utterance: TranscribedUtterance, labels: Path) -> AlignedUtterance:
+    try:
+        phones = _in_frames(read_phonemes(labels))
+    except UserError as error:
+        return AlignedUtterance(utterance.name, utterance.text, error=str(error))
+    return AlignedUtterance(utterance.name, utterance.text, LABELLED, phones)
+
+
+def _in_frames(events: Iterable[PhonemeEvent]) -> tuple[tuple[str, int, int], ...]:
+    return tuple(
+        (event.phoneme, round(event.start_s * FRAMES_PER_S), round(event.end_s * FRAMES_PER_S))
+        for event in events
+        if event.end_s is not None
     )
 
 

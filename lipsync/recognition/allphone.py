@@ -40,7 +40,7 @@ class PocketsphinxRecognizer:
     """A `LiveRecognizer` that loads in 30 ms and costs about 0.5 ms for 10 ms of speech.
 
     It believes in one phoneme for each 10 ms frame of sound time. What the decoder changes later
-    than `latency_s` is not said. `updates` reports on all sound that was fed, whatever `until_s`.
+    than `latency_s` is not said.
     Memory stays bounded as long as `updates` is called from time to time.
     """
 
@@ -86,7 +86,7 @@ class PocketsphinxRecognizer:
             self._hear_gap(n_missing)
         self._hear(block.samples)
 
-    def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - what was fed counts
+    def updates(self) -> list[PhonemeUpdate]:
         """One update if a whole frame was heard since the last call, else none."""
         if self._n_heard == self._n_said:
             return []

@@ -1,5 +1,6 @@
 """A recogniser measured on a corpus of transcribed speech."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ from lipsync.audio.block import SAMPLE_RATE_HZ
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition import noise
-from lipsync.recognition.alignment_cache import AlignedUtterance
+from lipsync.recognition.alignment_cache import LABELLED, AlignedUtterance
 from lipsync.recognition.conditions import Condition
 from lipsync.recognition.listening import listen
 from lipsync.recognition.scoring import Score, phone_sequence
@@ -32,6 +33,7 @@ class Figures:
     block_cost_p50_s: float
     block_cost_p99_s: float
     n_default: int
+    n_labelled: int
     n_tight: int
     n_failed: int
 
@@ -45,7 +47,11 @@ class Figures:
             "ms_per_phoneme": 1e3 * self.cost_s / max(1, self.n_phones_said),
             "utterances": self.n_utterances,
             "seconds": self.duration_s,
-            "alignment": {"default": self.n_default, "tight_not_scored": self.n_tight},
+            "alignment": {
+                "default": self.n_default,
+                "labelled": self.n_labelled,
+                "tight_not_scored": self.n_tight,
+            },
             "failed_alignments": self.n_failed,
             "block_ms_p50": 1e3 * self.block_cost_p50_s,
             "block_ms_p99": 1e3 * self.block_cost_p99_s,
@@ -60,11 +66,12 @@ def measure(
     condition: Condition | None = None,
     progress: Callable[[str], None] = lambda _name: None,
 ) -> Figures:
-    """Listen to every utterance whose alignment was found at the default beams, from silence on.
+    """Listen to every utterance aligned at the default beams or labelled, from silence on.
 
     Alignments that needed the retry are no yardstick: they are counted, not scored.
     """
-    scored = [u for u in utterances if alignments[u.name].beams == "default"]
+    counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
+    scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
     is_babble = condition is not None and condition.kind == "babble"
     step = max(1, len(utterances) // _N_VOICES)
     voices = [read_speech(u.sound) for u in utterances[::step]] if is_babble else []
@@ -93,8 +100,9 @@ def measure(
         cost_s=float(all_costs.sum()),
         block_cost_p50_s=float(np.median(all_costs)),
         block_cost_p99_s=float(np.percentile(all_costs, 99)),
-        n_default=len(scored),
-        n_tight=sum(alignments[u.name].beams == "tight" for u in utterances),
+        n_default=counts["default"],
+        n_labelled=counts[LABELLED],
+        n_tight=counts["tight"],
         n_failed=sum(bool(alignments[u.name].error) for u in utterances),
     )
 

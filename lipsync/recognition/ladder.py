@@ -84,10 +84,10 @@ class RecognizerLadder:
         if began_s is not None and self._timer_s is not None:
             self._judge(self._timer_s() - began_s, len(block.samples) / block.sample_rate_hz)
 
-    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+    def updates(self) -> list[PhonemeUpdate]:
         """What became known; nothing that was final before changes, whichever rung said it."""
         try:
-            updates = self._recognizer.updates(until_s)
+            updates = self._recognizer.updates()
         except Exception as error:  # as in feed
             self._go_down(f"{type(error).__name__}: {error}")
             return []

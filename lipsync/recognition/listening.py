@@ -54,7 +54,7 @@ def listen(
         block = AudioBlock(padded[start:end], start / SAMPLE_RATE_HZ)
         began_ns = clock_ns()
         recognizer.feed(block)
-        updates = recognizer.updates(block.end_s)
+        updates = recognizer.updates()
         costs.append((clock_ns() - began_ns) * 1e-9)
         for update in updates:
             belief.take(update)

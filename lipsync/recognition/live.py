@@ -1,11 +1,12 @@
 """The recogniser of the live path: features, network, decoder, in NumPy, 10 ms at a time."""
 
+from collections import deque
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio.block import AudioBlock
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeUpdate
-from lipsync.recognition.activity import VoiceActivity
 from lipsync.recognition.belief import FrameBelief
 from lipsync.recognition.decoder import QUICK, SMOOTH, DecoderSettings, SwitchDecoder
 from lipsync.recognition.features import FRAMES_PER_S, LevelNormalizer, LogMelStream
@@ -52,11 +53,6 @@ class NetworkRecognizer:
         """At sound time t the phonemes before t - latency_s are settled."""
         return _WINDOW_S + self._delay / FRAMES_PER_S
 
-    @property
-    def is_speaking(self) -> bool:
-        """Whether somebody speaks, or stopped less than 150 ms ago."""
-        return self._activity.is_speaking
-
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
         self._intake = SoundIntake()
@@ -64,8 +60,9 @@ class NetworkRecognizer:
         self._normalizer = LevelNormalizer(self._weights.scale)
         self._network = StreamingNetwork(self._weights)
         self._decoder = SwitchDecoder(self._weights.delays, self._delay, self._settings)
-        self._activity = VoiceActivity()
         self._belief = FrameBelief(FRAMES_PER_S, self._delay + 1)
+        # Of the last frames, the newest last: whether there was anything to hear.
+        self._audible = deque([True] * (self._weights.delays[-1] + 1), self._weights.delays[-1] + 1)
         self._n_heard = 0  # frames whose window was heard, those jumped over among them
         self._n_said = 0
         self._settled: list[int] = []  # from the belief's border on
@@ -86,7 +83,7 @@ class NetworkRecognizer:
             self._n_heard += n_frames
         self._hear(samples)
 
-    def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - what was fed counts
+    def updates(self) -> list[PhonemeUpdate]:
         """One update if a frame's window was completed since the last call, else none."""
         if self._n_heard == self._n_said:
             return []
@@ -103,10 +100,11 @@ class NetworkRecognizer:
     def _hear(self, samples: Array) -> None:
         for frame in self._log_mel.push(samples):
             posteriors = self._network.push(self._normalizer.push(frame[None]))[0]
-            if frame.max() < _INAUDIBLE:
-                posteriors[:] = 0.0
-                posteriors[:, _SILENCE_INDEX] = 1.0
-            self._activity.hear(float(posteriors[0, _SILENCE_INDEX]))
+            self._audible.append(bool(frame.max() >= _INAUDIBLE))
+            for head, delay in enumerate(self._weights.delays):
+                if not self._audible[-1 - delay]:  # each head speaks about a frame of its own
+                    posteriors[head] = 0.0
+                    posteriors[head, _SILENCE_INDEX] = 1.0
             settled, self._open = self._decoder.push(posteriors)
             if settled is not None:
                 self._settled.append(settled)

@@ -49,7 +49,7 @@ class LoudnessRecognizer:
         self._n_heard += n_jumped
         self._hear(samples)
 
-    def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - what was fed counts
+    def updates(self) -> list[PhonemeUpdate]:
         """One update if a whole frame was heard since the last call, else none."""
         if self._n_heard == self._n_said:
             return []
@@ -88,7 +88,7 @@ class NeutralRecognizer:
         """Take note of the time."""
         self._heard_s = max(self._heard_s, block.end_s)
 
-    def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - what was fed counts
+    def updates(self) -> list[PhonemeUpdate]:
         """Silence, from the beginning to what was heard."""
         if self._heard_s <= self._said_s:
             return []

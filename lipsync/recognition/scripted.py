@@ -27,14 +27,12 @@ def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[Phon
 
 
 class ScriptedPhonemes:
-    """A `PhonemeSource` that lets out known events only as a perfect listener would learn them.
+    """A `PhonemeScript` that lets out known events only as a perfect listener would learn them.
 
     Heard until t, it tells the starts before t + `lookahead_s` and the ends not after it, nothing
     more; all it tells is final. Raises ValueError for events out of order or overlapping, and for
     an open one that is not the last.
     """
-
-    latency_s = 0.0
 
     def __init__(self, events: Iterable[PhonemeEvent], lookahead_s: float = 0.0) -> None:
         self._events = tuple(events)

@@ -8,7 +8,7 @@ from (seed, step), so that a run that was interrupted goes on exactly as it woul
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
+from lipsync.errors import UserError
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.features import N_BANDS, FeatureScale
 from lipsync.recognition.network import Layer, NetworkWeights
@@ -24,27 +25,33 @@ from lipsync.recognition.training_data import NO_TARGET, TrainingArray
 #: Chance that one of the light copies' windows is drawn; the heavy ones share the rest.
 _LIGHT_SHARE = 0.25
 _MASKED_BANDS = 8
+#: Windows from which the norms of a network that goes on from other weights are set.
+_NORM_WINDOWS = 64
 _N_VISEMES = len(VISEME_CLASSES)
 
 
 @dataclass(frozen=True, slots=True)
 class TrainingPlan:
-    """How to learn; the defaults made the shipped weights (docs/recognition.md)."""
+    """How to learn; the defaults are those of `lipservo train-recognizer`."""
 
     delays: tuple[int, ...] = (2, 7, 12)
     head_weights: tuple[float, ...] = (0.3, 0.5, 0.2)
     dilations: tuple[int, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
     channels: int = 192
-    n_steps: int = 4_000
+    n_steps: int = 2_000
     batch: int = 32
     window: int = 400
     peak_rate: float = 3e-3
     weight_decay: float = 0.02
-    average: float = 0.998
     seed: int = 0
     n_threads: int = 2
     log_every: int = 50
     check_every: int = 500
+
+    @property
+    def averaging(self) -> float:
+        """Share of the running average that stays at each step: it spans a quarter of the run."""
+        return 1.0 - 4.0 / max(8, self.n_steps)
 
 
 class _Residual(nn.Module):
@@ -77,6 +84,10 @@ class TorchNetwork(nn.Module):
         return logits.unflatten(1, (self.n_heads, len(PHONEMES)))
 
 
+class TrainingError(UserError):
+    """There is nothing to learn from, or the parts do not fit; the message is one line."""
+
+
 Checkpoint = Callable[[int, NetworkWeights], Mapping[str, float]]
 
 
@@ -86,20 +97,23 @@ def train_network(
     plan: TrainingPlan,
     *,
     folder: Path,
+    start: NetworkWeights | None = None,
     check: Checkpoint = lambda _step, _weights: {},
     progress: Callable[[int], None] = lambda _step: None,
 ) -> NetworkWeights:
     """Learn from arrays (the first one is the light copy); returns the averaged weights.
 
     `folder` keeps the state (`state.pt`) and the run log (`log.jsonl`): a run that finds a state
-    there goes on from it. `check` scores the weights so far; its figures go into the log.
+    there goes on from it. `start`: weights to begin with in place of random ones. `check` scores
+    the weights so far; its figures go into the log. Raises TrainingError where `start` is of
+    another shape than the plan's.
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(plan.n_threads)
-    network = TorchNetwork(plan)
+    network = TorchNetwork(plan) if start is None else started_from(start, arrays, plan)
     average = torch.optim.swa_utils.AveragedModel(
         network,
-        multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(plan.average),
+        multi_avg_fn=torch.optim.swa_utils.get_ema_multi_avg_fn(plan.averaging),
         use_buffers=True,
     )
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=plan.weight_decay)
@@ -144,6 +158,42 @@ def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> Net
         delays=plan.delays,
         phonemes=PHONEMES,
     )
+
+
+def started_from(
+    weights: NetworkWeights, arrays: Sequence[TrainingArray], plan: TrainingPlan
+) -> TorchNetwork:
+    """A network that says what `weights` say, ready to go on learning.
+
+    The weights hold no norms, these are folded into them; they are set here from what the layers
+    give on windows of the arrays, so that the first step finds the network as it was left.
+    """
+    network = TorchNetwork(plan)
+    layers = [weights.entry, *weights.residuals]
+    dilations = tuple(layer.dilation for layer in weights.residuals)
+    channels = len(weights.entry.bias)
+    if (dilations, channels, weights.delays) != (plan.dilations, plan.channels, plan.delays):
+        raise TrainingError("the weights to start from are of another shape than the plan's")
+    rng = np.random.default_rng([plan.seed, plan.n_steps])
+    sample = replace(plan, batch=_NORM_WINDOWS)
+    hidden = torch.from_numpy(_windows(arrays, sample, rng)[0])
+    with torch.no_grad():
+        network.entry.weight.copy_(_torch_kernel(layers[0].kernel))
+        network.entry.bias.copy_(torch.from_numpy(layers[0].bias))
+        hidden = torch.relu(network.entry(nn.functional.pad(hidden, (2, 0))))
+        for block, layer in zip(network.body, layers[1:], strict=True):
+            assert isinstance(block, _Residual)
+            block.conv.weight.copy_(_torch_kernel(layer.kernel))
+            given = block.conv(nn.functional.pad(hidden, (block.padding, 0)))
+            mean, variance = given.mean(dim=(0, 2)), given.var(dim=(0, 2))
+            block.norm.running_mean.copy_(mean)
+            block.norm.running_var.copy_(variance)
+            block.norm.weight.copy_(torch.sqrt(variance + block.norm.eps))
+            block.norm.bias.copy_(torch.from_numpy(layer.bias) + mean)
+            hidden = hidden + torch.relu(given + torch.from_numpy(layer.bias)[:, None])
+        network.exit.weight.copy_(torch.from_numpy(weights.output.T[:, :, None]))
+        network.exit.bias.copy_(torch.from_numpy(weights.output_bias))
+    return network
 
 
 def _learn(
@@ -260,6 +310,12 @@ def _save(
 def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:
     """(out, in, 3 taps) as (3 taps x in, out): a frame's past and present times one matrix."""
     return _numpy(weight.permute(2, 1, 0).flatten(0, 1))
+
+
+def _torch_kernel(kernel: NDArray[np.float32]) -> torch.Tensor:
+    """The other way round."""
+    taps = torch.from_numpy(kernel).unflatten(0, (3, -1))
+    return taps.permute(2, 1, 0)
 
 
 def _numpy(tensor: torch.Tensor) -> NDArray[np.float32]:

@@ -1,20 +1,20 @@
 """One training from corpora to weights: align, split by speaker, disturb, learn, write a log."""
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from lipsync.corpus.transcribed import TranscribedUtterance, read_transcribed
-from lipsync.errors import UserError
+from lipsync.corpus.transcribed import TranscribedUtterance, read_transcribed, without_names
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition import noise
 from lipsync.recognition.alignment_cache import AlignedUtterance, align_corpus
 from lipsync.recognition.augmentation import Heard
 from lipsync.recognition.features import FeatureScale
 from lipsync.recognition.network import NetworkWeights, batch_posteriors
-from lipsync.recognition.training import TrainingPlan, train_network
+from lipsync.recognition.training import TrainingError, TrainingPlan, train_network
 from lipsync.recognition.training_data import (
     TrainingArray,
     as_array,
@@ -34,45 +34,46 @@ _MEMBERSHIP = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
 Advance = Callable[[str, int, int], None]
 
 
-class TrainingError(UserError):
-    """Nothing to learn from; the message is one line."""
-
-
 @dataclass(frozen=True, slots=True)
 class TrainingRun:
-    """What to learn from, and where the run is kept."""
+    """What to learn from, and where the run is kept.
+
+    held_out, validation: speakers; left_out: utterances. start: weights to go on from.
+    """
 
     corpora: tuple[Path, ...]
     folder: Path
-    held_out: frozenset[str]
-    validation: frozenset[str]
-    seed: int
-    n_steps: int
-    n_copies: int
-    n_processes: int
+    held_out: frozenset[str] = frozenset()
+    validation: frozenset[str] = frozenset()
+    left_out: frozenset[str] = frozenset()
+    start: NetworkWeights | None = None
+    n_copies: int = 6
+    n_processes: int = 1
     plan: TrainingPlan = field(default_factory=TrainingPlan)
 
 
 def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     """Learn; a run that was interrupted goes on from what its folder holds.
 
-    Speakers held out are not even aligned. Raises TrainingError where no speaker is left.
+    What is held or left out is not even aligned. Raises TrainingError where no speaker is left,
+    and for two utterances of one name; TranscriptError for an utterance to be left out that is in
+    none of the corpora.
     """
     run.folder.mkdir(parents=True, exist_ok=True)
-    plan = replace(run.plan, seed=run.seed, n_steps=run.n_steps)
+    plan = run.plan
     utterances, alignments = _aligned(run, advance)
     usable = [u for u in utterances if not alignments[u.name].error]
     training = [u for u in usable if u.speaker not in run.validation]
     if not training:
         raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
     clean = [read_heard(u, alignments[u.name]) for u in training]
-    scale = feature_scale(clean[::_SCALE_STEP])
+    scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = training_arrays(
         clean,
         scale,
         plan.delays,
         n_heavy=run.n_copies,
-        seed=run.seed,
+        seed=plan.seed,
         n_processes=min(run.n_processes, 1 + run.n_copies),
         progress=lambda n: advance("disturbing", n, 1 + run.n_copies),
     )
@@ -85,6 +86,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
         scale,
         plan,
         folder=run.folder,
+        start=run.start,
         check=lambda _step, weights: figures(weights, conditions),
         progress=lambda n: advance("learning", n, plan.n_steps),
     )
@@ -111,10 +113,13 @@ def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) ->
 def _aligned(
     run: TrainingRun, advance: Advance
 ) -> tuple[list[TranscribedUtterance], dict[str, AlignedUtterance]]:
+    everything = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
+    names = Counter(u.name for u in everything)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise TrainingError(f"{twice[0]!r} is in the corpora twice; rename it in one of them")
     utterances = [
         utterance
-        for corpus in run.corpora
-        for utterance in read_transcribed(corpus)
+        for utterance in without_names(everything, run.left_out)
         if utterance.speaker not in run.held_out
     ]
     done: list[str] = []

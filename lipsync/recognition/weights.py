@@ -14,7 +14,9 @@ from lipsync.recognition.features import N_BANDS, FeatureScale
 from lipsync.recognition.network import Layer, NetworkWeights
 
 _FORMAT = 1
-_SHIPPED = "recognizer.npz"
+DEFAULT_WEIGHTS = "default"
+#: The weights that come with the package, by name.
+SHIPPED = {DEFAULT_WEIGHTS: "recognizer.npz", "grid": "recognizer_grid.npz"}
 
 
 class WeightsError(UserError):
@@ -60,10 +62,26 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
     return weights
 
 
-def load_shipped_weights() -> NetworkWeights:
+def load_shipped_weights(name: str = DEFAULT_WEIGHTS) -> NetworkWeights:
     """The weights that come with the package; WeightsError where they are missing or damaged."""
-    with resources.as_file(resources.files("lipsync.models") / _SHIPPED) as path:
+    with resources.as_file(resources.files("lipsync.models") / SHIPPED[name]) as path:
         return load_weights(path)
+
+
+def find_weights(name_or_path: str) -> NetworkWeights:
+    """Shipped weights by name, or those of a file; WeightsError for neither."""
+    check_weights_name(name_or_path)
+    if name_or_path in SHIPPED:
+        return load_shipped_weights(name_or_path)
+    return load_weights(name_or_path)
+
+
+def check_weights_name(name_or_path: str) -> None:
+    """Raises WeightsError for what is neither shipped nor a file; opens nothing."""
+    if name_or_path not in SHIPPED and not Path(name_or_path).is_file():
+        raise WeightsError(
+            f"{name_or_path}: no such file; give one, or shipped weights: {', '.join(SHIPPED)}"
+        )
 
 
 def _weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
