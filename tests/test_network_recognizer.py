@@ -10,6 +10,7 @@ from speech import CLIP_PATH, phoneme_frames
 
 from lipsync.audio.block import AudioBlock
 from lipsync.phonemes import SILENCE
+from lipsync.recognition.endurance import endure
 from lipsync.recognition.features import LevelNormalizer, LogMelStream, log_mel
 from lipsync.recognition.live import NetworkRecognizer
 from lipsync.recognition.network import StreamingNetwork, batch_posteriors
@@ -207,3 +208,13 @@ def test_an_hour_of_sound_leaves_no_more_behind_than_a_minute(clip):
         kept.append(len(recognizer._settled) + len(recognizer._open))
 
     assert kept[-1] == kept[2] < 20
+
+
+def test_a_long_stream_is_measured_block_by_block(clip):
+    """What was fed and what was reported on end at the same time, up to a window."""
+    endured = endure(NetworkRecognizer(WEIGHTS), clip[:16_050], 20.0, lambda: 50.0)
+    figures = endured.as_dict()
+
+    assert figures["endurance_hours"] == pytest.approx(20.0 / 3600.0)
+    assert 0.0 <= figures["endurance_clock_error_ms"] <= 15.0
+    assert figures["endurance_rss_mb_end"] == figures["endurance_rss_mb_after_10_min"] == 50.0

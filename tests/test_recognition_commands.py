@@ -105,11 +105,27 @@ def test_bench_recognition_explains_its_mistakes(corpus):
         (("--corpus", corpus / "audio"), "transcripts.txt: no such file"),
         (("--corpus", corpus, "--speakers", "9"), "no speaker 9; known: 3, 4"),
         (("--corpus", corpus, "--noise", "grey:1"), "kinds: white"),
+        (("--corpus", corpus, "--only", corpus / "none"), "no readable list of names"),
+        (("--corpus", corpus, "--weights", "none.npz"), "shipped weights: default, grid"),
     ):
         done = lipservo("bench", "recognition", *arguments)
         assert done.returncode == 1
         (line,) = done.stderr.splitlines()
         assert said in line
+
+
+def test_bench_listening_watches_the_mouth_close(corpus):
+    done = lipservo(
+        "bench", "listening", "--corpus", corpus, "--speakers", "3", "--hours", "0.002", "--json"
+    )
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["closing_cuts"] == 6
+    assert figures["closing_begins_ms_p100"] <= 250
+    assert figures["closing_complete_ms_p100"] <= 400
+    assert figures["gap_120_ms_brought_to_rest"] == 0.0
+    assert figures["closing_delay_ms"] == pytest.approx(205.0)
+    assert figures["endurance_hours"] == pytest.approx(0.002)
 
 
 @pytest.mark.parametrize("engine", ["network", "pocketsphinx"])

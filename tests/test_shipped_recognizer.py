@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+import soxr
 from speech import (
     CLIP_LABELS_PATH,
     CLIP_PATH,
@@ -26,6 +27,7 @@ from lipsync.evaluation.closing import (
     vowel_cuts,
     with_gap,
 )
+from lipsync.evaluation.listening import heard_by
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.live import NetworkRecognizer
@@ -97,6 +99,36 @@ def test_a_voice_30_db_lower_is_heard_nearly_as_well(weights, clip):
     ]
 
     assert accuracies[1] > accuracies[0] - 0.03
+
+
+@pytest.mark.parametrize(
+    ("name", "rate_hz", "subtype", "is_stereo", "least"),
+    [
+        ("stereo.wav", 16_000, "PCM_16", True, 0.6),
+        ("float.wav", 44_100, "FLOAT", False, 0.6),
+        ("int24.flac", 48_000, "PCM_24", True, 0.6),
+        ("narrow.wav", 8_000, "PCM_16", False, 0.5),
+    ],
+)
+def test_files_of_all_kinds_are_heard_alike(
+    weights, clip, tmp_path, name, rate_hz, subtype, is_stereo, least
+):
+    truth = phoneme_frames(read_phonemes(CLIP_LABELS_PATH), len(clip) // 160)[:400]
+    samples = soxr.resample(clip[: 4 * RATE_HZ], RATE_HZ, rate_hz)
+    if is_stereo:
+        samples = np.stack((1.2 * samples, 0.8 * samples), axis=1)
+    soundfile.write(tmp_path / name, samples, rate_hz, subtype=subtype)
+    heard = heard_by(NetworkRecognizer(weights), tmp_path / name)
+
+    assert viseme_accuracy(phoneme_frames(heard.events, 400), truth) > least
+
+
+def test_a_voice_clipped_ten_times_over_is_still_heard_in_part(weights, clip):
+    truth = phoneme_frames(read_phonemes(CLIP_LABELS_PATH), len(clip) // 160)[:400]
+    clipped = np.clip(clip[: 5 * RATE_HZ] * 10.0 / np.abs(clip).max(), -1.0, 1.0)
+    heard = listen(NetworkRecognizer(weights), clipped)
+
+    assert viseme_accuracy(phoneme_frames(heard.events, 400), truth) > 0.3
 
 
 @pytest.mark.parametrize("level_db", [-80.0, -50.0, -26.0])

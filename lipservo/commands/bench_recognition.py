@@ -53,15 +53,15 @@ def recognition(
     quiet: Quiet = False,
 ) -> None:
     """Measure a recogniser, live, against forced alignment of the transcripts."""
-    from lipservo.aligned_corpus import Selection, aligned
+    from lipservo.aligned_corpus import aligned, selected
     from lipsync.recognition.benchmark import measure
     from lipsync.recognition.conditions import parse_condition
 
     condition = None if noise is None else parse_condition(noise)
     make = _maker(engine, latency_ms / 1e3, weights)
+    utterances = selected(corpus, speakers, only, limit)
     with progress_bar(quiet=quiet) as advance:
-        selection = Selection(corpus, speakers, only, limit)
-        utterances, alignments = aligned(selection, cache, jobs, advance)
+        alignments = aligned(utterances, cache, jobs, advance)
         heard: list[str] = []
 
         def count(name: str) -> None:
@@ -119,15 +119,15 @@ def listening(
     for percent in (50, 99):
         figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
     if corpus is not None:
-        from lipservo.aligned_corpus import Selection, aligned
+        from lipservo.aligned_corpus import aligned, selected
         from lipservo.assembly import load_face_model
         from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S
         from lipsync.evaluation.closing import ClosingBench, closing_figures
 
+        utterances = selected(corpus, speakers, limit=limit)
         bench = ClosingBench(recognizer, load_face_model(model), DEFAULT_LOOKAHEAD_S)
         with progress_bar(quiet=quiet) as advance:
-            selection = Selection(corpus, speakers, limit=limit)
-            utterances, alignments = aligned(selection, cache, None, advance)
+            alignments = aligned(utterances, cache, None, advance)
             usable = [u for u in utterances if not alignments[u.name].error]
             figures |= closing_figures(
                 bench,

@@ -82,11 +82,6 @@ class MicrophoneSource:
         """Blocks' worth of sound replaced by silence so far, rounded up at each loss."""
         return self._lost_blocks
 
-    @property
-    def input_overflows(self) -> int:
-        """How often the device reported that it threw sound away."""
-        return self._input_overflows
-
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """The blocks not handed out before that end at or before sound time `until_s`."""
         if self._stream is not None and not self._stream.active:
@@ -129,7 +124,6 @@ class MicrophoneSource:
         self._rate_hz = rate_hz
         self._n_heard = 0  # samples at the device's rate, lost ones among them: the callback's
         self._next_adc_s: float | None = None  # when the device takes the next sample: likewise
-        self._input_overflows = 0
         self._n_taken = 0  # samples at the device's rate that went on to the cutter
         self._lost_blocks = 0
         self._cutter = BlockCutter()
@@ -169,7 +163,6 @@ class MicrophoneSource:
         A full queue drops its oldest entry; the reader sees the hole in the sample count.
         """
         if status.input_overflow:
-            self._input_overflows += 1
             self._n_heard += self._n_lost(timing.inputBufferAdcTime, n_frames)
         self._arrived.append((self._n_heard, frames.mean(axis=1)))
         self._n_heard += n_frames
