@@ -1,6 +1,7 @@
 """Pictures of `lipservo bench motion`; needs matplotlib, the extra `plots`."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from lipsync.animpho.model import FaceModel
 from lipsync.corpus.utterance import Utterance
 from lipsync.errors import UserError
 from lipsync.evaluation.methods import REFERENCE, Heard, all_methods
-from lipsync.evaluation.recovery import ErrorRow, error_rows
+from lipsync.evaluation.wrong_phonemes import ErrorRow, error_rows
 
 Array = NDArray[np.float64]
 Row = Mapping[str, object]
@@ -41,13 +42,18 @@ def check_plots(folder: Path) -> None:
 
 def draw(
     folder: Path, model: FaceModel, utterances: Sequence[Utterance], rows: Sequence[Row]
-) -> None:
-    """All three pictures: trajectory, error against look-ahead, error against wrong phonemes."""
+) -> list[dict[str, object]]:
+    """All three pictures: trajectory, error against look-ahead, error against wrong phonemes.
+
+    utterances: not the model's. Returns what the last picture shows.
+    """
     draw_trajectory(folder, model, utterances[0])
     draw_lookahead(folder, rows)
     methods = [m for name, m in all_methods().items() if name in _WITH_ERRORS]
     few = utterances[:_SENTENCES_WITH_ERRORS]
-    draw_errors(folder, error_rows(model, few, methods, lookahead_s=_DRAWN_LOOKAHEAD_S))
+    errors = error_rows(model, few, methods, lookahead_s=_DRAWN_LOOKAHEAD_S)
+    draw_errors(folder, errors)
+    return [asdict(row) for row in errors]
 
 
 def draw_trajectory(folder: Path, model: FaceModel, utterance: Utterance) -> None:
