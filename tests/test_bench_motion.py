@@ -133,7 +133,12 @@ def test_pictures_are_drawn(folder, model, tmp_path):
     drawn = ("--corpus", folder, "--model", model, "--plots", tmp_path / "p")
     result = bench(*drawn, "--strategy", LIVE_STRATEGY, "--lookahead-ms", "0")
     assert {row["kind"] for row in result["errors"]} == set(KINDS)
-    assert sorted(os.listdir(tmp_path / "p")) == ["errors.png", "lookahead.png", "trajectory.png"]
+    assert sorted(os.listdir(tmp_path / "p")) == [
+        "errors.png",
+        "lookahead.png",
+        "recovery.png",
+        "trajectory.png",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,7 @@ def _answer(
         from lipservo.motion_plots import draw
 
         progress.update(step, description="pictures")
-        errors = draw(plots, model, unseen.labelled().utterances, rows)
+        errors = draw(plots, model, unseen.labelled().utterances, rows, recovery)
     return {
         "results": rows,
         "paper": paper,
