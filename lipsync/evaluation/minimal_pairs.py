@@ -129,9 +129,16 @@ def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persisten
     n = len(motions)
     draws = rng.multinomial(n, np.full(n, 1.0 / n), size=_N_RESAMPLINGS)
     samples = [_shares(distance2, pairs.differ, _weights(draw, pairs)) for draw in draws]
-    intervals = np.nanpercentile(samples, [2.5, 97.5], axis=0).T
     shares = _shares(distance2, pairs.differ, np.ones(len(distance2)))
-    return Persistence(shares, intervals, int(pairs.differ.sum()))
+    return persistence_of(shares, samples, int(pairs.differ.sum()))
+
+
+def persistence_of(shares: Array, samples: Sequence[Array], counted: int) -> Persistence | None:
+    """With the intervals of bootstrap samples; None where nothing was seen to move (NaN)."""
+    finite = np.array([sample for sample in samples if np.isfinite(sample).all()])
+    if not len(finite) or not np.isfinite(shares).all():
+        return None
+    return Persistence(shares, np.percentile(finite, [2.5, 97.5], axis=0).T, counted)
 
 
 def _distance2(one: Array, other: Array) -> Array:

@@ -20,6 +20,7 @@ from lipsync.evaluation.minimal_pairs import (
     Persistence,
     find_pairs,
     made_persistence,
+    persistence_of,
     recorded_persistence,
 )
 from lipsync.evaluation.mishearing import misheard
@@ -78,13 +79,14 @@ def wrong_phoneme_persistence(
     *,
     lookahead_s: float,
     seed: int = 0,
-) -> list[Persistence]:
+) -> list[Persistence | None]:
     """One phoneme of each sentence is heard wrong: how far that moves the mouth, for how long.
 
     RMS distance between the motion with one phoneme substituted, until so long after its beginning
     was heard, and the motion without; over that during the wrong phoneme when it is never put
     right. The listener is not waited for: the face at t is decided when the sound up to
-    t + look-ahead was heard. One answer for each delay; none where no sentence is long enough.
+    t + look-ahead was heard. One answer for each delay (None: nothing moved); no answer where no
+    sentence is long enough.
     """
     rng = np.random.default_rng(seed)
     squares, never = [], []
@@ -110,19 +112,13 @@ def wrong_phoneme_persistence(
         return []
     n, unit = len(squares), np.array(never)
     draws = rng.multinomial(n, np.full(n, 1.0 / n), size=_N_RESAMPLINGS)
-    return [_persistence(each, unit, draws) for each in np.array(squares).transpose(1, 0, 2, 3)]
-
-
-def _persistence(squares: Array, unit: Array, draws: NDArray[np.int64]) -> Persistence:
-    """Sums (n, n_phones, 2) and (n, 2) of n sentences, and how often each is drawn (k, n)."""
-    samples = [
-        _shares(total, unit_total)
-        for total, unit_total in zip(
-            np.tensordot(draws, squares, axes=1), draws @ unit, strict=True
-        )
-    ]
-    intervals = np.nanpercentile(samples, [2.5, 97.5], axis=0).T
-    return Persistence(_shares(squares.sum(axis=0), unit.sum(axis=0)), intervals, len(squares))
+    unit_totals = draws @ unit
+    found = []
+    for each in np.array(squares).transpose(1, 0, 2, 3):
+        totals = np.tensordot(draws, each, axes=1)
+        samples = [_shares(*both) for both in zip(totals, unit_totals, strict=True)]
+        found.append(persistence_of(_shares(each.sum(axis=0), unit.sum(axis=0)), samples, n))
+    return found
 
 
 def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: float) -> Heard:
@@ -162,12 +158,7 @@ def _row(case: str, strategy: str, lookahead_ms: int | None, found: Persistence 
         "case": case,
         "strategy": strategy,
         "lookahead_ms": lookahead_ms,
-        "left": found and [_number(x) for x in found.shares],
-        "left_95": found and [[_number(x) for x in pair] for pair in found.intervals],
+        "left": found and found.shares.tolist(),
+        "left_95": found and found.intervals.tolist(),
         "counted": found.counted if found else 0,
     }
-
-
-def _number(value: float) -> float | None:
-    """JSON knows no NaN."""
-    return float(value) if math.isfinite(value) else None
