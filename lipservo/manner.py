@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from lipservo.pipeline import Synthesizer
 from lipsync.animpho.live import LIVE_STRATEGY, LiveSynthesizer, Style, StyleError
@@ -15,6 +15,8 @@ from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights_name, fin
 
 #: Which recogniser is tried first.
 Engine = Literal["network", "pocketsphinx"]
+#: All of them, the default first.
+ENGINES: tuple[Engine, ...] = get_args(Engine)
 #: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
 LATENCY_S = 0.095
 _POCKETSPHINX_LATENCY_S = 0.09

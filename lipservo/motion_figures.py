@@ -2,17 +2,20 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
+from lipservo.manner import ENGINES, Engine, make_recognizer
 from lipsync.animpho.live import LIVE_STRATEGY
 from lipsync.animpho.model import FaceModel
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
+from lipsync.evaluation.listening import heard_by
 from lipsync.evaluation.methods import Heard, Method, all_methods
 from lipsync.evaluation.misses import miss_rate
 from lipsync.evaluation.paper_tables import paper_tables
+from lipsync.evaluation.recovery import recovery_rows
 from lipsync.evaluation.scoring import Scores, add_scores, check_scorable, true_phonemes
 from lipsync.evaluation.speech import speech_frames
 from lipsync.evaluation.splits import Part, read_parts, words_part
@@ -27,6 +30,8 @@ Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
 PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
 #: Sentences that speed is measured on.
 _TIMED = 40
+#: Methods whose self-correction is measured, where they are asked for.
+_RECOVERING = ("priority", LIVE_STRATEGY)
 
 
 class BenchError(UserError):
@@ -41,6 +46,11 @@ class Question:
     lookaheads_ms: tuple[int, ...]
     phonemes: str
     words: frozenset[str] | None
+
+    @property
+    def compares(self) -> bool:
+        """Whether methods are to be compared, not one looked at."""
+        return len(self.methods) > 1
 
 
 def question(strategy: str | None, lookaheads: str, phonemes: str, words: str | None) -> Question:
@@ -72,19 +82,36 @@ def score_model(model: FaceModel, corpus: Corpus, asked: Question, track: Track)
     return _rows([(model, part)], corpus, asked, track)
 
 
-def paper_rows(model: FaceModel, corpus: Corpus) -> dict[str, object]:
-    """Tables 2 and 3 and Figure 6 of the paper, with the live recogniser for case 2."""
+def paper_rows(model: FaceModel, corpus: Corpus) -> dict[str, list[Row]]:
+    """Tables 2 and 3 and Figure 6 of the paper; case 2 with each live recogniser."""
     utterances = check_scorable(model, corpus)
-    return dict(paper_tables(model, utterances, _listener(PHONEMES_RECOGNIZED)))
+    return paper_tables(model, utterances, {engine: _listener(engine) for engine in ENGINES})
+
+
+def recovery(model: FaceModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
+    """What a wrong phoneme leaves behind, in sentences that the model has not seen.
+
+    corpus: all recordings, for what real coarticulation leaves behind.
+    """
+    methods = [m for m in asked.methods if m.name in _RECOVERING]
+    if not methods:
+        return []
+    tested, recorded = check_scorable(model, unseen), corpus.labelled().utterances
+    return recovery_rows(model, tested, recorded, methods, asked.lookaheads_ms)
+
+
+@dataclass(frozen=True, slots=True)
+class CrossValidation:
+    """The rows of all splits, and of the first training its model and what it has not seen."""
+
+    rows: list[Row]
+    model: FaceModel
+    unseen: Corpus
 
 
 def cross_validate(
-    folder: Path,
-    corpus: Corpus,
-    asked: Question,
-    train: Callable[[Corpus], FaceModel],
-    track: Track,
-) -> list[Row]:
+    folder: Path, corpus: Corpus, asked: Question, train: Train, track: Track
+) -> CrossValidation:
     """Models trained on the training part of each split, scored on the rest."""
     labelled = corpus.labelled()
     if asked.words is not None:
@@ -92,10 +119,14 @@ def cross_validate(
     else:
         parts = read_parts(folder, labelled)
     rows: list[Row] = []
+    first: FaceModel | None = None
     for split in dict.fromkeys(part.split for part in parts):
         trained = [(train(labelled.keep(set(p.train))), p) for p in parts if p.split == split]
+        first = first or trained[0][0]
         rows += _rows(trained, labelled, asked, track)
-    return rows
+    if first is None:
+        raise BenchError(f"{folder}: no split to score")
+    return CrossValidation(rows, first, labelled.keep(set(parts[0].test)))
 
 
 def _rows(
@@ -103,7 +134,7 @@ def _rows(
 ) -> list[Row]:
     """One split: the sums of all its parts together."""
     scores = Scores()
-    listen = _listener(asked.phonemes)
+    listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else _listener(ENGINES[0])
     for model, part in trained:
         add_scores(
             scores,
@@ -148,11 +179,14 @@ def _times(
     return None
 
 
-def _listener(phonemes: str) -> Callable[[Utterance], Heard]:
-    if phonemes == PHONEMES_TRUE:
-        return true_phonemes
-    from lipservo.manner import make_recognizer
-    from lipsync.evaluation.listening import heard_by
+def _listener(engine: Engine) -> Callable[[Utterance], Heard]:
+    """What a live recogniser hears in a sentence's sound; made when it is first asked."""
 
-    recognizer = make_recognizer()
-    return lambda utterance: heard_by(recognizer, utterance.sound_path)
+    def listen(utterance: Utterance) -> Heard:
+        heard = heard_by(recognizer(), utterance.sound_path)
+        if recognizer().level != engine:
+            raise BenchError(f"{engine} gave up: {'; '.join(recognizer().reasons)}")
+        return heard
+
+    recognizer = cache(partial(make_recognizer, engine))
+    return listen

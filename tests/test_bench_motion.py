@@ -2,12 +2,12 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
-import small_corpus
-from small_corpus import write_corpus
+from small_corpus import RIGID, write_corpus, write_sentence
 from typer.testing import CliRunner
 
 from lipservo.cli import app
@@ -16,8 +16,9 @@ from lipsync.animpho.live import LIVE_STRATEGY
 from lipsync.animpho.model import save_model
 from lipsync.animpho.training import train
 from lipsync.corpus.grid import read_grid
-from lipsync.corpus.utterance import CorpusError
 from lipsync.evaluation.methods import all_methods
+from lipsync.evaluation.mishearing import KINDS
+from lipsync.markers import MARKER_NAMES
 
 #: The fields that a row must have.
 ROW = {
@@ -65,6 +66,49 @@ def test_without_a_model_every_method_is_cross_validated(folder):
     )
 
 
+def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser(folder, model):
+    paper = bench("--corpus", folder, "--model", model, "--lookahead-ms", "0")["paper"]
+    assert set(paper) == {"table_2", "table_3", "figure_6"}
+    assert [row["printed_case_2"] for row in paper["table_2"]] == [1.081, 1.151, 1.063]
+    cases = {
+        f"{strategy}_{case}"
+        for strategy in ("priority", LIVE_STRATEGY)
+        for case in ("case_1", "case_2", "case_2_pocketsphinx")
+    }
+    assert cases < set(paper["table_2"][0])
+    assert all(row["priority"] <= 1.0 for row in paper["figure_6"])
+
+
+def test_self_correction_is_measured_and_everything_is_printed(folder, model, tmp_path):
+    """A folder with minimal pairs: two sentences that differ in their first phoneme alone."""
+    long = tmp_path / "long"
+    shutil.copytree(folder, long)
+    rng = np.random.default_rng(0)
+    face = rng.normal(0.0, 30.0, (len(RIGID) + len(MARKER_NAMES), 3))
+    for number, first in enumerate("BTBT"):
+        middle = [(first, 0.1), *[("AA", 0.1), ("UW", 0.1)] * 3]
+        phones = [("SIL", 0.4), ("AA", 0.1), *middle, ("SIL", 0.4)]
+        write_sentence(long, f"t{number}", face, phones, rng)
+    arguments = ("--corpus", long, "--model", model, "--strategy", LIVE_STRATEGY)
+    rows = bench(*arguments, "--lookahead-ms", "0,100")["recovery"]
+    assert [(r["case"], r["strategy"], r["lookahead_ms"]) for r in rows] == [
+        ("another true phoneme", "recorded", None),
+        *(
+            (case, LIVE_STRATEGY, ms)
+            for ms in (0, 100)
+            for case in ("another true phoneme", "never corrected", "corrected after 95 ms")
+        ),
+    ]
+    assert all(len(r["left"]) == 5 for r in rows if r["left"])
+    assert rows[2]["left"][0] == 1.0
+    assert rows[2]["counted"] == 4
+    done = CliRunner().invoke(app, ["bench", "motion", *map(str, arguments), "-q"])
+    assert done.exit_code == 0, done.output
+    assert "never corrected" in done.stdout
+    assert "gap r" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
+
+
 def test_a_given_model_is_scored_on_the_words_asked_for(folder, model):
     whole = bench("--corpus", folder, "--model", model, "--strategy", LIVE_STRATEGY)
     words = bench(
@@ -86,8 +130,15 @@ def test_recognized_phonemes_are_those_of_the_live_recogniser(folder, model):
 
 def test_pictures_are_drawn(folder, model, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `plots` is not installed")
-    bench("--corpus", folder, "--model", model, "--plots", tmp_path / "p", "--lookahead-ms", "0")
-    assert sorted(os.listdir(tmp_path / "p")) == ["errors.png", "lookahead.png", "trajectory.png"]
+    drawn = ("--corpus", folder, "--model", model, "--plots", tmp_path / "p")
+    result = bench(*drawn, "--strategy", LIVE_STRATEGY, "--lookahead-ms", "0")
+    assert {row["kind"] for row in result["errors"]} == set(KINDS)
+    assert sorted(os.listdir(tmp_path / "p")) == [
+        "errors.png",
+        "lookahead.png",
+        "recovery.png",
+        "trajectory.png",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -103,25 +154,3 @@ def test_pictures_are_drawn(folder, model, tmp_path):
 def test_a_question_that_cannot_be_answered_says_why(arguments, message):
     with pytest.raises(BenchError, match=message):
         question(*arguments)
-
-
-@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 120.0])
-def test_motion_of_any_frame_rate_trains_and_scores(tmp_path, monkeypatch, rate_hz):
-    monkeypatch.setattr(small_corpus, "FRAME_RATE_HZ", rate_hz)
-    corpus = read_grid(write_corpus(tmp_path / "c", 3))
-    assert {u.frame_rate_hz for u in corpus.utterances} == {rate_hz}
-    save_model(train(corpus.keep({"s0", "s1"})), tmp_path / "m.npz")
-    result = bench("--corpus", tmp_path / "c", "--model", tmp_path / "m.npz")
-    assert all(np.isfinite(r["ratio"]) for r in result["results"])
-
-
-def test_a_frame_that_was_not_tracked_is_named(tmp_path):
-    folder = write_corpus(tmp_path / "c", 2)
-    path = folder / "landmarks" / "s1.npz"
-    with np.load(path) as file:
-        points = file["landmarks_64th_px"].copy()
-    points[7] = 0
-    np.savez(path, landmarks_64th_px=points)
-    with pytest.raises(CorpusError, match=r"s1.npz: frame 7 is not tracked"):
-        read_grid(folder)
-    assert len(read_grid(folder, skip_bad=True).utterances) == 1

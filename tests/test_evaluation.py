@@ -25,14 +25,16 @@ from lipsync.evaluation.measures import (
     sentence_sums,
 )
 from lipsync.evaluation.methods import REFERENCE, Heard, all_methods
+from lipsync.evaluation.minimal_pairs import find_pairs, made_persistence, recorded_persistence
 from lipsync.evaluation.mishearing import KINDS, misheard
-from lipsync.evaluation.recovery import error_rows, recovery_shares
+from lipsync.evaluation.recovery import CORRECTED_AFTER_S, NEVER_S, wrong_phoneme_persistence
 from lipsync.evaluation.regression import fit_regression
 from lipsync.evaluation.scoring import Scores, add_scores, check_scorable
 from lipsync.evaluation.speech import speech_frames
 from lipsync.evaluation.spline import spline_faces
 from lipsync.evaluation.splits import read_parts, words_part
 from lipsync.evaluation.tuning import tune_dominance
+from lipsync.evaluation.wrong_phonemes import error_rows
 from lipsync.phonemes import PHONEMES
 
 PHRASE = spoken(("SIL", 0.4), ("M", 0.12), ("AA", 0.2), ("UW", 0.2), ("M", 0.12), ("SIL", 0.4))
@@ -188,23 +190,84 @@ def test_a_share_of_the_phonemes_is_misheard_and_time_is_kept(kind):
     assert 250 < hit < 350
 
 
-def test_ours_recovers_within_one_phoneme_and_errors_cost():
+SENTENCE = spoken(
+    ("SIL", 0.4), *[("AA", 0.1), ("T", 0.08), ("UW", 0.1), ("L", 0.08)] * 4, ("SIL", 0.4)
+)
+
+
+def made_by_ours(events, name="u") -> Utterance:
+    """An utterance that the live method would play without an error."""
     model = load_shipped_model()
-    phones = [("SIL", 0.4), *[("AA", 0.1), ("T", 0.08), ("UW", 0.1), ("L", 0.08)] * 4, ("SIL", 0.4)]
-    events = spoken(*phones)
     times_s = np.arange(round(events[-1].end_s * 25)) / 25.0
-    ours = all_methods()[LIVE_STRATEGY]
-    markers_mm = model.markers_mm(ours.faces(model, Heard(events), times_s, 0.1))
-    utterance = Utterance("u", markers_mm, 25.0, Path(), events, ())
-    left = recovery_shares(model, [utterance] * 6, ours, lookahead_s=0.1)
-    assert left[0] == 1.0
-    assert left[3] < 0.3
-    errors = {
-        r.rate: r.rmse_mm
-        for r in error_rows(model, [utterance], [ours], lookahead_s=0.1)
-        if r.kind == "substitution"
-    }
+    faces = all_methods()[LIVE_STRATEGY].faces(model, Heard(events), times_s, 0.1)
+    return Utterance(name, model.markers_mm(faces), 25.0, Path(), events, ())
+
+
+def test_a_wrong_phoneme_is_forgotten_and_sooner_when_it_is_put_right():
+    model, ours = load_shipped_model(), all_methods()[LIVE_STRATEGY]
+    few = [made_by_ours(SENTENCE)] * 4
+    delays_s = (NEVER_S, CORRECTED_AFTER_S, 0.0)
+    never, late, at_once = wrong_phoneme_persistence(model, few, ours, delays_s, lookahead_s=0.1)
+    assert never.shares[0] == 1.0
+    assert never.shares[3] < 0.3
+    assert (late.shares[:3] < 0.5 * never.shares[:3]).all()
+    assert not at_once.shares.any()
+    assert (never.intervals[:, 0] <= never.shares + 1e-9).all()
+
+
+def test_the_deeper_the_errors_the_worse_the_motion():
+    model, ours = load_shipped_model(), all_methods()[LIVE_STRATEGY]
+    rows = error_rows(model, [made_by_ours(SENTENCE)], [ours], lookahead_s=0.1)
+    errors = {r.rate: r.rmse_mm for r in rows if r.kind == "substitution"}
     assert errors[0.0] < 1e-6 < errors[0.5]
+
+
+def test_what_a_phoneme_leaves_behind_is_read_off_minimal_pairs():
+    """Faces made so that the first phoneme moves its own by 2, the next by 1, no other."""
+    model = small_model()
+    rest = (("UW", 0.2), ("IY", 0.2), ("UW", 0.2), ("AA", 0.2), ("SIL", 0.2))
+    utterances = []
+    for number, first in enumerate(("AA", "AA", "M", "M")):
+        events = spoken(("SIL", 0.4), ("IY", 0.2), (first, 0.2), *rest)
+        times_s = np.arange(round(events[-1].end_s * 100)) / 100.0
+        faces = np.zeros((len(times_s), 5))
+        faces[:, 1] = 0.1 * number  # the offset of a take, which repetitions have as well
+        faces[:, 0] = (first == "M") * np.select(
+            [times_s < 0.6, times_s < 0.8005, times_s < 1.0005], [0.0, 2.0, 1.0]
+        )
+        utterances.append(
+            Utterance(str(number), model.markers_mm(faces), 100.0, Path(), events, ())
+        )
+    pairs = find_pairs(utterances)
+    assert sorted(pairs.differ) == [False] * 4 + [True] * 4
+    left = recorded_persistence(model, utterances, pairs)
+    # Four pairs of offsets 0.1 to 0.3 against repetitions of 0.1; one of five instants lies on the
+    # border.
+    extra = (0.01 + 0.04 + 0.04 + 0.09) / 4 - 0.01
+    squares = np.array([4.0, (4.0 + 4 * 1.0) / 5, 1.0 / 5, 0.0, 0.0]) + extra
+    np.testing.assert_allclose(left.shares, np.sqrt(squares / squares[0]), atol=0.01)
+    assert left.counted == 4
+
+
+def test_methods_are_asked_for_the_sentences_of_the_pairs():
+    """A method that knows no context leaves nothing behind, beside the joint of two phonemes."""
+    mean_face = all_methods()["catmull-rom"]
+    phones = [
+        (("AA", 0.2), *[("UW", 0.2), ("IY", 0.2)] * 3),
+        (("M", 0.2), *[("UW", 0.2), ("IY", 0.2)] * 3),
+    ]
+    utterances = [
+        recorded(spoken(("SIL", 0.4), ("T", 0.2), *p, ("SIL", 0.4)), name=str(i))
+        for i, p in enumerate([phones[0], phones[1], phones[0]])
+    ]
+    left = made_persistence(
+        small_model(), utterances, find_pairs(utterances), mean_face, lookahead_s=0.0
+    )
+    assert left.shares[0] == 1.0
+    assert 0.0 < left.shares[1] < 1.0
+    assert not left.shares[3:].any()
+    alone = find_pairs(utterances[:1])
+    assert recorded_persistence(small_model(), utterances[:1], alone) is None
 
 
 def test_moments_of_closure_are_read_off_the_recording():

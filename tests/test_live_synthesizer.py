@@ -11,7 +11,7 @@ from test_synthesizer import spoken, update_streams
 
 from lipsync.animpho.live import TICK_S, LiveSynthesizer, Style, StyleError
 from lipsync.animpho.model import load_shipped_model
-from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 
 
@@ -110,6 +110,32 @@ def test_the_same_time_gives_the_same_face_also_after_a_revision():
     shown = faces(synthesizer, 0.45, 0.70, 0.013)
     synthesizer.push(PhonemeUpdate(0.0, 0.8, 0.8, spoken(("SIL", 0.4), ("M", 0.4))))
     np.testing.assert_array_equal(shown, faces(synthesizer, 0.45, 0.70, 0.013))
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    wrong=st.sampled_from([p for p in PHONEMES if p != "SIL"]),
+    duration_s=st.floats(0.03, 0.3),
+    ahead_s=st.sampled_from([0.0, 0.1, 0.2]),
+)
+def test_a_wrong_phoneme_put_right_leaves_nothing_after_a_tenth_of_a_second(
+    wrong, duration_s, ahead_s
+):
+    """The context is right at once; what remains is to part lips that were closed for nothing."""
+    before, after = [("SIL", 0.4), ("AA", 0.12), ("T", 0.1)], [("IY", 0.12), ("UW", 0.4)]
+    model = load_shipped_model()
+    mistaken, untouched = (LiveSynthesizer(model, Style(ahead_s)) for _ in "ab")
+    phones = [*before, ("EH", duration_s), *after]
+    known(untouched, *phones)
+    mistaken.push(PhonemeUpdate(0.0, 0.715, 0.6, spoken(*before, (wrong, duration_s), *after)))
+    until_s = 0.715 - ahead_s
+    faces(mistaken, 0.0, until_s, TICK_S)
+    faces(untouched, 0.0, until_s, TICK_S)
+    mistaken.push(PhonemeUpdate(0.6, 0.715, 0.715, spoken(*phones)))
+    later_s = until_s + 0.1
+    np.testing.assert_allclose(
+        faces(mistaken, later_s, 1.2, TICK_S), faces(untouched, later_s, 1.2, TICK_S), atol=1e-9
+    )
 
 
 def test_reset_forgets_everything():

@@ -18,6 +18,22 @@ if TYPE_CHECKING:
     from lipsync.corpus.utterance import Corpus, Utterance
 
 
+#: What is printed of a row, and its heading; all of it together fits 80 columns.
+_HEADINGS = {
+    "split": "split",
+    "strategy": "strategy",
+    "lookahead_ms": "ms",
+    "rmse_mm": "mm",
+    "ratio": "ratio",
+    "gap_r": "gap r",
+    "closure_hits": "closed",
+    "false_closures_ratio": "false",
+    "acceleration_ratio": "accel",
+    "miss_rate": "misses",
+    "frames": "frames",
+}
+
+
 def motion(
     corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
     model: Annotated[
@@ -62,7 +78,7 @@ def motion(
     if as_json:
         print_json(answer)
         return
-    _print_rows(answer["results"])
+    _print_answer(answer)
     RESULTS.print(f"default strategy: {LIVE_STRATEGY}; {machine_class()}; {seconds:.0f} s")
 
 
@@ -75,7 +91,7 @@ def _answer(
     *,
     skip_bad: bool,
 ) -> dict[str, Any]:
-    """Rows, and with a given model the paper's tables; pictures on the way."""
+    """Rows, the paper's tables, self-correction; pictures on the way."""
     from lipservo import motion_figures as measure
     from lipsync.animpho.training import train
     from lipsync.corpus.grid import read_grid
@@ -96,28 +112,57 @@ def _answer(
         return progress.track(items, description=what)
 
     if given is None:
-        rows, paper = measure.cross_validate(folder, sentences, asked, learn, track), None
+        validated = measure.cross_validate(folder, sentences, asked, learn, track)
+        rows, model, unseen = validated.rows, validated.model, validated.unseen
     else:
-        rows = measure.score_model(given, sentences, asked, track)
-        paper = measure.paper_rows(given, sentences)
+        rows, model, unseen = measure.score_model(given, sentences, asked, track), given, sentences
         seen = seen_in_training(given, sentences.utterances)
         if seen:
             MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
+    progress.update(step, description="the paper's tables", visible=True)
+    # One method alone is a quick question, and the tables are a comparison.
+    paper = measure.paper_rows(model, unseen) if asked.compares else None
+    progress.update(step, description="self-correction")
+    recovery = measure.recovery(model, unseen, sentences, asked)
+    errors = None
     if plots is not None:
         from lipservo.motion_plots import draw
 
-        drawn = given or learn(sentences.labelled())
-        draw(plots, drawn, sentences.labelled().utterances, rows)
-    return {"results": rows, "paper": paper, "skipped": list(sentences.skipped)}
+        progress.update(step, description="pictures")
+        errors = draw(plots, model, unseen.labelled().utterances, rows, recovery)
+    return {
+        "results": rows,
+        "paper": paper,
+        "recovery": recovery,
+        "errors": errors,
+        "skipped": list(sentences.skipped),
+    }
 
 
-def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:
-    columns = (
-        "split strategy lookahead_ms rmse_mm ratio gap_r closure_hits false_closures_ratio "
-        "acceleration_ratio miss_rate sentences frames"
-    )
-    table = Table(*columns.split())
+def _print_answer(answer: Mapping[str, Any]) -> None:
+    _print_table("Motion", answer["results"], _HEADINGS)
+    for name, rows in (answer["paper"] or {}).items():
+        _print_table(f"The paper's {name.replace('_', ' ')}", rows)
+    _print_table("Left of a phoneme, in itself and in those after it", answer["recovery"])
+    _print_table("RMSE with a share of the phonemes wrong", answer["errors"] or [])
+
+
+def _print_table(
+    title: str, rows: Sequence[Mapping[str, object]], headings: Mapping[str, str] | None = None
+) -> None:
+    """The columns that have a heading; without any, all but the intervals."""
+    if not rows:
+        return
+    headings = headings or {name: name for name in rows[0] if not name.endswith("_95")}
+    table = Table(*headings.values(), title=title, title_justify="left", box=None, pad_edge=False)
     for row in rows:
-        cells = (row[name] for name in columns.split())
-        table.add_row(*(f"{c:.3f}" if isinstance(c, float) else str(c or "") for c in cells))
-    RESULTS.print(table)
+        table.add_row(*(_cell(row[name]) for name in headings))
+    RESULTS.print(table, "")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return " ".join("-" if x is None else f"{x:.2f}" for x in value)
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return "" if value is None else str(value)

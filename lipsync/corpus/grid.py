@@ -100,6 +100,14 @@ def _read_layout(folder: Path) -> _Layout:
         content = json.loads(path.read_text())
         row_of = {number: row for row, number in enumerate(content["landmark_ids"])}
         rigid = content["groups"]["rigid"]
+        needed = (*MARKER_LANDMARKS, *rigid, _RIGHT_EYE, _LEFT_EYE)
+        missing = sorted({n for n in needed if n not in row_of})
+        if missing:
+            some = ", ".join(map(str, missing[:5])) + (", ..." if len(missing) > 5 else "")
+            raise CorpusError(
+                f"{path}: landmark_ids lacks {some} ({len(missing)} of {len(needed)} points that a "
+                "face needs); number them as the 478-point face mesh does"
+            )
         return _Layout(
             float(content["frame_rate_hz"]),
             len(row_of),
