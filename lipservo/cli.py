@@ -35,6 +35,7 @@ for command in (
     recognition.align,
     recognition.recognize,
     recognition.train_recognizer,
+    recognition.plot_training,
 ):
     app.command()(command)
 bench.app.command("recognition")(bench_recognition.recognition)

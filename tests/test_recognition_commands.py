@@ -133,3 +133,17 @@ def test_replay_names_the_recogniser_that_listened(engine):
     done = lipservo("replay", CLIP_PATH, "--engine", engine, "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["recognizer"] == engine
+
+
+def test_a_run_log_becomes_a_picture(tmp_path):
+    log = tmp_path / "log.jsonl"
+    log.write_text(
+        '{"step": 50, "loss": 2.0}\n{"step": 100, "loss": 1.5, "clean_delay7_viseme_all": 0.7}\n'
+    )
+    done = lipservo("plot-training", log, "-o", tmp_path / "log.png")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
+    log.write_text('{"step": 50}\n')
+    done = lipservo("plot-training", log, "-o", tmp_path / "log.png")
+    assert done.returncode == 1
+    assert "every line must hold a step and a loss" in done.stderr

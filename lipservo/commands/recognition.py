@@ -175,6 +175,19 @@ def train_recognizer(
     MESSAGES.print(f"{output}: done; run log: {folder / 'log.jsonl'}", soft_wrap=True)
 
 
+def plot_training(
+    log: Annotated[Path, typer.Argument(help="The `log.jsonl` of a training's folder.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The picture (PNG) to write.")],
+) -> None:
+    """Draw the run log of `train-recognizer` (needs the extra `plots`)."""
+    if not output.parent.is_dir():
+        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
+    from lipservo.training_plot import draw_log, read_log
+
+    draw_log(read_log(log), output)
+    MESSAGES.print(f"{output}: done", soft_wrap=True)
+
+
 #: What is done, how many, of how many.
 Advance = Callable[[str, int, int], None]
 

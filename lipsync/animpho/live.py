@@ -38,7 +38,7 @@ STRONGEST = 1.5
 PAUSE_S = 0.17
 #: So long it takes to come to rest, and to leave it when the next phoneme is known: no snapping.
 RESTING_S = 0.15
-WAKING_S = 0.06
+WAKING_S = 0.03
 #: Ticks kept for times that are asked for again.
 _KEPT = 64
 #: After a longer leap in time the motion in between was seen by nobody and is not computed.
