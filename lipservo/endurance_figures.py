@@ -10,10 +10,12 @@ from firmware_bridge.simulator.endurance import endure
 N_SERVOS, RATE_HZ = 5, 100.0
 
 
-def endurance_figures(n_cycles: int, progress: Callable[[int], None]) -> dict[str, float]:
+def endurance_figures(
+    n_cycles: int, progress: Callable[[int], None], stopped: Callable[[], bool]
+) -> dict[str, float]:
     """Run `n_cycles` and say what grew, what went wrong on the wire, and how fast it went."""
     cpu_s = time.process_time()
-    result = endure(n_cycles, progress, n_servos=N_SERVOS, rate_hz=RATE_HZ)
+    result = endure(n_cycles, progress, n_servos=N_SERVOS, rate_hz=RATE_HZ, stopped=stopped)
     cpu_s = time.process_time() - cpu_s
     return {
         **asdict(result),

@@ -74,6 +74,31 @@ def test_bad_input_ends_in_one_clear_line(arguments, said):
     assert "Traceback" not in done.stderr
 
 
+def test_servos_at_another_rate_do_not_answer_and_the_doctor_is_named():
+    with simulated_port(["--config", "face_sim", "--baud-rate", "57600"]) as port:
+        done = lipservo("run", "--port", port, "--json")
+
+    assert done.returncode == 1
+    assert "servo 'jaw' (id 11) does not answer" in done.stderr
+    assert "lipservo doctor" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", ["run", "daemon"])
+def test_servos_that_differ_from_the_yaml_are_refused_before_anything_moves(tmp_path, command):
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults: [{kind: limits_drift, servos: [0], at_s: 0.0, amount: 2100}]")
+    with simulated_port(["--config", "face_sim", "--on-time", "--faults", str(script)]) as port:
+        control = [] if command == "run" else ["--control", tmp_path / "control.sock"]
+        done = lipservo(command, "--port", port, *control)
+
+    assert done.returncode == 1
+    assert "servo 'jaw' (id 11) has limits" in done.stderr
+    assert "setup-servos" in done.stderr
+    assert "`lipservo doctor` shows every difference" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
 def test_a_fresh_servo_becomes_a_joint_and_several_at_once_are_refused(tmp_path):
     path = tmp_path / "face.yaml"
     path.write_text(FACE)

@@ -28,7 +28,7 @@ MADE = {
     "status ok id1": codec.status(1),
     "reg_write id1 104=200": codec.packet(1, codec.Instruction.REG_WRITE, b"\x68\0\xc8\0\0\0"),
     "action id1": codec.packet(1, codec.Instruction.ACTION),
-    "factory_reset id1 opt1": codec.factory_reset(1, keep=1),
+    "factory_reset id1 opt1": codec.packet(1, codec.Instruction.FACTORY_RESET, b"\1"),
     "reboot id1": codec.reboot(1),
     "clear id1": codec.packet(1, codec.Instruction.CLEAR, bytes.fromhex("0144584C22")),
     "sync_read 132 4 [1,2]": codec.sync_read([1, 2], 132, 4),

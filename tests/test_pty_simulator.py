@@ -1,6 +1,9 @@
 """The simulator behind a pseudo-terminal, driven by other people's programs, unmodified."""
 
+import os
 import struct
+import subprocess
+import sys
 
 import pytest
 import serial
@@ -99,6 +102,28 @@ def test_a_port_has_one_owner(port):
             open_port(port, BAUD_RATE)
     finally:
         transport.close()
+
+
+def test_a_port_without_permission_is_answered_with_the_command_that_helps(tmp_path):
+    """As somebody who is not root: root may open everything."""
+    path = tmp_path / "port"
+    path.touch(0o000)
+    script = (
+        "import os, sys\n"
+        "from firmware_bridge.bus import PortError\n"
+        "from firmware_bridge.dynamixel.serial_transport import open_port\n"
+        "try:\n"
+        "    open_port(sys.argv[1], 1_000_000)\n"
+        "except PortError as error:\n"
+        "    print(error)\n"
+    )
+    if os.geteuid() == 0:
+        script = script.replace("try:", "os.seteuid(65_534)\ntry:")
+    done = subprocess.run(
+        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
+    )
+
+    assert done.stdout.startswith(f"{path}: no permission; run `sudo usermod -aG dialout $USER`")
 
 
 @pytest.mark.parametrize(

@@ -120,11 +120,6 @@ def reboot(servo_id: int) -> bytes:
     return packet(servo_id, Instruction.REBOOT)
 
 
-def factory_reset(servo_id: int, keep: int) -> bytes:
-    """Back to factory settings. keep: 0xFF nothing, 1 the id, 2 the id and the baud rate."""
-    return packet(servo_id, Instruction.FACTORY_RESET, bytes((keep,)))
-
-
 def sync_read(ids: Sequence[int], address: int, size: int, *, fast: bool = False) -> bytes:
     """Ask several servos for the same bytes; they answer one after another in this order.
 

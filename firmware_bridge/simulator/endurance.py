@@ -52,8 +52,11 @@ def endure(
     n_servos: int = 5,
     rate_hz: float = 100.0,
     seed: int = 1,
+    stopped: Callable[[], bool] = lambda: False,
 ) -> Endurance:
     """Drive simulated servos for `n_cycles` ticks, byte by byte, through bus, bridge and gate.
+
+    Ends early, with what was seen so far, when `stopped` says so.
 
     progress: called now and then with the cycles done so far.
     """
@@ -76,7 +79,7 @@ def endure(
                 warm = resident_mb(), open_descriptors()
             if n % report_every == 0:
                 progress(n)
-            if n >= n_cycles:
+            if n >= n_cycles or stopped():
                 break
             channel.publish(ServoTargets(time_s, wanted_deg(time_s, n_servos)))
             bridge.tick(time_s, late)

@@ -147,14 +147,22 @@ def endurance(
 ) -> None:
     """Drive simulated servos for hours on a virtual clock: memory, descriptors, wrong goals.
 
-    Exit status 1 when anything happened that must not.
+    Ctrl-C ends it with the figures so far. Exit status 1 when anything happened that must not.
     """
+    from lipservo.daemon import stopped_by_signals
     from lipservo.endurance_figures import endurance_figures
 
     began_s = time.perf_counter()
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+    with (
+        Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
+        stopped_by_signals() as stop,
+    ):
         steps = progress.add_task("endurance", total=cycles)
-        figures = endurance_figures(cycles, lambda n: progress.update(steps, completed=n))
+
+        def advance(n_done: int) -> None:
+            progress.update(steps, completed=n_done)
+
+        figures = endurance_figures(cycles, advance, stop.is_set)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
     if figures["goals_outside_limits"] or figures["steps_above_clamp"] or figures["contention"]:
         raise typer.Exit(1)
