@@ -103,7 +103,7 @@ def test_a_question_is_asked_while_the_servos_are_held():
 
 def test_a_plug_that_is_pulled_ends_it():
     settings = settings_of()
-    pulled = Fault("unplug", from_s=2.0, lasts_s=60.0)
+    pulled = Fault("unplug", at_s=(2.0,), lasts_s=60.0)
     face = MemoryFace(servos=mounted_servos(settings), faults=(pulled,))
 
     def hold():
