@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from calibration.c3d_markers import read_c3d_folder
 from calibration.calibration import CalibrationError
 from calibration.capture import Capture
-from calibration.capture_plan import PosePlan
+from calibration.capture_plan import LEAD_IN_DEG, PosePlan
 from calibration.dots_folder import is_dots_folder, read_dots_folder
 
 Array = NDArray[np.float64]
@@ -43,6 +43,12 @@ def write_plan(plan: PosePlan, path: Path) -> None:
         os.replace(partial, path)
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
+    """A plan that was written before. Raises CalibrationError, with file and line."""
+    _, goals_deg, from_below = _read_plan(path, servo_names)
+    return PosePlan(servo_names, goals_deg, from_below, goals_deg - LEAD_IN_DEG * from_below)
 
 
 def read_capture(

@@ -64,6 +64,10 @@ class Procedure:
         n_poses = self.n_poses - self.n_of_speech
         return plan_poses(self.joints, n_poses, rules=self.rules, seed=self.seed)
 
+    def whole_range_plan(self) -> PosePlan:
+        """All poses in the range: for who moves a robot by hand and comes back once."""
+        return plan_poses(self.joints, self.n_poses, rules=self.rules, seed=self.seed)
+
     def speech_plan(self, capture: Capture, n_poses: int) -> PosePlan:
         """Poses where speech will be, by what a first capture teaches; whole degrees."""
         limits = (

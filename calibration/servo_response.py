@@ -16,7 +16,8 @@ Drive = Callable[[Array, float], Array]
 #: Where the driver says nothing else.
 RATE_HZ = 100.0
 #: Speech moves a jaw at 4 to 6 Hz, with little above 8: the chirp ends beyond that.
-_CHIRP_HZ, _CHIRP_S = (0.5, 12.0), 10.0
+CHIRP_END_HZ = 12.0
+_CHIRP_HZ, _CHIRP_S = (0.5, CHIRP_END_HZ), 10.0
 #: Lags count where speech moves: the chirp up to here.
 _SPEECH_HZ = 6.0
 #: As far as lips go in speech, and no more than a third of what the joint may do.

@@ -194,7 +194,7 @@ class SeenByComputation:
         """look: (n_servos,) degrees -> (n_markers, 3)."""
         self._names = marker_names
         self._look = look
-        self._reached_deg: Array | None = None
+        self._reached_deg = np.zeros(0)
 
     @property
     def marker_names(self) -> tuple[str, ...]:
@@ -207,5 +207,4 @@ class SeenByComputation:
 
     def measure(self) -> Array:
         """One look."""
-        assert self._reached_deg is not None
         return self._look(self._reached_deg)

@@ -8,7 +8,7 @@ import numpy as np
 from calibration.calibration import ServoMemory
 from calibration.coupling_rule import CouplingRule
 from firmware_bridge.bus import ServoBus
-from firmware_bridge.clock import Clock
+from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.coupling import PreventRule
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
@@ -17,6 +17,8 @@ from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.simulator.memory_transport import MemoryTransport
 from lipservo.settings import FaceSettings
 
 
@@ -91,3 +93,10 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
         strict=strict,
         make_line=SdkLine,
     )
+
+
+def simulated_wire(face: FaceSettings) -> tuple[DynamixelBus, ManualClock]:
+    """The face's servos simulated to the byte, in memory, and the clock that moves them."""
+    servos, clock = mounted_servos(face), ManualClock()
+    chain = chain_for(servos, face.bus.baud_rate)
+    return DynamixelBus(servos, lambda: MemoryTransport(chain, clock, face.bus.baud_rate)), clock
