@@ -1,7 +1,7 @@
 """The map from one model's face motion to one robot's servo angles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 
 import numpy as np
@@ -55,16 +55,31 @@ class VisemeReach:
 
 
 @dataclass(frozen=True, slots=True)
+class ServoMemory:
+    """What a servo kept in its own memory when it was calibrated; pulses as in its registers.
+
+    Any of these changes where a joint angle is, or whether it can be reached.
+    """
+
+    homing_offset: int
+    drive_mode: int
+    min_position_limit: int
+    max_position_limit: int
+
+
+@dataclass(frozen=True, slots=True)
 class Origin:
     """Where a calibration comes from: what a person wants to know about a file found later.
 
-    method: `simulated face`, `measured` or `guided`; date: ISO 8601; servo_models: one a servo.
+    method: `simulated face`, `measured` or `guided`; date: ISO 8601; servo_models, servo_memories:
+    one a servo, or none where no servo was asked.
     """
 
     method: str
     date: str = ""
     poses: int = 0
     servo_models: tuple[str, ...] = ()
+    servo_memories: tuple[ServoMemory, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +123,12 @@ class Calibration:
             free_deg = free_deg + self.bends @ (x[first] * x[second])
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         return keep_rules(self.rules, kept_deg)
+
+    def current_caps_ma(self) -> dict[str, float]:
+        """How hard each calibrated servo may press, by its name; nothing where none was found."""
+        if self.touch is None:
+            return {}
+        return dict.fromkeys(self.servo_names, self.touch.current_cap_ma)
 
     def for_servos(self, servo_names: Sequence[str]) -> "Calibration":
         """The same for a face with more servos: those without calibration (neck, eyes) stay at 0.
@@ -200,3 +221,22 @@ def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) ->
             raise CalibrationError(
                 f"servo {name!r} was calibrated as a {was} and is a {now} in this face; {_REMEDY}"
             )
+
+
+def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemory | None]) -> None:
+    """Raises CalibrationError, naming what differs, unless the servos are as they were calibrated.
+
+    memories: of the calibrated servos, in their order; None for one that did not answer, which is
+    for others to complain of. A file made without servos passes.
+    """
+    measured = calibration.origin.servo_memories or memories
+    for name, was, now in zip(calibration.servo_names, measured, memories, strict=True):
+        if was is None or now is None:
+            continue
+        for field_ in fields(ServoMemory):
+            before, found = getattr(was, field_.name), getattr(now, field_.name)
+            if before != found:
+                raise CalibrationError(
+                    f"servo {name!r} has {field_.name.replace('_', ' ')} {found} and was "
+                    f"calibrated with {before}; run `lipservo setup-servos`, or calibrate anew"
+                )

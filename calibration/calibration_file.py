@@ -1,6 +1,7 @@
 """Calibrations on disk: YAML that a person can read, written whole or not at all."""
 
 import os
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from calibration.calibration import (
     CalibrationError,
     Following,
     Origin,
+    ServoMemory,
     Touch,
     VisemeReach,
     linear_calibration_parts,
@@ -133,6 +135,17 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
         date=file.at("date").text(),
         poses=file.at("poses").count(),
         servo_models=tuple(s.at("model").text() for s in servos) if named else (),
+        servo_memories=_parse_memories(servos),
+    )
+
+
+def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
+    """None unless some servo was asked; then all were."""
+    if not any(servo.has("memory") for servo in servos):
+        return ()
+    keys = [field.name for field in fields(ServoMemory)]
+    return tuple(
+        ServoMemory(*(servo.at("memory").at(key).whole() for key in keys)) for servo in servos
     )
 
 

@@ -1,7 +1,7 @@
 """A calibration as YAML that a person can read: how every part of it is written."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,9 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
     model = origin.servo_models[i] if origin.servo_models else ""
     lines = [f"  {calibration.servo_names[i]}:"]
     lines += [f"    model: {model}"] if model else []
+    if origin.servo_memories:
+        memory = asdict(origin.servo_memories[i])
+        lines.append(f"    memory: {{{', '.join(f'{k}: {v}' for k, v in memory.items())}}}")
     lines += [
         f"    min_deg: {_exact(calibration.min_deg[i])}",
         f"    max_deg: {_exact(calibration.max_deg[i])}",

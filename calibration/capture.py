@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 #: Go to joint degrees (n_servos,), at a speed the face's owner holds safe, settle, and give back
 #: where the encoders are.
 Move = Callable[[Array], Array]
+#: Hears which pose of the plan stands, counted from 0, and where the encoders are.
+Arrived = Callable[[int, Array], None]
 #: The markers now, (n_markers, 3) millimetres; NaN for a point that the tracker lost.
 Measure = Callable[[], Array]
 
@@ -63,27 +65,55 @@ def capture_poses(
     measure: Measure,
     *,
     keep: Path | None = None,
+    arrived: Arrived = lambda *_: None,
     progress: Callable[[int], None] = lambda _: None,
 ) -> Capture:
     """Move through the plan, measure every pose, and leave the robot at its neutral.
 
     keep: a file of one line a pose, written at once, so that a capture that was cut short goes on
-    where it stopped; a file of another plan is refused. progress hears the number of poses done.
+    where it stopped; a file of another plan is refused. arrived hears of each pose before it is
+    measured; progress hears the number of poses done.
     """
     poses = [] if keep is None else read_kept(keep, plan, marker_names)
+    on = Robot(move, measure, arrived, progress)
+    return gather(plan, marker_names, take_poses(plan, marker_names, on, poses, keep))
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """All that a capture knows of a robot and its tracker."""
+
+    move: Move
+    measure: Measure
+    arrived: Arrived = lambda *_: None
+    progress: Callable[[int], None] = lambda _: None
+
+
+def take_poses(
+    plan: PosePlan,
+    marker_names: tuple[str, ...],
+    on: Robot,
+    poses: list[CapturedPose],
+    keep: Path | None,
+) -> list[CapturedPose]:
+    """`poses` and those of the plan that are not among them, which are captured now."""
+    poses = list(poses)
     done = {pose.index for pose in poses}
     try:
         for index in range(len(plan)):
             if index not in done:
-                move(plan.start_deg[index])
-                reached_deg = move(plan.goals_deg[index])
-                poses.append(CapturedPose(index, reached_deg, measure()))
+                on.move(plan.start_deg[index])
+                reached_deg = on.move(plan.goals_deg[index])
+                on.arrived(index, reached_deg)
+                # As exact as they are kept: a capture that goes on from a file is the same.
+                seen_mm, stands_deg = np.round(on.measure(), 4), np.round(reached_deg, 4)
+                poses.append(CapturedPose(index, stands_deg, seen_mm))
                 if keep is not None:
                     _append(keep, poses[-1], plan, marker_names)
-            progress(len(poses))
+            on.progress(len(poses))
     finally:
-        move(np.zeros(len(plan.servo_names)))
-    return gather(plan, marker_names, poses)
+        on.move(np.zeros(len(plan.servo_names)))
+    return poses
 
 
 def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPose]) -> Capture:
@@ -111,9 +141,12 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
     )
 
 
-def read_kept(keep: Path, plan: PosePlan, marker_names: tuple[str, ...]) -> list[CapturedPose]:
+def read_kept(
+    keep: Path, plan: PosePlan, marker_names: tuple[str, ...], *, goes_on: bool = False
+) -> list[CapturedPose]:
     """The poses in a kept file; a last line that a power cut left unfinished is dropped.
 
+    goes_on: the plan will be continued, and poses beyond it are left for later.
     Raises CalibrationError for a file of another plan or a damaged one.
     """
     if not keep.exists():
@@ -122,7 +155,9 @@ def read_kept(keep: Path, plan: PosePlan, marker_names: tuple[str, ...]) -> list
     lines = keep.read_text(encoding="utf-8").split("\n")
     for number, line in enumerate(lines[:-1]):
         try:
-            poses.append(_parse(json.loads(line), plan, marker_names))
+            content = json.loads(line)
+            if not (goes_on and int(str(content["pose"])) >= len(plan)):
+                poses.append(_parse(content, plan, marker_names))
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise CalibrationError(
                 f"{keep}, line {number + 1}: not a pose of this face and plan; "

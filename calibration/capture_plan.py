@@ -75,8 +75,37 @@ def plan_poses(
     cube = qmc.LatinHypercube(len(joints), rng=rng).random(n_cube)
     goals_deg = np.concatenate([single, low + cube * (high - low)])
     side = np.concatenate([single_side, rng.choice([-1.0, 1.0], (n_cube, len(joints)))])
+    return _reached_from(joints, goals_deg, side, rules)
+
+
+def plan_around(
+    goals_deg: Array,
+    joints: Sequence[JointRange],
+    *,
+    rules: Sequence[CouplingRule] = (),
+    seed: int = 0,
+) -> PosePlan:
+    """Given poses (n, n_servos), each joint reached from a side drawn by `seed`."""
+    side = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], goals_deg.shape)
+    return _reached_from(joints, goals_deg, side, rules)
+
+
+def joined(first: PosePlan, second: PosePlan) -> PosePlan:
+    """One plan after the other."""
+    return PosePlan(
+        first.servo_names,
+        np.concatenate([first.goals_deg, second.goals_deg]),
+        np.concatenate([first.from_below, second.from_below]),
+        np.concatenate([first.start_deg, second.start_deg]),
+    )
+
+
+def _reached_from(
+    joints: Sequence[JointRange], goals_deg: Array, side: Array, rules: Sequence[CouplingRule]
+) -> PosePlan:
+    """Within limits and rules, each with the beginning of its last step."""
     limits = np.array([[j.min_deg for j in joints], [j.max_deg for j in joints]])
-    goals_deg = np.array([keep_rules(rules, goal) for goal in goals_deg])
+    goals_deg = np.array([keep_rules(rules, goal) for goal in np.clip(goals_deg, *limits)])
     start_deg = np.clip(goals_deg - LEAD_IN_DEG * side, *limits)
     start_deg = np.array([keep_rules(rules, start) for start in start_deg])
     return PosePlan(tuple(j.name for j in joints), goals_deg, side, start_deg)

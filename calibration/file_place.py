@@ -59,6 +59,12 @@ class Place:
             raise CalibrationError(f"{self.path} is {self._value!r}, expected a whole number >= 0")
         return self._value
 
+    def whole(self) -> int:
+        """A whole number of either sign."""
+        if isinstance(self._value, bool) or not isinstance(self._value, int):
+            raise CalibrationError(f"{self.path} is {self._value!r}, expected a whole number")
+        return self._value
+
     def numbers(self, n: int | None = None) -> Array:
         """(n,), or at least one where n is None."""
         values = self._value

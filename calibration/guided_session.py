@@ -19,9 +19,9 @@ Array = NDArray[np.float64]
 _SMALL_DEG, _LARGE_DEG = 1.0, 5.0
 #: What each key is for, as shown to the person.
 KEYS: Mapping[str, str] = {
-    "w / s": "previous / next servo",
-    "d / a": "one degree more / less",
-    "D / A": "five degrees more / less",
+    "w s or arrows up, down": "previous, next servo",
+    "d a or arrows right, left": "one degree more, less",
+    "D A": "five degrees more, less",
     "enter": "the pose is right: next one",
     "x": "leave this pose out",
     "b": "back to the pose before",

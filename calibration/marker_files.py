@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from calibration.c3d_markers import read_c3d_folder
 from calibration.calibration import CalibrationError
 from calibration.capture import Capture
-from calibration.capture_plan import PosePlan
+from calibration.capture_plan import LEAD_IN_DEG, PosePlan
+from calibration.dots_folder import is_dots_folder, read_dots_folder
 
 Array = NDArray[np.float64]
 
@@ -44,16 +45,22 @@ def write_plan(plan: PosePlan, path: Path) -> None:
         raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
 
 
+def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
+    """A plan that was written before. Raises CalibrationError, with file and line."""
+    _, goals_deg, from_below = _read_plan(path, servo_names)
+    return PosePlan(servo_names, goals_deg, from_below, goals_deg - LEAD_IN_DEG * from_below)
+
+
 def read_capture(
     plan_path: Path, markers_path: Path, servo_names: tuple[str, ...], *, axes: str = "x y z"
 ) -> Capture:
     """The poses of the plan that markers were recorded for.
 
-    markers_path: CSV, JSON, or a folder of C3D files, whose axes are named as in `c3d_markers`.
+    markers_path: as of `read_readings`; axes of C3D files are named as in `c3d_markers`.
     Raises CalibrationError, with file and line, for anything that is not as described above.
     """
     poses, goals_deg, from_below = _read_plan(plan_path, servo_names)
-    readings = _read_markers(markers_path, axes)
+    readings = read_readings(markers_path, axes)
     unknown = sorted({pose for pose, _, _ in readings} - set(poses))
     if unknown:
         raise CalibrationError(f"{markers_path}: pose {unknown[0]} is not in {plan_path}")
@@ -88,9 +95,13 @@ def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Arr
     return poses, np.array(goals).reshape(shape), np.array(sides).reshape(shape)
 
 
-def _read_markers(path: Path, axes: str) -> list[tuple[int, str, Array]]:
+def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
+    """Pose, marker and place (3,) of every reading in a file or folder, NaN where lost.
+
+    A folder holds C3D files, or pictures of coloured dots with a `dots.csv`.
+    """
     if path.is_dir():
-        return read_c3d_folder(path, axes)
+        return read_dots_folder(path) if is_dots_folder(path) else read_c3d_folder(path, axes)
     rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path, _COLUMNS)
     return [
         (

@@ -13,9 +13,11 @@ Array = NDArray[np.float64]
 #: Send goals (n, n_servos), one each 1 / rate_hz, and give back the encoders at the same instants.
 Drive = Callable[[Array, float], Array]
 
+#: Where the driver says nothing else.
 RATE_HZ = 100.0
 #: Speech moves a jaw at 4 to 6 Hz, with little above 8: the chirp ends beyond that.
-_CHIRP_HZ, _CHIRP_S = (0.5, 12.0), 10.0
+CHIRP_END_HZ = 12.0
+_CHIRP_HZ, _CHIRP_S = (0.5, CHIRP_END_HZ), 10.0
 #: Lags count where speech moves: the chirp up to here.
 _SPEECH_HZ = 6.0
 #: As far as lips go in speech, and no more than a third of what the joint may do.
@@ -28,12 +30,12 @@ _HALF_POWER = 10 ** (-3 / 20)
 _PERIODS = 3.0
 
 
-def chirp_deg(amplitude_deg: float) -> Array:
+def chirp_deg(amplitude_deg: float, rate_hz: float = RATE_HZ) -> Array:
     """(n,): a sine whose frequency grows evenly over the chirp, after a rest."""
-    times_s = np.arange(0.0, _CHIRP_S, 1.0 / RATE_HZ)
+    times_s = np.arange(0.0, _CHIRP_S, 1.0 / rate_hz)
     low, high = _CHIRP_HZ
     turns = low * times_s + (high - low) * times_s**2 / (2 * _CHIRP_S)
-    rest = np.zeros(round(_REST_S * RATE_HZ))
+    rest = np.zeros(round(_REST_S * rate_hz))
     return np.concatenate([rest, amplitude_deg * np.sin(2 * np.pi * turns), rest])
 
 
@@ -42,39 +44,50 @@ def chirp_amplitude_deg(joint: JointRange) -> float:
     return min(_CHIRP_DEG, (joint.max_deg - joint.min_deg) / 3.0)
 
 
-def identify(drive: Drive, joints: Sequence[JointRange], backlash_deg: Array) -> Following:
+def identify(
+    drive: Drive,
+    joints: Sequence[JointRange],
+    backlash_deg: Array,
+    *,
+    rate_hz: float = RATE_HZ,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Following:
     """Move one joint after another by a chirp and two steps, the others resting at 0.
 
-    Raises CalibrationError for a joint whose encoder does not follow.
+    rate_hz: at least 50, or the fastest part of the chirp is lost; progress hears the number of
+    joints done. Raises CalibrationError for a joint whose encoder does not follow.
     """
-    found = [_identify_joint(drive, joints, joint) for joint in range(len(joints))]
+    found = []
+    for joint in range(len(joints)):
+        found.append(_identify_joint(drive, joints, joint, rate_hz))
+        progress(joint + 1)
     lag_s, bandwidth_hz, top_speed_deg_s = np.array(found).T
     return Following(lag_s, backlash_deg, top_speed_deg_s, bandwidth_hz)
 
 
 def _identify_joint(
-    drive: Drive, joints: Sequence[JointRange], joint: int
+    drive: Drive, joints: Sequence[JointRange], joint: int, rate_hz: float
 ) -> tuple[float, float, float]:
     limits = joints[joint]
     middle_deg = (limits.min_deg + limits.max_deg) / 2
-    chirp = chirp_deg(chirp_amplitude_deg(limits))
-    seen = _drive_one(drive, middle_deg + chirp, joint, len(joints)) - middle_deg
-    lag_s = lag_between_s(chirp, seen, RATE_HZ, until=_chirp_index(_SPEECH_HZ))
+    chirp = chirp_deg(chirp_amplitude_deg(limits), rate_hz)
+    seen = _drive_one(drive, middle_deg + chirp, joint, len(joints), rate_hz) - middle_deg
+    lag_s = lag_between_s(chirp, seen, rate_hz, until=_chirp_index(_SPEECH_HZ, rate_hz))
     if np.std(seen) < 0.1 * np.std(chirp):
         raise CalibrationError(
             f"servo {limits.name!r} does not follow its goal; is torque on, is it stuck?"
         )
     far_deg = min(_STEP_DEG, limits.max_deg - limits.min_deg) / 2
-    n = round(_STEP_S * RATE_HZ)
+    n = round(_STEP_S * rate_hz)
     step = middle_deg + np.repeat([-far_deg, far_deg, -far_deg], n)
-    moved = np.diff(_drive_one(drive, step, joint, len(joints))) * RATE_HZ
-    return lag_s, _bandwidth_hz(chirp, seen), float(np.abs(moved).max())
+    moved = np.diff(_drive_one(drive, step, joint, len(joints), rate_hz)) * rate_hz
+    return lag_s, _bandwidth_hz(chirp, seen, rate_hz), float(np.abs(moved).max())
 
 
-def _drive_one(drive: Drive, goals_deg: Array, joint: int, n_servos: int) -> Array:
+def _drive_one(drive: Drive, goals_deg: Array, joint: int, n_servos: int, rate_hz: float) -> Array:
     goals = np.zeros((len(goals_deg), n_servos))
     goals[:, joint] = goals_deg
-    return drive(goals, RATE_HZ)[:, joint]
+    return drive(goals, rate_hz)[:, joint]
 
 
 def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None = None) -> float:
@@ -98,18 +111,19 @@ def lag_between_s(goal: Array, seen: Array, rate_hz: float, *, until: int | None
     return float((shifts[best] + between) / rate_hz)
 
 
-def _chirp_index(frequency_hz: float) -> int:
+def _chirp_index(frequency_hz: float, rate_hz: float) -> int:
     """The sample of `chirp_deg` at which it reaches a frequency."""
     low, high = _CHIRP_HZ
     share = (frequency_hz - low) / (high - low)
-    return round((_REST_S + share * _CHIRP_S) * RATE_HZ)
+    return round((_REST_S + share * _CHIRP_S) * rate_hz)
 
 
-def _bandwidth_hz(chirp: Array, seen: Array) -> float:
+def _bandwidth_hz(chirp: Array, seen: Array, rate_hz: float) -> float:
     """Where the amplitude first falls to half the power; the chirp's end where it never does."""
     high = _CHIRP_HZ[1]
     for frequency_hz in np.arange(1.0, high, 0.25):
-        middle, half = _chirp_index(frequency_hz), round(_PERIODS / 2 / frequency_hz * RATE_HZ)
+        middle = _chirp_index(frequency_hz, rate_hz)
+        half = round(_PERIODS / 2 / frequency_hz * rate_hz)
         window = slice(max(0, middle - half), middle + half)
         if np.std(seen[window]) < _HALF_POWER * np.std(chirp[window]):
             return float(frequency_hz)

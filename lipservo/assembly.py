@@ -3,14 +3,19 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from calibration.calibration import Calibration, check_calibration, check_servo_models
+from calibration.calibration import (
+    Calibration,
+    check_calibration,
+    check_servo_memories,
+    check_servo_models,
+)
 from calibration.calibration_file import parse_calibration
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
 from lipservo.pipeline import Speech, Street, Synthesizer
-from lipservo.servos import bridge_for, bus_for, mouth_rules
+from lipservo.servos import bridge_for, bus_for, mouth_rules, servo_memories
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.audio.source import AudioSource
@@ -19,10 +24,14 @@ from lipsync.phonemes import LiveRecognizer
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """One robot face and everything that belongs to it, checked against one another."""
+    """One robot face and everything that belongs to it, checked against one another.
+
+    mouth_calibration: of the mouth's servos alone, as in its file; calibration: of all joints.
+    """
 
     settings: FaceSettings
     model: FaceModel
+    mouth_calibration: Calibration
     calibration: Calibration
     joints: tuple[Joint, ...]
 
@@ -53,7 +62,7 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     check_servo_models(calibration, [servo.model for servo in settings.mouth_servos.values()])
     kept = replace(calibration, rules=mouth_rules(settings))
     whole = kept.for_servos(list(settings.servos))
-    return Face(settings, model, whole, settings.joints())
+    return Face(settings, model, kept, whole, settings.joints())
 
 
 def at_port(face: Face, port: str | None) -> Face:
@@ -65,6 +74,17 @@ def settings_at_port(settings: FaceSettings, port: str) -> FaceSettings:
     """The same face with its servos at a serial port."""
     bus = settings.bus.model_copy(update={"kind": "dynamixel", "port": port})
     return settings.model_copy(update={"bus": bus})
+
+
+def check_servos(face: Face) -> None:
+    """Ask the servos, if there are any, whether they are still as they were calibrated.
+
+    Raises CalibrationError with the remedy, and what `servo_memories` raises.
+    """
+    if face.calibration.origin.servo_memories:
+        memories = servo_memories(face.settings)
+        if memories:
+            check_servo_memories(face.mouth_calibration, memories)
 
 
 def make_bus(face: Face, clock: Clock) -> ServoBus:

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 
 from calibration.backlash import BacklashCompensation
 from calibration.calibration import CalibrationError
-from calibration.capture import capture_poses
-from calibration.capture_plan import plan_poses
 from calibration.guided import CLOSED, fit_guided, landmark_poses
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.inverse import nearest_poses_deg
 from calibration.joint_range import JointRange
 from calibration.measured import MeasuredFit, fit_measured
 from calibration.measured_errors import REACHABLE_MM, lips_apart_mm
+from calibration.procedure import Procedure
 from calibration.retargeting import MOST_EXAGGERATION, wanted_gaps_mm
 from calibration.servo_response import identify
 from calibration.simulated_face import JAW
@@ -69,8 +68,8 @@ def measure_seed(model: FaceModel, settings: FaceSettings, seed: int) -> SeedFig
     positive = [servo.positive for servo in settings.servos.values()]
 
     began_s = time.perf_counter()
-    plan = plan_poses(joints, N_POSES, seed=seed)
-    capture = capture_poses(plan, MARKER_NAMES, robot.move, robot.measure)
+    procedure = Procedure(model, joints, N_POSES, seed=seed)
+    capture = procedure.capture(MARKER_NAMES, robot.move, robot.measure)
     fit = fit_measured(model, capture, joints, settings.checksum, positive=positive)
     following = identify(servos.encoders_deg, joints, fit.face.backlash_deg)
     procedure_s = time.perf_counter() - began_s

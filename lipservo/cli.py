@@ -38,6 +38,8 @@ for command in (
     recognition.plot_training,
 ):
     app.command()(command)
+# Degrees may be negative, which looks like an option.
+app.command("trim", context_settings={"ignore_unknown_options": True})(calibration.trim)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 app.command("sim-bus")(sim_bus.sim_bus)

@@ -10,7 +10,7 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from calibration.calibration import Calibration, CalibrationError
+from calibration.calibration import Calibration
 from calibration.capture import Move
 from calibration.guided import fit_guided, landmark_poses
 from calibration.guided_session import (
@@ -21,7 +21,6 @@ from calibration.guided_session import (
     start_session,
 )
 from calibration.joint_range import JointRange
-from calibration.simulated_face import marker_positions_mm, simulated_face
 from lipservo.mouth_drawing import draw_mouth
 from lipservo.settings import FaceSettings
 from lipsync.animpho.model import FaceModel
@@ -37,32 +36,20 @@ _LOOK_BELOW_MM = np.array([0.0, 8.0, 0.0])
 def calibrate_by_eye(
     settings: FaceSettings,
     model: FaceModel,
+    *,
+    move: Move,
     read_key: Callable[[], str],
     console: Console,
-    *,
     keep: Path | None = None,
+    drawn: Drawn | None = None,
 ) -> Calibration:
-    """The whole guided way for a face with simulated servos.
+    """The whole guided way. drawn: None where the person looks at a real face.
 
-    Raises CalibrationError for a face with real ones, and for too few poses.
+    Raises CalibrationError for too few poses.
     """
-    if settings.bus.kind != "simulated":
-        raise CalibrationError(
-            f"face {settings.name!r}: --guided moves simulated servos only; for real ones write "
-            "poses with --plan and record markers"
-        )
     mouth = settings.mouth_servos
     joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
-    face = simulated_face(model.markers_mm(model.rest[None])[0], list(mouth))
-    made_deg = guide(
-        model,
-        joints,
-        lambda goal_deg: goal_deg,
-        read_key,
-        console,
-        keep=keep,
-        drawn=lambda positions_deg: np.asarray(marker_positions_mm(face, positions_deg[None])[0]),
-    )
+    made_deg = guide(model, joints, move, read_key, console, keep=keep, drawn=drawn)
     return fit_guided(
         model,
         joints,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
-from lipservo.assembly import Face, assemble_face, at_port, make_bus, make_street
+from lipservo.assembly import Face, assemble_face, at_port, check_servos, make_bus, make_street
 from lipservo.daemon import play
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
 from lipservo.output import MESSAGES
@@ -47,6 +47,7 @@ class Performance:
         """Play an entered source to its end or until stopped; the face is limp afterwards."""
         began_s = time.perf_counter()
         face = at_port(assemble_face(self.config, self.model), self.port)
+        check_servos(face)
         rate_hz = face.settings.rate_hz if self.rate_hz is None else self.rate_hz
         length_s = math.inf if self.endless or source.duration_s is None else source.duration_s
         with make_bus(face, clock) as bus:

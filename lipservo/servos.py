@@ -1,21 +1,26 @@
 """The servos of a face's YAML as the bus knows them, their bus, and the bridge that drives them."""
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import numpy as np
 
+from calibration.calibration import ServoMemory
 from calibration.coupling_rule import CouplingRule
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus
-from firmware_bridge.clock import Clock
+from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.coupling import PreventRule
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.handshake import read_introductions
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.safety import StaleRule
 from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.simulator.memory_transport import MemoryTransport
 from firmware_bridge.targets import TargetChannel
 from firmware_bridge.tracking import TrackingRule
 from lipservo.settings import FaceSettings
@@ -86,6 +91,22 @@ def port_opener(port: str, baud_rate: int) -> Callable[[], Transport]:
     return lambda: open_port(port, baud_rate)
 
 
+def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
+    """What the mouth's servos keep in themselves; nothing for simulated ones in memory.
+
+    Opens the port for this alone. Raises PortError, and ServoError where a servo differs from the
+    face's YAML; None for one that does not answer.
+    """
+    if face.bus.kind == "simulated" or face.bus.port is None:
+        return ()
+    mouth = [servo for servo in mounted_servos(face) if servo.joint.name in face.mouth_servos]
+    said = read_introductions(port_opener(face.bus.port, face.bus.baud_rate), mouth)
+    keys = [field.name for field in fields(ServoMemory)]
+    return tuple(
+        None if each is None else ServoMemory(*(each.eeprom[key] for key in keys)) for each in said
+    )
+
+
 def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
     """The bus that the face's YAML asks for; use it as a context manager."""
     if face.bus.kind == "simulated" or face.bus.port is None:
@@ -105,3 +126,10 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
         strict=strict,
         make_line=SdkLine,
     )
+
+
+def simulated_wire(face: FaceSettings) -> tuple[DynamixelBus, ManualClock]:
+    """The face's servos simulated to the byte, in memory, and the clock that moves them."""
+    servos, clock = mounted_servos(face), ManualClock()
+    chain = chain_for(servos, face.bus.baud_rate)
+    return DynamixelBus(servos, lambda: MemoryTransport(chain, clock, face.bus.baud_rate)), clock

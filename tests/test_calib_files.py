@@ -160,13 +160,3 @@ def test_small_models_are_enough_for_a_plan_and_the_simulated_robot():
     model = small_model()
     robot = SimulatedRobot(draw_robot(model.markers_mm(model.rest[None])[0], SERVOS, 3))
     assert robot.measure().shape == (47, 3)
-
-
-def test_a_guided_calibration_is_made_with_keys_alone(tmp_path, monkeypatch):
-    keys = iter("\r" + "DD\r" + "a\r" * 12)
-    monkeypatch.setattr("typer.getchar", lambda: next(keys))
-    out = tmp_path / "c.yaml"
-    done = command("calibrate", "--guided", "--config", "face_jaw", "-o", out)
-    assert done.exit_code == 0, done.output
-    assert "from 14 poses made by eye" in done.stdout
-    assert load_calibration(out).origin.method == "guided"

@@ -1,22 +1,18 @@
-"""`calibrate`: from any face's motion to this robot's servos, by the way that the robot allows."""
+"""`calibrate` and `trim`: from any face's motion to this robot's servos."""
 
-import datetime
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.output import MESSAGES, RESULTS, print_json
 
 if TYPE_CHECKING:
     from calibration.calibration import Calibration
-    from calibration.capture import Capture
     from calibration.measured import MeasuredFit
-    from lipservo.settings import FaceSettings
-    from lipsync.animpho.model import FaceModel
+    from lipservo.calibration_ways import Workplace
 
 _POSES = 60
 
@@ -34,18 +30,41 @@ Plan = Annotated[
 Markers = Annotated[
     Path | None,
     typer.Option(
-        help="Marker positions recorded at the poses of --plan: CSV, JSON, or a folder of C3D.",
+        help="Markers recorded at the poses of --plan: CSV, JSON, a folder of C3D or of pictures.",
+        show_default=False,
+    ),
+]
+Refine = Annotated[
+    Path | None,
+    typer.Option(
+        help="With --plan and --markers: write a longer plan there, with poses of speech.",
         show_default=False,
     ),
 ]
 Axes = Annotated[
     str, typer.Option(help="Axes of C3D files that point to the robot's left, up and forward.")
 ]
+Port = Annotated[
+    str | None,
+    typer.Option(help="Move the servos at this port through the poses.", show_default=False),
+]
+Sim = Annotated[
+    str | None,
+    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
+]
+TrackerSource = Annotated[
+    str | None,
+    typer.Option(
+        "--tracker",
+        help="Who sees the markers: a .csv, .json or folder that is filled meanwhile, or `typed`.",
+        show_default=False,
+    ),
+]
 Practise = Annotated[
     int | None,
     typer.Option(
         metavar="SEED",
-        help="Practise the measured way on a simulated robot drawn from a seed.",
+        help="Practise on a simulated robot drawn from a seed; with --sim pty over the wire.",
         show_default=False,
     ),
 ]
@@ -59,6 +78,20 @@ Keep = Annotated[
         help="Keep every captured pose in this file at once; go on from it.", show_default=False
     ),
 ]
+Lags = Annotated[
+    bool, typer.Option(help="Find the servos' lags by chirps and steps, where servos move.")
+]
+Speed = Annotated[
+    float, typer.Option(min=5.0, max=400.0, help="How fast servos are led, degrees a second.")
+]
+Ranges = Annotated[
+    Path | None,
+    typer.Option(help="LeRobot range file that the limits must lie within.", show_default=False),
+]
+Plots = Annotated[
+    Path | None,
+    typer.Option(help="Folder for a picture of what is within reach.", show_default=False),
+]
 
 
 def calibrate(
@@ -67,208 +100,215 @@ def calibrate(
     model: Model = None,
     plan: Plan = None,
     markers: Markers = None,
+    refine: Refine = None,
     axes: Axes = "x y z",
+    port: Port = None,
+    sim: Sim = None,
+    tracker: TrackerSource = None,
     practise: Practise = None,
     guided: Guided = False,
-    poses: Annotated[int, typer.Option(help="How many poses a plan has.")] = _POSES,
+    poses: Annotated[int, typer.Option(help="How many poses are captured.")] = _POSES,
     keep: Keep = None,
+    lags: Lags = True,
+    speed: Speed = 30.0,
+    ranges: Ranges = None,
+    plots: Plots = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Fit servo angles to a talker's face, with errors on motion left out of the fit.
 
-    Measured: --plan FILE writes the poses; move the robot through them, record its markers, and
-    come back with --plan FILE --markers FILE -o FILE. --practise SEED does it all on a simulated
-    robot. --guided needs no tracker. With none of these the simulated face is fitted, which needs
-    no measuring.
+    On servos: --port with --tracker, or --guided by eye. By hand: --plan FILE writes the poses;
+    record markers, and come back with --plan FILE --markers FILE. Without servos: --practise SEED,
+    or nothing at all: the simulated face.
     """
-    from lipservo.assembly import load_face_model, load_settings
+    from lipservo.assembly import load_face_model, load_settings, settings_at_port
+    from lipservo.calibration_ways import Workplace
+    from lipservo.sim_process import servo_port
 
     settings, _ = load_settings(config)
-    if plan is not None and markers is None:
-        _write_plan(settings, plan, poses, as_json=as_json)
+    if ranges is not None:
+        from calibration.lerobot_ranges import check_within_recorded, read_ranges
+
+        limits = {name: (s.min_deg, s.max_deg) for name, s in settings.mouth_servos.items()}
+        check_within_recorded(read_ranges(ranges), limits)
+    at = Workplace(
+        settings, load_face_model(model), poses, keep, quiet or as_json, lags, speed_deg_s=speed
+    )
+    if plan is not None and (markers is None or refine is not None):
+        _write_plan(at, plan, markers, refine, axes, as_json=as_json)
         return
     if output is None:
         raise typer.BadParameter("say where to write the calibration", param_hint="--output")
     if not output.parent.is_dir():
         raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
-    face_model = load_face_model(model)
+    if plots is not None:
+        from lipservo.motion_plots import check_plots
+
+        check_plots(plots)
+    fit: MeasuredFit | None
     if markers is not None:
         if plan is None:
             raise typer.BadParameter("--markers needs the --plan it was recorded with")
-        _from_files(settings, face_model, plan, markers, axes, output, as_json=as_json)
-    elif guided:
-        _guided(settings, face_model, keep, output, as_json=as_json)
-    elif practise is not None:
-        _practise(settings, face_model, practise, poses, keep, output, as_json, quiet)
+        fit, calibration = _from_files(at, plan, markers, axes)
     else:
-        _from_simulated_face(settings, face_model, output, as_json=as_json)
+        with servo_port(port, sim, config) as found_port:
+            if found_port is not None:
+                from dataclasses import replace
+
+                at = replace(at, settings=settings_at_port(settings, found_port))
+            fit, calibration = _from_robot(
+                at, tracker, axes, practise, guided=guided, over_wire=found_port is not None
+            )
+    _finish(at, fit, calibration, output, plots, as_json=as_json)
 
 
-def _from_simulated_face(
-    settings: "FaceSettings", model: "FaceModel", output: Path, *, as_json: bool
+def _from_robot(
+    at: "Workplace",
+    tracker: str | None,
+    axes: str,
+    practise: int | None,
+    *,
+    guided: bool,
+    over_wire: bool,
+) -> tuple["MeasuredFit | None", "Calibration"]:
+    from lipservo.calibration_ways import (
+        by_eye,
+        by_practice,
+        by_servos,
+        by_simulated_face,
+        by_simulated_skin,
+        tracker_of,
+    )
+
+    if guided:
+        return None, by_eye(at)
+    if tracker is not None:
+        return by_servos(at, tracker_of(at, tracker, axes))
+    if over_wire:
+        return by_simulated_skin(at, practise)
+    if practise is not None:
+        return by_practice(at, practise)
+    return None, by_simulated_face(at)
+
+
+def _write_plan(
+    at: "Workplace",
+    path: Path,
+    markers: Path | None,
+    refine: Path | None,
+    axes: str,
+    *,
+    as_json: bool,
 ) -> None:
-    from calibration.calibration_file import save_calibration
-    from calibration.fitting import fit_calibration
-    from calibration.joint_range import JointRange
+    """A first plan, or with markers of one a longer plan."""
+    from calibration.capture_plan import joined
+    from calibration.marker_files import read_capture, read_plan, write_plan
 
-    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in settings.mouth_servos.items()]
-    with MESSAGES.status("fitting"):
-        fitted = fit_calibration(model, joints, settings.checksum)
-    save_calibration(fitted, output)
-    if as_json:
-        print_json({"calibration": str(output), **asdict(fitted.errors)})
+    procedure = at.procedure()
+    names = tuple(joint.name for joint in at.joints)
+    if markers is None or refine is None:
+        plan, target = procedure.whole_range_plan(), path
+        then = f"--plan {path} --markers FILE -o FILE"
     else:
-        errors = fitted.errors
-        RESULTS.print(
-            f"{output}: on {errors.n_frames} frames left out the lips are "
-            f"{errors.lip_rms_mm:.2f} mm off (the nearest poses of this face: "
-            f"{errors.nearest_lip_rms_mm:.2f}), the lip gap {errors.gap_rms_mm:.2f} mm; "
-            f"{errors.clipped_share:.1%} of the frames reach a limit",
-            soft_wrap=True,
-        )
-
-
-def _write_plan(settings: "FaceSettings", path: Path, n_poses: int, *, as_json: bool) -> None:
-    from calibration.capture_plan import plan_poses
-    from calibration.joint_range import JointRange
-    from calibration.marker_files import write_plan
-
-    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in settings.mouth_servos.items()]
-    write_plan(plan_poses(joints, n_poses), path)
+        capture = read_capture(path, markers, names, axes=axes)
+        further = procedure.speech_plan(capture, max(1, procedure.n_of_speech))
+        plan, target = joined(read_plan(path, names), further), refine
+        then = f"--plan {refine} --markers {markers} -o FILE"
+    write_plan(plan, target)
     if as_json:
-        print_json({"plan": str(path), "poses": n_poses})
+        print_json({"plan": str(target), "poses": len(plan)})
     else:
         RESULTS.print(
-            f"{path}: {n_poses} poses. Reach each from the side it names, record the markers, then "
-            f"`lipservo calibrate --plan {path} --markers FILE -o FILE`",
+            f"{target}: {len(plan)} poses. Reach each from the side it names, record the markers, "
+            f"then `lipservo calibrate {then}`",
             soft_wrap=True,
         )
 
 
 def _from_files(
-    settings: "FaceSettings",
-    model: "FaceModel",
-    plan: Path,
-    markers: Path,
-    axes: str,
+    at: "Workplace", plan: Path, markers: Path, axes: str
+) -> tuple["MeasuredFit", "Calibration"]:
+    from calibration.marker_files import read_capture
+    from lipservo.calibration_ways import fit_capture
+
+    names = tuple(joint.name for joint in at.joints)
+    capture = read_capture(plan, markers, names, axes=axes)
+    with MESSAGES.status("fitting"):
+        fit = fit_capture(at, capture)
+    return fit, fit.calibration
+
+
+def _finish(
+    at: "Workplace",
+    fit: "MeasuredFit | None",
+    calibration: "Calibration",
     output: Path,
+    plots: Path | None,
     *,
     as_json: bool,
 ) -> None:
-    from calibration.marker_files import read_capture
-
-    capture = read_capture(plan, markers, tuple(settings.mouth_servos), axes=axes)
-    with MESSAGES.status("fitting"):
-        fit = _fit(settings, model, capture)
-    _finish(fit, fit.calibration, output, as_json=as_json)
-
-
-def _guided(
-    settings: "FaceSettings", model: "FaceModel", keep: Path | None, output: Path, *, as_json: bool
-) -> None:
+    """Save, draw, and say how good it is."""
     from calibration.calibration_file import save_calibration
-    from lipservo.guided_calibration import calibrate_by_eye
-
-    fitted = calibrate_by_eye(settings, model, typer.getchar, MESSAGES, keep=keep)
-    save_calibration(fitted, output)
-    if as_json:
-        print_json({"calibration": str(output), "method": "guided", "poses": fitted.origin.poses})
-        return
-    off_deg, servo = max(zip(fitted.errors.joint_rms_deg, fitted.servo_names, strict=True))
-    RESULTS.print(
-        f"{output}: from {fitted.origin.poses} poses made by eye. A pose left out is "
-        f"{off_deg:.1f} deg off at most (rms, {servo}). On simulated robots such a map was 0.9 mm "
-        "off in the median, a measured one 0.4 (docs/benchmarks.md)",
-        soft_wrap=True,
-    )
-
-
-def _practise(
-    settings: "FaceSettings",
-    model: "FaceModel",
-    seed: int,
-    n_poses: int,
-    keep: Path | None,
-    output: Path,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    from dataclasses import replace
-
-    from calibration.capture import capture_poses
-    from calibration.capture_plan import plan_poses
-    from calibration.joint_range import JointRange
-    from calibration.servo_response import identify
-    from calibration.simulated_robot import SimulatedRobot, draw_robot
-    from calibration.simulated_servos import SimulatedServos
-    from lipsync.markers import MARKER_NAMES
-
-    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in settings.mouth_servos.items()]
-    names = [joint.name for joint in joints]
-    rest_mm = model.markers_mm(model.rest[None])[0]
-    robot = SimulatedRobot(draw_robot(rest_mm, names, seed), noise_seed=seed)
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeRemainingColumn(),
-        console=MESSAGES,
-        transient=True,
-        disable=quiet or as_json,
-    ) as bar:
-        task = bar.add_task("poses", total=n_poses)
-        capture = capture_poses(
-            plan_poses(joints, n_poses, seed=seed),
-            MARKER_NAMES,
-            robot.move,
-            robot.measure,
-            keep=keep,
-            progress=lambda done: bar.update(task, completed=done),
-        )
-        bar.update(bar.add_task("fitting", total=None))
-        fit = _fit(settings, model, capture)
-        servos = SimulatedServos.drawn(len(joints), seed)
-        following = identify(servos.encoders_deg, joints, fit.face.backlash_deg)
-    _finish(fit, replace(fit.calibration, following=following), output, as_json=as_json)
-
-
-def _fit(settings: "FaceSettings", model: "FaceModel", capture: "Capture") -> "MeasuredFit":
-    from calibration.joint_range import JointRange
-    from calibration.measured import fit_measured
-
-    mouth = settings.mouth_servos
-    return fit_measured(
-        model,
-        capture,
-        [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()],
-        settings.checksum,
-        date=datetime.date.today().isoformat(),
-        servo_models=tuple(servo.model for servo in mouth.values()),
-        positive=[servo.positive for servo in mouth.values()],
-    )
-
-
-def _finish(fit: "MeasuredFit", calibration: "Calibration", output: Path, *, as_json: bool) -> None:
-    from calibration.calibration_file import save_calibration
-    from calibration.report import report_lines
+    from calibration.report import report_lines, short_report_lines
 
     save_calibration(calibration, output)
+    if plots is not None:
+        from lipservo.coverage_plot import draw_coverage
+
+        drawn = draw_coverage(plots, at.model, calibration, fit)
+        MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
     if as_json:
         coverage = {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
-        print_json(
-            {
-                "calibration": str(output),
-                "method": calibration.origin.method,
-                "poses": calibration.origin.poses,
-                **asdict(calibration.errors),
-                "left_out_pose_rms_mm": fit.face.left_out_rms_mm,
-                "coverage": coverage,
-                "warnings": fit.warnings,
-            }
-        )
+        result = {
+            "calibration": str(output),
+            "method": calibration.origin.method,
+            "poses": calibration.origin.poses,
+            **asdict(calibration.errors),
+            "coverage": coverage,
+        }
+        if fit is not None:
+            result["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
+            result["warnings"] = fit.warnings
+        print_json(result)
         return
-    for line in fit.warnings:
-        MESSAGES.print(line, soft_wrap=True)
-    for line in report_lines(fit, calibration, str(output)):
+    for line in () if fit is None else fit.warnings:
+        MESSAGES.print(line, soft_wrap=True, highlight=False)
+    lines = (
+        short_report_lines(calibration, str(output))
+        if fit is None
+        else report_lines(fit, calibration, str(output))
+    )
+    for line in lines:
         RESULTS.print(line, soft_wrap=True, highlight=False)
+
+
+def trim(
+    file: Annotated[Path, typer.Argument(help="The calibration to change.")],
+    viseme: Annotated[
+        str | None, typer.Argument(help="A phoneme of the class, P for P B M.", show_default=False)
+    ] = None,
+    joint: Annotated[str | None, typer.Argument(help="Which joint.", show_default=False)] = None,
+    deg: Annotated[
+        float | None,
+        typer.Argument(
+            help="Degrees to add while the class is spoken; 0: none.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Add degrees to a joint while a viseme class is spoken; without VISEME: show what is added."""
+    from calibration.calibration_file import load_calibration, save_calibration
+    from calibration.viseme_trim import trimmed
+
+    calibration = load_calibration(file)
+    if viseme is not None:
+        if joint is None or deg is None:
+            raise typer.BadParameter("give VISEME, JOINT and DEG, or none of them")
+        calibration = trimmed(calibration, viseme, joint, deg)
+        save_calibration(calibration, file)
+    for name, degrees in calibration.trim.items():
+        for servo, added_deg in zip(calibration.servo_names, degrees, strict=True):
+            if added_deg:
+                RESULTS.print(f"{name}: {servo} {added_deg:+g} deg", highlight=False)
+    if not any(degrees.any() for degrees in calibration.trim.values()):
+        RESULTS.print("no trims")

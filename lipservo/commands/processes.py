@@ -49,11 +49,13 @@ def supervise(
     from firmware_bridge.service_notice import ServiceNotice
     from firmware_bridge.socket_channel import channel_pair
     from firmware_bridge.supervisor import Supervisor
-    from lipservo.assembly import load_settings
+    from lipservo.assembly import assemble_face, at_port, check_servos
     from lipservo.daemon import stopped_by_signals
     from lipservo.servos import port_opener
 
-    settings, _ = load_settings(config)
+    face = at_port(assemble_face(config, model), port)
+    check_servos(face)
+    settings = face.settings
     opener = port_opener(port, settings.bus.baud_rate)
     ids = [joint.servo_id for joint in settings.joints()]
 

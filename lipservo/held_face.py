@@ -1,0 +1,188 @@
+"""A face whose servos are on and held: led from pose to pose through the bridge, as speech is.
+
+Everything goes through the last gate. One thread speaks to the bus; whoever waits for a person or a
+tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bridge import Bridge
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.channel import MemoryTargetChannel
+from firmware_bridge.clock import Clock, ticks
+from firmware_bridge.dynamixel.budget import budget
+from firmware_bridge.targets import ServoTargets
+from lipservo.servos import prevent_rules
+from lipservo.settings import FaceSettings
+
+Array = NDArray[np.float64]
+Answer = TypeVar("Answer")
+
+#: Slow enough to watch and to stop; no joint is in a hurry here.
+SPEED_DEG_S = 30.0
+#: A joint stands when its encoder changes by less than this in that time: two steps of it.
+_STILL_DEG, _STILL_S = 0.18, 0.2
+#: Longer than any servo needs that is not held up.
+_SETTLE_S = 1.5
+#: Chirps to 12 Hz need four samples a period.
+_DRIVE_RATE_HZ = 50.0
+#: A servo's goals and places are asked for twice in a tick while it is driven.
+_TWICE = 1.6
+
+
+def held_rate_hz(settings: FaceSettings) -> float:
+    """Fast enough for chirps where the bus can do it, else the face's own rate."""
+    if settings.rate_hz >= _DRIVE_RATE_HZ:
+        return settings.rate_hz
+    n_servos, baud_rate = len(settings.servos), settings.bus.baud_rate
+    fast = budget(n_servos, baud_rate, _TWICE * _DRIVE_RATE_HZ) is None
+    return _DRIVE_RATE_HZ if fast else settings.rate_hz
+
+
+class HeldFace:
+    """Servos of an open bus, armed from `__enter__` to `__exit__`; poses are of the mouth alone.
+
+    Poses are joint degrees (n_mouth_servos,) in the order of the YAML; all other joints stay at 0.
+    Raises what `Bridge` and the bus raise; the face is limp then.
+    """
+
+    def __init__(
+        self,
+        settings: FaceSettings,
+        bus: ServoBus,
+        clock: Clock,
+        *,
+        speed_deg_s: float = SPEED_DEG_S,
+    ) -> None:
+        self.rate_hz = held_rate_hz(settings)
+        self._bus, self._clock = bus, clock
+        self._channel = MemoryTargetChannel()
+        self._bridge = Bridge(
+            bus,
+            settings.joints(),
+            self._channel,
+            rate_hz=self.rate_hz,
+            prevent=prevent_rules(settings),
+        )
+        self._speed_deg_s = speed_deg_s
+        names = list(settings.servos)
+        self._mouth = [names.index(name) for name in settings.mouth_servos]
+        self._goal_deg = np.zeros(len(names))
+        self._ticks = ticks(clock, self.rate_hz)
+
+    def move(self, goal_deg: Array) -> Array:
+        """Lead the mouth there, wait until it stands, and say where it does."""
+        self.lead(goal_deg)
+        return self._settle()
+
+    def lead(self, goal_deg: Array) -> Array:
+        """The same without waiting; where it stands on the way."""
+        whole_deg = np.zeros_like(self._goal_deg)
+        whole_deg[self._mouth] = goal_deg
+        start_deg = self._goal_deg
+        lasts_s = float(np.abs(whole_deg - start_deg).max()) / self._speed_deg_s
+        start_s = self._clock.now()
+        share = 0.0
+        while share < 1.0:
+            elapsed_s = self._clock.now() - start_s
+            share = min(1.0, elapsed_s / lasts_s) if lasts_s else 1.0
+            self._goal_deg = start_deg + share * (whole_deg - start_deg)
+            self._tick()
+        return self._stands_deg()[self._mouth]
+
+    def hold(self, seconds: float) -> None:
+        """Stay for a while."""
+        until_s = self._clock.now() + seconds
+        while self._clock.now() < until_s:
+            self._tick()
+
+    def hold_while(self, ask: Callable[[], Answer]) -> Answer:
+        """Stay until `ask`, which may wait for a person, has an answer; its errors are raised."""
+        answers: list[Answer] = []
+        errors: list[BaseException] = []
+
+        def wait() -> None:
+            try:
+                answers.append(ask())
+            except BaseException as error:
+                errors.append(error)
+
+        waiting = threading.Thread(target=wait, daemon=True)
+        waiting.start()
+        while waiting.is_alive():
+            self._tick()
+        if errors:
+            raise errors[0]
+        return answers[0]
+
+    def drive(self, goals_deg: Array, rate_hz: float) -> Array:
+        """Goals (n, n_mouth_servos), one a tick, through the gate -> encoders of the same instants.
+
+        An encoder is read half a tick after its goal was sent: a goal that is held for a tick is on
+        average half a tick old. Ticks that the computer missed are filled in between. Raises
+        ValueError for another rate than `rate_hz` of this face.
+        """
+        if rate_hz != self.rate_hz:
+            raise ValueError(f"this face is driven at {self.rate_hz:g} Hz, not {rate_hz:g}")
+        self.move(goals_deg[0])
+        seen_deg = np.full(goals_deg.shape, np.nan)
+        next(self._ticks)  # those that passed until now are of no concern
+        row = -1
+        for time_s, late in self._ticks:
+            row += 1 + late
+            if row >= len(goals_deg):
+                break
+            whole_deg = self._goal_deg.copy()
+            whole_deg[self._mouth] = goals_deg[row]
+            self._goal_deg = whole_deg
+            self._send(time_s, late)
+            self._clock.sleep_until(time_s + 0.5 / rate_hz)
+            seen_deg[row] = self._stands_deg()[self._mouth]
+        return _filled(seen_deg)
+
+    def __enter__(self) -> Self:
+        self._goal_deg = np.nan_to_num(self._bus.read().positions_deg)
+        self._bridge.arm()
+        self.move(np.zeros(len(self._mouth)))
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self._bridge.ease_to_neutral(self._clock)
+        else:
+            self._bridge.stop()
+
+    def _settle(self) -> Array:
+        """Until every encoder is still, for as long as any servo needs at most."""
+        until_s = self._clock.now() + _SETTLE_S
+        before_deg = self._stands_deg()
+        while self._clock.now() < until_s:
+            self.hold(_STILL_S)
+            now_deg = self._stands_deg()
+            if np.abs(now_deg - before_deg).max() < _STILL_DEG:
+                break
+            before_deg = now_deg
+        return self._stands_deg()[self._mouth]
+
+    def _stands_deg(self) -> Array:
+        return self._bus.feedback().positions_deg
+
+    def _tick(self) -> None:
+        time_s, late = next(self._ticks)
+        self._send(time_s, late)
+
+    def _send(self, time_s: float, late: int) -> None:
+        self._channel.publish(ServoTargets(time_s, self._goal_deg))
+        self._bridge.tick(time_s, late)
+
+
+def _filled(columns: Array) -> Array:
+    """(n, k) with rows of NaN -> the same with what lies between the others."""
+    rows = np.arange(len(columns))
+    seen = np.isfinite(columns).all(axis=1)
+    return np.stack([np.interp(rows, rows[seen], column[seen]) for column in columns.T], axis=1)
