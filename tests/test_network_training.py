@@ -9,6 +9,7 @@ from speech import CLIP_PATH
 
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition import augmentation, noise
+from lipsync.recognition.alignment_cache import read_alignments
 from lipsync.recognition.augmentation import Heard
 from lipsync.recognition.conditions import ConditionError, parse_condition
 from lipsync.recognition.network import batch_posteriors
@@ -18,6 +19,7 @@ from lipsync.recognition.training_data import (
     feature_scale,
     training_arrays,
 )
+from lipsync.textgrid import write_tiers
 
 RATE_HZ = 16_000
 
@@ -200,3 +202,35 @@ def test_a_network_started_from_weights_says_what_they_say(training, plan, small
 def test_weights_of_another_shape_are_no_start(training, plan, small_arrays):
     with pytest.raises(training.TrainingError, match="another shape"):
         training.started_from(random_weights(n_channels=16), small_arrays[0], plan)
+
+
+@pytest.fixture(scope="module")
+def talker(tmp_path_factory, clip):
+    """Two labelled sentences in the layout of grid_s1."""
+    folder = tmp_path_factory.mktemp("talker")
+    tiers = {"words": (("hello", 0.5, 2.5),), "phones": (("SIL", 0.0, 0.5), ("AA", 0.5, 3.0))}
+    for name in ("audio", "labels"):
+        (folder / name).mkdir()
+    for name in ("one", "two"):
+        soundfile.write(folder / "audio" / f"{name}.flac", clip, RATE_HZ)
+        write_tiers(folder / "labels" / f"{name}.TextGrid", tiers)
+    return folder
+
+
+@pytest.mark.usefixtures("training")
+def test_what_is_left_out_is_not_even_read(plan, talker, tmp_path):
+    from lipsync.recognition.training_run import TrainingRun, run_training
+
+    (talker / "audio" / "two.flac").write_bytes(b"no sound")
+    run = TrainingRun((talker,), tmp_path, left_out=frozenset({"two"}), n_copies=1, plan=plan)
+    weights = run_training(run, lambda *_: None)
+
+    assert weights.delays == plan.delays
+    assert list(read_alignments(tmp_path / "alignments.jsonl")) == ["one"]
+
+
+def test_a_name_in_two_corpora_is_refused(training, plan, talker, tmp_path):
+    from lipsync.recognition.training_run import TrainingRun, run_training
+
+    with pytest.raises(training.TrainingError, match="'one' is in the corpora twice"):
+        run_training(TrainingRun((talker, talker), tmp_path, plan=plan), lambda *_: None)

@@ -28,12 +28,12 @@ from lipsync.evaluation.closing import (
     with_gap,
 )
 from lipsync.evaluation.listening import heard_by
-from lipsync.phonemes import SILENCE
+from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.live import NetworkRecognizer
 from lipsync.recognition.network import StreamingNetwork
 from lipsync.recognition.scripted import read_phonemes
-from lipsync.recognition.weights import load_shipped_weights
+from lipsync.recognition.weights import SHIPPED, load_shipped_weights
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000
@@ -65,8 +65,10 @@ def listen(recognizer, samples):
     return timeline
 
 
-def test_the_weights_are_small_enough_to_ship():
-    with resources.as_file(resources.files("lipsync.models") / "recognizer.npz") as path:
+@pytest.mark.parametrize("name", SHIPPED)
+def test_the_weights_are_small_enough_to_ship_and_have_a_card(name):
+    assert load_shipped_weights(name).phonemes == PHONEMES
+    with resources.as_file(resources.files("lipsync.models") / SHIPPED[name]) as path:
         assert path.stat().st_size < 3_000_000
         assert path.with_suffix(".md").is_file()
 

@@ -51,6 +51,8 @@ def test_the_wheel_holds_data_and_no_top_level_config(wheel):
         "lipsync/models/grid_s1.md",
         "lipsync/models/recognizer.npz",
         "lipsync/models/recognizer.md",
+        "lipsync/models/recognizer_grid.npz",
+        "lipsync/models/recognizer_grid.md",
         "lipservo/py.typed",
     ):
         assert needed in names

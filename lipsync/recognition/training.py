@@ -46,7 +46,7 @@ class TrainingPlan:
     seed: int = 0
     n_threads: int = 2
     log_every: int = 50
-    check_every: int = 500
+    check_every: int = 250
 
     @property
     def averaging(self) -> float:
