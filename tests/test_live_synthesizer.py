@@ -84,6 +84,19 @@ def test_a_long_pause_ends_in_the_closed_mouth():
     np.testing.assert_allclose(synthesizer.coefficients_at(1.5), model.rest, atol=1e-6)
 
 
+def test_the_mouth_leaves_rest_and_returns_to_it_over_several_ticks():
+    model = load_shipped_model()
+    synthesizer = LiveSynthesizer(model, Style(0.1))
+    known(synthesizer, ("SIL", 0.6), ("AA", 0.2), ("SIL", 2.0))
+    for start_s, end_s in ((0.4, 0.6), (1.05, 1.5)):
+        moved = faces(synthesizer, start_s, end_s, TICK_S)
+        way = np.linalg.norm(moved[-1] - moved[0])
+        steps = np.linalg.norm(np.diff(moved, axis=0), axis=1)
+        assert way > 1.0
+        assert steps.max() < 0.4 * way
+    np.testing.assert_allclose(synthesizer.coefficients_at(0.5), model.rest)
+
+
 def test_strength_zero_keeps_the_mouth_at_rest_and_one_and_a_half_opens_it_further():
     model = load_shipped_model()
     gaps_mm = []

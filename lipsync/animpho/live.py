@@ -36,9 +36,10 @@ STRONGEST = 1.5
 #: Longer than a stop gap inside a word (to 120 ms) with its borders heard 50 ms wrong: a silence
 #: that lasts longer is a pause, and in a pause the mouth comes to rest.
 PAUSE_S = 0.17
-#: So long it takes to come to rest, and to leave it when the next phoneme is known: no snapping.
+#: So long it takes to come to rest. It is left within this share of the look-ahead, so that the
+#: mouth is where it should be at the onset: 10 ms later costs .002 of ratio (inner split).
 RESTING_S = 0.15
-WAKING_S = 0.03
+_WAKING_SHARE = 0.7
 #: Ticks kept for times that are asked for again.
 _KEPT = 64
 #: After a longer leap in time the motion in between was seen by nobody and is not computed.
@@ -171,7 +172,7 @@ class LiveSynthesizer:
         last = self._ticks[-1]
         begin_s = time_s - TICK_S
         context = context_at(self._track, time_s, known_until_s)
-        resting = _resting(last.resting, *context, begin_s)
+        resting = self._resting(last.resting, *context, begin_s)
         wanted = self._expected(time_s, *context, at_rest=resting.at(begin_s) == (1.0, 0.0))
         self._wanted = self._keep * self._wanted + (1.0 - self._keep) * wanted
         # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
@@ -191,19 +192,21 @@ class LiveSynthesizer:
         self._count(time_s - times_s[2])
         return self._model.expectation.at(phonemes, times_s, self._known_s)
 
+    def _resting(
+        self, now: Amount, phonemes: list[int], times_s: list[float], time_s: float
+    ) -> Amount:
+        """How the mouth comes to rest in a pause, and leaves it when the end of it is known."""
+        is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
+        if is_pause == (now.goal == 1.0):
+            return now
+        waking_s = max(TICK_S, _WAKING_SHARE * self._known_s)
+        duration_s, goal = (RESTING_S, 1.0) if is_pause else (waking_s, 0.0)
+        return Amount(time_s, duration_s, *now.at(time_s), goal)
+
     def _count(self, start_s: float) -> None:
         if start_s > self._phoneme_moved:
             self._phoneme_moved = start_s
             self.phonemes_planned += 1
-
-
-def _resting(now: Amount, phonemes: list[int], times_s: list[float], time_s: float) -> Amount:
-    """How the mouth comes to rest in a pause, and leaves it when the end of the pause is known."""
-    is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
-    if is_pause == (now.goal == 1.0):
-        return now
-    duration_s, goal = (RESTING_S, 1.0) if is_pause else (WAKING_S, 0.0)
-    return Amount(time_s, duration_s, *now.at(time_s), goal)
 
 
 def _moments_s(model: FaceModel, phonemes: Iterable[str]) -> dict[int, float]:
