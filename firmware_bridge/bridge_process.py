@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -42,7 +43,7 @@ def run_bridge(
             if bridge.troubles != troubles:
                 troubles = bridge.troubles
                 say("; ".join(troubles) or "every servo is driven again")
-            asked = requests.poll(_status(bridge, report))
+            asked = requests.poll(partial(_status, bridge, report))
             if asked is StopLevel.FREEZE:
                 bridge.freeze()
             elif asked is not None:

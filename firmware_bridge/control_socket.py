@@ -8,7 +8,7 @@ import json
 import os
 import socket
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import StrEnum
 from pathlib import Path
 from typing import Final
@@ -39,8 +39,8 @@ class ControlSocket:
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
 
-    def poll(self, status: Mapping[str, object]) -> StopLevel | None:
-        """Answer what has come; the stop that was asked for, if any."""
+    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
+        """Answer what has come; the stop that was asked for, if any. status: made when asked."""
         try:
             request, sender = self._socket.recvfrom(_LONGEST)
         except OSError:
@@ -48,7 +48,7 @@ class ControlSocket:
         word = request.decode("utf-8", "replace").strip()
         stop = StopLevel(word) if word in set(StopLevel) else None
         if sender:
-            answer = status if stop or word == "status" else {"error": f"{word!r} is not known"}
+            answer = status() if stop or word == "status" else {"error": f"{word!r} is not known"}
             with contextlib.suppress(OSError):
                 self._socket.sendto(json.dumps(answer).encode(), sender)
         return stop

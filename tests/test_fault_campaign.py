@@ -43,8 +43,8 @@ def test_ten_thousand_cycles_leave_nothing_open_and_send_nothing_wrong():
 
 
 @pytest.mark.campaign
-def test_three_hundred_thousand_cycles_do_not_grow():
-    result = endured(300_000)
+def test_a_hundred_thousand_cycles_do_not_grow():
+    result = endured(100_000)
 
     assert result.replugs >= 1
     assert result.rss_mb_at_end - result.rss_mb_at_tenth < 2.0

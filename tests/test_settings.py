@@ -1,6 +1,10 @@
 import pytest
 import yaml
 
+from firmware_bridge.channel import MemoryTargetChannel
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.simulator.bus import SimulatedBus
+from lipservo.servos import bridge_for
 from lipservo.settings import (
     SettingsError,
     calibration_file,
@@ -96,6 +100,21 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
 @pytest.mark.parametrize(
     ("right", "wrong", "mistake"),
     [
+        (
+            "rate_hz: 50",
+            "rate_hz: 50\nstale: {hold_s: 2.0}",
+            "stale: needs hold_s < neutral_s <= limp_s, got 2, 1 and 5",
+        ),
+        (
+            "rate_hz: 50",
+            "rate_hz: 50\ntracking: {error_deg: 0.0}",
+            "tracking.error_deg: 0 is outside 1..360",
+        ),
+        (
+            "    id: 3\n",
+            "    id: 3\n    max_current_ma: 2000\n",
+            "servos.jaw: max_current_ma 2000 is more than an XL330-M288 takes, 1750",
+        ),
         ("id: 3", "id: 300", "servos.jaw.id: 300 is outside 0..252"),
         ("id: 3", "id: -1", "servos.jaw.id: -1 is outside 0..252"),
         ("id: 3", 'id: "3"', "servos.jaw.id: '3' is not a whole number"),
@@ -272,3 +291,15 @@ def test_a_missing_calibration_is_named_when_it_is_needed(tmp_path):
         calibration_file(load(tmp_path, FACE), tmp_path)
     with pytest.raises(SettingsError, match=r"'test face' has no calibration; write `calibration:"):
         calibration_file(load(tmp_path, FACE.replace("calibration: face.calibration.yaml", "")))
+
+
+def test_the_rules_of_the_gate_come_from_the_yaml(tmp_path):
+    text = FACE.replace("rate_hz: 50", "rate_hz: 50\nstale: {hold_s: 0.2, limp_s: 2.0}")
+    face = load(tmp_path, text)
+    clock = ManualClock()
+    with SimulatedBus(face.joints(), clock) as bus:
+        bridge = bridge_for(face, bus, MemoryTargetChannel())
+        bridge.arm()
+        levels = [bridge.tick(n / 50.0).stale.name for n in range(110)]
+
+    assert [levels.index(name) for name in ("EASING", "NEUTRAL", "LIMP")] == [11, 50, 100]

@@ -13,10 +13,11 @@ _ABSENT_AFTER: Final = 5
 _RETRY_EVERY: Final = 200
 #: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
 #: servo gets a frame of its own again. After a while the fast way is tried once more; after each
-#: relapse the while is twice as long.
+#: relapse the while is twice as long, up to ten minutes at 100 Hz.
 _BAD_FAST_READS: Final = 2
 _FAST_WINDOW: Final = 100
 _SLOW_FOR: Final = 2_000
+_SLOW_AT_MOST: Final = 64_000
 #: Time on the wire that asking again for lost parts may take within a cycle: 13 of ten bytes each
 #: at 1 Mbaud, none at 57,600 baud. Less than the shortest period, 5 ms at 200 Hz.
 _AGAIN_S: Final = 0.003
@@ -122,7 +123,7 @@ class SpanGroup:
         if self._n_bad >= _BAD_FAST_READS:
             self._n_bad = 0
             self._slow_until = self._n_asked + self._slow_for
-            self._slow_for *= 2
+            self._slow_for = min(2 * self._slow_for, _SLOW_AT_MOST)
 
     def _prepare(self, *, retry: bool = False) -> None:
         """Put the suspects last and leave the absent out, unless it is time to try them."""

@@ -243,6 +243,9 @@ class Line:
                     self.latency.learn(self._quiet_s - due_s)
                     self.heard_noise = False
                     return statuses
+            if stream and not patience_s:
+                rest_s = max(wire_end_s, clock.now()) + self.latency.rest_slack_s
+                deadline_s = min(deadline_s, rest_s)
             more = transport.read(deadline_s)
             if not more:
                 self._quiet_s = max(wire_end_s, clock.now())

@@ -16,12 +16,12 @@ from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.memory_transport import MemoryTransport
 from firmware_bridge.targets import ServoTargets
 
-#: As on a fair bus: now and then a packet is lost or spoilt, and the plug is pulled twice an hour.
+#: As on a fair bus: now and then a packet is lost or spoilt, and the plug is pulled now and then.
 #: Whatever leaks, leaks where things go wrong.
 FAULTS: Final = (
     Fault("drop_reply", probability=0.001),
     Fault("corrupt_reply", probability=0.0005),
-    Fault("unplug", from_s=0.0, every_s=1_800.0, lasts_s=2.0),
+    Fault("unplug", from_s=0.0, every_s=600.0, lasts_s=2.0),
 )
 #: Once so many cycles are over, everything is loaded and warm: memory is first looked at.
 _WARM_SHARE: Final = 0.1
