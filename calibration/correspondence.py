@@ -21,6 +21,8 @@ _GAP_NAMES = (
 )
 _MIDDLE_GAP = _GAP_NAMES[0]
 _CORNERS = ("outer_lip_61", "outer_lip_291")
+#: Without these nobody knows how open and how wide a mouth is.
+LIPS_NEEDED = frozenset((*_MIDDLE_GAP, *_CORNERS))
 
 
 @dataclass(frozen=True, slots=True)

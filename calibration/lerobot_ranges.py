@@ -51,6 +51,19 @@ def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
     return {name: _parse(f"{path}: {name}", name, entry) for name, entry in content.items()}
 
 
+def by_id(ranges: Mapping[str, RecordedRange]) -> dict[int, RecordedRange]:
+    """Raises CalibrationError where two joints have one id."""
+    found: dict[int, RecordedRange] = {}
+    for recorded in ranges.values():
+        other = found.setdefault(recorded.servo_id, recorded)
+        if other is not recorded:
+            raise CalibrationError(
+                f"{other.name} and {recorded.name} both have id {recorded.servo_id} in the range "
+                "file; every servo needs its own"
+            )
+    return found
+
+
 def _parse(place: str, name: str, entry: object) -> RecordedRange:
     if not isinstance(entry, dict):
         raise CalibrationError(f"{place}: should hold {', '.join(_KEYS)}")

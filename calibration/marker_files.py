@@ -65,13 +65,16 @@ def read_capture(
     if unknown:
         raise CalibrationError(f"{markers_path}: pose {unknown[0]} is not in {plan_path}")
     names = tuple(dict.fromkeys(name for _, name, _ in readings))
-    used = [pose for pose in poses if any(p == pose for p, _, _ in readings)]
+    seen: dict[tuple[int, str], list[Array]] = {}
+    for pose, name, place_mm in readings:
+        seen.setdefault((pose, name), []).append(place_mm)
+    recorded = {pose for pose, _ in seen}
+    used = [pose for pose in poses if pose in recorded]
     markers_mm = np.full((len(used), len(names), 3), np.nan)
     for row, pose in enumerate(used):
         for column, name in enumerate(names):
-            seen = [place for p, n, place in readings if p == pose and n == name]
-            if seen:
-                markers_mm[row, column] = _mean(seen)
+            if (pose, name) in seen:
+                markers_mm[row, column] = _mean(seen[pose, name])
     rows = [poses.index(pose) for pose in used]
     return Capture(servo_names, names, goals_deg[rows], from_below[rows], markers_mm)
 

@@ -14,52 +14,63 @@ from lipsync.phonemes import VISEME_CLASSES
 _WELL_REACHED = 0.9
 
 
-def report_lines(fit: MeasuredFit, calibration: Calibration, written: str) -> list[str]:
-    """Errors in millimetres, then each joint, then what the robot cannot reach."""
-    errors = calibration.errors
-    lines = [
-        f"{written}: on {errors.n_frames} frames left out the lips are {errors.lip_rms_mm:.2f} mm "
-        f"from the shapes asked for (the best this face can do: {errors.nearest_lip_rms_mm:.2f})",
-        f"learnt face: {fit.face.kind}; poses left out {fit.face.left_out_rms_mm:.2f} mm off in "
-        f"each axis, of which the tracker's noise is about {fit.face.noise_mm:.2f}",
-        f"the mouth moves {fit.retargeting.scale[1]:.2f} times as much as the talker's up and "
-        f"down, {fit.retargeting.scale[0]:.2f} times across",
-    ]
-    lines += _worst_markers(errors.each_marker_rms_mm)
-    lines += joint_lines(calibration)
-    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
-    poor = {v: r for v, r in calibration.coverage.items() if r.reachable < _WELL_REACHED}
-    for viseme, reach in poor.items():
-        lines.append(
-            f"out of reach: {1 - reach.reachable:.0%} of the shapes of {phonemes[viseme]}; "
-            "wider limits may help"
-        )
-    if not poor:
-        lines.append("every viseme class is within reach")
-    return lines
+def report_lines(calibration: Calibration, written: str, fit: MeasuredFit | None) -> list[str]:
+    """How far off the map is, then each joint, then what the robot cannot reach.
+
+    fit: of the measured way; None for the others.
+    """
+    lines = [f"{written}: {_summary(calibration)}"]
+    if fit is not None:
+        lines += [
+            f"learnt face: {fit.face.kind}; poses left out {fit.face.left_out_rms_mm:.2f} mm off "
+            f"in each axis, of which the tracker's noise is about {fit.face.noise_mm:.2f}",
+            f"the mouth moves {fit.retargeting.scale[1]:.2f} times as much as the talker's up and "
+            f"down, {fit.retargeting.scale[0]:.2f} times across",
+        ]
+    lines += _worst_markers(calibration.errors.each_marker_rms_mm)
+    lines += _joint_lines(calibration)
+    return lines + (_reach_lines(calibration) if fit is not None else [])
 
 
-def short_report_lines(calibration: Calibration, written: str) -> list[str]:
-    """For ways that measure no robot: the simulated face, and poses made by eye."""
+def _summary(calibration: Calibration) -> str:
     errors, origin = calibration.errors, calibration.origin
     if origin.method == "guided":
         off_deg, servo = max(zip(errors.joint_rms_deg, calibration.servo_names, strict=True))
-        first = (
-            f"{written}: from {origin.poses} poses made by eye. A pose left out is {off_deg:.1f} "
-            f"deg off at most (rms, {servo}). On simulated robots such a map was 0.7 mm off in the "
-            "median, a measured one 0.3 (docs/benchmarks.md)"
+        return (
+            f"from {origin.poses} poses made by eye. A pose left out is {off_deg:.1f} deg off at "
+            f"most (rms, {servo}). On simulated robots such a map was 0.7 mm off in the median, a "
+            "measured one 0.3 (docs/benchmarks.md)"
         )
-    else:
-        first = (
-            f"{written}: on {errors.n_frames} frames left out the lips are "
-            f"{errors.lip_rms_mm:.2f} mm off (the nearest poses of this face: "
-            f"{errors.nearest_lip_rms_mm:.2f}), the lip gap {errors.gap_rms_mm:.2f} mm; "
-            f"{errors.clipped_share:.1%} of the frames reach a limit"
+    if origin.method == "jaw alone":
+        return (
+            f"on {errors.n_frames} frames left out the jaw line is {errors.marker_rms_mm:.2f} mm "
+            "from where the talker's would be; lips were not seen"
         )
-    return [first, *_worst_markers(errors.each_marker_rms_mm), *joint_lines(calibration)]
+    if origin.method == "measured":
+        return (
+            f"on {errors.n_frames} frames left out the lips are {errors.lip_rms_mm:.2f} mm from "
+            f"the shapes asked for (the best this face can do: {errors.nearest_lip_rms_mm:.2f})"
+        )
+    return (
+        f"on {errors.n_frames} frames left out the lips are {errors.lip_rms_mm:.2f} mm off (the "
+        f"nearest poses of this face: {errors.nearest_lip_rms_mm:.2f}), the lip gap "
+        f"{errors.gap_rms_mm:.2f} mm; {errors.clipped_share:.1%} of the frames reach a limit"
+    )
 
 
-def joint_lines(calibration: Calibration) -> list[str]:
+def _reach_lines(calibration: Calibration) -> list[str]:
+    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
+    poor = {v: r for v, r in calibration.coverage.items() if r.reachable < _WELL_REACHED}
+    if not poor:
+        return ["every viseme class is within reach"]
+    return [
+        f"out of reach: {1 - reach.reachable:.0%} of the shapes of {phonemes[viseme]}; "
+        "wider limits may help"
+        for viseme, reach in poor.items()
+    ]
+
+
+def _joint_lines(calibration: Calibration) -> list[str]:
     """How each joint does, and how it follows."""
     lines = []
     following = calibration.following

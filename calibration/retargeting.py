@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 #: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that
 #: is off by this much still closes. On development robots the gap of closed lips was 0.1 to 0.25 mm
 #: larger than learnt, spread by 0.1 to 0.2 mm, and play added 0.1 to 0.2 mm.
-PRESS_MM = 1.0
+PRESS_MM = 1.2
 #: The talker's range that is matched; more is rare and would make everything else small.
 _RANGE_QUANTILE = 0.98
 #: A robot may exaggerate its talker by this factor over the ratio of their sizes, not more: its

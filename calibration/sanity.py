@@ -126,7 +126,8 @@ def _wanted_direction(names: tuple[str, ...], servo: str, word: str) -> Array | 
     lips = [i for i, name in enumerate(names) if name in MARKER_NAMES and "lip" in name]
     wanted = np.zeros((len(names), 3))
     if word == "opens":
-        wanted[[names.index(n) for n in _LOWER if n in names], 1] = -1.0
+        rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]
+        wanted[rides, 1] = -1.0
     elif word in ("raises", "lowers"):
         wanted[lips, 1] = 1.0 if word == "raises" else -1.0
     elif word in ("widens", "narrows"):

@@ -129,7 +129,7 @@ class FileTracker:
 
     def _readings(self, pose: int) -> Mapping[str, Array]:
         """By marker, means; nothing while the file is not there or being written."""
-        if not self._path.exists():
+        if not self._path.exists() or self._is_in_mid_line():
             return {}
         try:
             if self._path.is_dir() and is_dots_folder(self._path):
@@ -137,20 +137,19 @@ class FileTracker:
             else:
                 readings = read_readings(self._path, self._axes)
         except CalibrationError:
-            if not self._path.is_dir() and not self._is_being_written():
+            if self._path.suffix.lower() == ".csv":
                 raise
-            return {}
+            return {}  # a folder or a JSON value of which a part is there
         places: dict[str, list[Array]] = {}
         for number, name, place_mm in readings:
             if number == pose:
                 places.setdefault(name, []).append(place_mm)
         return {name: np.mean(seen, axis=0) for name, seen in places.items()}
 
-    def _is_being_written(self) -> bool:
-        """Whether the file may be in the middle of a line, or of its only value."""
-        if self._path.suffix.lower() == ".json":
-            return True
-        return not self._path.read_bytes().endswith(b"\n")
+    def _is_in_mid_line(self) -> bool:
+        """Whether somebody is writing a CSV file just now: its last line has no end."""
+        is_csv = self._path.suffix.lower() == ".csv"
+        return is_csv and not self._path.read_bytes().endswith(b"\n")
 
 
 class TypedTracker:

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from calibration.calibration import Calibration, CalibrationError, ServoMemory
+from calibration.calibration import Calibration, CalibrationError, Following, ServoMemory
 from calibration.capture import Capture, Measure, Move
+from calibration.correspondence import LIPS_NEEDED
 from calibration.fitting import fit_calibration
+from calibration.jaw_fit import fit_jaw, jaw_agreement, jaw_markers
 from calibration.joint_range import JointRange
 from calibration.measured import MeasuredFit, fit_measured
 from calibration.procedure import Procedure
@@ -64,45 +66,78 @@ class Workplace:
         return Procedure(self.model, self.joints, self.n_poses, rules, seed)
 
 
-def fit_capture(at: Workplace, capture: Capture) -> MeasuredFit:
-    """A capture of this face, from wherever, to its calibration."""
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What a way leads to. fit: None where nothing was measured, or a jaw alone."""
+
+    calibration: Calibration
+    fit: MeasuredFit | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def backlash_deg(self) -> Array:
+        """(n_servos,), 0 where nothing is known."""
+        following = self.calibration.following
+        n_servos = len(self.calibration.servo_names)
+        return np.zeros(n_servos) if following is None else following.backlash_deg
+
+    def with_following(self, following: Following) -> "Result":
+        """The same, with lags."""
+        return replace(self, calibration=replace(self.calibration, following=following))
+
+
+def fit_capture(at: Workplace, capture: Capture) -> Result:
+    """A capture of this face, from wherever, to its calibration.
+
+    One servo and no lips among the markers: the jaw alone.
+    """
     mouth = at.settings.mouth_servos.values()
-    return fit_measured(
+    date = datetime.date.today().isoformat()
+    models = tuple(servo.model for servo in mouth)
+    positive = [servo.positive for servo in mouth]
+    checksum, lips = at.settings.checksum, LIPS_NEEDED & set(capture.marker_names)
+    if len(at.joints) == 1 and jaw_markers(capture.marker_names) and not lips:
+        (joint,) = at.joints
+        jaw, warnings = fit_jaw(
+            at.model, capture, joint, checksum, date=date, servo_models=models, positive=positive
+        )
+        return Result(jaw, None, warnings)
+    fit = fit_measured(
         at.model,
         capture,
         at.joints,
-        at.settings.checksum,
-        date=datetime.date.today().isoformat(),
-        servo_models=tuple(servo.model for servo in mouth),
-        positive=[servo.positive for servo in mouth],
+        checksum,
+        date=date,
+        servo_models=models,
+        positive=positive,
         rules=mouth_rules(at.settings),
     )
+    return Result(fit.calibration, fit, fit.warnings)
 
 
-def by_simulated_face(at: Workplace) -> Calibration:
+def by_simulated_face(at: Workplace) -> Result:
     """No measuring: the simulated face, and the lags of servos simulated to the byte.
 
     A face with a port gets no lags here: its own servos are there to be asked.
     """
     rules = mouth_rules(at.settings)
-    fitted = fit_calibration(at.model, at.joints, at.settings.checksum, rules=rules)
+    fitted = Result(fit_calibration(at.model, at.joints, at.settings.checksum, rules=rules))
     if not at.lags or at.settings.bus.kind != "simulated":
         return fitted
     bus, clock = simulated_wire(at.settings)
     with bus, HeldFace(at.settings, bus, clock) as face:
-        return _with_lags(at, face, fitted, np.zeros(len(at.joints)))
+        return _with_lags(at, face, fitted)
 
 
-def by_practice(at: Workplace, seed: int) -> tuple[MeasuredFit, Calibration]:
+def by_practice(at: Workplace, seed: int) -> Result:
     """A simulated robot drawn from a seed, in memory and at once."""
     robot = _drawn_robot(at, seed)
     capture = _capture(at, MARKER_NAMES, robot.move, robot.measure, seed=seed)
-    fit = fit_capture(at, capture)
+    result = fit_capture(at, capture)
     if not at.lags:
-        return fit, fit.calibration
+        return result
     servos = SimulatedServos.drawn(len(at.joints), seed)
-    following = identify(servos.encoders_deg, at.joints, fit.face.backlash_deg)
-    return fit, replace(fit.calibration, following=following)
+    return result.with_following(identify(servos.encoders_deg, at.joints, result.backlash_deg))
 
 
 def by_servos(
@@ -110,7 +145,7 @@ def by_servos(
     make_tracker: Callable[[HeldFace], Tracker],
     passed: Callable[[Array], object] = lambda _: None,
     seed: int = 0,
-) -> tuple[MeasuredFit, Calibration]:
+) -> Result:
     """The face's own servos, whatever sees the markers: capture, fit, then the servos' lags.
 
     passed: hears of every place that the encoders came to, measured or not.
@@ -131,34 +166,31 @@ def by_servos(
         finally:
             if isinstance(tracker, FileTracker):
                 tracker.close()
-        fit = fit_capture(at, capture)
-        calibration = with_memories(fit.calibration, memories)
-        if at.lags:
-            calibration = _with_lags(at, face, calibration, fit.face.backlash_deg)
-    return fit, calibration
+        result = with_memories(fit_capture(at, capture), memories)
+        return _with_lags(at, face, result) if at.lags else result
 
 
-def by_eye(at: Workplace) -> Calibration:
+def by_eye(at: Workplace) -> Result:
     """Poses made with keys, on the face's own servos or on simulated ones."""
-    model, joints = at.model, at.joints
-    face = simulated_face(model.markers_mm(model.rest[None])[0], [j.name for j in joints])
+    model = at.model
+    names = [joint.name for joint in at.joints]
+    face = simulated_face(model.markers_mm(model.rest[None])[0], names)
 
     def drawn(positions_deg: Array) -> Array:
         return np.asarray(marker_positions_mm(face, positions_deg[None])[0])
 
     guide = partial(calibrate_by_eye, at.settings, model, console=MESSAGES, keep=at.keep)
     if at.settings.bus.kind == "simulated":
-        return guide(move=lambda goal_deg: goal_deg, read_key=read_key, drawn=drawn)
+        by_keys = guide(move=lambda goal_deg: goal_deg, read_key=read_key, drawn=drawn)
+        return Result(by_keys)
     memories = servo_memories(at.settings)
     with _held(at) as robot:
         fitted = guide(move=robot.lead, read_key=lambda: robot.hold_while(read_key), drawn=None)
-        calibration = with_memories(fitted, memories)
-        if at.lags:
-            calibration = _with_lags(at, robot, calibration, np.zeros(len(joints)))
-    return calibration
+        result = with_memories(Result(fitted), memories)
+        return _with_lags(at, robot, result) if at.lags else result
 
 
-def by_simulated_skin(at: Workplace, seed: int | None) -> tuple[MeasuredFit, Calibration]:
+def by_simulated_skin(at: Workplace, seed: int | None) -> Result:
     """The servos over the wire, behind a computed face: as designed, or drawn from a seed."""
     if seed is not None:
         robot = _drawn_robot(at, seed)
@@ -190,12 +222,19 @@ def tracker_of(at: Workplace, source: str, axes: str) -> Callable[[HeldFace], Tr
     return lambda face: FileTracker(path, names, face.hold, _say, axes=axes)
 
 
-def with_memories(calibration: Calibration, memories: Sequence[ServoMemory | None]) -> Calibration:
-    """What the servos hold, where all of them said so."""
+def jaw_check(at: Workplace, calibration: Calibration) -> float | None:
+    """How well the joint that opens goes with the talker's jaw; None without such a joint."""
+    words = [servo.positive for servo in at.settings.mouth_servos.values()]
+    return jaw_agreement(at.model, calibration, words.index("opens")) if "opens" in words else None
+
+
+def with_memories(result: Result, memories: Sequence[ServoMemory | None]) -> Result:
+    """With what the servos hold, where all of them said so."""
     known = tuple(memory for memory in memories if memory is not None)
-    if len(known) != len(calibration.servo_names):
-        return calibration
-    return replace(calibration, origin=replace(calibration.origin, servo_memories=known))
+    if len(known) != len(result.calibration.servo_names):
+        return result
+    origin = replace(result.calibration.origin, servo_memories=known)
+    return replace(result, calibration=replace(result.calibration, origin=origin))
 
 
 @contextmanager
@@ -206,14 +245,13 @@ def _held(at: Workplace) -> Iterator[HeldFace]:
         yield stack.enter_context(HeldFace(at.settings, bus, clock, speed_deg_s=at.speed_deg_s))
 
 
-def _with_lags(
-    at: Workplace, face: HeldFace, calibration: Calibration, backlash_deg: Array
-) -> Calibration:
+def _with_lags(at: Workplace, face: HeldFace, result: Result) -> Result:
     with _bar(at, "chirps", len(at.joints)) as done:
-        following = identify(
-            face.drive, at.joints, backlash_deg, rate_hz=face.rate_hz, progress=done
+        return result.with_following(
+            identify(
+                face.drive, at.joints, result.backlash_deg, rate_hz=face.rate_hz, progress=done
+            )
         )
-    return replace(calibration, following=following)
 
 
 def _capture(

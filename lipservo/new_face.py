@@ -2,10 +2,12 @@
 
 import struct
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import yaml
 
+from calibration.lerobot_ranges import RecordedRange
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import MonotonicClock, ticks
@@ -44,8 +46,41 @@ def find_servos(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     return rate, {each: model.name for each, model in models.items() if model is not None}
 
 
-def nudge(port: str, rate: int, servo_id: int, model_name: str) -> None:
-    """Move one servo by 3 degrees and back, through the gate; it is limp afterwards."""
+@dataclass(frozen=True, slots=True)
+class FoundJoint:
+    """One joint as its servo was found and a person named it; limits in joint degrees."""
+
+    name: str
+    servo_id: int
+    model: str
+    positive: str
+    sign: int
+    min_deg: float = -_LIMIT_DEG
+    max_deg: float = _LIMIT_DEG
+    zero_offset_deg: float = 0.0
+
+    def within(self, recorded: RecordedRange, neutral_tick: int) -> "FoundJoint":
+        """With the recorded range as limits, and 0 where the servo stands now.
+
+        Raises UserError where it stands outside of that range.
+        """
+        if not recorded.least_tick <= neutral_tick <= recorded.most_tick:
+            raise UserError(
+                f"{self.name} (id {self.servo_id}) stands at {neutral_tick}, outside its recorded "
+                f"range {recorded.least_tick}..{recorded.most_tick}; put the face into its neutral"
+            )
+        ends_deg = sorted(
+            round(self.sign * (tick - neutral_tick) * 360.0 / PULSES_PER_TURN, 2)
+            for tick in (recorded.least_tick, recorded.most_tick)
+        )
+        offset_deg = self.sign * (neutral_tick - CENTER_PULSE) * 360.0 / PULSES_PER_TURN
+        return replace(
+            self, min_deg=ends_deg[0], max_deg=ends_deg[1], zero_offset_deg=round(offset_deg, 2)
+        )
+
+
+def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
+    """Move one servo by 3 degrees and back, through the gate; limp afterwards. Where it stood."""
     model = servo_models()[model_name]
     transport = open_port(port, rate)
     try:
@@ -72,27 +107,27 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> None:
             if share < 0.0:
                 break
         bridge.stop()
+    return int(place)
 
 
-def face_yaml(
-    name: str, port: str, rate: int, joints: Sequence[tuple[str, int, str, str, int]]
-) -> str:
-    """The YAML of a face: (name, id, model, positive, sign) of each joint."""
+def face_yaml(name: str, port: str, rate: int, joints: Sequence[FoundJoint]) -> str:
+    """The YAML of a face."""
     content = {
         "name": name,
         "rate_hz": 30,
         "bus": {"kind": "dynamixel", "port": port, "baud_rate": rate},
         "servos": {
-            joint: {
-                "id": servo_id,
-                "model": model,
-                "positive": positive,
-                "min_deg": -_LIMIT_DEG,
-                "max_deg": _LIMIT_DEG,
+            joint.name: {
+                "id": joint.servo_id,
+                "model": joint.model,
+                "positive": joint.positive,
+                "min_deg": joint.min_deg,
+                "max_deg": joint.max_deg,
                 "max_speed_deg_s": _SPEED_DEG_S,
-                "sign": sign,
+                "sign": joint.sign,
+                **({"zero_offset_deg": joint.zero_offset_deg} if joint.zero_offset_deg else {}),
             }
-            for joint, servo_id, model, positive, sign in joints
+            for joint in joints
         },
     }
     head = "# Written by `lipservo new-face`. Limits are careful: find the real ones by hand.\n"

@@ -1,5 +1,6 @@
 """The commands of a builder's first hour, as they are typed, on simulated servos behind a pty."""
 
+import json
 import subprocess
 import sys
 from importlib import resources
@@ -126,6 +127,25 @@ def test_new_face_writes_a_yaml_that_loads(tmp_path):
         ("jaw", 1, "opens", 1),
         ("brow", 2, "raises", -1),
     ]
+
+
+def test_new_face_takes_names_and_limits_from_a_range_file_of_lerobot(tmp_path):
+    """284 ticks are 24.96 degrees; the simulated servo stands at 2048, its neutral."""
+    path, ranges = tmp_path / "mine.yaml", tmp_path / "ranges.json"
+    entry = {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 2020, "range_max": 2332}
+    ranges.write_text(json.dumps({"jaw": entry}))
+    with simulated_port(["--servos", "1", "--baud-rate", "1000000"]) as port:
+        how = ("new-face", "-o", path, "--port", port, "--ranges", ranges)
+        done = lipservo(*how, input="\nopens\ny\n")
+        assert done.returncode == 0, done.stderr
+        jaw = load_face(path).servos["jaw"]
+        assert (jaw.min_deg, jaw.max_deg) == (-2.46, 24.96)
+        path.unlink()
+        ranges.write_text(json.dumps({"jaw": entry | {"range_min": 2100}}))
+        done = lipservo(*how, input="\nopens\ny\n")
+        assert done.returncode == 1
+        assert "jaw (id 1) stands at 2048, outside its recorded range 2100..2332" in done.stderr
+        assert not path.exists()
 
 
 def test_a_dry_run_reads_but_never_switches_torque_on(port, tmp_path):

@@ -230,18 +230,42 @@ def test_a_plan_is_refined_where_speech_will_be_and_a_picture_drawn(tmp_path):
     pytest.importorskip("matplotlib", reason="pictures need matplotlib, the extra `plots`")
     servos = ["jaw", "corner_left_out", "corner_right_out", "lip_protrusion"]
     plan, longer = write_plan(tmp_path, "face_four", 24), tmp_path / "longer.csv"
-    markers = write_markers(plan, tmp_path / "m.csv", servos)
+    markers = write_markers(plan, tmp_path / "m.csv", servos, LIPS)
     done = command("calibrate", "--config", "face_four", "--plan", plan, "--markers", markers,
                    "--refine", longer, "--poses", "24", "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["poses"] == 24 + 6
     assert longer.read_text().startswith(plan.read_text().rstrip()[:200])
-    write_markers(longer, markers, servos)
+    write_markers(longer, markers, servos, LIPS)
     done = command("calibrate", "--config", "face_four", "--plan", longer, "--markers", markers,
                    "-o", tmp_path / "c.yaml", "--plots", tmp_path / "plots")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "farthest off:" in done.stdout
     assert (tmp_path / "plots" / "coverage.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_a_skeleton_has_a_jaw_and_no_lips(tmp_path):
+    """Markers on the chin alone: the angle is the talker's jaw blend, full range for the widest."""
+    plan = write_plan(tmp_path, poses=20)
+    names = ("chin_199", "jaw_152", "jaw_176", "jaw_400")
+    markers = write_markers(plan, tmp_path / "m.csv", ["jaw"], names)
+    out = tmp_path / "c.yaml"
+    done = command("calibrate", "--config", "face_jaw", "--plan", plan, "--markers", markers,
+                   "-o", out, "--json")  # fmt: skip
+    assert done.exit_code == 0, done.output
+    said = json.loads(done.stdout)
+    assert said["method"] == "jaw alone"
+    assert said["jaw_correlation"] > 0.99
+    assert said["marker_rms_mm"] < 0.6
+    calibration = load_calibration(out)
+    frames = MODEL.animphos[::5].reshape(-1, 5)
+    degrees = [calibration.positions_deg(frame)[0] for frame in frames]
+    assert np.quantile(degrees, 0.98) == pytest.approx(0.9 * 25.0, rel=0.15)
+    assert abs(calibration.positions_deg(MODEL.rest)[0]) < 0.5
+    few = write_markers(plan, tmp_path / "few.csv", ["jaw"], names[:2])
+    done = command("calibrate", "--config", "face_jaw", "--plan", plan, "--markers", few, "-o", out)
+    assert done.exit_code == 1
+    assert "2 markers on the jaw, 3 are needed" in str(done.exception)
 
 
 def test_trims_are_set_shown_and_taken_back(tmp_path):

@@ -145,22 +145,36 @@ def new_face(
     output: Annotated[Path, typer.Option("--output", "-o", help="The YAML to write.")],
     port: Annotated[str, typer.Option(help="Serial port of the servos.")],
     baud_rate: Annotated[int, typer.Option(help="Try this rate first.")] = 1_000_000,
+    ranges: Annotated[
+        Path | None,
+        typer.Option(help="LeRobot range file: names and limits by id.", show_default=False),
+    ] = None,
 ) -> None:
-    """Find the servos, move each by 3 degrees, ask for its name and direction, write the YAML."""
-    from lipservo.new_face import face_yaml, find_servos, nudge
+    """Find the servos, move each by 3 degrees, ask for its name and direction, write the YAML.
+
+    With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
+    """
+    from calibration.lerobot_ranges import by_id, read_ranges
+    from lipservo.new_face import FoundJoint, face_yaml, find_servos, nudge
     from lipservo.settings import load_face
 
     if output.exists():
         raise UserError(f"{output}: exists already; choose another name")
+    recorded = {} if ranges is None else by_id(read_ranges(ranges))
     rate, found = find_servos(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
-    joints: list[tuple[str, int, str, str, int]] = []
+    joints: list[FoundJoint] = []
     for servo_id, model in found.items():
-        nudge(port, rate, servo_id, model)
-        name = typer.prompt(f"id {servo_id} ({model}) moved by 3 degrees and back. Which joint")
+        tick = nudge(port, rate, servo_id, model)
+        known = recorded.get(servo_id)
+        name = typer.prompt(
+            f"id {servo_id} ({model}) moved by 3 degrees and back. Which joint",
+            default=known.name if known else None,
+        )
         word = typer.prompt("What should a positive angle do (opens, raises, widens ...)")
         same = typer.confirm("Did its first move do that", default=True)
-        joints.append((name, servo_id, model, word, 1 if same else -1))
+        joint = FoundJoint(name, servo_id, model, word, 1 if same else -1)
+        joints.append(joint if known is None else joint.within(known, tick))
     output.write_text(face_yaml(output.stem, port, rate, joints), encoding="utf-8")
     try:
         load_face(output)

@@ -10,9 +10,7 @@ from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.output import MESSAGES, RESULTS, print_json
 
 if TYPE_CHECKING:
-    from calibration.calibration import Calibration
-    from calibration.measured import MeasuredFit
-    from lipservo.calibration_ways import Workplace
+    from lipservo.calibration_ways import Result, Workplace
 
 _POSES = 60
 
@@ -146,21 +144,20 @@ def calibrate(
         from lipservo.motion_plots import check_plots
 
         check_plots(plots)
-    fit: MeasuredFit | None
     if markers is not None:
         if plan is None:
             raise typer.BadParameter("--markers needs the --plan it was recorded with")
-        fit, calibration = _from_files(at, plan, markers, axes)
+        result = _from_files(at, plan, markers, axes)
     else:
         with servo_port(port, sim, config) as found_port:
             if found_port is not None:
                 from dataclasses import replace
 
                 at = replace(at, settings=settings_at_port(settings, found_port))
-            fit, calibration = _from_robot(
+            result = _from_robot(
                 at, tracker, axes, practise, guided=guided, over_wire=found_port is not None
             )
-    _finish(at, fit, calibration, output, plots, as_json=as_json)
+    _finish(at, result, output, plots, as_json=as_json)
 
 
 def _from_robot(
@@ -171,7 +168,7 @@ def _from_robot(
     *,
     guided: bool,
     over_wire: bool,
-) -> tuple["MeasuredFit | None", "Calibration"]:
+) -> "Result":
     from lipservo.calibration_ways import (
         by_eye,
         by_practice,
@@ -182,14 +179,14 @@ def _from_robot(
     )
 
     if guided:
-        return None, by_eye(at)
+        return by_eye(at)
     if tracker is not None:
         return by_servos(at, tracker_of(at, tracker, axes))
     if over_wire:
         return by_simulated_skin(at, practise)
     if practise is not None:
         return by_practice(at, practise)
-    return None, by_simulated_face(at)
+    return by_simulated_face(at)
 
 
 def _write_plan(
@@ -226,61 +223,52 @@ def _write_plan(
         )
 
 
-def _from_files(
-    at: "Workplace", plan: Path, markers: Path, axes: str
-) -> tuple["MeasuredFit", "Calibration"]:
+def _from_files(at: "Workplace", plan: Path, markers: Path, axes: str) -> "Result":
     from calibration.marker_files import read_capture
     from lipservo.calibration_ways import fit_capture
 
     names = tuple(joint.name for joint in at.joints)
     capture = read_capture(plan, markers, names, axes=axes)
     with MESSAGES.status("fitting"):
-        fit = fit_capture(at, capture)
-    return fit, fit.calibration
+        return fit_capture(at, capture)
 
 
 def _finish(
-    at: "Workplace",
-    fit: "MeasuredFit | None",
-    calibration: "Calibration",
-    output: Path,
-    plots: Path | None,
-    *,
-    as_json: bool,
+    at: "Workplace", result: "Result", output: Path, plots: Path | None, *, as_json: bool
 ) -> None:
     """Save, draw, and say how good it is."""
     from calibration.calibration_file import save_calibration
-    from calibration.report import report_lines, short_report_lines
+    from calibration.report import report_lines
+    from lipservo.calibration_ways import jaw_check
 
+    calibration, fit = result.calibration, result.fit
     save_calibration(calibration, output)
     if plots is not None:
         from lipservo.coverage_plot import draw_coverage
 
         drawn = draw_coverage(plots, at.model, calibration, fit)
         MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
+    jaw_r = jaw_check(at, calibration)
     if as_json:
-        coverage = {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
-        result = {
+        told = {
             "calibration": str(output),
             "method": calibration.origin.method,
             "poses": calibration.origin.poses,
             **asdict(calibration.errors),
-            "coverage": coverage,
+            "coverage": {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()},
+            "jaw_correlation": jaw_r,
+            "warnings": result.warnings,
         }
         if fit is not None:
-            result["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
-            result["warnings"] = fit.warnings
-        print_json(result)
+            told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
+        print_json(told)
         return
-    for line in () if fit is None else fit.warnings:
+    for line in result.warnings:
         MESSAGES.print(line, soft_wrap=True, highlight=False)
-    lines = (
-        short_report_lines(calibration, str(output))
-        if fit is None
-        else report_lines(fit, calibration, str(output))
-    )
-    for line in lines:
+    for line in report_lines(calibration, str(output), fit):
         RESULTS.print(line, soft_wrap=True, highlight=False)
+    if jaw_r is not None:
+        RESULTS.print(f"the jaw goes with the talker's: correlation {jaw_r:.2f}", highlight=False)
 
 
 def trim(
