@@ -4,7 +4,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipsync.phonemes import PHONEMES, VISEME_OF
-from lipsync.recognition.activity import VoiceActivity
 from lipsync.recognition.decoder import DecoderSettings, SwitchDecoder
 
 PLAIN = DecoderSettings(
@@ -87,15 +86,3 @@ def test_a_quick_head_tells_a_closure_before_it_is_settled():
 
     assert PHONEMES[settled] == "AA"
     assert PHONEMES[provisional[-1]] == "M"
-
-
-def test_activity_outlasts_a_stop_gap_and_ends_within_a_quarter_second():
-    activity = VoiceActivity()
-    assert not activity.is_speaking
-    activity.hear(0.1)
-    for _ in range(12):
-        activity.hear(0.99)
-        assert activity.is_speaking
-    for n in range(13, 26):
-        activity.hear(0.99)
-        assert activity.is_speaking == (n < 15)
