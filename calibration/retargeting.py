@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.calibration import CalibrationError
 from calibration.correspondence import Correspondence, RobotMouth
 from calibration.hold_out import CLOSED_GAP_MM
 from lipsync.animpho.model import FaceModel
@@ -35,6 +36,8 @@ _USED_SHARE = 0.9
 _SIZES = (1.0, 0.92, 0.85, 0.77, 0.69, 0.62, 0.54)
 _FOLLOWED_MM, _FOLLOWED_SHARE = 0.35, 0.95
 _FRAMES_TO_TRY = 200
+#: A mouth smaller than this, or one that opens less, is no mouth but a mistake.
+_LEAST_WIDTH_MM, _LEAST_OPENING_MM = 10.0, 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +109,7 @@ def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
     """
     names = mouth.names
     right, left = names.corners
+    _check_a_mouth(mouth)
     width_mm = human_mm[:, left, 0] - human_mm[:, right, 0]
     size = _width_mm(mouth.neutral_mm(), names) / np.median(width_mm)
     opening_mm = human_mm[:, names.look.gaps[0][0], 1] - human_mm[:, names.look.gaps[0][1], 1]
@@ -116,6 +120,25 @@ def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
     most = MOST_EXAGGERATION * size
     across, up = min(_USED_SHARE * across, most), min(_USED_SHARE * up, most)
     return np.array([across, up, across])
+
+
+def _check_a_mouth(mouth: RobotMouth) -> None:
+    """Raises CalibrationError for points that are not those of a mouth which opens."""
+    names = mouth.names.marker_names
+    right, left = mouth.names.corners
+    width_mm = _width_mm(mouth.neutral_mm(), mouth.names)
+    if width_mm < _LEAST_WIDTH_MM:
+        raise CalibrationError(
+            f"the corners {names[right]} and {names[left]} are {width_mm:.1f} mm apart from right "
+            "to left; are they the right points, in millimetres, x to the robot's left?"
+        )
+    upper, lower = mouth.names.look.gaps[0]
+    opening_mm = _robot_ranges_mm(mouth)[0]
+    if opening_mm < _LEAST_OPENING_MM:
+        raise CalibrationError(
+            f"{names[upper]} and {names[lower]} part by {opening_mm:.1f} mm at most; are they the "
+            "right points, and does any joint open the mouth?"
+        )
 
 
 def _width_mm(markers_mm: Array, names: Correspondence) -> float:

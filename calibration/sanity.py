@@ -28,6 +28,9 @@ _LEAST_SEEN = 0.5
 #: two markers 3 mm apart that change places are 3 mm off each, six times the noise.
 _SWAP_SHARE, _SWAP_MM = 0.6, 3.0
 
+#: Two dots that touch are farther apart than this, by their own noise alone.
+_SAME_DOT_MM = 0.05
+
 #: Which way the lips go for the words that face YAMLs use: markers, axis, sign.
 _UPPER, _LOWER = ("outer_lip_0", "inner_lip_13"), ("outer_lip_17", "inner_lip_14")
 _RIGHT, _LEFT = "outer_lip_61", "outer_lip_291"
@@ -55,6 +58,7 @@ def check_capture(
             f"{least} are needed{why}"
         )
     lost = _lost_points(capture)
+    _check_doubles(capture)
     _check_swapped_everywhere(capture, model)
     slopes, chance_mm, expected_mm = _straight_lines(capture)
     _check_swapped_in_poses(capture, expected_mm)
@@ -78,6 +82,18 @@ def _lost_points(capture: Capture) -> tuple[str, ...]:
     if not n_lost:
         return ()
     return (f"{n_lost} points were lost by the tracker, most often {name} ({1 - seen[worst]:.0%})",)
+
+
+def _check_doubles(capture: Capture) -> None:
+    """One dot under two names: nobody else is in the same place in every pose."""
+    for a, b in combinations(range(len(capture.marker_names)), 2):
+        apart_mm = np.linalg.norm(capture.markers_mm[:, a] - capture.markers_mm[:, b], axis=1)
+        if np.nanmax(apart_mm, initial=0.0) < _SAME_DOT_MM:
+            names = capture.marker_names
+            raise CalibrationError(
+                f"markers {names[a]!r} and {names[b]!r} are the same point in every pose; "
+                "name them anew in the tracker and capture again"
+            )
 
 
 def _straight_lines(capture: Capture) -> tuple[Array, Array, Array]:

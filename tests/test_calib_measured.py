@@ -89,6 +89,38 @@ def test_lost_points_hardly_matter(capture):
     assert np.sqrt(np.mean(missed_mm**2)) < 0.4
 
 
+@pytest.mark.parametrize(
+    ("one", "other"), [("inner_lip_14", "inner_lip_13"), ("outer_lip_291", "outer_lip_61")]
+)
+def test_one_dot_under_two_names_is_refused(capture, one, other):
+    """There would be nothing to calibrate, and nothing off."""
+    markers_mm = capture.markers_mm.copy()
+    markers_mm[:, MARKER_NAMES.index(one)] = markers_mm[:, MARKER_NAMES.index(other)]
+    with pytest.raises(CalibrationError, match=f"'{other}' and '{one}' are the same point in eve"):
+        fit_measured(MODEL, dataclasses.replace(capture, markers_mm=markers_mm), JOINTS, "x")
+
+
+def test_a_mouth_that_never_opens_or_has_no_width_is_refused(capture):
+    markers_mm = capture.markers_mm.copy()
+    upper, lower = (MARKER_NAMES.index(f"inner_lip_{n}") for n in (13, 14))
+    noise = np.random.default_rng(0).normal(0, 0.1, markers_mm[:, lower].shape)
+    markers_mm[:, lower] = markers_mm[:, upper] + noise
+    with pytest.raises(CalibrationError, match=r"inner_lip_13 and inner_lip_14 part by .* at most"):
+        fit_measured(MODEL, with_few_markers(capture, markers_mm), JOINTS, "x")
+    narrow_mm = capture.markers_mm * np.array([0.1, 1.0, 1.0])
+    with pytest.raises(
+        CalibrationError, match=r"outer_lip_61 and outer_lip_291 are \d\.\d mm apart"
+    ):
+        fit_measured(MODEL, with_few_markers(capture, narrow_mm), JOINTS, "x")
+
+
+def with_few_markers(capture, markers_mm):
+    names = ("inner_lip_13", "inner_lip_14", "outer_lip_61", "outer_lip_291", "chin_199",
+             "outer_lip_0", "outer_lip_17", "outer_lip_39", "outer_lip_269")  # fmt: skip
+    rows = [MARKER_NAMES.index(name) for name in names]
+    return dataclasses.replace(capture, marker_names=names, markers_mm=markers_mm[:, rows])
+
+
 def linear_face(slopes: np.ndarray):
     """A face of n markers that are linear in the angles: slopes (n_servos, 3 n)."""
     return lambda angles_deg: (angles_deg @ slopes).reshape(len(angles_deg), -1, 3)

@@ -304,6 +304,15 @@ def test_limits_wider_than_a_range_file_of_lerobot_are_refused(tmp_path):
     assert "'jaw': its limits span 27 deg, its recorded range 18" in str(done.exception)
 
 
+def test_a_port_without_anybody_who_sees_the_markers_moves_nothing(tmp_path):
+    """Markers of a computed face would be a calibration of nothing."""
+    out = tmp_path / "c.yaml"
+    done = command("calibrate", "--config", "face_jaw", "--port", "/dev/ttyUSB77", "-o", out)
+    assert done.exit_code == 2
+    assert "who sees the markers" in done.stderr
+    assert not out.exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

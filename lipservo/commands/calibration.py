@@ -149,6 +149,11 @@ def calibrate(
             raise typer.BadParameter("--markers needs the --plan it was recorded with")
         result = _from_files(at, plan, markers, axes)
     else:
+        if port is not None and tracker is None and not guided:
+            raise typer.BadParameter(
+                "say who sees the markers: --tracker FILE, FOLDER or typed; or --guided by eye",
+                param_hint="--port",
+            )
         with servo_port(port, sim, config) as found_port:
             if found_port is not None:
                 from dataclasses import replace
