@@ -239,7 +239,9 @@ def test_what_a_phoneme_leaves_behind_is_read_off_minimal_pairs():
             Utterance(str(number), model.markers_mm(faces), 100.0, Path(), events, ())
         )
     pairs = find_pairs(utterances)
-    assert sorted(pairs.differ) == [False] * 4 + [True] * 4
+    assert sorted(pairs.differ) == [False] * 2 + [True] * 4
+    assert pairs.weights[pairs.differ].sum() == pytest.approx(1.0), "one kind: AA and M"
+    assert pairs.weights[~pairs.differ].sum() == pytest.approx(1.0)
     left = recorded_persistence(model, utterances, pairs)
     # Four pairs of offsets 0.1 to 0.3 against repetitions of 0.1; one of five instants lies on the
     # border.

@@ -4,7 +4,7 @@ A wrong phoneme that is not put right looks, from the next one on, like another 
 what real coarticulation carries over is the measure of what a method may carry over.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -46,15 +46,21 @@ class Pairs:
 
     sentences: (n, 2), their sentences; phones: (n, 2), the numbers of their first phones there;
     differ: (n,), whether the first phoneme differs (a minimal pair) or is the same (a repetition).
+    weights: (n,). Two phonemes in one place count as much as any other two in any other place,
+    however often they were said, and the repetitions of that place as much as they.
     """
 
     sentences: Indices
     phones: Indices
     differ: NDArray[np.bool_]
+    weights: Array
 
 
 def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
-    """All pairs from different sentences; silence stands nowhere in them."""
+    """All pairs from different sentences, where a place has minimal pairs and repetitions both.
+
+    Silence stands nowhere in them.
+    """
     places: dict[tuple[str, ...], list[tuple[int, int]]] = defaultdict(list)
     for sentence, utterance in enumerate(utterances):
         names = [p.phoneme for p in utterance.phones]
@@ -62,17 +68,26 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
             stretch = names[i : i + 1 + AFTER]
             if SILENCE not in stretch:
                 places[names[i - 1], *stretch[1:]].append((sentence, i))
-    found = [
-        (a, b)
-        for alike in places.values()
-        for number, b in enumerate(alike)
-        for a in alike[:number]
-        if a[0] != b[0]
-    ]
-    ends = np.array(found, dtype=np.int64).reshape(-1, 2, 2)
-    said = [[p.phoneme for p in u.phones] for u in utterances]
-    differ = np.array([said[s][i] != said[r][k] for (s, i), (r, k) in found], dtype=bool)
-    return Pairs(ends[:, :, 0], ends[:, :, 1], differ)
+    ends: list[tuple[tuple[int, int], tuple[int, int]]] = []
+    differ: list[bool] = []
+    weights: list[float] = []
+    for alike in places.values():
+        pairs = [(a, b) for n, b in enumerate(alike) for a in alike[:n] if a[0] != b[0]]
+        said = [frozenset(utterances[s].phones[i].phoneme for s, i in pair) for pair in pairs]
+        counts = Counter(said)
+        kinds = [kind for kind in counts if len(kind) == 2]
+        n_repetitions = len(pairs) - sum(counts[kind] for kind in kinds)
+        if not kinds or not n_repetitions:
+            continue
+        ends += pairs
+        differ += [len(kind) == 2 for kind in said]
+        weights += [
+            1.0 / counts[kind] if len(kind) == 2 else len(kinds) / n_repetitions for kind in said
+        ]
+    both = np.array(ends, dtype=np.int64).reshape(-1, 2, 2)
+    return Pairs(
+        both[:, :, 0], both[:, :, 1], np.array(differ, dtype=bool), np.array(weights, dtype=float)
+    )
 
 
 def recorded_persistence(
@@ -115,8 +130,8 @@ def _times_s(phones: Sequence[PhonemeEvent]) -> Array:
 
 
 def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persistence | None:
-    """motions: (n_phones, _SAMPLES, n_components) of each sentence; None without a pair of each."""
-    if not pairs.differ.any() or pairs.differ.all():
+    """motions: (n_phones, _SAMPLES, n_components) of each sentence; None without any pair."""
+    if not len(pairs.differ):
         return None
     # All sentences end to end; then phones (n_pairs, 2) number into one array.
     begins = np.cumsum([0, *(len(m) for m in motions[:-1])])
@@ -129,7 +144,7 @@ def _persistence(motions: Sequence[Array], pairs: Pairs, seed: int) -> Persisten
     n = len(motions)
     draws = rng.multinomial(n, np.full(n, 1.0 / n), size=_N_RESAMPLINGS)
     samples = [_shares(distance2, pairs.differ, _weights(draw, pairs)) for draw in draws]
-    shares = _shares(distance2, pairs.differ, np.ones(len(distance2)))
+    shares = _shares(distance2, pairs.differ, pairs.weights)
     return persistence_of(shares, samples, int(pairs.differ.sum()))
 
 
@@ -148,7 +163,8 @@ def _distance2(one: Array, other: Array) -> Array:
 
 
 def _weights(draw: Indices, pairs: Pairs) -> Array:
-    weights: Array = draw[pairs.sentences].prod(axis=1).astype(np.float64)
+    """Of a bootstrap sample that holds each sentence so many times."""
+    weights: Array = draw[pairs.sentences].prod(axis=1) * pairs.weights
     return weights
 
 
