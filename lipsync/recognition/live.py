@@ -39,7 +39,7 @@ class NetworkRecognizer:
         settings: DecoderSettings | None = None,
     ) -> None:
         self._weights = weights
-        self._delay = int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
+        self._delay = frames_of_delay(latency_s)
         has_lookahead = self._delay > weights.delays[0]
         self._settings = settings or (SMOOTH if has_lookahead else QUICK)
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
@@ -103,11 +103,22 @@ class NetworkRecognizer:
     def _hear(self, samples: Array) -> None:
         for frame in self._log_mel.push(samples):
             posteriors = self._network.push(self._normalizer.push(frame[None]))[0]
-            if frame.max() < _INAUDIBLE:
-                posteriors[:] = 0.0
-                posteriors[:, _SILENCE_INDEX] = 1.0
+            hush(posteriors[None], frame[None])
             self._activity.hear(float(posteriors[0, _SILENCE_INDEX]))
             settled, self._open = self._decoder.push(posteriors)
             if settled is not None:
                 self._settled.append(settled)
             self._n_heard += 1
+
+
+def frames_of_delay(latency_s: float) -> int:
+    """How many frames are heard after one before it is settled."""
+    return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
+
+
+def hush(posteriors: Array, frames: Array) -> None:
+    """Call silence, in place, what cannot be heard: (n, n_heads, n_phonemes), log-mel (n, 40)."""
+    inaudible = frames.max(axis=1) < _INAUDIBLE
+    if inaudible.any():
+        posteriors[inaudible] = 0.0
+        posteriors[inaudible, :, _SILENCE_INDEX] = 1.0
