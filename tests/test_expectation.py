@@ -6,21 +6,26 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from small_corpus import write_corpus
 from test_synthesizer import spoken
 
+from lipsync.corpus.grid import read_grid
 from lipsync.expectation.articulation import articulatory_features
 from lipsync.expectation.context import UNKNOWN, context_at, contexts, track_of
 from lipsync.expectation.expectation import (
     N_WINDOWS,
     constant_expectation,
     timing_features,
+    timing_features_at,
     window_shares,
 )
 from lipsync.expectation.networks import Schedule, fit, forward, gradients, initial_layers
 from lipsync.expectation.training import (
     Lessons,
     articulation_table,
+    collect_lessons,
     fit_expectation,
+    joined,
     phoneme_features,
 )
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, PhonemeEvent
@@ -191,5 +196,37 @@ def test_timing_features_are_bounded_however_long_a_phone_lasts():
     long = np.array([[math.inf, 900.0, 80.0, 70.0, 80.0, 90.0], [0.0] * 6, [math.nan] * 6])
     features = timing_features(long, np.array([0.2, 0.0, 0.1]))
     assert np.isfinite(features).all()
-    assert features.min() >= 0.0
-    assert features.max() <= 2.0
+    assert features.min() >= -2.0
+    assert features.max() <= 4.0
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.lists(st.floats(0.0, 2.0) | st.just(math.inf), min_size=3, max_size=3),
+    st.lists(st.floats(0.0, 2.0), max_size=3),
+    st.floats(0.0, 0.2),
+)
+def test_timing_features_of_one_context_are_those_of_many(since_s, until_s, lookahead_s):
+    times_s = sorted(since_s, reverse=True) + sorted(until_s) + [math.nan] * (3 - len(until_s))
+    many = timing_features(np.array([times_s] * 2), np.full(2, lookahead_s))
+    np.testing.assert_allclose(timing_features_at(times_s, lookahead_s), many[1], atol=1e-12)
+
+
+def test_the_pace_is_told_by_what_the_last_two_phonemes_took():
+    """AA for 200 ms, then T for 50 ms, now 30 ms ago; the mean of 2.0 and 0.5 usual phonemes."""
+    times_s = np.array([[0.28, 0.08, 0.03, math.nan, math.nan, math.nan]])
+    pace = timing_features(times_s, np.array([0.0]))[0, -3:]
+    assert pace.tolist() == pytest.approx([2.0, 0.5, math.log(1.25)])
+
+
+def test_what_was_misheard_teaches_once_for_every_three_times_a_label_does(tmp_path):
+    """A sentence without sound teaches by its labels alone."""
+    corpus = read_grid(write_corpus(tmp_path / "c", 2))
+    motion = [np.ones((len(u.markers_mm), 3)) * i for i, u in enumerate(corpus.utterances)]
+    labels = collect_lessons(corpus.utterances, motion)
+    heard = {"s1": corpus.utterances[1].phones}
+    misheard = collect_lessons(corpus.utterances, motion, heard)
+    assert set(misheard.faces[:, 0]) == {1.0}
+    assert len(labels.faces) == 2 * 3 * len(misheard.faces)
+    both = joined([labels, misheard])
+    assert len(both.phonemes) == len(both.times_s) == len(both.faces)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from small_model import small_model
 from test_synthesizer import spoken, update_streams
 
-from lipsync.animpho.live import TICK_S, LiveSynthesizer, Style, StyleError
+from lipsync.animpho.live import LEAD, TICK_S, LiveSynthesizer, Style, StyleError
 from lipsync.animpho.model import load_shipped_model
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
@@ -43,6 +43,17 @@ def test_a_phoneme_moves_the_mouth_before_its_end_is_known():
     synthesizer.push(PhonemeUpdate(0.0, 0.6, 0.6, events))
     assert model.lip_gap_mm(synthesizer.coefficients_at(0.49)) < 0.1
     assert model.lip_gap_mm(synthesizer.coefficients_at(0.53)) > 5.0
+
+
+def test_a_step_of_the_expectation_is_gone_ahead_for_one_recorded_frame_and_then_forgotten():
+    model = small_model()
+    synthesizer = LiveSynthesizer(model, Style(0.0))
+    known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("UW", 0.3), ("SIL", 0.4))
+    ah, uw = (model.centres[PHONEMES.index(p)] for p in ("AA", "UW"))
+    shown = faces(synthesizer, 0.5, 0.8, TICK_S)
+    np.testing.assert_allclose(shown[9], ah, atol=1e-9)
+    np.testing.assert_allclose(shown[13], uw + LEAD * (uw - ah), atol=1e-9)
+    np.testing.assert_allclose(shown[15], uw, atol=1e-9)
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.5, 1.0, 1.5])

@@ -10,6 +10,7 @@ from speech import CLIP_PATH, phoneme_frames
 
 from lipsync.audio.block import AudioBlock
 from lipsync.phonemes import SILENCE
+from lipsync.recognition.batch import settled_phonemes
 from lipsync.recognition.endurance import endure
 from lipsync.recognition.features import LevelNormalizer, LogMelStream, log_mel
 from lipsync.recognition.live import NetworkRecognizer
@@ -124,6 +125,19 @@ def test_what_is_final_is_told_from_and_never_taken_back(clip):
             assert now[: len(final)] == final
             final, previous = now, update
     assert len(final) > 380
+
+
+def test_whole_recordings_at_once_give_what_is_settled_live(clip):
+    """Three recordings side by side, of different lengths; live each is followed by silence."""
+    recordings = [clip[:20_000], clip[20_000:], clip[5_000:37_000]]
+    for samples, events in zip(recordings, settled_phonemes(WEIGHTS, recordings), strict=True):
+        n_frames = len(samples) // 160
+        tail = np.zeros(4_000, np.float32)
+        live, _ = listen(
+            NetworkRecognizer(WEIGHTS), blocks_of(np.concatenate([samples, tail]), 160)
+        )
+        assert events[-1].end_s == pytest.approx(len(samples) / RATE_HZ)
+        assert phoneme_frames(events, n_frames) == settled(live)[:n_frames]
 
 
 def test_after_reset_the_same_is_heard_again(clip):

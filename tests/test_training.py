@@ -6,13 +6,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import soundfile
 from small_corpus import write_corpus
 
 from lipsync.animpho.model import ModelError, load_model, load_shipped_model, save_model
-from lipsync.animpho.training import TrainingError, cut_segments, train
+from lipsync.animpho.training import N_COMPONENTS, TrainingError, cut_segments, train
 from lipsync.corpus.grid import read_grid
 from lipsync.corpus.utterance import Corpus
+from lipsync.expectation.hearing import hear_sentences
 from lipsync.phonemes import PHONEMES
+from lipsync.recognition.weights import load_shipped_weights
 
 
 @pytest.fixture(scope="module")
@@ -63,10 +66,21 @@ def test_tables_say_what_the_corpus_says(corpus):
 
 def test_the_basis_is_orthonormal_and_the_rest_is_a_closed_mouth(corpus):
     model = train(corpus)
-    np.testing.assert_allclose(model.basis @ model.basis.T, np.eye(5), atol=1e-9)
+    np.testing.assert_allclose(model.basis @ model.basis.T, np.eye(N_COMPONENTS), atol=1e-9)
     frames = np.concatenate([u.markers_mm for u in corpus.utterances])
     gaps = [model.lip_gap_mm(c) for c in model.coefficients(frames)]
     assert model.lip_gap_mm(model.rest) < np.quantile(gaps, 0.6)
+
+
+def test_a_sentence_without_sound_teaches_by_its_labels_alone(tmp_path):
+    folder = write_corpus(tmp_path / "c", 3)
+    soundfile.write(folder / "audio" / "s1.flac", np.zeros(19_200, np.float32), 16_000)
+    corpus = read_grid(folder)
+    heard = hear_sentences(load_shipped_weights(), corpus.utterances)
+    assert set(heard) == {"s0", "s2"}
+    model = train(corpus, heard=heard)
+    assert model.provenance["sentences_heard"] == 2
+    assert len(model.training_sentences) == 3
 
 
 def test_a_corpus_without_labels_or_motion_is_refused(corpus):
@@ -146,9 +160,13 @@ def test_wrong_contents_are_named(saved):
     with pytest.raises(ModelError, match="rest has shape"):
         load_model(changed(saved, rest=np.zeros(4, np.float32)))
     with pytest.raises(ModelError, match="rest holds values that are not finite"):
-        load_model(changed(saved, rest=np.full(5, np.nan, np.float32)))
+        load_model(changed(saved, rest=np.full(N_COMPONENTS, np.nan, np.float32)))
     with pytest.raises(ModelError, match="phoneme inventory differs"):
-        load_model(changed(saved, rest=np.zeros(5, np.float32), about=about(saved, phonemes=["A"])))
+        load_model(
+            changed(
+                saved, rest=np.zeros(N_COMPONENTS, np.float32), about=about(saved, phonemes=["A"])
+            )
+        )
 
 
 def test_tables_that_point_outside_are_refused(saved):

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -96,6 +97,8 @@ def _answer(
     from lipsync.animpho.training import train
     from lipsync.corpus.grid import read_grid
     from lipsync.evaluation.scoring import seen_in_training
+    from lipsync.expectation.hearing import hear_sentences
+    from lipsync.recognition.weights import load_shipped_weights
 
     sentences = read_grid(
         folder,
@@ -103,13 +106,20 @@ def _answer(
         skip_bad=skip_bad,
         progress=lambda names: progress.track(names, description="reading"),
     )
+
+    def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
+        return progress.track(items, description=what)
+
+    heard = None
+    if given is None:  # once for all trainings: the recogniser has heard no sentence of the folder
+        labelled = sentences.labelled().utterances
+        heard = hear_sentences(load_shipped_weights(), labelled, partial(track, "listening"))
     step = progress.add_task("training", total=None, visible=given is None)
 
     def learn(part: "Corpus") -> "FaceModel":
-        return train(part, progress=lambda text: progress.update(step, description=text))
-
-    def track(what: str, items: "list[Utterance]") -> "Iterable[Utterance]":
-        return progress.track(items, description=what)
+        return train(
+            part, heard=heard, progress=lambda text: progress.update(step, description=text)
+        )
 
     if given is None:
         validated = measure.cross_validate(folder, sentences, asked, learn, track)

@@ -3,13 +3,16 @@
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.progress import Progress
 
 from lipservo.commands.options import Json, Quiet, SkipBad
 from lipservo.output import MESSAGES, RESULTS, print_json
+
+#: What the expectation learns from.
+Phonemes = Literal["both", "true"]
 
 
 def train(
@@ -22,6 +25,13 @@ def train(
             min=1, help="How many AnimPhos; default: so many that each has 3.45 successors."
         ),
     ] = None,
+    phonemes: Annotated[
+        Phonemes,
+        typer.Option(
+            help="Learn from the labels and from what the shipped recogniser hears (both), or from "
+            "the labels alone (true), which is quicker."
+        ),
+    ] = "both",
     skip_bad: SkipBad = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -32,6 +42,8 @@ def train(
     from lipsync.animpho.model import save_model
     from lipsync.animpho.training import train as train_model
     from lipsync.corpus.grid import read_grid
+    from lipsync.expectation.hearing import hear_sentences
+    from lipsync.recognition.weights import load_shipped_weights
 
     with _progress(quiet=quiet) as progress:
         reading = progress.add_task("reading", total=None)
@@ -40,11 +52,19 @@ def train(
             yield from progress.track(names, task_id=reading)
 
         sentences = read_grid(corpus, skip_bad=skip_bad, progress=read)
+        heard = None
+        if phonemes == "both":
+            heard = hear_sentences(
+                load_shipped_weights(),
+                sentences.labelled().utterances,
+                lambda utterances: progress.track(utterances, description="listening"),
+            )
         learning = progress.add_task("training", total=None)
         model = train_model(
             sentences,
             seed=seed,
             n_animphos=animphos,
+            heard=heard,
             progress=lambda step: progress.update(learning, description=step),
         )
     save_model(model, output)

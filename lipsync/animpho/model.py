@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Raised whenever the meaning of a stored field changes; older files are refused, not guessed at.
-MODEL_VERSION = 2
+MODEL_VERSION = 3
 SAMPLES_PER_ANIMPHO = 5
 SHIPPED_MODEL = "grid_s1"
 

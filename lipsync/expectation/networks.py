@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 Array32 = NDArray[np.float32]
 
-_BATCH = 400
-_LEARNING_RATE = 1e-3
+_BATCH = 800
+_LEARNING_RATE = 2e-3
 #: Kingma and Ba's own.
 _BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-8
 

@@ -1,6 +1,7 @@
 """Learning the expectation from recorded sentences: contexts in, faces out."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,7 +20,7 @@ from lipsync.expectation.expectation import (
     window_shares,
 )
 from lipsync.expectation.networks import Layers, Schedule, fit, initial_layers
-from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -42,14 +43,16 @@ class Family:
     hidden: tuple[int, int]
 
 
-_SLOT_FAMILY = Family("slots", 4, (128, 64))
-_WINDOW_FAMILY = Family("windows", 1, (96, 48))
+_SLOT_FAMILY = Family("slots", 3, (256, 64))
+_WINDOW_FAMILY = Family("windows", 1, (192, 48))
 _N_NETWORKS = _SLOT_FAMILY.n_networks + _WINDOW_FAMILY.n_networks
-_SCHEDULE = Schedule(n_epochs=8, decay=0.0025)
+_SCHEDULE = Schedule(n_epochs=10, decay=0.004)
 #: With fewer frames there is nothing to learn but the phonemes' centres.
 _FEWEST_FRAMES = 200
 #: Slots whose phoneme and viseme class enter by name too, not by articulation alone.
 _NAMED_SLOTS = (1, 2, 3)
+#: Networks that learn at the same time; each gives the same whatever the others do.
+_AT_ONCE = 2
 #: A feature that hardly varies in training must not run away when it does later.
 _SMALLEST_SPREAD = 0.05
 
@@ -58,7 +61,7 @@ _SMALLEST_SPREAD = 0.05
 class Lessons:
     """What the mouth did in which context: phonemes (n, 5), times (n, 6), faces (n, n_components).
 
-    Contexts are those of every trained look-ahead, one after the other, for the same n / 3 frames.
+    Contexts are those of every trained look-ahead, one after the other.
     """
 
     phonemes: Indices
@@ -67,33 +70,50 @@ class Lessons:
     faces: Array
 
 
-def collect_lessons(utterances: Iterable[Utterance], coefficients: Sequence[Array]) -> Lessons:
-    """All frames in or near speech; coefficients: (n_frames, n_components) of each utterance."""
-    found: list[list[tuple[Indices, Array]]] = [[] for _ in TRAINED_LOOKAHEADS_S]
-    faces = []
+def joined(lessons: Sequence[Lessons]) -> Lessons:
+    """One after the other."""
+    return Lessons(
+        np.concatenate([one.phonemes for one in lessons]),
+        np.concatenate([one.times_s for one in lessons]),
+        np.concatenate([one.lookahead_s for one in lessons]),
+        np.concatenate([one.faces for one in lessons]),
+    )
+
+
+def _no_lessons(n_components: int) -> Lessons:
+    phonemes = np.empty((0, SLOTS), dtype=np.int64)
+    return Lessons(phonemes, np.empty((0, 6)), np.empty(0), np.empty((0, n_components)))
+
+
+def collect_lessons(
+    utterances: Iterable[Utterance],
+    coefficients: Sequence[Array],
+    heard: Mapping[str, Sequence[PhonemeEvent]] | None = None,
+) -> Lessons:
+    """All frames in or near speech; coefficients: (n_frames, n_components) of each utterance.
+
+    heard: what a recogniser made of some of the sentences, by name; those alone are taken then, in
+    the contexts that were heard, every frame at one look-ahead in turn: a mistake teaches less than
+    a label. None takes every sentence as it is labelled, every frame at every look-ahead.
+    """
+    n_components = coefficients[0].shape[1] if coefficients else 0
+    n_turns = 1 if heard is None else len(TRAINED_LOOKAHEADS_S)
+    found = [[_no_lessons(n_components)] for _ in TRAINED_LOOKAHEADS_S]
     for utterance, motion in zip(utterances, coefficients, strict=True):
         spoken = [p for p in utterance.phones if p.phoneme != SILENCE and p.end_s is not None]
-        if not spoken:
+        if not spoken or (heard is not None and utterance.name not in heard):
             continue
         times_s = np.arange(len(motion)) / utterance.frame_rate_hz
         last_s = max(p.end_s or 0.0 for p in spoken)
         near = times_s >= spoken[0].start_s - _NEAR_SPEECH_S
         near &= times_s <= last_s + _NEAR_SPEECH_S
-        track = track_of(utterance.phones)
-        for list_, lookahead_s in zip(found, TRAINED_LOOKAHEADS_S, strict=True):
-            list_.append(contexts(track, times_s[near], lookahead_s))
-        faces.append(motion[near])
-    if not faces:
-        n_components = coefficients[0].shape[1] if coefficients else 0
-        none = np.empty((0, SLOTS), dtype=np.int64)
-        return Lessons(none, np.empty((0, 6)), np.empty(0), np.empty((0, n_components)))
-    each = np.concatenate(faces)
-    return Lessons(
-        np.concatenate([p for list_ in found for p, _ in list_]),
-        np.concatenate([t for list_ in found for _, t in list_]),
-        np.repeat(TRAINED_LOOKAHEADS_S, len(each)),
-        np.tile(each, (len(TRAINED_LOOKAHEADS_S), 1)),
-    )
+        track = track_of(utterance.phones if heard is None else heard[utterance.name])
+        for turn, lookahead_s in enumerate(TRAINED_LOOKAHEADS_S):
+            frames = np.flatnonzero(near)[turn % n_turns :: n_turns]
+            phonemes, known_s = contexts(track, times_s[frames], lookahead_s)
+            ahead_s = np.full(len(frames), lookahead_s)
+            found[turn].append(Lessons(phonemes, known_s, ahead_s, motion[frames]))
+    return joined([lessons for list_ in found for lessons in list_])
 
 
 def fit_expectation(
@@ -139,12 +159,15 @@ def _fit_family(
     inputs = (inputs - mean) / spread
     unit = float(faces.std())
     targets = (faces / unit).astype(np.float32)
-    networks: list[Layers] = []
-    for number in range(family.n_networks):
-        progress(f"expectation by {family.name}, network {number + 1} of {family.n_networks}")
+
+    def learn(number: int) -> Layers:
         rng = np.random.default_rng([*seed, number])
         layers = initial_layers((inputs.shape[1], *family.hidden, targets.shape[1]), rng)
-        networks.append(fit(layers, inputs, targets, _SCHEDULE, rng))
+        return fit(layers, inputs, targets, _SCHEDULE, rng)
+
+    progress(f"expectation by {family.name}, {family.n_networks} networks")
+    with ThreadPoolExecutor(_AT_ONCE) as threads:  # NumPy computes outside the interpreter's lock
+        networks = list(threads.map(learn, range(family.n_networks)))
     return _exported(networks, dictionary, mean, spread, unit)
 
 

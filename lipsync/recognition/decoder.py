@@ -54,17 +54,10 @@ class SwitchDecoder:
         if delay < delays[0]:
             raise ValueError(f"nothing is known after {delay} frames, but after {delays[0]}")
         self._delay = delay
-        # Of a frame that is `age` frames old, the head with the longest delay that has spoken.
-        self._head_at_age = [
-            max(index for index, d in enumerate(delays) if d <= age)
-            for age in range(delays[0], delay + 1)
-        ]
+        self._head_at_age = best_heads(delays, delay)
         self._delays = delays
         self._settings = settings
-        is_closure = np.array([VISEME_OF[p] in _CLOSERS for p in PHONEMES])
-        penalties = np.where(is_closure, settings.closure_penalty, settings.switch_penalty)
-        self._penalties: Array = penalties.astype(np.float32)
-        self._bonus: Array = np.where(is_closure, settings.closure_bonus, 0.0).astype(np.float32)
+        self._penalties = change_penalties(settings)
         # Scores (n_heads, n_phonemes) of the last frames, by frame number modulo the length.
         self._recent = np.zeros((delay + 1, len(delays), len(PHONEMES)), np.float32)
         self._best = np.zeros(len(PHONEMES), np.float32)
@@ -78,7 +71,7 @@ class SwitchDecoder:
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
-        scores = self._scores(posteriors)
+        scores = log_scores(posteriors, self._settings)
         for head, delay in enumerate(self._delays):
             if delay <= min(n, self._delay):
                 self._recent[(n - delay) % length, head] = scores[head]
@@ -118,17 +111,34 @@ class SwitchDecoder:
         source = np.where(stays, _STATES, leader)
         return np.where(stays, best, changed) + scores, source
 
-    def _scores(self, posteriors: Array) -> Array:
-        """Log scores (n_heads, n_phonemes): of the viseme class, and of the phone within it."""
-        classes = np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST)
-        of_class = np.log(classes)[:, _CLASS_OF]
-        of_phone = np.log(np.maximum(posteriors, _SMALLEST))
-        weight = np.float32(self._settings.phone_weight)
-        blended: Array = (1 - weight) * of_class + weight * of_phone + self._bonus
-        return blended
+
+def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
+    """Of a frame delays[0], ..., delay frames old: the head with the longest delay that spoke."""
+    return [
+        max(index for index, d in enumerate(delays) if d <= age)
+        for age in range(delays[0], delay + 1)
+    ]
+
+
+def change_penalties(settings: DecoderSettings) -> Array:
+    """(n_phonemes,): what a change to each phoneme costs."""
+    penalties = np.where(_IS_CLOSURE, settings.closure_penalty, settings.switch_penalty)
+    return penalties.astype(np.float32)
+
+
+def log_scores(posteriors: Array, settings: DecoderSettings) -> Array:
+    """Of the viseme class and of the phone within it; (..., n_phonemes), as the posteriors."""
+    classes = np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST)
+    of_class = np.log(classes)[..., _CLASS_OF]
+    of_phone = np.log(np.maximum(posteriors, _SMALLEST))
+    weight = np.float32(settings.phone_weight)
+    bonus = np.where(_IS_CLOSURE, np.float32(settings.closure_bonus), np.float32(0.0))
+    blended: Array = (1 - weight) * of_class + weight * of_phone + bonus
+    return blended
 
 
 _STATES = np.arange(len(PHONEMES))
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
+_IS_CLOSURE = np.isin(_CLASS_OF, _CLOSERS)
 _MEMBERSHIP: Array = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
 SILENCE_INDEX = PHONEMES.index(SILENCE)

@@ -21,7 +21,7 @@ _WINDOW_S = 0.025
 #: Where no band reaches this log power there is no sound: digital silence gives -16.1, white noise
 #: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
 #: no band above -13 and 13 % none above -11 (20 LibriSpeech utterances, measured).
-_INAUDIBLE = -15.5
+INAUDIBLE = -15.5
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
 
 
@@ -40,7 +40,7 @@ class NetworkRecognizer:
         settings: DecoderSettings | None = None,
     ) -> None:
         self._weights = weights
-        self._delay = int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
+        self._delay = frames_of_delay(latency_s)
         has_lookahead = self._delay > weights.delays[0]
         self._settings = settings or (SMOOTH if has_lookahead else QUICK)
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
@@ -100,7 +100,7 @@ class NetworkRecognizer:
     def _hear(self, samples: Array) -> None:
         for frame in self._log_mel.push(samples):
             posteriors = self._network.push(self._normalizer.push(frame[None]))[0]
-            self._audible.append(bool(frame.max() >= _INAUDIBLE))
+            self._audible.append(bool(frame.max() >= INAUDIBLE))
             for head, delay in enumerate(self._weights.delays):
                 if not self._audible[-1 - delay]:  # each head speaks about a frame of its own
                     posteriors[head] = 0.0
@@ -109,3 +109,8 @@ class NetworkRecognizer:
             if settled is not None:
                 self._settled.append(settled)
             self._n_heard += 1
+
+
+def frames_of_delay(latency_s: float) -> int:
+    """How many frames are heard after one before it is settled."""
+    return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)

@@ -1,0 +1,107 @@
+"""What the live recogniser settles on, for whole recordings at once. Offline.
+
+The arithmetic of `NetworkRecognizer` without its waiting: the network takes a recording in one go,
+the decoder goes forward frame by frame, but through many recordings side by side.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
+from lipsync.recognition.decoder import SMOOTH, best_heads, change_penalties, log_scores
+from lipsync.recognition.features import (
+    FRAMES_PER_S,
+    HOP,
+    WINDOW,
+    LevelNormalizer,
+    LogMelStream,
+)
+from lipsync.recognition.live import INAUDIBLE, LATENCY_S, frames_of_delay
+from lipsync.recognition.network import NetworkWeights, batch_posteriors
+
+Array = NDArray[np.float32]
+
+#: Recordings side by side: enough that NumPy's own cost does not count, in little memory.
+TOGETHER = 64
+#: Silence after the longest, until its last phoneme is settled, s.
+_TAIL_S = 0.5
+
+
+def settled_phonemes(
+    weights: NetworkWeights, recordings: Sequence[Array], latency_s: float = LATENCY_S
+) -> Iterator[tuple[PhonemeEvent, ...]]:
+    """The phonemes of each recording as they are final live; samples (n,) at 16 kHz each.
+
+    They reach without gaps from 0 to the end of the recording.
+    """
+    delay = frames_of_delay(latency_s)
+    for first in range(0, len(recordings), TOGETHER):
+        together = recordings[first : first + TOGETHER]
+        n_frames = max(len(samples) for samples in together) // HOP + round(_TAIL_S * FRAMES_PER_S)
+        posteriors = np.stack([_posteriors(weights, s, n_frames + delay) for s in together])
+        labels = _settled(posteriors, weights.delays, delay)
+        for samples, settled in zip(together, labels, strict=True):
+            yield _events(settled[: max(1, -(-len(samples) // HOP))])
+
+
+def _posteriors(weights: NetworkWeights, samples: Array, n_frames: int) -> Array:
+    """(n_frames, n_heads, n_phonemes), the sound filled up with silence."""
+    padded = np.zeros((n_frames - 1) * HOP + WINDOW, np.float32)
+    padded[: len(samples)] = samples
+    frames = LogMelStream().push(padded)
+    posteriors = batch_posteriors(weights, LevelNormalizer(weights.scale).push(frames))
+    audible = frames.max(axis=1) >= INAUDIBLE
+    for head, delay in enumerate(weights.delays):
+        # Each head speaks about a frame of its own.
+        silent = np.flatnonzero(~audible[: n_frames - delay]) + delay
+        posteriors[silent, head] = 0.0
+        posteriors[silent, head, PHONEMES.index(SILENCE)] = 1.0
+    return posteriors
+
+
+def _settled(posteriors: Array, delays: tuple[int, ...], delay: int) -> NDArray[np.int64]:
+    """(n_recordings, n_frames, n_heads, n_phonemes) -> (n_recordings, n_frames - delay).
+
+    What `SwitchDecoder` settles: `delay` frames after a frame, by the best path through the frames
+    heard since.
+    """
+    scores = log_scores(posteriors, SMOOTH)
+    penalties = change_penalties(SMOOTH)
+    heads = best_heads(delays, delay)
+    n_recordings, n_frames, _, n_phonemes = posteriors.shape
+    rows, states = np.arange(n_recordings), np.arange(n_phonemes)
+    labels = np.empty((n_recordings, n_frames - delay), np.int64)
+
+    def step(best: Array, frame: int, age: int) -> tuple[Array, NDArray[np.int64]]:
+        head = heads[age - delays[0]]
+        leader = best.argmax(axis=1)
+        changed = best[rows, leader][:, None] - penalties
+        stays = best >= changed
+        source = np.where(stays, states, leader[:, None])
+        return np.where(stays, best, changed) + scores[:, frame + delays[head], head], source
+
+    settled = np.zeros((n_recordings, n_phonemes), np.float32)
+    for oldest in range(n_frames - delay):
+        best = step(settled, oldest, delay)[0]
+        settled = best - best.max(axis=1, keepdims=True)
+        sources = []
+        for age in range(delay - 1, delays[0] - 1, -1):
+            best, source = step(best, oldest + delay - age, age)
+            sources.append(source)
+        state = best.argmax(axis=1)
+        for source in reversed(sources):
+            state = source[rows, state]
+        labels[:, oldest] = state
+    return labels
+
+
+def _events(labels: NDArray[np.int64]) -> tuple[PhonemeEvent, ...]:
+    events, start = [], 0
+    for label, run in groupby(labels.tolist()):
+        end = start + len(list(run))
+        events.append(PhonemeEvent(PHONEMES[label], start / FRAMES_PER_S, end / FRAMES_PER_S))
+        start = end
+    return tuple(events)
