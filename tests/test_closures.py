@@ -47,6 +47,12 @@ def test_a_closure_once_begun_is_completed_even_when_the_phone_is_over():
     assert max(found.values()) == 1.0
 
 
+def test_the_second_of_two_labials_is_not_held_to_its_end_as_if_heard_of_late():
+    found = amounts(spoken(("AA", 0.5), ("M", 0.05), ("M", 0.2), ("AA", 0.5)), 0.1, 1.0)
+    assert found[0.58] == 1.0  # its own tightest moment
+    assert found[0.70] == 0.0
+
+
 def test_without_a_labial_nothing_closes():
     assert not any(amounts(spoken(("AA", 0.5), ("F", 0.2), ("AA", 0.5)), 0.1, 1.0).values())
 

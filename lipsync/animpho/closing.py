@@ -3,7 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lipsync.expectation.context import PhonemeTrack
 
@@ -26,7 +26,7 @@ class Amount:
     """A cubic from a value and a slope at `start_s` to rest at `goal`; there it stays.
 
     Hermite's form, so that a new one takes over from any instant of the old one smoothly.
-    touched_s: when the last closure begun was, or will be, complete.
+    touched_s: when the last closure was, or will be, complete; as long as it is held, now.
     """
 
     start_s: float
@@ -75,7 +75,7 @@ def planned(
     else:
         goal, duration_s, touched_s = 0.0, PARTING_S, now.touched_s
     if goal == now.goal:
-        return now
+        return replace(now, touched_s=time_s) if goal == 1.0 else now
     return Amount(time_s, duration_s, *now.at(time_s), goal, touched_s)
 
 
