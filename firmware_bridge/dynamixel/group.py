@@ -18,9 +18,9 @@ _BAD_FAST_READS: Final = 2
 _FAST_WINDOW: Final = 100
 _SLOW_FOR: Final = 2_000
 _SLOW_AT_MOST: Final = 64_000
-#: Time on the wire that asking again for lost parts may take within a cycle: 13 of ten bytes each
-#: at 1 Mbaud, none at 57,600 baud. Less than the shortest period, 5 ms at 200 Hz.
-_AGAIN_S: Final = 0.003
+#: Time on the wire that asking again for lost parts may take within a cycle: six of ten bytes each
+#: at 1 Mbaud, none at 57,600 baud. With the wait for the first answers it stays below 6 ms.
+_AGAIN_S: Final = 0.0015
 
 
 class SpanGroup:
