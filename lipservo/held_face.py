@@ -6,13 +6,14 @@ tracker does so in `hold`, or in `hold_while`, so that the servos hear something
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bridge import Bridge
-from firmware_bridge.bus import ServoBus
+from firmware_bridge.bus import PortError, PortGone, ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock, ticks
 from firmware_bridge.dynamixel.budget import budget
@@ -155,7 +156,8 @@ class HeldFace:
         if kind is None:
             self._bridge.ease_to_neutral(self._clock)
         else:
-            self._bridge.stop()
+            with suppress(PortError):  # nobody to tell: the servos' own watchdog stops them
+                self._bridge.stop()
 
     def _settle(self) -> Array:
         """Until every encoder is still, for as long as any servo needs at most."""
@@ -170,7 +172,12 @@ class HeldFace:
         return self._stands_deg()[self._mouth]
 
     def _stands_deg(self) -> Array:
-        return self._bus.feedback().positions_deg
+        try:
+            return self._bus.feedback().positions_deg
+        except PortError as error:
+            raise PortGone(
+                "the port of the servos is gone; plug it in and go on with what was kept"
+            ) from error
 
     def _tick(self) -> None:
         time_s, late = next(self._ticks)

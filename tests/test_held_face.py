@@ -111,7 +111,7 @@ def test_a_plug_that_is_pulled_ends_it():
             robot.hold(2.0)
             robot.move(np.ones(4))
 
-    with pytest.raises(PortGone):
+    with pytest.raises(PortGone, match="plug it in and go on with what was kept"):
         hold()
 
 
