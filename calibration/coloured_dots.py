@@ -16,6 +16,10 @@ from calibration.calibration import CalibrationError
 
 Array = NDArray[np.float64]
 
+#: Dots are of one size: a spot larger than this many of the middle one is two dots that touch, as
+#: those of closed lips do.
+_ONE_DOT = 1.25
+
 
 @dataclass(frozen=True, slots=True)
 class DotColour:
@@ -47,17 +51,38 @@ def find_dots_px(picture: Path, colour: DotColour, *, least_area_px: int = 12) -
     low = (colour.least_hue, colour.least_saturation, colour.least_brightness)
     high = (colour.most_hue, 255, 255)
     mask = cv2.inRange(cv2.cvtColor(pixels, cv2.COLOR_BGR2HSV), np.array(low), np.array(high))
-    _, _, stats, middles = cv2.connectedComponentsWithStats(mask)
-    areas = stats[1:, cv2.CC_STAT_AREA]  # the first is what is not a dot
-    return np.asarray(middles[1:][areas >= least_area_px], dtype=np.float64)
+    n_spots, spots, stats, middles = cv2.connectedComponentsWithStats(mask)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    # The first is what is not a dot.
+    large = [spot for spot in range(1, n_spots) if areas[spot] >= least_area_px]
+    dots: list[Array] = []
+    for spot in large:
+        if areas[spot] > _ONE_DOT * np.median(areas[large]):
+            dots.extend(_two_dots(np.argwhere(spots == spot)[:, ::-1].astype(np.float64)))
+        else:
+            dots.append(middles[spot])
+    return np.array(dots, dtype=np.float64).reshape(-1, 2)
+
+
+def _two_dots(pixels: Array) -> Array:
+    """(2, 2): the middles of two equal discs whose pixels (n, 2) these are.
+
+    Discs that are d apart spread the pixels along their line by d^2 / 4 more than across it.
+    """
+    spread, axes = np.linalg.eigh(np.cov(pixels.T))
+    half = np.sqrt(max(0.0, spread[1] - spread[0])) * axes[:, 1]
+    middle = pixels.mean(axis=0)
+    return np.array([middle - half, middle + half])
 
 
 def name_dots(
-    dots_px: Array, expected_px: Mapping[str, Array], *, furthest_px: float
+    dots_px: Array, expected_px: Mapping[str, Array], *, furthest_px: float, sure_px: float
 ) -> dict[str, Array]:
     """Each expected dot's place (2,), by the assignment with the least sum of squared ways.
 
-    NaN for one that nothing is near enough to, within `furthest_px`.
+    Dots in a row keep their order so. NaN for one that nothing is near enough to, within
+    `furthest_px`; and for all, when one is hidden while others moved farther than `sure_px`: a
+    row with a gap may have moved up by one place, and a wrong name is worse than none.
     """
     names = list(expected_px)
     places = {name: np.full(2, np.nan) for name in names}
@@ -71,6 +96,9 @@ def name_dots(
     ):
         if apart_px[row, column] <= furthest_px:
             places[names[row]] = dots_px[column]
+    moved_px = [np.linalg.norm(places[name] - expected_px[name]) for name in names]
+    if np.isnan(moved_px).any() and np.nanmax(moved_px, initial=0.0) > sure_px:
+        return {name: np.full(2, np.nan) for name in names}
     return places
 
 

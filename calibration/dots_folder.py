@@ -23,9 +23,10 @@ Array = NDArray[np.float64]
 NAMES_FILE = "dots.csv"
 _COLUMNS = ("marker", "column_px", "row_px", "mm_per_px")
 _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
-#: A dot is looked for as far from its first place as an open jaw carries it, not farther. All dots
-#: of a picture are named together, so neighbours that move alike are not taken for one another.
-_FURTHEST_MM = 30.0
+#: A dot is looked for as far from its first place as a wide open jaw carries it, not farther. All
+#: dots of a picture are named together; when one is hidden, the others are believed within the way
+#: that lips and corners go.
+_FURTHEST_MM, _SURE_MM = 60.0, 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +54,12 @@ def read_dots_folder(folder: Path, only: int | None = None) -> list[tuple[int, s
         if only is not None and pose != only:
             continue
         found_px = find_dots_px(picture, DotColour())
-        furthest_px = _FURTHEST_MM / names.mm_per_px
-        places_px = name_dots(found_px, names.first_px, furthest_px=furthest_px)
+        places_px = name_dots(
+            found_px,
+            names.first_px,
+            furthest_px=_FURTHEST_MM / names.mm_per_px,
+            sure_px=_SURE_MM / names.mm_per_px,
+        )
         for name, place_mm in dots_mm(places_px, origin_px, names.mm_per_px).items():
             readings.append((pose, name, place_mm))
     return readings

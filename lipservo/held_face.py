@@ -12,13 +12,12 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import PortError, PortGone, ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock, ticks
 from firmware_bridge.dynamixel.budget import budget
 from firmware_bridge.targets import ServoTargets
-from lipservo.servos import prevent_rules
+from lipservo.servos import bridge_for
 from lipservo.settings import FaceSettings
 
 Array = NDArray[np.float64]
@@ -63,13 +62,7 @@ class HeldFace:
         self.rate_hz = held_rate_hz(settings)
         self._bus, self._clock = bus, clock
         self._channel = MemoryTargetChannel()
-        self._bridge = Bridge(
-            bus,
-            settings.joints(),
-            self._channel,
-            rate_hz=self.rate_hz,
-            prevent=prevent_rules(settings),
-        )
+        self._bridge = bridge_for(settings, bus, self._channel, rate_hz=self.rate_hz)
         self._speed_deg_s = speed_deg_s
         names = list(settings.servos)
         self._mouth = [names.index(name) for name in settings.mouth_servos]

@@ -92,11 +92,35 @@ def test_dots_of_a_rendered_picture_are_found_within_a_third_of_a_pixel(tmp_path
 def test_dots_keep_their_names_and_a_hidden_one_is_lost():
     expected = {"a": np.array([10.0, 10.0]), "b": np.array([20.0, 10.0]), "c": np.array([50, 50])}
     dots = np.array([[21.0, 11.0], [12.0, 10.0]])
-    found = name_dots(dots, expected, furthest_px=15.0)
+    found = name_dots(dots, expected, furthest_px=15.0, sure_px=8.0)
     assert found["a"].tolist() == [12.0, 10.0]
     assert found["b"].tolist() == [21.0, 11.0]
     assert np.isnan(found["c"]).all()
-    assert np.isnan(name_dots(np.zeros((0, 2)), expected, furthest_px=15.0)["a"]).all()
+    assert np.isnan(name_dots(np.zeros((0, 2)), expected, furthest_px=15.0, sure_px=8.0)["a"]).all()
+
+
+@pytest.mark.parametrize("apart_px", [6.0, 10.0])
+def test_two_dots_that_touch_are_found_as_two(tmp_path, apart_px):
+    cv2 = pytest.importorskip("cv2", reason="dots need OpenCV, the extra `video`")
+    middles = np.array([[10.0, 30.0], [30.0, 30], [50.0, 30], [80.0, 30], [80.0, 30 + apart_px]])
+    picture = np.full((80, 120, 3), (120, 150, 200), dtype=np.uint8)
+    for x, y in middles:
+        centre = (round(16 * x), round(16 * y))
+        cv2.circle(picture, centre, 5 * 16, (200, 60, 20), -1, cv2.LINE_AA, 4)
+    cv2.imwrite(str(tmp_path / "p.png"), picture)
+    found = find_dots_px(tmp_path / "p.png", DotColour())
+    found = found[np.lexsort((found[:, 1], found[:, 0].round(-1)))]
+    np.testing.assert_allclose(found, middles, atol=1.0)
+
+
+def test_an_open_jaw_does_not_pass_its_dots_on_to_their_neighbours():
+    """Upper lip, lower lip, chin in a column; the jaw carries the last two down by 30."""
+    expected = {name: np.array([0.0, row]) for name, row in (("up", 0.0), ("low", 2), ("chin", 40))}
+    dots = np.array([[0.0, 70.0], [0.0, 0.0], [0.0, 32.0]])
+    found = name_dots(dots, expected, furthest_px=45.0, sure_px=10.0)
+    assert [found[name][1] for name in expected] == [0.0, 32.0, 70.0]
+    hidden = name_dots(dots[:2], expected, furthest_px=45.0, sure_px=10.0)
+    assert np.isnan(list(hidden.values())).all()
 
 
 def test_right_in_the_picture_is_the_robots_left_and_down_is_down():

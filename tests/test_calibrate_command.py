@@ -139,7 +139,7 @@ def test_the_end_of_a_script_keeps_what_was_made(tmp_path):
     done = command("calibrate", "--guided", "--config", "face_jaw", "-o", tmp_path / "c.yaml",
                    "--keep", keep, input="\n\n")  # fmt: skip
     assert done.exit_code == 1
-    assert "2 poses are too few, 7 are needed" in str(done.exception)
+    assert "2 poses are too few, 10 are needed" in str(done.exception)
     assert list(json.loads(keep.read_text())) == ["closed", "open"]
     assert not (tmp_path / "c.yaml").exists()
 
@@ -258,7 +258,7 @@ def test_a_skeleton_has_a_jaw_and_no_lips(tmp_path):
     assert said["jaw_correlation"] > 0.99
     assert said["marker_rms_mm"] < 0.6
     calibration = load_calibration(out)
-    frames = MODEL.animphos[::5].reshape(-1, 5)
+    frames = MODEL.animphos[::5].reshape(-1, MODEL.n_components)
     degrees = [calibration.positions_deg(frame)[0] for frame in frames]
     assert np.quantile(degrees, 0.98) == pytest.approx(0.9 * 25.0, rel=0.15)
     assert abs(calibration.positions_deg(MODEL.rest)[0]) < 0.5
