@@ -124,12 +124,6 @@ class Calibration:
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         return keep_rules(self.rules, kept_deg)
 
-    def current_caps_ma(self) -> dict[str, float]:
-        """How hard each calibrated servo may press, by its name; nothing where none was found."""
-        if self.touch is None:
-            return {}
-        return dict.fromkeys(self.servo_names, self.touch.current_cap_ma)
-
     def for_servos(self, servo_names: Sequence[str]) -> "Calibration":
         """The same for a face with more servos: those without calibration (neck, eyes) stay at 0.
 

@@ -29,6 +29,11 @@ def report_lines(calibration: Calibration, written: str, fit: MeasuredFit | None
         ]
     lines += _worst_markers(calibration.errors.each_marker_rms_mm)
     lines += _joint_lines(calibration)
+    if calibration.touch is not None:
+        lines.append(
+            "so that lips which meet are not pressed hard, give the mouth's servos max_current_ma: "
+            f"{calibration.touch.current_cap_ma:.0f} in the YAML, then run `lipservo setup-servos`"
+        )
     return lines + (_reach_lines(calibration) if fit is not None else [])
 
 

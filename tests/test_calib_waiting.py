@@ -158,8 +158,3 @@ def test_what_servos_keep_is_in_the_file_and_compared_by_name():
             check_servo_memories(read, (other, read.origin.servo_memories[1]))
     without = with_memories()
     check_servo_memories(without, (MEMORY, MEMORY))
-
-
-def test_the_touch_pose_caps_the_current_of_every_calibrated_servo():
-    assert with_memories().current_caps_ma() == {"jaw": 294.0, "lip_protrusion": 294.0}
-    assert fit_calibration(MODEL, JOINTS, "f" * 16).current_caps_ma() == {}

@@ -241,6 +241,7 @@ def test_a_plan_is_refined_where_speech_will_be_and_a_picture_drawn(tmp_path):
                    "-o", tmp_path / "c.yaml", "--plots", tmp_path / "plots")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "farthest off:" in done.stdout
+    assert "max_current_ma: 294" in done.stdout
     assert (tmp_path / "plots" / "coverage.png").read_bytes()[:4] == b"\x89PNG"
 
 
