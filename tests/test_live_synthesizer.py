@@ -108,6 +108,15 @@ def test_the_mouth_leaves_rest_and_returns_to_it_over_several_ticks():
     np.testing.assert_allclose(synthesizer.coefficients_at(0.5), model.rest)
 
 
+def test_without_look_ahead_the_mouth_leaves_rest_at_the_onset_and_no_tick_later():
+    model = load_shipped_model()
+    synthesizer = LiveSynthesizer(model, Style(0.0))
+    known(synthesizer, ("SIL", 0.6), ("AA", 0.3))
+    faces(synthesizer, 0.0, 0.59, TICK_S)
+    np.testing.assert_allclose(synthesizer.coefficients_at(0.59), model.rest)
+    assert np.linalg.norm(synthesizer.coefficients_at(0.6) - model.rest) > 1.0
+
+
 def test_strength_zero_keeps_the_mouth_at_rest_and_one_and_a_half_opens_it_further():
     model = load_shipped_model()
     gaps_mm = []

@@ -178,7 +178,7 @@ class LiveSynthesizer:
         begin_s = time_s - TICK_S
         context = context_at(self._track, time_s, known_until_s)
         resting = self._resting(last.resting, *context, begin_s)
-        at_rest = resting.at(begin_s) == (1.0, 0.0)
+        at_rest = resting.goal == 1.0 and resting.at(begin_s) == (1.0, 0.0)
         wanted = self._livened(self._expected(time_s, *context, at_rest=at_rest))
         self._wanted = self._keep * self._wanted + (1.0 - self._keep) * wanted
         # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
