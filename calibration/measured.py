@@ -30,7 +30,7 @@ from lipsync.animpho.model import FaceModel
 Array = NDArray[np.float64]
 
 HOLD_OUT_SHARE = 0.2
-#: At most so many AnimPhos of 5 frames are fitted to: a map of 21 numbers for each servo needs no
+#: At most so many AnimPhos of 5 frames are fitted to: a map of 45 numbers for each servo needs no
 #: more. And held out: so many that closures, a tenth of the frames, are well over fifty.
 MAX_FITTED, MAX_HELD_OUT = 240, 160
 #: A fifth of what an XL330-M288-T draws when stalled at 5 V, 1.47 A

@@ -43,7 +43,7 @@ def _summary(calibration: Calibration) -> str:
         off_deg, servo = max(zip(errors.joint_rms_deg, calibration.servo_names, strict=True))
         return (
             f"from {origin.poses} poses made by eye. A pose left out is {off_deg:.1f} deg off at "
-            f"most (rms, {servo}). On simulated robots such a map was 0.7 mm off in the median, a "
+            f"most (rms, {servo}). On simulated robots such a map was 1.2 mm off in the median, a "
             "measured one 0.3 (docs/benchmarks.md)"
         )
     if origin.method == "jaw alone":
