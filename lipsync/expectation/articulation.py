@@ -62,8 +62,6 @@ _CONSONANTS: dict[str, tuple[str, str, bool, float]] = {
     "HH": ("glottal", "fricative", False, 0.0),
 }
 
-N_ARTICULATORY = 3 + 6 + len(_PLACES) + len(_MANNERS) + 1
-
 
 def articulatory_features() -> Array:
     """(40, 22), a row for each of `PHONEMES`.

@@ -10,8 +10,14 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
-from lipsync.recognition.decoder import SMOOTH, best_heads, change_penalties, log_scores
+from lipsync.phonemes import PHONEMES, PhonemeEvent
+from lipsync.recognition.decoder import (
+    SILENCE_INDEX,
+    SMOOTH,
+    best_heads,
+    change_penalties,
+    log_scores,
+)
 from lipsync.recognition.features import (
     FRAMES_PER_S,
     HOP,
@@ -58,7 +64,7 @@ def _posteriors(weights: NetworkWeights, samples: Array, n_frames: int) -> Array
         # Each head speaks about a frame of its own.
         silent = np.flatnonzero(~audible[: n_frames - delay]) + delay
         posteriors[silent, head] = 0.0
-        posteriors[silent, head, PHONEMES.index(SILENCE)] = 1.0
+        posteriors[silent, head, SILENCE_INDEX] = 1.0
     return posteriors
 
 

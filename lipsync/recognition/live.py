@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio.block import AudioBlock
-from lipsync.phonemes import PHONEMES, SILENCE, PhonemeUpdate
+from lipsync.phonemes import PHONEMES, PhonemeUpdate
 from lipsync.recognition.belief import FrameBelief
-from lipsync.recognition.decoder import QUICK, SMOOTH, DecoderSettings, SwitchDecoder
+from lipsync.recognition.decoder import QUICK, SILENCE_INDEX, SMOOTH, DecoderSettings, SwitchDecoder
 from lipsync.recognition.features import FRAMES_PER_S, LevelNormalizer, LogMelStream
 from lipsync.recognition.intake import SoundIntake
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
@@ -22,7 +22,6 @@ _WINDOW_S = 0.025
 #: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
 #: no band above -13 and 13 % none above -11 (20 LibriSpeech utterances, measured).
 INAUDIBLE = -15.5
-_SILENCE_INDEX = PHONEMES.index(SILENCE)
 
 
 class NetworkRecognizer:
@@ -79,7 +78,7 @@ class NetworkRecognizer:
         if jump_s > 0.0:
             n_frames = round(jump_s * FRAMES_PER_S)
             # All that the decoder still holds is silence by now.
-            self._settled.extend([_SILENCE_INDEX] * n_frames)
+            self._settled.extend([SILENCE_INDEX] * n_frames)
             self._n_heard += n_frames
         self._hear(samples)
 
@@ -92,7 +91,7 @@ class NetworkRecognizer:
         known = self._settled + self._open
         # The newest frame's window reaches 15 ms beyond its end; one frame more has been heard.
         n_missing = self._n_heard + 1 - border - len(known)
-        known += [known[-1] if known else _SILENCE_INDEX] * n_missing
+        known += [known[-1] if known else SILENCE_INDEX] * n_missing
         update = self._belief.update([PHONEMES[index] for index in known])
         del self._settled[: self._belief.border - border]
         return [update]
@@ -104,7 +103,7 @@ class NetworkRecognizer:
             for head, delay in enumerate(self._weights.delays):
                 if not self._audible[-1 - delay]:  # each head speaks about a frame of its own
                     posteriors[head] = 0.0
-                    posteriors[head, _SILENCE_INDEX] = 1.0
+                    posteriors[head, SILENCE_INDEX] = 1.0
             settled, self._open = self._decoder.push(posteriors)
             if settled is not None:
                 self._settled.append(settled)
