@@ -3,6 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.signal
 import soundfile
 from small_network import random_weights
 from speech import CLIP_PATH
@@ -72,6 +73,15 @@ def test_a_room_keeps_the_onset_where_it_was():
     assert np.abs(wet[:1_000]).max() < 1e-4
     assert wet[1_000] == pytest.approx(1.0, abs=1e-4)
     assert np.abs(wet[1_001:]).max() > 1e-3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_codec_changes_speech_without_moving_it(clip, seed):
+    changed = noise.lossy(np.random.default_rng(seed), clip)
+
+    lags = scipy.signal.correlation_lags(len(changed), len(clip))
+    assert lags[scipy.signal.correlate(changed, clip).argmax()] == 0
+    assert 3.0 < level_db(clip) - level_db(changed - clip) < 40.0
 
 
 def test_labels_stay_with_their_sound_at_another_speed():

@@ -41,12 +41,12 @@ def align(
         return
     if text is None:
         raise typer.BadParameter("say what is said in the sound", param_hint="TEXT")
-    from lipsync.recognition.alignment import ForcedAligner
+    from lipsync.recognition.alignment import align as force_align
     from lipsync.recognition.sound import read_speech
     from lipsync.textgrid import write_tiers
 
     said = Path(text).read_text(encoding="utf-8") if _is_file(text) else text
-    alignment = ForcedAligner().align(read_speech(sound), said)
+    alignment = force_align(read_speech(sound), said)
     phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in alignment.phones)
     if alignment.beams != "default":
         MESSAGES.print("found only with tight beams: no yardstick for accuracy")

@@ -7,7 +7,7 @@ utterances against 0); such an alignment says so, its accuracy was never compare
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,7 +21,11 @@ from lipsync.recognition.pronunciation import pronounce
 
 FRAMES_PER_S = 100
 Beams = Literal["default", "tight"]
-_TIGHT = {"beam": 1e-20, "pbeam": 1e-20, "wbeam": 1e-10}
+#: In the order in which they are tried; pocketsphinx's own first.
+_BEAMS: Mapping[Beams, Mapping[str, float]] = {
+    "default": {},
+    "tight": {"beam": 1e-20, "pbeam": 1e-20, "wbeam": 1e-10},
+}
 _WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*'?")
 
 
@@ -42,53 +46,46 @@ class Alignment:
     guessed: tuple[str, ...] = ()
 
 
-class ForcedAligner:
-    """Aligns one utterance after the other; keeps two decoders, which take 0.2 s each to load."""
+def align(
+    samples: NDArray[np.float32],
+    text: str,
+    pronouncer: Callable[[str], tuple[str, ...]] = pronounce,
+) -> Alignment:
+    """Align samples (n,) at 16 kHz in [-1, 1] with the words of `text`.
 
-    def __init__(self, pronouncer: Callable[[str], tuple[str, ...]] = pronounce) -> None:
-        self._pronouncer = pronouncer
-        self._decoders: dict[Beams, Decoder] = {}
-        self._taught: set[str] = set()
-
-    def align(self, samples: NDArray[np.float32], text: str) -> Alignment:
-        """Align samples (n,) at 16 kHz in [-1, 1] with the words of `text`.
-
-        Raises PronunciationError for a word without a pronunciation, AlignmentError for a text
-        without words and for sound that the text does not fit.
-        """
-        words = words_of(text)
-        if not words:
-            raise AlignmentError("the text holds no words; give what is said in the sound")
-        pcm = np.rint(np.clip(samples, -1.0, 1.0) * np.float32(32767)).astype(np.int16).tobytes()
-        reason = ""
-        for beams in ("default", "tight"):
-            guessed = self._teach(beams, words)
-            try:
-                segments = _segments(self._decoders[beams], pcm, words)
-            except RuntimeError as error:
-                # A decoder that failed does not recover.
-                del self._decoders[beams]
-                reason = str(error)
-                continue
-            return _alignment(segments, beams, guessed)
-        raise AlignmentError(f"the text does not fit the sound ({reason}); check both")
-
-    def _teach(self, beams: Beams, words: list[str]) -> tuple[str, ...]:
-        """Make sure that the decoder knows all words; returns those that had to be guessed."""
-        if beams not in self._decoders:
-            options = _TIGHT if beams == "tight" else {}
-            self._decoders[beams] = Decoder(lm=None, cmn="batch", loglevel="FATAL", **options)
-        decoder = self._decoders[beams]
-        for word in dict.fromkeys(words):
-            if decoder.lookup_word(word) is None:
-                decoder.add_word(word, " ".join(self._pronouncer(word)), False)
-                self._taught.add(word)
-        return tuple(word for word in dict.fromkeys(words) if word in self._taught)
+    Raises PronunciationError for a word without a pronunciation, AlignmentError for a text without
+    words and for sound that the text does not fit.
+    """
+    words = words_of(text)
+    if not words:
+        raise AlignmentError("the text holds no words; give what is said in the sound")
+    pcm = np.rint(np.clip(samples, -1.0, 1.0) * np.float32(32767)).astype(np.int16).tobytes()
+    reason = ""
+    for beams, options in _BEAMS.items():
+        # One that has heard another utterance places a third of the boundaries elsewhere, and one
+        # that failed does not recover; to load one costs a sixth of an alignment.
+        decoder = Decoder(lm=None, cmn="batch", loglevel="FATAL", **options)
+        guessed = _teach(decoder, words, pronouncer)
+        try:
+            return _alignment(_segments(decoder, pcm, words), beams, guessed)
+        except RuntimeError as error:
+            reason = str(error)
+    raise AlignmentError(f"the text does not fit the sound ({reason}); check both")
 
 
 def words_of(text: str) -> list[str]:
     """The words of a text in lower case, without punctuation."""
     return _WORD.findall(text.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'"))
+
+
+def _teach(
+    decoder: Decoder, words: list[str], pronouncer: Callable[[str], tuple[str, ...]]
+) -> tuple[str, ...]:
+    """Make sure that the decoder knows all words; returns those that had to be guessed."""
+    missing = tuple(word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None)
+    for word in missing:
+        decoder.add_word(word, " ".join(pronouncer(word)), False)
+    return missing
 
 
 def _segments(

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.errors import UserError
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
-from lipsync.recognition.alignment import FRAMES_PER_S, ForcedAligner
+from lipsync.recognition.alignment import FRAMES_PER_S, align
 from lipsync.recognition.scripted import read_phonemes
 
 #: In place of the beams: the phones are those of the corpus's own label files.
@@ -131,7 +130,7 @@ def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
     if utterance.labels is not None:
         return _labelled(utterance, utterance.labels)
     try:
-        alignment = _aligner().align(read_speech(utterance.sound), utterance.text)
+        alignment = align(read_speech(utterance.sound), utterance.text)
     except UserError as error:
         return AlignedUtterance(utterance.name, utterance.text, error=str(error))
     phones = _in_frames(alignment.phones)
@@ -162,12 +161,6 @@ def _aligned(missing: list[TranscribedUtterance], n_processes: int) -> Iterator[
         return
     with ProcessPoolExecutor(n_processes) as pool:
         yield from pool.map(align_utterance, missing, chunksize=4)
-
-
-@cache
-def _aligner() -> ForcedAligner:
-    """One aligner a process: it takes half a second to load."""
-    return ForcedAligner()
 
 
 def _drop_torn_line(path: Path) -> None:

@@ -44,6 +44,8 @@ def heavily(rng: np.random.Generator, clean: Heard, babble: noise.Noise) -> Hear
         samples = noise.add_noise(samples, added, rng.uniform(*_SNR_DB))
     if rng.random() < 0.12:
         samples = noise.telephone(samples)
+    elif rng.random() < 0.12:
+        samples = noise.lossy(rng, samples)
     if rng.random() < 0.08:
         samples = np.clip(samples * np.float32(10.0 ** rng.uniform(0.3, 1.2)), -1.0, 1.0)
     return Heard(_at_level(rng, samples, *_GAIN_DB), heard.labels)

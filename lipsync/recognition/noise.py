@@ -4,9 +4,11 @@ Everything takes its randomness as an argument: the same generator state gives t
 Samples are (n,) float32 at 16 kHz.
 """
 
+import io
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import soundfile
 import soxr
 from numpy.typing import NDArray
 
@@ -115,6 +117,16 @@ def telephone(speech: Array) -> Array:
     line = np.sign(narrow) * np.expm1(steps * np.log(256.0)) / 255.0
     wide = soxr.resample(line.astype(np.float32), 8_000, SAMPLE_RATE_HZ)
     return np.resize(wide, len(speech)).astype(np.float32)
+
+
+def lossy(rng: np.random.Generator, speech: Array) -> Array:
+    """Speech as a lossy codec leaves it: Vorbis at some 25 to 50 kbit/s."""
+    stream = io.BytesIO()
+    quality = rng.uniform(0.4, 1.0)
+    soundfile.write(stream, speech, SAMPLE_RATE_HZ, format="OGG", compression_level=quality)
+    stream.seek(0)
+    heard = soundfile.read(stream, dtype="float32")[0]
+    return np.resize(heard, len(speech)).astype(np.float32)
 
 
 def unit_power(samples: NDArray[np.floating]) -> Array:

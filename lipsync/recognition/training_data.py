@@ -32,7 +32,7 @@ NO_TARGET = -100
 #: Silence put behind every utterance, so that late heads learn its last phones.
 _TAIL_S = 0.15
 #: One noise without speech for so many utterances.
-_UTTERANCES_PER_NOISE = 12
+_UTTERANCES_PER_NOISE = 8
 _NOISE_S = 4.0
 
 

@@ -24,7 +24,10 @@ class WeightsError(UserError):
 
 
 def save_weights(weights: NetworkWeights, path: str | PathLike[str]) -> None:
-    """Write the weights; half precision changes posteriors by less than 0.01 (tested)."""
+    """Write the weights, whole or not at all.
+
+    Half precision changes posteriors by less than 0.01 (tested).
+    """
     layers = (weights.entry, *weights.residuals)
     arrays: dict[str, NDArray[np.generic]] = {
         "format": np.array(_FORMAT),
@@ -39,8 +42,10 @@ def save_weights(weights: NetworkWeights, path: str | PathLike[str]) -> None:
     for index, layer in enumerate(layers):
         arrays[f"kernel_{index}"] = layer.kernel.astype(np.float16)
         arrays[f"bias_{index}"] = layer.bias.astype(np.float32)
-    with Path(path).open("wb") as file:
+    partial = Path(f"{path}.partial")
+    with partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
+    partial.replace(path)
 
 
 def load_weights(path: str | PathLike[str]) -> NetworkWeights:
