@@ -126,11 +126,12 @@ def test_files_of_all_kinds_are_heard_alike(
 
 
 def test_a_voice_clipped_ten_times_over_is_still_heard_in_part(weights, clip):
-    truth = phoneme_frames(read_phonemes(CLIP_LABELS_PATH), len(clip) // 160)[:400]
-    clipped = np.clip(clip[: 5 * RATE_HZ] * 10.0 / np.abs(clip).max(), -1.0, 1.0)
+    n_frames = len(clip) // 160 - 20
+    truth = phoneme_frames(read_phonemes(CLIP_LABELS_PATH), n_frames)
+    clipped = np.clip(clip * 10.0 / np.abs(clip).max(), -1.0, 1.0)
     heard = listen(NetworkRecognizer(weights), clipped)
 
-    assert viseme_accuracy(phoneme_frames(heard.events, 400), truth) > 0.3
+    assert viseme_accuracy(phoneme_frames(heard.events, n_frames), truth) > 0.3
 
 
 @pytest.mark.parametrize("level_db", [-80.0, -50.0, -26.0])
@@ -177,16 +178,15 @@ def test_closing_times_of_a_known_motion():
 
 def test_digital_silence_does_not_reach_back_into_the_speech_before_it(weights, clip):
     """A frame is silent where nothing could be heard in it, not where the head that speaks is."""
-    cut_s = vowel_cuts(
-        [(e.phoneme, round(e.start_s * 100), round(e.end_s * 100)) for e in clip_phones()]
-    )[3]
-    samples, at_s = cut_dead(clip, cut_s)
-    heard = listen(NetworkRecognizer(weights), samples)
-    silent_from_s = next(
-        e.start_s for e in heard.events if e.phoneme == SILENCE and e.start_s > at_s - 0.2
-    )
+    labels = [(e.phoneme, round(e.start_s * 100), round(e.end_s * 100)) for e in clip_phones()]
+    late_s = []
+    for cut_s in vowel_cuts(labels)[2:7]:
+        samples, at_s = cut_dead(clip, cut_s)
+        heard = listen(NetworkRecognizer(weights), samples)
+        silences_s = (e.start_s for e in heard.events if e.phoneme == SILENCE)
+        late_s.append(next(start_s for start_s in silences_s if start_s > at_s - 0.2) - at_s)
 
-    assert silent_from_s == pytest.approx(at_s, abs=0.03)
+    assert np.median(late_s) == pytest.approx(0.0, abs=0.03)
 
 
 def test_the_network_is_the_default_and_every_rung_can_listen(clip):

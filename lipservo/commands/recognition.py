@@ -140,12 +140,20 @@ def train_recognizer(
         typer.Option(help="Weights to go on from: default, grid, or a file.", show_default=False),
     ] = None,
     seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 2_000,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 5_000,
     rate: Annotated[
         float, typer.Option(min=0.0, help="Learning rate at its peak; less to go on from weights.")
     ] = 3e-3,
-    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 6,
-    jobs: Jobs = None,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 10,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Processes, and threads of learning; default: one a core. With 1 the same seed "
+            "gives the same bytes.",
+            show_default=False,
+        ),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Learn the recogniser's weights (needs the extra `train`: torch)."""
@@ -158,6 +166,7 @@ def train_recognizer(
     from lipsync.recognition.training_run import TrainingRun, run_training
     from lipsync.recognition.weights import find_weights, save_weights
 
+    n_jobs = jobs or os.cpu_count() or 1
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
@@ -166,8 +175,8 @@ def train_recognizer(
         left_out=frozenset() if leave_out is None else read_names(leave_out),
         start=None if start_from is None else find_weights(start_from),
         n_copies=copies,
-        n_processes=jobs or os.cpu_count() or 1,
-        plan=TrainingPlan(seed=seed, n_steps=steps, peak_rate=rate),
+        n_processes=n_jobs,
+        plan=TrainingPlan(seed=seed, n_steps=steps, peak_rate=rate, n_threads=n_jobs),
     )
     with progress_bar(quiet=quiet) as advance:
         weights = run_training(run, advance)

@@ -38,7 +38,7 @@ class TrainingPlan:
     head_weights: tuple[float, ...] = (0.3, 0.5, 0.2)
     dilations: tuple[int, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
     channels: int = 192
-    n_steps: int = 2_000
+    n_steps: int = 5_000
     batch: int = 32
     window: int = 400
     peak_rate: float = 3e-3

@@ -47,7 +47,7 @@ class TrainingRun:
     validation: frozenset[str] = frozenset()
     left_out: frozenset[str] = frozenset()
     start: NetworkWeights | None = None
-    n_copies: int = 6
+    n_copies: int = 10
     n_processes: int = 1
     plan: TrainingPlan = field(default_factory=TrainingPlan)
 
