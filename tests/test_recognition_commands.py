@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from speech import CLIP_PATH
 from lipsync.recognition.alignment import words_of
 from lipsync.textgrid import read_tier
 
+TWIN = Path(__file__).parents[1] / "benchmarks" / "recognizer_held_out.npz"
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
 
 
@@ -98,6 +100,19 @@ def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
     noisy = json.loads(chosen.stdout)
     assert (noisy["utterances"], noisy["failed_alignments"]) == (1, 0)
     assert noisy["viseme_all"] < figures["viseme_all"]
+
+
+def test_speakers_that_trained_nothing_are_heard(corpus_dir):
+    """Two women and two men, through the twin of the shipped weights that never heard them."""
+    done = lipservo(
+        "bench", "recognition", "--corpus", corpus_dir / "librispeech", "--limit", "1",
+        "--speakers", "1221,4446,1089,5105", "--weights", TWIN, "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["viseme_speech"] > 0.72
+    assert figures["closure_recall"] > 0.8
+    assert figures["per"] < 0.55
 
 
 def test_bench_recognition_explains_its_mistakes(corpus):
