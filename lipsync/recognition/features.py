@@ -43,11 +43,13 @@ _RANGE = 50.0 / _DB_PER_NAT
 #: Frames within 35 dB of the peak move the running mean (design measurement).
 _GATE = 35.0 / _DB_PER_NAT
 _PRIOR_FRAMES, _MEMORY_FRAMES = 100.0, 300.0
+_OFFSETS = np.arange(WINDOW)
 
 
 def log_mel(emphasised: Array) -> Array:
     """Log-mel power (n, 40) of pre-emphasised samples (160 (n - 1) + 400,) at 16 kHz."""
-    frames = np.lib.stride_tricks.sliding_window_view(emphasised, WINDOW)[::HOP]
+    starts = np.arange(0, len(emphasised) - WINDOW + 1, HOP)
+    frames = emphasised[starts[:, None] + _OFFSETS]  # live, a view of one frame costs more to make
     spectrum = np.fft.rfft(frames * _window(), _N_FFT).astype(np.complex64)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     logs: Array = np.log(power @ _mel_filters() + _POWER_FLOOR)

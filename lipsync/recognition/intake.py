@@ -47,7 +47,8 @@ class SoundIntake:
         n_heard = n_missing - n_jumps * rate_hz // 100
         self._n_fed += n_missing + len(block.samples)
         silence = self._at_16_khz(np.zeros(n_heard, np.float32))
-        samples = np.clip(np.nan_to_num(block.samples, posinf=0.0, neginf=0.0), -1.0, 1.0)
+        heard = np.where(np.isfinite(block.samples), block.samples, np.float32(0.0))
+        samples = np.clip(heard, -1.0, 1.0)
         return silence, n_jumps / 100, self._at_16_khz(samples.astype(np.float32, copy=False))
 
     def _begin(self, rate_hz: int) -> None:

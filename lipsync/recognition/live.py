@@ -74,7 +74,8 @@ class NetworkRecognizer:
         than the stream began with.
         """
         silence, jump_s, samples = self._intake.take(block)
-        self._hear(silence)
+        if len(silence) > 0:
+            self._hear(silence)
         if jump_s > 0.0:
             n_frames = round(jump_s * FRAMES_PER_S)
             # All that the decoder still holds is silence by now.
