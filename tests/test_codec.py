@@ -208,7 +208,7 @@ class CapturePort:
     def clearPort(self):  # noqa: N802 - the SDK's name
         pass
 
-    def writePort(self, packet):  # noqa: N802
+    def writePort(self, packet):  # noqa: N802 - the SDK's name
         self.written = bytes(packet)
         return len(packet)
 

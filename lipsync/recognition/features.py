@@ -49,7 +49,8 @@ _OFFSETS = np.arange(WINDOW)
 def log_mel(emphasised: Array) -> Array:
     """Log-mel power (n, 40) of pre-emphasised samples (160 (n - 1) + 400,) at 16 kHz."""
     starts = np.arange(0, len(emphasised) - WINDOW + 1, HOP)
-    frames = emphasised[starts[:, None] + _OFFSETS]  # live, a view of one frame costs more to make
+    # A copy: of a single frame, as live, numpy's sliding view takes longer to make.
+    frames = emphasised[starts[:, None] + _OFFSETS]
     spectrum = np.fft.rfft(frames * _window(), _N_FFT).astype(np.complex64)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     logs: Array = np.log(power @ _mel_filters() + _POWER_FLOOR)

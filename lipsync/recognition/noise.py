@@ -120,7 +120,7 @@ def telephone(speech: Array) -> Array:
 
 
 def lossy(rng: np.random.Generator, speech: Array) -> Array:
-    """Speech as a lossy codec leaves it: Vorbis at some 25 to 50 kbit/s."""
+    """Speech as a lossy codec leaves it: Vorbis at some 28 to 53 kbit/s."""
     stream = io.BytesIO()
     quality = rng.uniform(0.4, 1.0)
     soundfile.write(stream, speech, SAMPLE_RATE_HZ, format="OGG", compression_level=quality)
