@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from lipservo.manner import Engine, make_recognizer
@@ -18,11 +18,15 @@ _ASK_EVERY_S = 0.02
 
 
 def heard_events(
-    source: AudioSource, engine: Engine, weights: str = DEFAULT_WEIGHTS
+    source: AudioSource,
+    engine: Engine,
+    weights: str = DEFAULT_WEIGHTS,
+    warn: Callable[[str], None] = lambda _reason: None,
 ) -> Iterator[PhonemeEvent]:
     """Every phoneme of the source with its start and end, as soon as its end is settled.
 
-    A file is heard as fast as it goes, and to its end; a microphone until nobody asks any more.
+    `warn` hears once why a recogniser was left for a lesser one. A file is heard as fast as it
+    goes, and to its end; a microphone until nobody asks any more.
     """
     length_s = source.duration_s
     recognizer = make_recognizer(
@@ -30,7 +34,7 @@ def heard_events(
     )
     sound = source if length_s is None else SilenceAfter(source)
     end_s = math.inf if length_s is None else length_s
-    timeline, told_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
+    timeline, told_until_s, heard_s, n_warned = PhonemeTimeline(), 0.0, 0.0, 0
     with sound:
         while heard_s < end_s + recognizer.latency_s + 2 * BLOCK_S:
             heard_s = math.inf if length_s is None else heard_s + BLOCK_S
@@ -40,6 +44,9 @@ def heard_events(
             if length_s is None:
                 heard_s = blocks[-1].end_s if blocks else 0.0
                 time.sleep(0.0 if blocks else _ASK_EVERY_S)
+            for reason in recognizer.reasons[n_warned:]:
+                warn(reason)
+                n_warned += 1
             for update in recognizer.updates():
                 timeline.apply(update)
             for event in _settled(timeline, told_until_s, end_s):

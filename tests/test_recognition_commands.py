@@ -35,6 +35,15 @@ def test_recognize_tells_the_whole_sound_once_in_order(tmp_path):
     assert list(read_tier(grid, "phones")) == told
 
 
+def test_recognize_says_why_it_listens_with_less(tmp_path):
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(b"no weights")
+    done = lipservo("recognize", CLIP_PATH, "--weights", damaged, "--json")
+    assert done.returncode == 0, done.stderr
+    assert len(done.stdout.splitlines()) > 20
+    assert done.stderr.count("damaged or no weights file") == 1
+
+
 def test_recognize_prints_columns_for_people():
     done = lipservo("recognize", CLIP_PATH, "--engine", "pocketsphinx")
     assert done.returncode == 0, done.stderr

@@ -95,8 +95,12 @@ def recognize(
     check_weights_name(weights)
     source = FileSource(sound) if sound is not None else open_microphone(mic or DEFAULT_MICROPHONE)
     events = []
+
+    def warn(reason: str) -> None:
+        MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
+
     try:
-        for event in heard_events(source, engine, weights):
+        for event in heard_events(source, engine, weights, warn):
             if output is not None:
                 events.append(event)
             if as_json:
