@@ -34,7 +34,7 @@ def run_bridge(
     """
     clock = MonotonicClock()
     with ControlSocket(control) as requests, bus:
-        bridge.arm()
+        bridge.start()
         run_on_time()
         level = StopLevel.SOFT
         troubles = bridge.troubles
@@ -52,7 +52,7 @@ def run_bridge(
             if stopped() or not parent_is_alive(parent):
                 break
         if level is StopLevel.LIMP:
-            bridge.stop()
+            bridge.stop(StopLevel.LIMP)
         else:
             bridge.ease_to_neutral(clock)  # a frozen face goes limp where it is
 

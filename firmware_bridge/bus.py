@@ -70,19 +70,14 @@ class ServoBus(Protocol):
     """All servos of one face, spoken to as one, in joint degrees.
 
     Use it as a context manager: it holds its port from `__enter__` to `__exit__`, and leaving
-    always switches torque off first. Every method raises PortError when the port fails.
+    first switches torque off on every servo that it was switched on for. Every method raises
+    PortError when the port fails. Only `TorqueGate` calls `enable_torque`.
     """
-
-    def set_torque(self, on: bool) -> None:
-        """Hold goals by force, or let every joint go limp.
-
-        Switching on moves a servo to its last goal; write the present position before.
-        """
 
     def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
         """Give every servo its next goal, (n_servos,); returns before they arrive.
 
-        A servo keeps its old goal when the new one lies outside its own range.
+        A servo keeps its old goal when the new one lies outside its own range, or is NaN.
         Raises ValueError for any other shape.
         """
 
@@ -95,17 +90,36 @@ class ServoBus(Protocol):
     def look_after(self) -> Health:
         """Ask one servo, the next in turn, how it is; what is known of all."""
 
-    def wake(self, index: int) -> bool:
-        """Let one limp servo hold the place where it stands; whether it now does."""
+    def obstacle(self, index: int) -> str:
+        """Why one servo cannot hold its place as the face's YAML says; empty: it can.
 
-    def relax(self, index: int) -> None:
-        """Let one servo go limp."""
+        Asks who it is, how it is set up, and where it stands; changes nothing.
+        """
+
+    def enable_torque(self, index: int) -> str:
+        """Let one servo hold the place where it stands; why it does not, empty: it confirmed.
+
+        The goal becomes the place first, so that nothing moves; speed and strength start low; the
+        bus watchdog runs. A servo with an obstacle gets no torque.
+        """
+
+    def keep_torque(self, index: int) -> bool:
+        """Let a servo that holds go on holding where it stands; whether it holds.
+
+        Switches no torque on: after a lost connection, for a face frozen by a person.
+        """
+
+    def disable_torque(self, index: int) -> bool:
+        """Let one servo go limp; whether it confirmed."""
+
+    def disable_all(self) -> NDArray[np.bool_]:
+        """Let every servo go limp now; which of them confirmed, (n_servos,)."""
 
     def reboot(self, index: int) -> None:
         """Restart one servo: clears its hardware error; it comes back limp."""
 
     def reopen(self) -> None:
-        """Open the port again after PortGone; all servos are limp or stopped by themselves."""
+        """Open the port again after it has failed. Asks no servo anything."""
 
     def __enter__(self) -> Self: ...
 

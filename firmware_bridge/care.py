@@ -7,7 +7,7 @@ DRIVEN ──silent, torque lost──▶ WAITING ──answers, wakes──▶ 
 """
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Final, Protocol
 
@@ -50,31 +50,46 @@ class ServoState(IntEnum):
     FAILED = 4
 
 
-class Nurse(Protocol):
-    """The part of a bus that care needs."""
+class TorquePort(Protocol):
+    """What supervision needs of `TorqueGate`."""
 
-    def wake(self, index: int) -> bool:
-        """Let it hold its place."""
+    def refusal(self, index: int) -> str:
+        """Why this servo must not hold torque; empty: it may."""
 
-    def relax(self, index: int) -> None:
-        """Let it go limp."""
+    def enable(self, index: int) -> str:
+        """Let it hold its place; why it does not, empty: it does."""
+
+    def disable(self, index: int) -> bool:
+        """Let it go limp; whether it confirmed."""
 
     def reboot(self, index: int) -> None:
         """Restart it."""
+
+    def give_up(self, index: int, because: str) -> None:
+        """Never again."""
 
 
 class ServoCare:
     """One decision a tick, about the servo that needs it most; arrays are (n_servos,).
 
-    reasons: why each servo is not driven, in words; empty while it is.
+    reasons: why each servo is not driven, in words; empty while it is, or before it was tried.
+    n_changes: how often a reason has changed, so that a loop need not compare texts.
     """
 
-    def __init__(self, joints: Sequence[Joint], tracking: TrackingRule | None = None) -> None:
+    def __init__(
+        self,
+        joints: Sequence[Joint],
+        tracking: TrackingRule | None = None,
+        given_up: Mapping[int, str] | None = None,
+    ) -> None:
+        """given_up: reason by index, of servos that stay limp from the beginning."""
         n = len(joints)
         self._tracking = TrackingMonitor(n, tracking or TrackingRule())
         self._behind = np.zeros(n, dtype=np.bool_)
         self.reasons = [""] * n
+        self.n_changes = 0
         self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
+        self.n_reboots = np.zeros(n, dtype=np.int64)
         self._critical = np.array([joint.critical for joint in joints])
         self._any_critical = bool(self._critical.any())
         self._until_s = np.zeros(n)
@@ -82,6 +97,9 @@ class ServoCare:
         self._duty = np.zeros(n)
         self._duty_at_s: float | None = None
         self._next = 0
+        for index, why in (given_up or {}).items():
+            self.states[index] = ServoState.FAILED
+            self._explain(index, why)
 
     @property
     def driven(self) -> NDArray[np.bool_]:
@@ -96,18 +114,23 @@ class ServoCare:
         lost = np.flatnonzero(self._critical & (self.states == ServoState.FAILED))
         return int(lost[0]) if len(lost) else None
 
-    def woke(self, index: int, *, willing: bool, time_s: float) -> None:
-        """Note how an attempt to wake a servo went."""
-        self.states[index] = ServoState.DRIVEN if willing else ServoState.WAITING
+    @property
+    def settled(self) -> bool:
+        """Whether every servo is driven, or there is a reason why it is not."""
+        return all(self.reasons[i] for i in np.flatnonzero(self.states != ServoState.DRIVEN))
+
+    def tried(self, index: int, why_not: str, time_s: float) -> None:
+        """Note how an attempt to enable a servo went; empty: it holds its place."""
+        self.states[index] = ServoState.WAITING if why_not else ServoState.DRIVEN
         self._until_s[index] = time_s + _RETRY_S
         self._behind[index] = False
         self._tracking.excuse(index, time_s + _CATCH_UP_S)
-        self.reasons[index] = "" if willing else "will not hold its place"
+        self._explain(index, why_not)
 
-    def lose_all(self, time_s: float) -> None:
-        """The port is gone: nobody is driven."""
-        self.states[self.states != ServoState.FAILED] = ServoState.WAITING
-        self._until_s[:] = time_s
+    def lose_all(self, time_s: float, why: str = "") -> None:
+        """Nobody is driven any more: the port is gone, or all were let go."""
+        for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
+            self._wait(index, time_s, why)
 
     def follow(self, sent_deg: NDArray[np.float64], feedback: Feedback) -> None:
         """Compare the goals sent last with where the servos stand."""
@@ -123,17 +146,17 @@ class ServoCare:
         worked = 2.0 - self._duty / _DUTY_FULL
         return np.clip(np.minimum(warm, worked), _LEAST_SCALE, 1.0)
 
-    def look(self, health: Health, time_s: float, nurse: Nurse) -> int | None:
-        """Act on one servo at most; the index of one that was woken just now."""
+    def look(self, health: Health, time_s: float, port: TorquePort) -> int | None:
+        """Act on one servo at most; the index of one that was enabled just now."""
         if self._all_well(health):
             return None
         n = len(self.states)
         for k in range(n):
             index = (self._next + k) % n
-            acted, woken = self._treat(index, health, time_s, nurse)
+            acted, enabled = self._treat(index, health, time_s, port)
             if acted:
                 self._next = index + 1
-                return index if woken else None
+                return index if enabled else None
         return None
 
     def _all_well(self, health: Health) -> bool:
@@ -143,39 +166,47 @@ class ServoCare:
         ill |= health.watchdog_tripped | ~health.torque_on | self._behind
         return not ill.any()
 
-    def _treat(self, i: int, health: Health, time_s: float, nurse: Nurse) -> tuple[bool, bool]:
-        """Whether anything was done, and whether the servo is awake now."""
+    def _treat(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
+        """Whether anything was done, and whether the servo holds now."""
         state = self.states[i]
         if state == ServoState.DRIVEN:
-            return self._check(i, health, time_s, nurse), False
-        if time_s < self._until_s[i] or state == ServoState.FAILED:
+            return self._check(i, health, time_s, port), False
+        if time_s < self._until_s[i]:
+            return False, False
+        if state in (ServoState.COOLING, ServoState.FAILED) and health.torque_on[i]:
+            # Its torque was switched off and it has not confirmed: again, until it does.
+            self._until_s[i] = time_s + _RETRY_S
+            port.disable(i)
+            return True, False
+        if state == ServoState.FAILED or port.refusal(i):
             return False, False
         if state == ServoState.COOLING:
-            return self._revive(i, health, time_s, nurse), False
+            return self._revive(i, health, time_s, port), False
         if state == ServoState.REBOOTING:
             self.states[i] = ServoState.WAITING
         if health.silent_s[i] >= SILENT_S:
+            self._explain(i, self.reasons[i] or "does not answer; check its power and cable")
             return False, False
         if health.hardware_errors[i]:
             self._cool(i, time_s)
             return True, False
-        willing = nurse.wake(i)
-        self.woke(i, willing=willing, time_s=time_s)
-        return True, willing
+        why_not = port.enable(i)
+        self.tried(i, why_not, time_s)
+        return True, not why_not
 
-    def _check(self, i: int, health: Health, time_s: float, nurse: Nurse) -> bool:
+    def _check(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
         if health.silent_s[i] >= SILENT_S:
             self._wait(i, time_s, "does not answer")
             return False
         if health.hardware_errors[i] or health.room_degc[i] <= 0.0:
             error = int(health.hardware_errors[i])
-            self._let_go(i, time_s, nurse, describe_errors(error) if error else "too hot")
+            self._let_go(i, time_s, port, describe_errors(error) if error else "too hot")
             return True
         if self._behind[i]:
             off_deg, rule = self._tracking.error_deg[i], self._tracking.rule
             why = f"does not follow, {off_deg:.0f} deg off for {rule.after_s:g} s: jammed or weak"
-            self._let_go(i, time_s, nurse, why)
-            self._count(i, time_s)
+            self._let_go(i, time_s, port, why)
+            self._count(i, time_s, port)
             return True
         if health.watchdog_tripped[i]:
             self._wait(i, time_s, "stopped by its watchdog")
@@ -186,27 +217,33 @@ class ServoCare:
     def _wait(self, i: int, time_s: float, why: str) -> None:
         self.states[i] = ServoState.WAITING
         self._until_s[i] = time_s
-        self.reasons[i] = why
+        self._explain(i, why)
 
-    def _let_go(self, i: int, time_s: float, nurse: Nurse, why: str) -> None:
-        nurse.relax(i)
-        self.reasons[i] = why
+    def _explain(self, i: int, why: str) -> None:
+        if self.reasons[i] != why:
+            self.reasons[i] = why
+            self.n_changes += 1
+
+    def _let_go(self, i: int, time_s: float, port: TorquePort, why: str) -> None:
+        port.disable(i)
+        self._explain(i, why)
         self._cool(i, time_s)
 
     def _cool(self, i: int, time_s: float) -> None:
         self.states[i] = ServoState.COOLING
         self._until_s[i] = time_s + _COOL_DOWN_S
 
-    def _count(self, i: int, time_s: float) -> None:
+    def _count(self, i: int, time_s: float, port: TorquePort) -> None:
         """One more time out of three within ten minutes; then it stays limp."""
         past = self._reboots[i]
         if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
             self.states[i] = ServoState.FAILED
-            self.reasons[i] += ", again and again: it stays limp"
+            self._explain(i, f"{self.reasons[i]}, again and again: it stays limp")
+            port.give_up(i, self.reasons[i])
             return
         past.append(time_s)
 
-    def _revive(self, i: int, health: Health, time_s: float, nurse: Nurse) -> bool:
+    def _revive(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
         if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
             return False
         if not health.hardware_errors[i]:
@@ -217,10 +254,11 @@ class ServoCare:
             and health.silent_s[i] > SILENT_S
         ):
             return False
-        self._count(i, time_s)
+        self._count(i, time_s, port)
         if self.states[i] == ServoState.FAILED:
             return False
-        nurse.reboot(i)
+        self.n_reboots[i] += 1
+        port.reboot(i)
         self.states[i] = ServoState.REBOOTING
         self._until_s[i] = time_s + _REBOOT_S
         return True

@@ -44,12 +44,40 @@ class Health:
 
     silent_s: how long nothing has come from it. torque_on: as its register says.
     watchdog_tripped: it stopped by itself since it heard nothing.
-    room_degc: how far it is below its own temperature limit.
+    temperature_degc: NaN = never heard; room_degc: how far it is below its own limit.
+    effort: share of the stall torque; current_ma: NaN where it is not measured.
+    n_unanswered: questions of the tick that it did not answer so far.
     """
 
     silent_s: NDArray[np.float64]
     torque_on: NDArray[np.bool_]
     watchdog_tripped: NDArray[np.bool_]
     hardware_errors: NDArray[np.uint8]
+    temperature_degc: NDArray[np.float64]
     room_degc: NDArray[np.float64]
     voltage_v: NDArray[np.float64]
+    effort: NDArray[np.float64]
+    current_ma: NDArray[np.float64]
+    n_unanswered: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoHealth:
+    """How one servo is, for people: a log, a table, a page. NaN: never heard.
+
+    state: `ServoState` in words. load: share of the stall torque, 0..1. current_ma: None where the
+    model does not measure it. hardware_errors: bits of `HardwareError`. n_reboots, n_unanswered:
+    since the bridge was made.
+    """
+
+    name: str
+    servo_id: int
+    state: str
+    temperature_degc: float
+    load: float
+    voltage_v: float
+    current_ma: float | None
+    hardware_errors: int
+    n_reboots: int
+    n_unanswered: int
+    torque_on: bool

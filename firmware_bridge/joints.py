@@ -36,3 +36,8 @@ class Joint:
                 f"joint {self.name!r}: max_acceleration_deg_s2 must be positive, "
                 f"got {self.max_acceleration_deg_s2}"
             )
+
+
+def named(joint: Joint) -> str:
+    """How a joint's servo is called in a message."""
+    return f"servo {joint.name!r} (id {joint.servo_id})"

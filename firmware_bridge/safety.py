@@ -17,9 +17,11 @@ from firmware_bridge.joints import Joint
 
 #: Rounding of float64 arithmetic is no violation; a servo's own step is 0.088 deg.
 _SAME_DEG = 1e-6
-#: One missed tick may be made up for in the next step. After a longer stall the servos stand still
-#: at the last goal, so elapsed time earns nothing more: the motion starts again from rest.
-_LONGEST_STEP_PERIODS = 2.0
+#: Missed ticks are not made up for: the servos stood still at the last goal meanwhile, and a step
+#: of two periods would be run through at twice the speed that a person was promised.
+_LONGEST_STEP_PERIODS = 1.0
+#: After so long without a goal the servos stand: an acceleration-limited motion starts from rest.
+_STALL_PERIODS = 2.0 + 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +76,11 @@ class Limiter:
         return self._sent_deg
 
     @property
+    def sent_at_s(self) -> float:
+        """When they were."""
+        return self._sent_at_s
+
+    @property
     def counts(self) -> GateCounts:
         """How often each kind of limit was hit so far."""
         return GateCounts(
@@ -93,6 +100,17 @@ class Limiter:
         self._sent_deg = positions_deg.copy()
         self._sent_at_s = time_s
         self._acceleration.rest_at(positions_deg)
+
+    def follow(self, joints: NDArray[np.bool_], positions_deg: NDArray[np.float64]) -> None:
+        """Take as sent where some joints stand that get no goals; what is not known stays.
+
+        joints: which, (n_joints,); positions_deg: (n_joints,), NaN = not known. So the rules
+        between joints count with where a limp joint is.
+        """
+        known = joints & np.isfinite(positions_deg)
+        self._sent_deg = np.where(known, positions_deg, self._sent_deg)
+        for index in np.flatnonzero(known).tolist():
+            self._acceleration.rest_one(index, float(positions_deg[index]))
 
     def start_one(self, index: int, position_deg: float) -> None:
         """Take one joint's present position as sent. Raises ValueError unless it is finite."""
@@ -119,7 +137,7 @@ class Limiter:
         wanted_deg = np.where(finite, positions_deg, self._sent_deg)
         in_range_deg = np.clip(wanted_deg, self._min_deg, self._max_deg)
         since_s = max(0.0, time_s - self._sent_at_s)
-        if since_s > self._longest_step_s * (1.0 + 1e-6):
+        if since_s > _STALL_PERIODS * self._longest_step_s:
             self._acceleration.rest_at(self._sent_deg)
         elapsed_s = min(since_s, self._longest_step_s)
         step_deg = self._max_speed_deg_s * elapsed_s

@@ -97,14 +97,13 @@ def make_street(
     source: AudioSource,
     bus: ServoBus,
     rate_hz: float,
-    zero_s: float,
     recognizer: LiveRecognizer,
     synthesizer: Synthesizer,
     *,
     dry_run: bool = False,
 ) -> Street:
-    """Everything between an entered source and an entered bus; the sound begins at `zero_s`."""
+    """Everything between an entered source and an entered bus."""
     channel = MemoryTargetChannel()
     speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
-    return Street(speech, bridge, zero_s)
+    return Street(speech, bridge, face.model.rest)

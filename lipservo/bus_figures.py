@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from firmware_bridge.bridge import Bridge
+from firmware_bridge.care import ServoState
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import MonotonicClock, ticks
 from firmware_bridge.dynamixel import codec
@@ -112,7 +113,7 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
             servos = [MountedServo(joint, model) for joint in joints]
             with DynamixelBus(servos, lambda: open_port(str(link), BAUD_RATE)) as bus:
                 bridge = Bridge(bus, joints, channel, rate_hz=_REPLUG_RATE_HZ, tolerant=True)
-                bridge.arm()
+                bridge.start()
                 back_s = awake_s = 0.0
                 for time_s, late in ticks(clock, _REPLUG_RATE_HZ):
                     channel.publish(ServoTargets(time_s, np.zeros(n_servos)))
@@ -120,7 +121,9 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
                     bridge.tick(time_s, late)
                     if before.n_unplugged and not back_s and link.exists():
                         back_s = link.lstat().st_mtime - time.time() + clock.now()
-                    if bridge.status.n_armed == 2 and not awake_s:
+                    states = bridge.status.servo_states
+                    driven = bridge.plugged and all(s is ServoState.DRIVEN for s in states)
+                    if back_s and driven and not awake_s:
                         awake_s = clock.now()
                     if awake_s and bus.at_full_strength:
                         full_s = clock.now()

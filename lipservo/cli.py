@@ -16,6 +16,7 @@ from lipservo.commands import (
     street,
     training,
 )
+from lipservo.face_life import FaceStopped, exit_status
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -59,9 +60,13 @@ def main() -> None:
     try:
         app(_with_default_microphone(sys.argv[1:]))
     except (UserError, BusError) as error:
-        for line in str(error).splitlines():
+        # Notes say what became of the servos.
+        for line in "\n".join([str(error), *getattr(error, "__notes__", [])]).splitlines():
             sys.stderr.write(f"lipservo: {line}\n")
         sys.exit(1)
+    except FaceStopped as stop:
+        sys.stderr.write(f"lipservo: {stop}\n")
+        sys.exit(exit_status(stop.report, stop.signal_number))
 
 
 def _with_default_microphone(arguments: list[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The loop around the pipeline: clock, signals, and a defined end whatever happens."""
+"""The loop around the pipeline, on the life cycle of the face."""
 
 import signal
 import threading
@@ -6,44 +6,35 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
-from firmware_bridge.clock import Clock, ticks
+from firmware_bridge.life_cycle import LifeCycle
 from lipservo.pipeline import Street, TickObserver
 from lipservo.summary import Tally
 
 
 def play(
     street: Street,
-    clock: Clock,
+    life: LifeCycle,
     *,
-    rate_hz: float,
     until_s: float,
-    stop: threading.Event,
     tally: Tally,
     observers: Sequence[TickObserver] = (),
 ) -> None:
-    """Run the street on the clock's grid until monotonic `until_s` or until `stop` is set.
-
-    However it ends, also by an exception, the face eases to neutral and torque goes off.
-    """
-    street.bridge.arm()
-    try:
-        for time_s, late in ticks(clock, rate_hz):
-            if time_s >= until_s or stop.is_set():
-                break
-            tally.begin_tick(time_s)
-            tick = street.tick(time_s, late)
-            tally.observe(tick)
-            for observer in observers:
-                observer.observe(tick)
-    finally:
-        street.bridge.ease_to_neutral(clock)
+    """Run the street until monotonic `until_s` or until somebody stops the face; then to rest."""
+    for time_s, late in life.ticks():
+        if time_s >= until_s and not life.stopping:
+            life.stop()
+        tally.begin_tick(time_s)
+        tick = street.rest(time_s, late) if life.stopping else street.tick(time_s, late)
+        tally.observe(tick)
+        for observer in observers:
+            observer.observe(tick)
 
 
 @contextmanager
 def stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set, so that the loop ends at its next tick.
+    """An event that SIGINT and SIGTERM set: for work that moves nothing and has a result to keep.
 
-    A handler that only sets an event cannot leave a tick half done, wherever it strikes.
+    A handler that only sets an event cannot leave anything half done, wherever it strikes.
     """
     stop = threading.Event()
 

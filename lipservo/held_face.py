@@ -5,18 +5,21 @@ tracker does so in `hold`, or in `hold_while`, so that the servos hear something
 """
 
 import threading
-from collections.abc import Callable
-from contextlib import suppress
-from typing import Self, TypeVar
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from typing import Any, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import PortError, PortGone, ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
-from firmware_bridge.clock import Clock, ticks
+from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.budget import budget
+from firmware_bridge.life_cycle import LetGo, LifeCycle
+from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
+from lipservo.face_life import FaceStopped, face_life, say
 from lipservo.servos import bridge_for
 from lipservo.settings import FaceSettings
 
@@ -45,10 +48,11 @@ def held_rate_hz(settings: FaceSettings) -> float:
 
 
 class HeldFace:
-    """Servos of an open bus, armed from `__enter__` to `__exit__`; poses are of the mouth alone.
+    """Servos of an open bus, armed from `__enter__` to `__exit__`, on a life cycle of their own.
 
-    Poses are joint degrees (n_mouth_servos,) in the order of the YAML; all other joints stay at 0.
-    Raises what `Bridge` and the bus raise; the face is limp then.
+    Poses are joint degrees (n_joints,) of the joints named, by default the mouth's in the order of
+    the YAML; all others stay where they are asked to be at the beginning. Raises what `Bridge` and
+    the bus raise, and FaceStopped when a person stops the face; it is limp then.
     """
 
     def __init__(
@@ -58,16 +62,37 @@ class HeldFace:
         clock: Clock,
         *,
         speed_deg_s: float = SPEED_DEG_S,
+        joints: Sequence[str] | None = None,
+        from_neutral: bool = True,
+        end: StopLevel = StopLevel.SOFT,
     ) -> None:
+        """joints: which ones poses speak of. from_neutral: go there first, else stay in place.
+
+        end: how the face is left when the block ends well.
+        """
         self.rate_hz = held_rate_hz(settings)
         self._bus, self._clock = bus, clock
         self._channel = MemoryTargetChannel()
         self._bridge = bridge_for(settings, bus, self._channel, rate_hz=self.rate_hz)
+        self._life = face_life(self._bridge, clock, self.rate_hz, log=say)
         self._speed_deg_s = speed_deg_s
         names = list(settings.servos)
-        self._mouth = [names.index(name) for name in settings.mouth_servos]
+        self._posed = [names.index(name) for name in joints or settings.mouth_servos]
         self._goal_deg = np.zeros(len(names))
-        self._ticks = ticks(clock, self.rate_hz)
+        self._from_neutral = from_neutral
+        self._end = end
+        self._ticks = self._life.ticks()
+        self._leaving = ExitStack()
+
+    @property
+    def life(self) -> LifeCycle:
+        """What is known of its end."""
+        return self._life
+
+    @property
+    def stands_deg(self) -> Array:
+        """Where the posed joints stand, (n_joints,). Raises PortGone."""
+        return self._stands_deg()[self._posed]
 
     def move(self, goal_deg: Array) -> Array:
         """Lead the mouth there, wait until it stands, and say where it does."""
@@ -76,18 +101,10 @@ class HeldFace:
 
     def lead(self, goal_deg: Array) -> Array:
         """The same without waiting; where it stands on the way."""
-        whole_deg = np.zeros_like(self._goal_deg)
-        whole_deg[self._mouth] = goal_deg
-        start_deg = self._goal_deg
-        lasts_s = float(np.abs(whole_deg - start_deg).max()) / self._speed_deg_s
-        start_s = self._clock.now()
-        share = 0.0
-        while share < 1.0:
-            elapsed_s = self._clock.now() - start_s
-            share = min(1.0, elapsed_s / lasts_s) if lasts_s else 1.0
-            self._goal_deg = start_deg + share * (whole_deg - start_deg)
-            self._tick()
-        return self._stands_deg()[self._mouth]
+        whole_deg = self._goal_deg.copy()
+        whole_deg[self._posed] = goal_deg
+        self._lead_all(whole_deg)
+        return self.stands_deg
 
     def hold(self, seconds: float) -> None:
         """Stay for a while."""
@@ -125,32 +142,53 @@ class HeldFace:
             raise ValueError(f"this face is driven at {self.rate_hz:g} Hz, not {rate_hz:g}")
         self.move(goals_deg[0])
         seen_deg = np.full(goals_deg.shape, np.nan)
-        next(self._ticks)  # those that passed until now are of no concern
+        self._next_tick()  # those that passed until now are of no concern
         row = -1
-        for time_s, late in self._ticks:
+        while True:
+            time_s, late = self._next_tick()
             row += 1 + late
             if row >= len(goals_deg):
                 break
             whole_deg = self._goal_deg.copy()
-            whole_deg[self._mouth] = goals_deg[row]
+            whole_deg[self._posed] = goals_deg[row]
             self._goal_deg = whole_deg
             self._send(time_s, late)
             self._clock.sleep_until(time_s + 0.5 / rate_hz)
-            seen_deg[row] = self._stands_deg()[self._mouth]
+            seen_deg[row] = self._stands_deg()[self._posed]
         return _filled(seen_deg)
 
     def __enter__(self) -> Self:
-        self._goal_deg = np.nan_to_num(self._bus.read().positions_deg)
-        self._bridge.arm()
-        self.move(np.zeros(len(self._mouth)))
+        with ExitStack() as leaving:
+            leaving.enter_context(self._life)
+            self._life.start()
+            self._goal_deg = np.nan_to_num(self._bus.read().positions_deg)
+            if self._from_neutral:
+                self._lead_all(np.zeros_like(self._goal_deg))
+                self._settle()
+            self._leaving = leaving.pop_all()
+        if self._life.report is not None:  # let go by a second signal
+            raise FaceStopped(self._life.report, self._life.signal_number)
         return self
 
-    def __exit__(self, kind: object, *_: object) -> None:
-        if kind is None:
-            self._bridge.ease_to_neutral(self._clock)
-        else:
-            with suppress(PortError):  # nobody to tell: the servos' own watchdog stops them
-                self._bridge.stop()
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: Any
+    ) -> None:
+        if kind is None and not self._life.stopping:
+            self._life.stop(self._end)
+        self._leaving.__exit__(kind, error, trace)
+        if kind is LetGo and self._life.report is not None:
+            raise FaceStopped(self._life.report, self._life.signal_number)
+
+    def _lead_all(self, whole_deg: Array) -> None:
+        start_deg = self._goal_deg
+        lasts_s = float(np.abs(whole_deg - start_deg).max()) / self._speed_deg_s
+        start_s = self._clock.now()
+        share = 0.0
+        while share < 1.0:
+            elapsed_s = self._clock.now() - start_s
+            share = min(1.0, elapsed_s / lasts_s) if lasts_s else 1.0
+            self._goal_deg = start_deg + share * (whole_deg - start_deg)
+            self._tick()
 
     def _settle(self) -> Array:
         """Until every encoder is still, for as long as any servo needs at most."""
@@ -162,7 +200,7 @@ class HeldFace:
             if np.abs(now_deg - before_deg).max() < _STILL_DEG:
                 break
             before_deg = now_deg
-        return self._stands_deg()[self._mouth]
+        return self._stands_deg()[self._posed]
 
     def _stands_deg(self) -> Array:
         try:
@@ -173,8 +211,13 @@ class HeldFace:
             ) from error
 
     def _tick(self) -> None:
-        time_s, late = next(self._ticks)
-        self._send(time_s, late)
+        self._send(*self._next_tick())
+
+    def _next_tick(self) -> tuple[float, int]:
+        """Raises FaceStopped when a person stopped the face, once it has come to its end."""
+        for time_s, late in self._ticks:
+            return time_s, late
+        raise FaceStopped(self._bridge.stop_report(), self._life.signal_number)
 
     def _send(self, time_s: float, late: int) -> None:
         self._channel.publish(ServoTargets(time_s, self._goal_deg))

@@ -19,6 +19,7 @@ from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.process import on_time
+from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 from lipservo.sim_process import simulated_port
 from lipservo.summary import Histogram
@@ -87,7 +88,7 @@ def _driven_servos(rate_hz: float) -> Iterator[Tick]:
         DynamixelBus(servos, lambda: open_port(port, _BAUD_RATE)) as bus,
     ):
         bridge = Bridge(bus, joints, channel, rate_hz=rate_hz, tolerant=True)
-        bridge.arm()
+        bridge.start()
 
         def tick(time_s: float, late: int) -> None:
             wanted_deg = np.full(_N_SERVOS, 20.0 * np.sin(2.0 * np.pi * time_s))
@@ -95,7 +96,7 @@ def _driven_servos(rate_hz: float) -> Iterator[Tick]:
             bridge.tick(time_s, late)
 
         yield tick
-        bridge.stop()
+        bridge.stop(StopLevel.LIMP)
 
 
 @contextmanager

@@ -1,24 +1,30 @@
 """Moving a face to a pose by hand: the same bus, bridge and gate as speech uses."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_bridge.channel import MemoryTargetChannel
-from firmware_bridge.clock import MonotonicClock, ticks
-from firmware_bridge.targets import ServoTargets
+from firmware_bridge.clock import MonotonicClock
+from firmware_bridge.stopping import StopLevel, StopReport
 from lipservo.assembly import load_settings, settings_at_port
-from lipservo.servos import bridge_for, bus_for
+from lipservo.held_face import HeldFace
+from lipservo.servos import bus_for
 from lipsync.errors import UserError
 
-#: Slow enough to watch and to stop; no joint is in a hurry here.
-_SPEED_DEG_S = 30.0
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """Where every joint stood before it was let go, degrees, and what the servos said of that."""
+
+    reached_deg: dict[str, float]
+    report: StopReport
 
 
 def move_to(
     config: str, port: str | None, wanted_deg: Mapping[str, float] | None, hold_s: float
-) -> dict[str, float]:
-    """Lead the named joints, None: all to neutral, and say where every joint stands in the end.
+) -> Moved:
+    """Lead the named joints, None: all to neutral, and let go there.
 
     Raises UserError for a joint or an angle that the face has not; nothing has moved then.
     """
@@ -36,25 +42,17 @@ def move_to(
                 f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g}"
             )
     clock = MonotonicClock()
-    channel = MemoryTargetChannel()
-    with bus_for(settings, clock) as bus:
-        bridge = bridge_for(settings, bus, channel)
-        start_deg = bus.read().positions_deg
-        goal_deg = np.zeros(len(joints)) if wanted_deg is None else start_deg.copy()
+    with (
+        bus_for(settings, clock) as bus,
+        HeldFace(
+            settings, bus, clock, joints=names, from_neutral=False, end=StopLevel.LIMP
+        ) as face,
+    ):
+        goal_deg = np.zeros(len(joints)) if wanted_deg is None else face.stands_deg
         for name, angle_deg in (wanted_deg or {}).items():
             goal_deg[names.index(name)] = angle_deg
-        try:
-            bridge.arm()
-            start_s = clock.now()
-            lasts_s = float(np.abs(goal_deg - start_deg).max()) / _SPEED_DEG_S
-            for time_s, late in ticks(clock, settings.rate_hz):
-                share = min(1.0, (time_s - start_s) / lasts_s) if lasts_s else 1.0
-                between_deg = start_deg + share * (goal_deg - start_deg)
-                channel.publish(ServoTargets(time_s, between_deg))
-                bridge.tick(time_s, late)
-                if time_s - start_s > lasts_s + hold_s:
-                    break
-            reached_deg = bus.read().positions_deg
-        finally:
-            bridge.stop()
-    return dict(zip(names, reached_deg.tolist(), strict=True))
+        face.lead(goal_deg)
+        face.hold(hold_s)
+        reached_deg = face.stands_deg
+    assert face.life.report is not None
+    return Moved(dict(zip(names, reached_deg.tolist(), strict=True)), face.life.report)

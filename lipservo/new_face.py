@@ -10,7 +10,7 @@ import yaml
 from calibration.lerobot_ranges import RecordedRange
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.channel import MemoryTargetChannel
-from firmware_bridge.clock import MonotonicClock, ticks
+from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import model_by_number, register, servo_models
 from firmware_bridge.dynamixel.line import Line
@@ -18,7 +18,9 @@ from firmware_bridge.dynamixel.mounting import CENTER_PULSE, PULSES_PER_TURN, Mo
 from firmware_bridge.dynamixel.provisioning import SCANNED_RATES, scan
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.joints import Joint
+from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
+from lipservo.face_life import FaceStopped, face_life
 from lipservo.servos import port_opener
 from lipsync.errors import UserError
 
@@ -97,16 +99,19 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     with DynamixelBus([servo], port_opener(port, rate)) as bus:
         bridge = Bridge(bus, [joint], channel, rate_hz=_NUDGE_RATE_HZ)
-        bridge.arm()
-        start_s = clock.now()
-        for time_s, late in ticks(clock, _NUDGE_RATE_HZ):
-            share = 1.0 - abs((time_s - start_s) / _NUDGE_S - 1.0)
-            goal_deg = NUDGE_DEG * min(max(share * 2.0, 0.0), 1.0)
-            channel.publish(ServoTargets(time_s, np.array([goal_deg])))
-            bridge.tick(time_s, late)
-            if share < 0.0:
-                break
-        bridge.stop()
+        with face_life(bridge, clock, _NUDGE_RATE_HZ) as life:
+            life.start()
+            start_s = clock.now()
+            for time_s, late in life.ticks():
+                share = 1.0 - abs((time_s - start_s) / _NUDGE_S - 1.0)
+                goal_deg = NUDGE_DEG * min(max(share * 2.0, 0.0), 1.0)
+                channel.publish(ServoTargets(time_s, np.array([goal_deg])))
+                bridge.tick(time_s, late)
+                if share < 0.0 and not life.stopping:
+                    life.stop(StopLevel.LIMP)
+    assert life.report is not None
+    if life.signal_number is not None or not life.report.complete:
+        raise FaceStopped(life.report, life.signal_number)
     return int(place)
 
 

@@ -1,7 +1,6 @@
 """One face playing one source from beginning to end, on whatever clock it is given."""
 
 import math
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -9,8 +8,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.stopping import StopReport
 from lipservo.assembly import Face, assemble_face, at_port, check_servos, make_bus, make_street
 from lipservo.daemon import play
+from lipservo.face_life import face_life, say
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
 from lipservo.output import MESSAGES
 from lipservo.pipeline import Street, TickObserver
@@ -20,6 +21,15 @@ from lipsync.audio.source import AudioSource
 
 #: The mouth closes after the last sound; then the run is over.
 _TAIL_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """What came of it. signal_number: of the signal that stopped it, if one did."""
+
+    summary: Summary
+    report: StopReport
+    signal_number: int | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,49 +53,46 @@ class Performance:
     port: str | None = None
     dry_run: bool = False
 
-    def play(self, source: AudioSource, clock: Clock, stop: threading.Event) -> Summary:
+    def play(self, source: AudioSource, clock: Clock) -> Played:
         """Play an entered source to its end or until stopped; the face is limp afterwards."""
         began_s = time.perf_counter()
         face = at_port(assemble_face(self.config, self.model), self.port)
         check_servos(face)
         rate_hz = face.settings.rate_hz if self.rate_hz is None else self.rate_hz
         length_s = math.inf if self.endless or source.duration_s is None else source.duration_s
+        # On a clock of its own nobody waits, and the same file must give the same trace.
+        timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
+        recognizer = make_recognizer(self.manner.engine, timer_s, self.manner.weights)
+        synthesizer = make_synthesizer(face.model, self.manner)
         with make_bus(face, clock) as bus:
-            zero_s = clock.now()
-            # On a clock of its own nobody waits, and the same file must give the same trace.
-            timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
-            recognizer = make_recognizer(self.manner.engine, timer_s, self.manner.weights)
-            synthesizer = make_synthesizer(face.model, self.manner)
             street = make_street(
-                face,
-                source,
-                bus,
-                rate_hz,
-                zero_s,
-                recognizer,
-                synthesizer,
-                dry_run=self.dry_run,
+                face, source, bus, rate_hz, recognizer, synthesizer, dry_run=self.dry_run
             )
             delay = street.speech.delay
             if not self.quiet:
                 MESSAGES.print(f"delay from sound to face: {delay}")
             tally = Tally(clock, street)
-            with self._observers(face, street, source, clock, rate_hz) as observers:
-                play(
-                    street,
-                    clock,
-                    rate_hz=rate_hz,
-                    until_s=zero_s + length_s + delay.total_s + _TAIL_S,
-                    stop=stop,
-                    tally=tally,
-                    observers=observers,
-                )
-            heard_s = min(length_s, clock.now() - zero_s)
+            life = face_life(street.bridge, clock, rate_hz, log=self._log)
+            zero_s = clock.now()
+            with life, self._observers(face, street, source, clock, rate_hz) as observers:
+                life.start()
+                zero_s = clock.now()
+                street.begin(zero_s)
+                until_s = zero_s + length_s + delay.total_s + _TAIL_S
+                play(street, life, until_s=until_s, tally=tally, observers=observers)
+            heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         took_s = time.perf_counter() - began_s
         for reason in recognizer.reasons:
             MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
         summary = tally.summary(source.name, heard_s, took_s, source.lost_blocks)
-        return replace(summary, recognizer=recognizer.level)
+        assert life.report is not None
+        return Played(
+            replace(summary, recognizer=recognizer.level), life.report, life.signal_number
+        )
+
+    def _log(self, line: str) -> None:
+        if not self.quiet:
+            say(line)
 
     @contextmanager
     def _observers(

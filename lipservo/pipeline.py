@@ -180,9 +180,15 @@ class TickObserver(Protocol):
 class Street:
     """Speech and bridge in one process, joined by a target channel."""
 
-    def __init__(self, speech: Speech, bridge: Bridge, zero_s: float) -> None:
+    def __init__(self, speech: Speech, bridge: Bridge, rest: Array) -> None:
+        """rest: the face (n_components,) of a mouth at rest."""
         self.speech = speech
         self.bridge = bridge
+        self._rest = rest
+        self._zero_s = 0.0
+
+    def begin(self, zero_s: float) -> None:
+        """The sound begins at monotonic `zero_s`."""
         self._zero_s = zero_s
 
     def sound_time_s(self, display_s: float) -> float:
@@ -196,3 +202,8 @@ class Street:
         sound_s = self.sound_time_s(time_s)
         phoneme, coefficients = self.speech.shown_at(max(0.0, sound_s))
         return StreetTick(sound_s, phoneme, coefficients, report)
+
+    def rest(self, time_s: float, late: int) -> StreetTick:
+        """The same once the face is stopped: nothing is heard any more, the mouth goes to rest."""
+        report = self.bridge.tick(time_s, late)
+        return StreetTick(self.sound_time_s(time_s), SILENCE, self._rest, report)

@@ -13,7 +13,7 @@ from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.coupling import PreventRule
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
-from firmware_bridge.dynamixel.handshake import read_introductions
+from firmware_bridge.dynamixel.handshake import read_identities
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.dynamixel.transport import Transport
@@ -100,7 +100,7 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
     if face.bus.kind == "simulated" or face.bus.port is None:
         return ()
     mouth = [servo for servo in mounted_servos(face) if servo.joint.name in face.mouth_servos]
-    said = read_introductions(port_opener(face.bus.port, face.bus.baud_rate), mouth)
+    said = read_identities(port_opener(face.bus.port, face.bus.baud_rate), mouth)
     keys = [field.name for field in fields(ServoMemory)]
     return tuple(
         None if each is None else ServoMemory(*(each.eeprom[key] for key in keys)) for each in said

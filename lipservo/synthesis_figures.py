@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,7 +29,7 @@ def replay_speed(recordings: Sequence[Path]) -> float:
 
     def speed(recording: Path) -> float:
         with SilenceAfter(FileSource(recording)) as source:
-            return performance.play(source, ManualClock(), threading.Event()).speed
+            return performance.play(source, ManualClock()).summary.speed
 
     return min(float(np.median([speed(r) for _ in range(_REPLAYS)])) for r in recordings)
 

@@ -8,8 +8,10 @@ from firmware_bridge.bus import ServoError
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.joints import Joint
+from firmware_bridge.report import FaceState
 from firmware_bridge.safety import StaleLevel
 from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 
 JAW = Joint("jaw", 1, min_deg=-2.0, max_deg=25.0, max_speed_deg_s=300.0)
@@ -37,6 +39,12 @@ class Face:
     def ticks(self, n, wanted_deg=None):
         return [self.tick(wanted_deg) for _ in range(n)]
 
+    def end(self, level=StopLevel.SOFT):
+        """Stop, and tick until it has come to its end."""
+        self.bridge.stop(level)
+        while self.bridge.state is not FaceState.ENDED:
+            self.tick()
+
 
 @pytest.fixture
 def face():
@@ -46,7 +54,7 @@ def face():
 
 
 def test_targets_reach_the_servos(face):
-    face.bridge.arm()
+    face.bridge.start()
     report = face.ticks(30, [20.0, -10.0])[-1]
 
     np.testing.assert_allclose(report.sent_deg, [20.0, -10.0])
@@ -67,7 +75,7 @@ def test_arming_moves_nothing_whatever_goal_the_servos_remember():
     face = Face(start_deg=(12.0, -7.0))
     with face.bus:
         face.bus.write_positions(np.array([25.0, 40.0]))
-        face.bridge.arm()
+        face.bridge.start()
         face.clock.advance(10.0)
         readings = face.bus.read()
 
@@ -78,7 +86,7 @@ def test_arming_moves_nothing_whatever_goal_the_servos_remember():
 def test_a_joint_pushed_a_little_out_of_range_is_held_there_and_led_back():
     face = Face(start_deg=(28.0, 0.0))
     with face.bus:
-        face.bridge.arm()
+        face.bridge.start()
         sent_deg = [report.sent_deg[0] for report in face.ticks(3, [25.0, 0.0])]
 
     np.testing.assert_allclose(sent_deg, [28.0, 25.0, 25.0])
@@ -87,8 +95,8 @@ def test_a_joint_pushed_a_little_out_of_range_is_held_there_and_led_back():
 def test_a_servo_that_refuses_to_hold_its_place_is_named_and_all_stay_limp():
     face = Face(start_deg=(90.0, 0.0))
     with face.bus:
-        with pytest.raises(ServoError, match=r"'jaw' \(id 1\) stands at 90.0 deg.*-2\.\.25 deg"):
-            face.bridge.arm()
+        with pytest.raises(ServoError, match=r"'jaw' \(id 1\) stands at 90.0 deg.*-7\.\.30 deg"):
+            face.bridge.start()
 
         assert not face.bus.read().torque_on.any()
         assert not face.tick([0.0, 0.0]).torque_on
@@ -97,11 +105,11 @@ def test_a_servo_that_refuses_to_hold_its_place_is_named_and_all_stay_limp():
 def test_a_servo_without_an_answer_is_named():
     face = Face(start_deg=(0.0, math.nan))
     with face.bus, pytest.raises(ServoError, match=r"'lip' \(id 2\) does not answer"):
-        face.bridge.arm()
+        face.bridge.start()
 
 
 def test_goals_are_limited_in_range_and_speed_and_the_report_says_so(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.tick([0.0, 0.0])
     report = face.tick([30.0, 2.0])
 
@@ -112,7 +120,7 @@ def test_goals_are_limited_in_range_and_speed_and_the_report_says_so(face):
 
 
 def test_senseless_targets_are_counted_and_change_nothing(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.ticks(10, [10.0, 10.0])
     report = face.tick([math.nan, 0.0])
 
@@ -121,7 +129,7 @@ def test_senseless_targets_are_counted_and_change_nothing(face):
 
 
 def test_a_silent_speech_side_leads_to_hold_then_neutral_then_limp(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.ticks(50, [20.0, -20.0])
     reports = face.ticks(600)
     jaw_deg = np.array([report.sent_deg[0] for report in reports])
@@ -138,7 +146,7 @@ def test_a_silent_speech_side_leads_to_hold_then_neutral_then_limp(face):
 
 
 def test_easing_to_neutral_in_a_silence_never_hits_the_speed_limit(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.ticks(50, [25.0, -30.0])
     before = face.bridge.status.gate.rate_hits
     face.ticks(600)
@@ -147,7 +155,7 @@ def test_easing_to_neutral_in_a_silence_never_hits_the_speed_limit(face):
 
 
 def test_a_limp_face_wakes_without_a_jump_when_speech_returns(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.ticks(10, [20.0, 20.0])
     face.ticks(700)
     reports = face.ticks(20, [20.0, 20.0])
@@ -159,25 +167,27 @@ def test_a_limp_face_wakes_without_a_jump_when_speech_returns(face):
     assert face.bridge.status.n_armed == 2
 
 
-def test_a_limp_face_with_an_unwilling_servo_stays_limp_and_is_counted(face):
-    face.bridge.arm()
+def test_a_servo_that_cannot_hold_stays_limp_while_the_others_wake_and_is_named(face):
+    face.bridge.start()
     face.tick([0.0, 0.0])
     face.ticks(600)
     face.bus.push_by_hand(np.array([0.0, 90.0]))
-    reports = face.ticks(3, [0.0, 0.0])
+    face.ticks(3, [0.0, 0.0])
 
-    assert not any(report.torque_on for report in reports)
-    assert face.bridge.status.n_not_armed == 3
+    assert face.bus.read().torque_on.tolist() == [True, False]
+    assert "servo 'lip' (id 2) stands at 90.0 deg" in face.bridge.troubles[0]
 
     face.bus.push_by_hand(np.array([0.0, 30.0]))
+    face.ticks(60, [0.0, 0.0])
 
-    assert face.tick([0.0, 0.0]).torque_on
+    assert face.bus.read().torque_on.all()
+    assert face.bridge.troubles == ()
 
 
 def test_waiting_for_the_first_target_holds_the_place_then_eases_and_is_not_called_stale():
     face = Face(start_deg=(10.0, 0.0))
     with face.bus:
-        face.bridge.arm()
+        face.bridge.start()
         reports = face.ticks(110)
 
         assert reports[9].sent_deg[0] == 10.0
@@ -186,11 +196,11 @@ def test_waiting_for_the_first_target_holds_the_place_then_eases_and_is_not_call
 
 
 def test_targets_from_before_arming_do_not_move_the_face(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.ticks(10, [20.0, 20.0])
-    face.bridge.stop()
+    face.bridge.stop(StopLevel.LIMP)
     face.clock.advance(60.0)
-    face.bridge.arm()
+    face.bridge.start()
     present_deg = face.bus.read().positions_deg
     report = face.tick()
 
@@ -198,7 +208,7 @@ def test_targets_from_before_arming_do_not_move_the_face(face):
 
 
 def test_late_ticks_are_reported_and_counted(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.tick()
     face.clock.advance(0.055)
     report = face.tick()
@@ -209,18 +219,21 @@ def test_late_ticks_are_reported_and_counted(face):
 
 
 def test_at_the_end_the_face_eases_to_neutral_in_half_a_second_and_goes_limp(face):
-    face.bridge.arm()
+    face.bridge.start()
     face.ticks(50, [20.0, -20.0])
     start_s = face.clock.now()
     n_before = len(face.bus.history)
-    face.bridge.ease_to_neutral(face.clock)
+    face.end()
     motion = face.bus.history[n_before - 1 :]
     goals_deg = np.array([sample.goals_deg for sample in motion])
 
-    assert face.clock.now() - start_s == pytest.approx(0.5, abs=0.02)
+    assert face.clock.now() - start_s == pytest.approx(0.5, abs=0.04)
     np.testing.assert_array_equal(goals_deg[-1], [0.0, 0.0])
     assert np.abs(np.diff(goals_deg, axis=0)).max() <= 1.5 * 20.0 / 0.5 / RATE_HZ + 1e-9
     assert not face.bus.read().torque_on.any()
+    assert face.bridge.stop_report().text() == (
+        "stopped; the face is at rest and limp: confirmed by 2 servos"
+    )
 
 
 @pytest.mark.parametrize(("speed_deg_s", "seconds"), [(40.0, 0.75), (16.0, 1.875), (2.0, 2.0)])
@@ -229,35 +242,65 @@ def test_a_slow_joint_gets_the_time_it_needs_but_never_more_than_two_seconds(spe
     clock = ManualClock()
     with SimulatedBus([slow], clock, start_deg=np.array([20.0])) as bus:
         bridge = Bridge(bus, [slow], MemoryTargetChannel(), rate_hz=RATE_HZ)
-        bridge.arm()
-        bridge.ease_to_neutral(clock)
+        bridge.start()
+        bridge.stop(StopLevel.SOFT)
+        for time_s, late in ticks(clock, RATE_HZ):
+            bridge.tick(time_s, late)
+            if bridge.state is FaceState.ENDED:
+                break
 
-        assert clock.now() == pytest.approx(seconds, abs=0.02)
+        assert clock.now() == pytest.approx(seconds, abs=0.04)
         assert not bus.read().torque_on.any()
 
 
-def test_an_interrupted_easing_goes_limp_at_once(face):
-    class Interrupted(ManualClock):
-        def sleep_until(self, time_s):
-            if time_s > 0.2:
-                raise KeyboardInterrupt
-            super().sleep_until(time_s)
-
-    face.bridge.arm()
-    face.ticks(10, [20.0, 20.0])
-    with pytest.raises(KeyboardInterrupt):
-        face.bridge.ease_to_neutral(Interrupted(face.clock.now()))
+def test_limp_during_the_way_to_rest_lets_go_at_once(face):
+    face.bridge.start()
+    face.ticks(50, [20.0, 20.0])
+    face.bridge.stop(StopLevel.SOFT)
+    face.ticks(5)
+    face.bridge.stop(StopLevel.LIMP)
 
     assert not face.bus.read().torque_on.any()
 
 
-def test_a_stopped_face_stays_limp_until_armed_again(face):
-    face.bridge.arm()
+@pytest.mark.parametrize("level", [StopLevel.SOFT, StopLevel.LIMP])
+def test_a_stop_holds_whatever_speech_goes_on_to_say(face, level):
+    face.bridge.start()
     face.ticks(10, [20.0, 20.0])
-    face.bridge.stop()
+    face.bridge.stop(level)
+    face.ticks(1000, [20.0, -20.0])
 
-    assert not any(report.torque_on for report in face.ticks(10, [20.0, 20.0]))
+    assert not face.bus.read().torque_on.any()
+    assert face.bridge.state is FaceState.ENDED
 
-    face.bridge.arm()
+    face.bridge.start()
 
     assert face.tick([20.0, 20.0]).torque_on
+
+
+def test_a_frozen_face_stays_where_it_is_held_and_listens_to_nobody(face):
+    face.bridge.start()
+    face.ticks(10, [20.0, 20.0])
+    stood_deg = face.bus.read().positions_deg
+    face.bridge.stop(StopLevel.FREEZE)
+    face.ticks(1000, [-2.0, -30.0])
+
+    np.testing.assert_array_equal(face.bus.read().positions_deg, stood_deg)
+    assert face.bus.read().torque_on.all()
+    assert face.tick().torque_on
+
+    face.end()
+
+    assert not face.bus.read().torque_on.any()
+
+
+def test_a_dry_run_never_switches_torque_on(face):
+    bridge = Bridge(face.bus, [JAW, LIP], face.channel, rate_hz=RATE_HZ, dry_run=True)
+    face.bridge = bridge
+    bridge.start()
+    face.ticks(700, [20.0, 20.0])
+    face.ticks(100)
+    face.end()
+
+    assert face.bus.history == ()
+    assert bridge.stop_report().text() == "dry run over; no torque was switched on"

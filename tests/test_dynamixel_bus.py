@@ -22,9 +22,8 @@ def run(face, seconds, goal_deg, rate_hz=100.0):
 
 
 def awake(face):
-    place_deg = face.bus.read().positions_deg
-    face.bus.write_positions(place_deg)
-    face.bus.set_torque(True)
+    for index in range(len(face.servos)):
+        assert face.bus.enable_torque(index) == ""
 
 
 def test_goals_in_joint_degrees_arrive_whatever_sign_and_offset():
@@ -117,7 +116,7 @@ def test_torque_off_reaches_everybody_although_packets_are_lost():
     with face.bus:
         awake(face)
         face.clock.sleep_until(1.0)
-        face.bus.set_torque(False)
+        assert face.bus.disable_all().all()
 
     assert not any(servo.torque_on for servo in face.chain.servos)
 
@@ -155,9 +154,10 @@ def test_the_watchdog_is_set_before_torque_and_torque_before_any_other_goal():
     face = MemoryFace(1)
     with face.bus:
         face.written.clear()
-        assert face.bus.wake(0)
+        assert face.bus.enable_torque(0) == ""
     registers = [data[8] for _, data in face.written if data[7] == 3]
 
+    assert registers.index(112 - 4) < registers.index(64)  # profile, from acceleration on
     assert registers.index(98) < registers.index(64)
     assert registers.index(116) < registers.index(64)
 
@@ -167,7 +167,7 @@ def test_waking_moves_nothing_whatever_goal_the_servo_remembers():
     face.chain.servos[0]["goal_position"] = 2300
     with face.bus:
         before = face.bus.read().positions_deg
-        assert face.bus.wake(0)
+        assert face.bus.enable_torque(0) == ""
         face.clock.advance(0.05)
 
         np.testing.assert_allclose(face.bus.read().positions_deg, before, atol=0.1)
@@ -190,7 +190,7 @@ def test_an_unplugged_port_is_gone_until_reopened():
         assert not face.bus.feedback().age_s.any()
 
 
-def test_every_complaint_about_the_servos_is_in_one_error():
+def test_every_mismatch_of_the_servos_is_in_one_error():
     servos = mounted(3)
     face = MemoryFace(servos=servos)
     face.chain.servos[0]["id"] = 77
@@ -230,7 +230,7 @@ def test_a_reboot_clears_a_latched_error_and_leaves_the_servo_limp():
         run(face, 1.0, [0.0, 0.0])
 
         assert face.bus.look_after().hardware_errors.tolist() == [0, 0]
-        assert face.bus.wake(0)
+        assert face.bus.enable_torque(0) == ""
 
 
 def test_voltage_and_warmth_are_heard_in_turns():

@@ -98,23 +98,37 @@ class Ward:
     def __init__(self):
         self.care = ServoCare([Joint(f"j{n}", n, -10.0, 10.0, 100.0) for n in range(2)])
         for n in range(2):
-            self.care.woke(n, willing=True, time_s=0.0)
+            self.care.tried(n, "", time_s=0.0)
         self.done = []
+        self.refusals = ["", ""]
         self.values = {
             "silent_s": np.zeros(2),
             "torque_on": np.ones(2, dtype=bool),
             "watchdog_tripped": np.zeros(2, dtype=bool),
             "hardware_errors": np.zeros(2, dtype=np.uint8),
+            "temperature_degc": np.full(2, 30.0),
             "room_degc": np.full(2, 40.0),
             "voltage_v": np.full(2, 5.0),
+            "effort": np.zeros(2),
+            "current_ma": np.zeros(2),
+            "n_unanswered": np.zeros(2, dtype=np.int64),
         }
 
-    def wake(self, index):
-        self.done.append(("wake", index))
+    def refusal(self, index):
+        return self.refusals[index]
+
+    def enable(self, index):
+        self.done.append(("enable", index))
+        self.values["torque_on"][index] = True
+        return ""
+
+    def disable(self, index):
+        self.done.append(("disable", index))
+        self.values["torque_on"][index] = False
         return True
 
-    def relax(self, index):
-        self.done.append(("relax", index))
+    def give_up(self, index, because):
+        self.refusals[index] = because
 
     def reboot(self, index):
         self.done.append(("reboot", index))
@@ -126,7 +140,7 @@ class Ward:
         return self.care.states[1]
 
 
-def test_a_servo_with_an_error_is_let_go_cooled_rebooted_and_woken():
+def test_a_servo_with_an_error_is_let_go_cooled_rebooted_and_enabled():
     ward = Ward()
     ward.values["hardware_errors"][1] = 0x20
     assert ward.look(1.0) == ServoState.COOLING
@@ -134,7 +148,7 @@ def test_a_servo_with_an_error_is_let_go_cooled_rebooted_and_woken():
     assert ward.look(2.1) == ServoState.REBOOTING
     assert ward.look(3.2) == ServoState.DRIVEN
 
-    assert ward.done == [("relax", 1), ("reboot", 1), ("wake", 1)]
+    assert ward.done == [("disable", 1), ("reboot", 1), ("enable", 1)]
     assert ward.care.driven.tolist() == [True, True]
 
 
@@ -146,6 +160,26 @@ def test_reboots_are_bounded_and_then_the_servo_stays_limp():
 
     assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
     assert [act for act, _ in ward.done].count("reboot") == 3
+
+
+def test_a_servo_that_does_not_confirm_its_torque_off_is_told_again():
+    ward = Ward()
+    ward.disable = lambda index: ward.done.append(("disable", index))  # nothing comes of it
+    ward.values["hardware_errors"][1] = 0x20
+    ward.look(*np.arange(1.0, 10.0, 0.1))
+
+    assert [act for act, _ in ward.done].count("disable") > 10
+    assert ("reboot", 1) not in ward.done
+
+
+def test_nobody_gets_torque_whom_the_gate_refuses():
+    ward = Ward()
+    ward.values["torque_on"][1] = False
+    ward.refusals[1] = "stopped by a person (limp)"
+    ward.look(*np.arange(1.0, 10.0, 0.1))
+
+    assert ward.done == []
+    assert "lost its torque" in ward.care.reasons[1]
 
 
 def test_a_silent_servo_gets_no_goals_until_it_answers():
@@ -187,7 +221,7 @@ def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
         ward.look(time_s)
 
     assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
-    assert [act for act, _ in ward.done].count("wake") == 3
+    assert [act for act, _ in ward.done].count("enable") == 3
     assert ward.care.reasons[0] == ""
     assert "does not follow, 30 deg off for 0.5 s" in ward.care.reasons[1]
     assert "it stays limp" in ward.care.reasons[1]

@@ -21,8 +21,13 @@ def bus(clock):
         yield bus
 
 
+def hold_all(bus):
+    for index in range(len(bus.read().positions_deg)):
+        assert bus.enable_torque(index) == ""
+
+
 def test_servos_run_to_their_goals_at_top_speed_and_stop_there(bus, clock):
-    bus.set_torque(True)
+    hold_all(bus)
     bus.write_positions(np.array([10.0, -20.0]))
 
     clock.advance(0.05)
@@ -39,7 +44,7 @@ def test_how_often_the_bus_is_read_does_not_change_the_motion():
     def final_deg(n_reads):
         clock = ManualClock()
         with SimulatedBus([JAW, LIP], clock, top_speed_deg_s=100.0) as bus:
-            bus.set_torque(True)
+            hold_all(bus)
             bus.write_positions(np.array([20.0, -20.0]))
             for _ in range(n_reads):
                 clock.advance(0.125 / n_reads)
@@ -60,21 +65,22 @@ def test_a_limp_servo_takes_goals_but_stays(bus, clock):
 
 
 def test_torque_off_in_mid_motion_keeps_the_position(bus, clock):
-    bus.set_torque(True)
+    hold_all(bus)
     bus.write_positions(np.array([20.0, 20.0]))
     clock.advance(0.1)
-    bus.set_torque(False)
+    bus.disable_all()
     clock.advance(5.0)
 
     np.testing.assert_allclose(bus.read().positions_deg, [10.0, 10.0])
 
 
-def test_torque_on_runs_to_the_last_goal_as_a_real_servo_does(bus, clock):
+def test_torque_comes_on_where_the_servo_stands_whatever_goal_it_remembers(bus, clock):
     bus.write_positions(np.array([20.0, 20.0]))
-    bus.set_torque(True)
+    hold_all(bus)
     clock.advance(5.0)
 
-    np.testing.assert_array_equal(bus.read().positions_deg, [20.0, 20.0])
+    np.testing.assert_array_equal(bus.read().positions_deg, [0.0, 0.0])
+    assert bus.read().torque_on.all()
 
 
 @pytest.mark.parametrize("goal_deg", [25.0 + RANGE_MARGIN_DEG + 0.01, -7.01, np.nan, np.inf])
@@ -100,14 +106,14 @@ def test_limp_joints_give_to_a_hand_and_held_ones_do_not(bus):
     bus.push_by_hand(np.array([5.0, 6.0]))
     np.testing.assert_array_equal(bus.read().positions_deg, [5.0, 6.0])
 
-    bus.set_torque(True)
+    hold_all(bus)
     bus.push_by_hand(np.array([9.0, 9.0]))
     np.testing.assert_array_equal(bus.read().positions_deg, [5.0, 6.0])
 
 
 def test_history_keeps_the_newest_writes_with_time_goals_and_positions(clock):
     with SimulatedBus([JAW], clock, top_speed_deg_s=100.0, n_remembered=3) as bus:
-        bus.set_torque(True)
+        hold_all(bus)
         for goal_deg in range(5):
             bus.write_positions(np.array([float(goal_deg)]))
             clock.advance(1.0)
@@ -118,7 +124,7 @@ def test_history_keeps_the_newest_writes_with_time_goals_and_positions(clock):
 
 
 def test_what_was_read_does_not_change_afterwards(bus, clock):
-    bus.set_torque(True)
+    hold_all(bus)
     before = bus.read()
     bus.write_positions(np.array([20.0, 20.0]))
     clock.advance(1.0)
@@ -133,7 +139,7 @@ def test_the_bus_works_only_inside_its_with_block_and_leaves_the_servos_limp(clo
     with pytest.raises(PortError, match="outside its `with` block"):
         bus.read()
     with bus:
-        bus.set_torque(True)
+        hold_all(bus)
     with bus:
         assert not bus.read().torque_on.any()
 

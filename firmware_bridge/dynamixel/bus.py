@@ -7,16 +7,17 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import PortError, PortGone, Readings
+from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.codec import Status, StatusError
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.group import SpanGroup
-from firmware_bridge.dynamixel.handshake import introduce_all
+from firmware_bridge.dynamixel.handshake import identify_all
 from firmware_bridge.dynamixel.knowledge import Knowledge
-from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S, GoalWrite, Line
+from firmware_bridge.dynamixel.line import GoalWrite, Line
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
 from firmware_bridge.dynamixel.soft_start import SoftStart
+from firmware_bridge.dynamixel.torque import TorqueSwitch
 from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.dynamixel.watchdog import Watchdogs
 from firmware_bridge.health import Feedback, Health
@@ -32,8 +33,6 @@ _PRESENT = register("present_current").address
 _MOTION_SIZE: Final = register("present_position").end - _GOAL
 #: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
 _LIMP_REPEATS: Final = 3
-#: Torque comes on one servo after another: twenty at once make the supply sag.
-_STAGGER_S: Final = 0.010
 
 
 class DynamixelBus:
@@ -71,6 +70,9 @@ class DynamixelBus:
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
         self._whole = SpanGroup(self._ids, _GOAL, _MOTION_SIZE)
         self._holding = SpanGroup(self._ids, _TORQUE, 1)
+        self._torque = TorqueSwitch(
+            servos, self._known, self._mounting, self._soft_start, self._watchdogs
+        )
         self._turn = 0
         self._line: Line | None = None
 
@@ -86,25 +88,6 @@ class DynamixelBus:
             raise PortError("the bus is used outside its `with` block, or its port is gone")
         return self._line
 
-    def set_torque(self, on: bool) -> None:
-        """On: everybody, one after another, soft at first. Off: three times, then checked."""
-        if on:
-            for n in range(len(self._ids)):
-                self._switch_on(n)
-            return
-        line = self.line
-        self._soft_start.forget()
-        request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
-        for _ in range(_LIMP_REPEATS):
-            line.tell(request)
-        for _ in range(_LIMP_REPEATS):
-            self._note(self._holding.ask(line))
-            for status in self._holding.answers:
-                self._known.torque[self._index[status.servo_id]] = status.data != b"\0"
-            if not self._known.torque.any():
-                return
-            line.tell(request)
-
     def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
         """Every goal inside its servo's range; NaN is not, nor is what the servo would refuse."""
         if positions_deg.shape != self._known.goals.shape:
@@ -112,14 +95,16 @@ class DynamixelBus:
                 f"expected positions of shape {self._known.goals.shape}, got {positions_deg.shape}"
             )
         line = self.line
-        self._watchdogs.keep(line)
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._known.low <= pulses) & (pulses <= self._known.high)
         self._known.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
+        if not taken.any():
+            return
+        self._watchdogs.keep(line)
         self._known.goals = np.where(taken, pulses, self._known.goals)
         if taken.all():
             line.tell(self._goal_write.request(pulses.astype(np.int64).tolist()))
-        elif taken.any():
+        else:
             blocks = [
                 (self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)
             ]
@@ -155,12 +140,15 @@ class DynamixelBus:
         found = self._note(self._motion.ask(line))
         self._known.take_motion(found)
         now_s = line.transport.clock.now()
+        ages_s = self._known.ages(found, now_s)
+        if len(found) < len(self._ids):
+            self._known.unanswered += ages_s > 0.0
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._known.pulses),
             effort=self._known.effort.copy(),
             errors=self._known.errors.copy(),
-            age_s=self._known.ages(found, now_s),
+            age_s=ages_s,
         )
 
     def look_after(self) -> Health:
@@ -175,10 +163,12 @@ class DynamixelBus:
                 self._known.torque[turn] = status.data[0] == 1
                 self._known.hardware[turn] = status.data[_ERROR_AT]
                 self._known.tripped[turn] = status.data[-1] == 0xFF
+                self._torque.renew_watchdog(line, turn, status.data[-1])
         else:
             status = line.read(servo_id, _WARMTH, 3)
             if status is not None and len(status.data) == 3:
                 self._known.voltage_v[turn] = int.from_bytes(status.data[:2], "little") / 10.0
+                self._known.temperature_degc[turn] = status.data[2]
                 self._known.room_degc[turn] = self._known.hottest[turn] - status.data[2]
         if status is not None:
             self._note([status])
@@ -187,74 +177,82 @@ class DynamixelBus:
         self._soft_start.harden(line)
         return self._known.health(line.transport.clock.now())
 
-    def wake(self, index: int) -> bool:
-        """Goal := place, checked, then slow profile, watchdog, torque."""
-        line, servo_id = self.line, self._ids[index]
-        line.write(servo_id, _LEVEL, b"\2")
-        self._watchdogs.clear(line, servo_id)
-        status = line.read(servo_id, _GOAL, _MOTION_SIZE)
-        if status is None or len(status.data) != _MOTION_SIZE:
-            return False
-        _, place = struct.unpack_from("<i12xi", status.data)
-        if not self._known.low[index] <= place <= self._known.high[index]:
-            return False
-        line.write(servo_id, _GOAL, struct.pack("<i", place))
-        check = line.read(servo_id, _GOAL, 4)
-        if check is None or check.data != struct.pack("<i", place):
-            return False
-        self._known.goals[index] = self._known.pulses[index] = place
-        return self._switch_on(index)
+    def obstacle(self, index: int) -> str:
+        """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
+        return self._torque.obstacle(self.line, index)
 
-    def relax(self, index: int) -> None:
-        """Torque off, acknowledged if possible."""
-        line, servo_id = self.line, self._ids[index]
+    def enable_torque(self, index: int) -> str:
+        """Identity, place, watchdog, goal, slow start, torque; each read back before the next."""
+        return self._torque.enable(self.line, index)
+
+    def keep_torque(self, index: int) -> bool:
+        """Goal := place and a running watchdog, for a servo whose torque is on already."""
+        return self._torque.keep(self.line, index)
+
+    def disable_torque(self, index: int) -> bool:
+        """Torque off, read back."""
+        return self._torque.disable(self.line, index)
+
+    def disable_all(self) -> NDArray[np.bool_]:
+        """Torque off to everybody three times, then asked of each until it says so."""
+        line = self.line
+        self._soft_start.forget()
+        request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
         for _ in range(_LIMP_REPEATS):
-            if line.write(servo_id, _TORQUE, b"\0") is not None:
-                self._known.torque[index] = False
-                return
+            line.tell(request)
+        confirmed = np.zeros(len(self._ids), dtype=np.bool_)
+        self._holding.reset()  # everybody is asked, also who was silent lately
+        for _ in range(_LIMP_REPEATS):
+            for status in self._note(self._holding.ask(line)):
+                n = self._index[status.servo_id]
+                confirmed[n] = status.data == b"\0"
+                self._known.torque[n] = not confirmed[n]
+            if confirmed.all():
+                break
+            line.tell(request)
+        self._known.enabled &= ~confirmed
+        return confirmed
 
     def reboot(self, index: int) -> None:
         """Restart one servo and forget what was known of it."""
         self.line.reboot(self._ids[index])
         self._known.hardware[index] = 0
-        self._known.torque[index] = self._known.tripped[index] = False
+        self._known.tripped[index] = False
 
     def reopen(self) -> None:
-        """A new handle, and everybody introduced again. Raises PortError, ServoError."""
+        """A new handle. Raises PortError."""
         self._close()
-        self._open(strict=False)
+        self._begin(self._open_line())
 
     def __enter__(self) -> Self:
-        self._open(strict=self._strict)
+        line = self._open_line()
+        try:
+            said = identify_all(line, self._servos, strict=self._strict)
+        except BaseException:
+            line.transport.close()
+            raise
+        for n, answer in enumerate(said):
+            if answer is not None:
+                self._known.take_identity(n, answer, line.transport.clock.now())
+        self._begin(line)
         return self
 
     def __exit__(self, *exc: object) -> None:
         try:
-            if self._line is not None:
-                self.set_torque(False)
-        except PortGone:
+            if self._line is not None and self._known.enabled.any():
+                self.disable_all()
+        except PortError:
             pass  # nobody to tell; the servos' own watchdog stops them
         finally:
             self._close()
 
-    def _open(self, *, strict: bool) -> None:
-        transport = self._open_transport()
-        line = self._make_line(transport)
-        try:
-            said = introduce_all(line, self._servos, strict=strict)
-        except BaseException:
-            transport.close()
-            raise
-        delays = [answer.return_delay_s for answer in said if answer is not None]
-        unsure = any(answer is None for answer in said)
-        line.return_delay_s = max([*delays, FACTORY_RETURN_DELAY_S if unsure else 0.0])
-        for n, answer in enumerate(said):
-            if answer is not None:
-                self._known.low[n] = answer.eeprom["min_position_limit"]
-                self._known.high[n] = answer.eeprom["max_position_limit"]
-                self._known.hottest[n] = answer.eeprom["temperature_limit"]
-                self._known.heard_s[n] = transport.clock.now()
+    def _open_line(self) -> Line:
+        return self._make_line(self._open_transport())
+
+    def _begin(self, line: Line) -> None:
+        """Use this line from now on, with the deadlines that its slowest servo needs."""
         self._line = line
+        line.return_delay_s = float(self._known.return_delay_s.max())
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
         for group in (self._motion, self._whole, self._holding):
             group.reset()
@@ -263,24 +261,6 @@ class DynamixelBus:
         if self._line is not None:
             self._line.transport.close()
             self._line = None
-
-    def _switch_on(self, index: int) -> bool:
-        """Soft settings, watchdog, torque of one servo; whether it says that it holds."""
-        line, servo_id = self.line, self._ids[index]
-        clock = line.transport.clock
-        self._known.tripped[index] = False
-        self._soft_start.soften(line, index)
-        self._watchdogs.arm(line, servo_id)
-        for _ in range(_LIMP_REPEATS):
-            status = line.write(servo_id, _TORQUE, b"\1")
-            if status is not None:
-                self._known.torque[index] = not status.error & 0x7F
-                self._soft_start.began(index, clock.now())
-                break
-        now_s = clock.now()
-        self._watchdogs.spoke(now_s)
-        clock.sleep_until(now_s + _STAGGER_S)
-        return bool(self._known.torque[index])
 
     def _note(self, statuses: list[Status]) -> list[Status]:
         """Remember who answered, and with what error."""

@@ -8,6 +8,7 @@ from firmware_bridge.dynamixel.control_table import model_by_number, register
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.joints import named
 
 #: The EEPROM from id to shutdown in one read.
 _FIRST, _LAST = register("id").address, register("shutdown").end
@@ -18,7 +19,7 @@ _DOCTOR = "`lipservo doctor` shows every difference between the servos and the Y
 
 
 @dataclass(frozen=True, slots=True)
-class Introduction:
+class ServoIdentity:
     """What one servo said of itself. eeprom: register values by name."""
 
     model_number: int
@@ -31,10 +32,10 @@ class Introduction:
         return self.eeprom["return_delay_time"] * 2e-6
 
 
-def introduce(line: Line, servo: MountedServo) -> Introduction | None:
-    """Ping and read one servo's settings; None when it does not answer."""
+def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdentity | None:
+    """Ping and read one servo's settings; None when it does not answer so many times."""
     servo_id = servo.joint.servo_id
-    for _ in range(_TRIES):
+    for _ in range(tries):
         pong = line.ping(servo_id)
         if pong is None or len(pong.data) != 3:
             continue
@@ -46,70 +47,69 @@ def introduce(line: Line, servo: MountedServo) -> Introduction | None:
             for name, entry in servo.model.registers.items()
             if entry.address >= _FIRST and entry.end <= _LAST
         }
-        return Introduction(int.from_bytes(pong.data[:2], "little"), pong.data[2], eeprom)
+        return ServoIdentity(int.from_bytes(pong.data[:2], "little"), pong.data[2], eeprom)
     return None
 
 
-def complaints(servo: MountedServo, said: Introduction | None) -> list[str]:
-    """Why this servo cannot be driven as the face's YAML says; one line each, empty = it can."""
-    name = f"servo {servo.joint.name!r} (id {servo.joint.servo_id})"
-    if said is None:
-        return [f"{name} does not answer; check its power and cable, then run `lipservo doctor`"]
+def mismatches(servo: MountedServo, said: ServoIdentity) -> list[str]:
+    """Where this servo is not as the face's YAML says; one line each, empty = it can be driven."""
     if said.model_number != servo.model.model_number:
         known = model_by_number(said.model_number)
         it_is = f"an {known.name}" if known else f"unknown model {said.model_number}"
-        return [f"{name} is not the {servo.model.name} of the YAML but {it_is}; correct the YAML"]
+        return [f"is not the {servo.model.name} of the YAML but {it_is}; correct the YAML"]
     low, high = servo.pulse_range()
     found = said.eeprom
     lines = []
     cap, mode = servo.current_cap, found["operating_mode"]
-    if mode != 5 and (cap is not None or mode != 3):
-        wanted = 3 if cap is None else 5
-        lines.append(f"{name} is in operating mode {mode}, not {wanted}; {_SETUP}")
+    # Mode 5 without a limit would count turns, and pull as hard as goal_current happens to say.
+    wanted = 3 if cap is None else 5
+    if mode != wanted:
+        lines.append(f"is in operating mode {mode}, not {wanted}; {_SETUP}")
     if cap is not None and found["current_limit"] != cap:
         lines.append(
-            f"{name} has current limit {found['current_limit']}, the YAML's max_current_ma "
+            f"has current limit {found['current_limit']}, the YAML's max_current_ma "
             f"makes {cap}; {_SETUP}"
         )
-    if found["drive_mode"] & ~0x04:
-        lines.append(f"{name} has drive mode {found['drive_mode']}, needs 0; {_SETUP}")
+    if found["drive_mode"]:
+        lines.append(f"has drive mode {found['drive_mode']}, needs 0; {_SETUP}")
     if found["homing_offset"]:
-        lines.append(f"{name} has homing offset {found['homing_offset']} pulses, needs 0; {_SETUP}")
+        lines.append(f"has homing offset {found['homing_offset']} pulses, needs 0; {_SETUP}")
     if found["startup_configuration"] & 0x01:
-        lines.append(f"{name} switches torque on by itself at power-up; {_SETUP}")
+        lines.append(f"switches torque on by itself at power-up; {_SETUP}")
     if not found["min_position_limit"] <= low <= high <= found["max_position_limit"]:
         lines.append(
-            f"{name} has limits {found['min_position_limit']}..{found['max_position_limit']} "
+            f"has limits {found['min_position_limit']}..{found['max_position_limit']} "
             f"pulses, the joint needs {low}..{high}; {_SETUP}"
         )
     return lines
 
 
-def introduce_all(
+def identify_all(
     line: Line, servos: Sequence[MountedServo], *, strict: bool
-) -> list[Introduction | None]:
-    """Ask everybody. Raises ServoError with every complaint in one text.
+) -> list[ServoIdentity | None]:
+    """Ask everybody. Raises ServoError with every mismatch in one text.
 
     Not strict: servos that do not answer are left for later, unless all or a critical one.
     """
-    said = [introduce(line, servo) for servo in servos]
+    said = [identify(line, servo) for servo in servos]
     silent = [servo for servo, answer in zip(servos, said, strict=True) if answer is None]
     bearable = not strict and len(silent) < len(servos)
     bearable = bearable and not any(servo.joint.critical for servo in silent)
-    lines = [
-        complaint
-        for servo, answer in zip(servos, said, strict=True)
-        if answer is not None or not bearable
-        for complaint in complaints(servo, answer)
-    ]
+    lines = []
+    for servo, answer in zip(servos, said, strict=True):
+        if answer is None:
+            wrong = [] if bearable else ["does not answer; check its power and cable"]
+        else:
+            wrong = mismatches(servo, answer)
+        lines += [f"{named(servo.joint)} {each}" for each in wrong]
     if lines:
         raise ServoError("\n".join([*lines, _DOCTOR]))
     return said
 
 
-def read_introductions(
+def read_identities(
     open_transport: Callable[[], Transport], servos: Sequence[MountedServo]
-) -> list[Introduction | None]:
+) -> list[ServoIdentity | None]:
     """Model and EEPROM of every servo, in the order given, before anybody drives them.
 
     Opens the port for this alone; None: a servo that does not answer, unless it is critical or
@@ -117,6 +117,6 @@ def read_introductions(
     """
     transport = open_transport()
     try:
-        return introduce_all(Line(transport), servos, strict=False)
+        return identify_all(Line(transport), servos, strict=False)
     finally:
         transport.close()

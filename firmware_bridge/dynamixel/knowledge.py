@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.dynamixel.codec import Status
+from firmware_bridge.dynamixel.handshake import ServoIdentity
+from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
 from firmware_bridge.health import Health
 
@@ -19,7 +21,8 @@ class Knowledge:
     """The last word of every servo. Every array is (n_servos,), in the face's order.
 
     pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
-    low, high: the servo's own limits in pulses; heard_s: when it answered last.
+    low, high: the servo's own limits in pulses; heard_s: when it answered last;
+    enabled: torque was switched on by us and not confirmed off since.
     """
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
@@ -27,6 +30,7 @@ class Knowledge:
         self._index = {servo.joint.servo_id: k for k, servo in enumerate(servos)}
         self.low = np.zeros(n)
         self.high = np.full(n, PULSES_PER_TURN - 1.0)
+        self.return_delay_s = np.full(n, FACTORY_RETURN_DELAY_S)
         self.hottest = np.array([float(s.model.defaults["temperature_limit"]) for s in servos])
         units = [s.model.current_unit_ma for s in servos]
         stalls = [s.model.stall_a * 1e3 for s in servos]
@@ -34,16 +38,30 @@ class Knowledge:
         self._effort_unit = np.array(
             [unit / stall if unit else 1e-3 for unit, stall in zip(units, stalls, strict=True)]
         )
+        self._milliamperes = np.array(
+            [stall if unit else np.nan for unit, stall in zip(units, stalls, strict=True)]
+        )
         self.pulses = np.full(n, np.nan)
         self.goals = np.full(n, np.nan)
         self.effort = np.zeros(n)
         self.errors = np.zeros(n, dtype=np.uint8)
         self.heard_s = np.full(n, -np.inf)
         self.torque = np.zeros(n, dtype=np.bool_)
+        self.enabled = np.zeros(n, dtype=np.bool_)
         self.tripped = np.zeros(n, dtype=np.bool_)
         self.hardware = np.zeros(n, dtype=np.uint8)
+        self.temperature_degc = np.full(n, np.nan)
         self.room_degc = np.full(n, _ROOM_DEGC)
         self.voltage_v = np.full(n, np.nan)
+        self.unanswered = np.zeros(n, dtype=np.int64)
+
+    def take_identity(self, index: int, said: ServoIdentity, now_s: float) -> None:
+        """Its own limits and manners, as its EEPROM says."""
+        self.low[index] = said.eeprom["min_position_limit"]
+        self.high[index] = said.eeprom["max_position_limit"]
+        self.hottest[index] = said.eeprom["temperature_limit"]
+        self.return_delay_s[index] = said.return_delay_s
+        self.heard_s[index] = now_s
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
         """Remember who answered, and with what error."""
@@ -75,6 +93,10 @@ class Knowledge:
             torque_on=self.torque.copy(),
             watchdog_tripped=self.tripped.copy(),
             hardware_errors=self.hardware.copy(),
+            temperature_degc=self.temperature_degc.copy(),
             room_degc=self.room_degc.copy(),
             voltage_v=self.voltage_v.copy(),
+            effort=self.effort.copy(),
+            current_ma=self.effort * self._milliamperes,
+            n_unanswered=self.unanswered.copy(),
         )

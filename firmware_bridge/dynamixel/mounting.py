@@ -74,3 +74,7 @@ class Mounting:
     def joint_deg(self, pulses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Joint degrees; NaN stays NaN."""
         return np.asarray((pulses - self._zero) / self._scale)
+
+    def one_deg(self, index: int, pulse: float) -> float:
+        """Joint degrees of one servo's position register."""
+        return float((pulse - self._zero[index]) / self._scale[index])

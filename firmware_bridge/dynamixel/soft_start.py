@@ -10,6 +10,7 @@ from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import VELOCITY_UNIT_DEG_S, MountedServo
+from firmware_bridge.dynamixel.verified_write import write_verified
 
 _PROFILE: Final = register("profile_acceleration").address
 _CURRENT: Final = register("goal_current").address
@@ -17,8 +18,9 @@ _CURRENT: Final = register("goal_current").address
 _SOFT_DEG_S: Final = 60.0
 _SOFT_STRENGTH: Final = 0.3
 SOFT_FOR_S: Final = 1.0
-#: The servo itself goes this much faster than the gate allows, so that it never lags behind it.
-_SPEED_MARGIN: Final = 1.5
+#: The servo itself goes this much faster than the gate allows, so that it does not fall behind by
+#: rounding. What a person is told as the fastest is the fastest, to a twentieth.
+_SPEED_MARGIN: Final = 1.05
 #: Nobody acknowledges a sync write: full strength is said so often, this far apart.
 _REPEATS: Final = 3
 _REPEAT_S: Final = 0.1
@@ -37,14 +39,16 @@ class SoftStart:
         """Whether any servo has yet to be told of its full strength."""
         return bool(self._n_left.any())
 
-    def soften(self, line: Line, index: int) -> None:
-        """Before torque comes on: slow, and weak where there is a cap."""
+    def soften(self, line: Line, index: int) -> bool:
+        """Before torque comes on: slow, weak where there is a cap; whether it confirmed."""
         servo = self._servos[index]
         servo_id, cap = servo.joint.servo_id, servo.current_cap
-        line.write(servo_id, _PROFILE, struct.pack("<II", 0, _velocity(_SOFT_DEG_S)))
+        slow_deg_s = min(_SOFT_DEG_S, servo.joint.max_speed_deg_s)
+        wanted = [(_PROFILE, struct.pack("<II", 0, _velocity(slow_deg_s)))]
         if cap is not None:
             weak = max(1, round(cap * _SOFT_STRENGTH))
-            line.write(servo_id, _CURRENT, struct.pack("<h", weak))
+            wanted.append((_CURRENT, struct.pack("<h", weak)))
+        return all(write_verified(line, servo_id, *each) for each in wanted)
 
     def began(self, index: int, now_s: float) -> None:
         """Torque came on now."""

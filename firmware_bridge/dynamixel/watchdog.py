@@ -8,6 +8,7 @@ import numpy as np
 from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.line import Line
+from firmware_bridge.dynamixel.verified_write import write_verified
 
 _ADDRESS: Final = register("bus_watchdog").address
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#bus-watchdog98
@@ -25,15 +26,21 @@ class Watchdogs:
         self._spoke_s = 0.0
         self._lapsed = False
 
-    def arm(self, line: Line, servo_id: int) -> None:
-        """Clear one servo's watchdog and start it; a tripped one takes no goals before."""
-        line.write(servo_id, _ADDRESS, b"\0")
-        if self._setting:
-            line.write(servo_id, _ADDRESS, bytes((self._setting,)))
+    @property
+    def setting(self) -> int:
+        """What the register must hold while torque is on; 0 = no watchdog."""
+        return self._setting
 
-    def clear(self, line: Line, servo_id: int) -> None:
-        """Switch one servo's watchdog off."""
-        line.write(servo_id, _ADDRESS, b"\0")
+    def start(self, line: Line, servo_id: int) -> bool:
+        """Clear one servo's watchdog and start it; whether its register now says so.
+
+        A tripped one takes no goals before, and a lost write would leave nothing to stop a face
+        whose computer has died.
+        """
+        cleared = write_verified(line, servo_id, _ADDRESS, b"\0")
+        if not (cleared and self._setting):
+            return cleared
+        return write_verified(line, servo_id, _ADDRESS, bytes((self._setting,)))
 
     def spoke(self, now_s: float) -> None:
         """The servos hear us now; whether they heard us in time before is remembered."""

@@ -75,11 +75,6 @@ class SimulatedBus:
         """The servos at each write, oldest first."""
         return tuple(self._history)
 
-    def set_torque(self, on: bool) -> None:
-        """Hold the last goals, or let go."""
-        self._move()
-        self._torque_on = np.full(self._goals_deg.shape, on)
-
     def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
         """Set every goal that is inside its servo's range; NaN is not."""
         if positions_deg.shape != self._goals_deg.shape:
@@ -113,34 +108,64 @@ class SimulatedBus:
     def look_after(self) -> Health:
         """Nothing ever ails these servos."""
         n_servos = len(self._goals_deg)
+        nothing = np.zeros(n_servos)
         return Health(
-            silent_s=np.zeros(n_servos),
+            silent_s=nothing,
             torque_on=self._torque_on,
             watchdog_tripped=np.zeros(n_servos, dtype=np.bool_),
             hardware_errors=np.zeros(n_servos, dtype=np.uint8),
+            temperature_degc=np.full(n_servos, 25.0),
             room_degc=np.full(n_servos, 45.0),
             voltage_v=np.full(n_servos, 5.0),
+            effort=nothing,
+            current_ma=nothing,
+            n_unanswered=np.zeros(n_servos, dtype=np.int64),
         )
 
-    def wake(self, index: int) -> bool:
-        """Hold the place where it stands, unless that is outside its range."""
+    def obstacle(self, index: int) -> str:
+        """A place that is not known, or outside the servo's own range."""
         self._move()
         place_deg = self._positions_deg[index]
-        if not self._min_deg[index] <= place_deg <= self._max_deg[index]:
-            return False
-        self._goals_deg = self._goals_deg.copy()
-        self._goals_deg[index] = place_deg
-        self._set_torque_of(index, on=True)
-        return True
+        if np.isnan(place_deg):
+            return "does not answer"
+        if self._min_deg[index] <= place_deg <= self._max_deg[index]:
+            return ""
+        return (
+            f"stands at {place_deg:.1f} deg, outside its own range; move it into "
+            f"{self._min_deg[index]:g}..{self._max_deg[index]:g} deg by hand"
+        )
 
-    def relax(self, index: int) -> None:
+    def enable_torque(self, index: int) -> str:
+        """Hold the place where it stands, unless something is in the way."""
+        obstacle = self.obstacle(index)
+        if not obstacle:
+            self._goals_deg = self._goals_deg.copy()
+            self._goals_deg[index] = self._positions_deg[index]
+            self._set_torque_of(index, on=True)
+        return obstacle
+
+    def keep_torque(self, index: int) -> bool:
+        """A servo that holds goes on holding where it stands."""
+        self._move()
+        if not self._torque_on[index]:
+            return False
+        return not self.enable_torque(index)
+
+    def disable_torque(self, index: int) -> bool:
         """Let one servo go limp."""
         self._move()
         self._set_torque_of(index, on=False)
+        return True
+
+    def disable_all(self) -> NDArray[np.bool_]:
+        """Let every servo go limp."""
+        self._move()
+        self._torque_on = np.zeros(self._goals_deg.shape, dtype=np.bool_)
+        return ~self._torque_on
 
     def reboot(self, index: int) -> None:
         """Restart: limp."""
-        self.relax(index)
+        self.disable_torque(index)
 
     def reopen(self) -> None:
         """Memory is never unplugged."""
@@ -159,7 +184,7 @@ class SimulatedBus:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self.set_torque(False)
+        self.disable_all()
         self._is_open = False
 
     def _move(self) -> None:

@@ -12,13 +12,14 @@ from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import BusError
 from firmware_bridge.care import ServoState
 from firmware_bridge.channel import MemoryTargetChannel
-from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.control_table import register, servo_models
 from firmware_bridge.dynamixel.frames import FrameParser
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
 from firmware_bridge.joints import Joint
+from firmware_bridge.life_cycle import LifeCycle
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
 from firmware_bridge.simulator.memory_transport import MemoryTransport
@@ -187,9 +188,9 @@ def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
     bridge = Bridge(bus, joints, channel, rate_hz=case.rate_hz, tolerant=True)
     error, recovered_s = "", math.nan
     try:
-        with bus:
-            bridge.arm()
-            for time_s, late in ticks(clock, case.rate_hz):
+        with bus, LifeCycle(bridge, clock, rate_hz=case.rate_hz) as life:
+            life.start()
+            for time_s, late in life.ticks():
                 if time_s > end_s:
                     break
                 channel.publish(ServoTargets(time_s, wanted_deg(time_s, case.n_servos)))
@@ -205,7 +206,6 @@ def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
                 for servo, belief in zip(chain.servos, believed, strict=True):
                     reachable = servo.deaf_until_s <= clock.now() and _reachable(servo, servos)
                     unknown += reachable and servo.torque_on != belief
-            bridge.ease_to_neutral(clock)
     except (BusError, ArithmeticError, LookupError, ValueError, TypeError) as problem:
         error, unknown = f"{type(problem).__name__}: {problem}", 0
     stiff = sum(s.torque_on for s in chain.servos if _reachable(s, servos))

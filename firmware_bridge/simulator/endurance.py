@@ -8,8 +8,9 @@ from typing import Final
 
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.channel import MemoryTargetChannel
-from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.life_cycle import LifeCycle
 from firmware_bridge.simulator.campaign import BAUD_RATE, Auditor, face, wanted_deg
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import Fault
@@ -72,9 +73,9 @@ def endure(
     bridge = Bridge(bus, joints, channel, rate_hz=rate_hz, tolerant=True)
     warm_at, report_every = int(n_cycles * _WARM_SHARE), max(1, n_cycles // _REPORTS)
     warm = (0.0, 0)
-    with bus:
-        bridge.arm()
-        for n, (time_s, late) in enumerate(ticks(clock, rate_hz)):
+    with bus, LifeCycle(bridge, clock, rate_hz=rate_hz) as life:
+        life.start()
+        for n, (time_s, late) in enumerate(life.ticks()):
             if n == warm_at:
                 warm = resident_mb(), open_descriptors()
             if n % report_every == 0:
@@ -84,9 +85,8 @@ def endure(
             channel.publish(ServoTargets(time_s, wanted_deg(time_s, n_servos)))
             bridge.tick(time_s, late)
         end = resident_mb(), open_descriptors()
-        bridge.ease_to_neutral(clock)
     return Endurance(
-        cycles=bridge.status.n_ticks,
+        cycles=n,
         virtual_hours=clock.now() / 3600.0,
         rss_mb_at_tenth=warm[0],
         rss_mb_at_end=end[0],

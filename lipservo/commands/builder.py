@@ -6,11 +6,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json
+from lipservo.face_life import exit_status
 from lipservo.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
     from firmware_bridge.dynamixel.mounting import MountedServo
+    from lipservo.moving import Moved
 
 Port = Annotated[
     str | None,
@@ -128,17 +130,19 @@ def jog(
     """Move one joint, the others held, through the safety gate; then all go limp."""
     from lipservo.moving import move_to
 
-    reached_deg = move_to(config, port, {joint: deg}, hold_s)
-    RESULTS.print(f"{joint} stands at {reached_deg[joint]:.1f} deg")
+    moved = move_to(config, port, {joint: deg}, hold_s)
+    RESULTS.print(f"{joint} stands at {moved.reached_deg[joint]:.1f} deg")
+    _finish(moved)
 
 
 def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
     """Bring every joint to its neutral, through the safety gate; then all go limp."""
     from lipservo.moving import move_to
 
-    reached_deg = move_to(config, port, None, 0.5)
-    for name, angle_deg in reached_deg.items():
+    moved = move_to(config, port, None, 0.5)
+    for name, angle_deg in moved.reached_deg.items():
         RESULTS.print(f"{name} stands at {angle_deg:.1f} deg")
+    _finish(moved)
 
 
 def new_face(
@@ -184,6 +188,12 @@ def new_face(
     RESULTS.print(
         f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`"
     )
+
+
+def _finish(moved: "Moved") -> None:
+    status = exit_status(moved.report, None)
+    if status:
+        raise typer.Exit(status)
 
 
 def _port(given: str | None, of_the_face: str | None) -> str:

@@ -1,6 +1,6 @@
 """`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -17,13 +17,13 @@ from lipservo.commands.options import (
     Quiet,
 )
 from lipservo.commands.processes import Control, supervise
-from lipservo.daemon import stopped_by_signals
+from lipservo.face_life import exit_status, say
 from lipservo.manner import Manner
 from lipservo.output import MESSAGES, RESULTS, print_json
-from lipservo.performance import Performance
+from lipservo.performance import Performance, Played
 from lipservo.sim_process import servo_port
 from lipservo.sources import open_source, open_source_or_silence
-from lipservo.summary import Summary, print_summary
+from lipservo.summary import print_summary
 
 Trace = Annotated[
     Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
@@ -57,9 +57,6 @@ Sim = Annotated[
 ]
 DryRun = Annotated[bool, typer.Option("--dry-run", help="Read the servos, never move them.")]
 
-#: Stopped by Ctrl-C: 128 + SIGINT, as shells count.
-_INTERRUPTED = 130
-
 
 @takes_manner
 def run(
@@ -80,11 +77,7 @@ def run(
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     _refuse_both(wav, mic)
     quiet = quiet or as_json
-    with (
-        servo_port(port, sim, config) as at_port,
-        stopped_by_signals() as stop,
-        open_source(wav, mic) as source,
-    ):
+    with servo_port(port, sim, config) as at_port, open_source(wav, mic) as source:
         performance = Performance(
             config,
             model,
@@ -96,11 +89,8 @@ def run(
             dry_run=dry_run,
             manner=manner,
         )
-        summary = performance.play(source, MonotonicClock(), stop)
-    _report(summary, as_json=as_json, quiet=quiet)
-    if stop.is_set():
-        MESSAGES.print("stopped; the face is at rest and limp")
-        raise typer.Exit(_INTERRUPTED)
+        played = performance.play(source, MonotonicClock())
+    _finish(played, as_json=as_json, quiet=quiet)
 
 
 @takes_manner
@@ -133,12 +123,10 @@ def daemon(
     performance = Performance(
         config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, manner=manner
     )
-    with (
-        stopped_by_signals() as stop,
-        open_source_or_silence(wav, mic) as source,
-    ):
-        summary = performance.play(source, MonotonicClock(), stop)
-    _report(summary, as_json=as_json, quiet=quiet)
+    with open_source_or_silence(wav, mic) as source:
+        played = performance.play(source, MonotonicClock())
+    # A service manager counts anything but 0 as a failure, and stops a daemon by a signal.
+    _finish(replace(played, signal_number=None), as_json=as_json, quiet=quiet)
 
 
 @takes_manner
@@ -155,11 +143,9 @@ def replay(
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
     performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, manner=manner)
-    with stopped_by_signals() as stop, open_source(sound, None) as source:
-        summary = performance.play(source, ManualClock(), stop)
-    _report(summary, as_json=as_json, quiet=quiet)
-    if stop.is_set():
-        raise typer.Exit(_INTERRUPTED)
+    with open_source(sound, None) as source:
+        played = performance.play(source, ManualClock())
+    _finish(played, as_json=as_json, quiet=quiet)
 
 
 def devices(as_json: Json = False) -> None:
@@ -182,8 +168,13 @@ def _refuse_both(wav: Path | None, mic: str | None) -> None:
         raise typer.BadParameter("give --wav or --mic, not both")
 
 
-def _report(summary: Summary, *, as_json: bool, quiet: bool) -> None:
+def _finish(played: Played, *, as_json: bool, quiet: bool) -> None:
     if as_json:
-        print_json(summary.as_dict())
+        print_json({**played.summary.as_dict(), "stop": played.report.as_dict()})
     elif not quiet:
-        print_summary(summary, RESULTS)
+        print_summary(played.summary, RESULTS)
+    status = exit_status(played.report, played.signal_number)
+    if not played.report.complete and quiet:
+        say(played.report.text())
+    if status:
+        raise typer.Exit(status)

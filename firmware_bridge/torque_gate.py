@@ -1,0 +1,87 @@
+"""The one gate to torque: whether a servo may hold, asked by every path that wants it to."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.joints import Joint
+
+
+class TorqueGate:
+    """Asks three questions before a servo gets torque, in this order.
+
+    Is it forbidden for the whole face: a dry run, or a stop by a person, which holds until a person
+    starts again? Was this servo given up? Does the servo itself, asked now, agree with the YAML?
+    (The last is `ServoBus.obstacle`, and every bus asks it again in `enable_torque`.)
+    Start, waking, replug, re-arming and restart all come through `enable`.
+    """
+
+    def __init__(
+        self,
+        bus: ServoBus,
+        joints: Sequence[Joint],
+        *,
+        dry_run: bool = False,
+        given_up: Mapping[int, str] | None = None,
+    ) -> None:
+        """given_up: reason by index, of servos that an earlier process of this face gave up.
+
+        closed_because: why nobody may hold; empty: the gate is open.
+        """
+        self._bus = bus
+        self._n_servos = len(joints)
+        self._given_up = dict(given_up or {})
+        self.closed_because = ""
+        self.dry_run = dry_run
+
+    @property
+    def given_up(self) -> Mapping[int, str]:
+        """Servos that stay limp for good, with the reason."""
+        return self._given_up
+
+    def refusal(self, index: int) -> str:
+        """Why this servo must not hold torque, whatever it says itself; empty: it may."""
+        if self.dry_run:
+            return "dry run: servos are only read"
+        return self.closed_because or self._given_up.get(index, "")
+
+    def obstacle(self, index: int) -> str:
+        """Why this servo would get no torque if it were asked for now; empty: it would."""
+        return self.refusal(index) or self._bus.obstacle(index)
+
+    def enable(self, index: int) -> str:
+        """Let one servo hold the place where it stands; why not, empty: it confirmed."""
+        return self.refusal(index) or self._bus.enable_torque(index)
+
+    def keep(self, index: int) -> bool:
+        """Let a servo that holds go on holding: the one thing that a stop does not forbid."""
+        return not self.dry_run and self._bus.keep_torque(index)
+
+    def disable(self, index: int) -> bool:
+        """Let one servo go limp; whether it confirmed."""
+        return self._bus.disable_torque(index)
+
+    def disable_all(self) -> NDArray[np.bool_]:
+        """Let everybody go limp; who confirmed. In a dry run nothing is written, nobody did."""
+        if self.dry_run:
+            return np.zeros(self._n_servos, dtype=np.bool_)
+        return self._bus.disable_all()
+
+    def reboot(self, index: int) -> None:
+        """Restart one servo, unless nobody may touch it."""
+        if not self.refusal(index):
+            self._bus.reboot(index)
+
+    def close(self, because: str) -> None:
+        """A person stopped the face: nobody gets torque until a person opens again."""
+        self.closed_because = because
+
+    def open(self) -> None:
+        """A person starts the face. Servos that were given up stay so."""
+        self.closed_because = ""
+
+    def give_up(self, index: int, because: str) -> None:
+        """Leave one servo limp for good."""
+        self._given_up[index] = because
