@@ -1,9 +1,9 @@
 """Every kind of fault against the whole bridge, on a virtual clock, with an auditor on the wire."""
 
 import math
-import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Final
 
 import numpy as np
@@ -14,15 +14,15 @@ from firmware_bridge.care import ServoState
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
-from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction
-from firmware_bridge.dynamixel.control_table import register, servo_models
-from firmware_bridge.dynamixel.frames import FrameParser
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.joints import Joint
 from firmware_bridge.life_cycle import LifeCycle
+from firmware_bridge.simulator.auditor import Auditor
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
 from firmware_bridge.simulator.memory_transport import MemoryTransport
+from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 
 BAUD_RATE: Final = 1_000_000
@@ -31,19 +31,23 @@ FAULT_FROM_S, FAULT_UNTIL_S, END_S = 2.0, 4.0, 12.0
 INTENSITIES: Final = (0, 1, 2)
 SIZES: Final = (5, 10, 20)
 RATES_HZ: Final = (30.0, 100.0)
+#: A stop comes in the middle of the fault.
+STOP_S: Final = 3.0
+STOPS: Final = (None, StopLevel.SOFT, StopLevel.LIMP, StopLevel.FREEZE)
 _PROBABILITIES: Final = (0.01, 0.1, 0.5)
 _MAX_SPEED_DEG_S: Final = 300.0
-_GOAL: Final = struct.pack("<H", register("goal_position").address)
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One fault at one intensity on one face."""
+    """One fault at one intensity on one face, armed strictly or not, and a person's stop in it."""
 
     kind: str
     intensity: int
     n_servos: int
     rate_hz: float
+    strict: bool = False
+    stop: StopLevel | None = None
 
     def faults(self) -> list[Fault]:
         """Packets: 1, 10, 50 % of them. Servos: one once, one again and again, all at once."""
@@ -90,74 +94,50 @@ class Case:
 class Outcome:
     """What came of one case.
 
-    recovery_s: from the end of the fault until every servo follows again; None: never, which is
-    right where nothing can bring it back (another id, another baud rate, a third reboot).
+    motion_too_fast, moved_outside, armed_wrongly, undone, moved_frozen: see `Auditor`.
+    torque_left_on: servos that can be reached and hold at the end. recovery_s: from the end of the
+    fault until every servo follows again; None: never, which is right where nothing can bring it
+    back (another id, another baud rate, a third reboot), or stopped before.
     """
 
     case: Case
     error: str
     goals_outside_limits: int
     steps_above_clamp: int
+    motion_too_fast: int
+    moved_outside: int
+    armed_wrongly: int
+    undone: int
+    moved_frozen: int
     contention: int
     torque_unknown: int
+    torque_left_on: int
     recovery_s: float | None
 
     @property
     def survived(self) -> bool:
         """The process lives and nothing that must not happen happened."""
-        bad = self.goals_outside_limits + self.steps_above_clamp + self.contention
-        return not self.error and bad + self.torque_unknown == 0
+        bad = self.goals_outside_limits + self.steps_above_clamp + self.motion_too_fast
+        bad += (
+            self.moved_outside
+            + self.armed_wrongly
+            + self.undone
+            + self.contention
+            + self.moved_frozen
+        )
+        return not self.error and bad + self.torque_unknown + self.torque_left_on == 0
 
 
-def cases() -> Iterator[Case]:
-    """Every kind, intensity, size and rate."""
-    for kind in KINDS:
-        for intensity in INTENSITIES:
-            for n_servos in SIZES:
-                for rate_hz in RATES_HZ:
-                    yield Case(kind, intensity, n_servos, rate_hz)
+def cases(*, whole: bool = False) -> Iterator[Case]:
+    """Every kind, intensity, size and rate, with arming and stop in turns.
 
-
-class Auditor:
-    """Reads what is written to the wire and knows only the limits; trusts nobody."""
-
-    def __init__(self, servos: Sequence[MountedServo], period_s: float) -> None:
-        self._ranges = {servo.joint.servo_id: servo.pulse_range() for servo in servos}
-        speed = {s.joint.servo_id: s.joint.max_speed_deg_s * PULSES_PER_TURN / 360 for s in servos}
-        self._speed = speed
-        self._longest_s = 2.0 * period_s
-        self._last: dict[int, tuple[float, int]] = {}
-        self._parser = FrameParser()
-        self.outside = self.too_far = self.goals = 0
-
-    def see(self, time_s: float, data: bytes) -> None:
-        """Look at one write."""
-        if _GOAL not in data and not self._parser.pending:
-            return  # the address is in no packet of it
-        for frame in self._parser.feed(data):
-            parameters = frame.parameters
-            if parameters[:2] != _GOAL:
-                continue
-            if frame.instruction == Instruction.WRITE and frame.packet_id != BROADCAST_ID:
-                # Waking: the goal is the place where the servo stands.
-                goal = int.from_bytes(parameters[2:6], "little", signed=True)
-                self._last[frame.packet_id] = (time_s, goal)
-            elif frame.instruction == Instruction.SYNC_WRITE:
-                for servo_id, goal in struct.iter_unpack("<Bi", parameters[4:]):
-                    self._check(servo_id, goal, time_s)
-
-    def _check(self, servo_id: int, goal: int, time_s: float) -> None:
-        self.goals += 1
-        low, high = self._ranges[servo_id]
-        before_s, before = self._last.get(servo_id, (time_s, goal))
-        self._last[servo_id] = (time_s, goal)
-        # A pulse of rounding each; a joint found outside is led back in.
-        if not min(low, before) - 1 <= goal <= max(high, before) + 1:
-            self.outside += 1
-        reach = self._speed[servo_id] * min(max(time_s - before_s, 0.0), self._longest_s)
-        # The write comes a few packets after the tick it belongs to, a little more or less.
-        if abs(goal - before) > reach + self._speed[servo_id] * 0.5 * self._longest_s + 2:
-            self.too_far += 1
+    whole: every way of arming and every stop for each of them, eight times as many.
+    """
+    ways = list(product((False, True), STOPS))
+    grid = product(KINDS, INTENSITIES, SIZES, RATES_HZ)
+    for n, (kind, intensity, n_servos, rate_hz) in enumerate(grid):
+        for strict, stop in ways if whole else (ways[n * 3 % len(ways)],):
+            yield Case(kind, intensity, n_servos, rate_hz, strict, stop)
 
 
 def face(n_servos: int) -> list[MountedServo]:
@@ -171,24 +151,46 @@ def face(n_servos: int) -> list[MountedServo]:
     ]
 
 
+class _Stop:
+    """A person's stop in the middle of the fault: the control socket of a case."""
+
+    def __init__(self, level: StopLevel | None, clock: ManualClock, auditor: Auditor) -> None:
+        self._level, self._clock, self._auditor = level, clock, auditor
+
+    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
+        """The stop, at its moment."""
+        del status
+        if self._level is None or self._clock.now() < STOP_S:
+            return None
+        level, self._level = self._level, None
+        self._auditor.stopped_s = self._clock.now()
+        self._auditor.frozen = level is StopLevel.FREEZE
+        return level
+
+    def report_end(self, report: Mapping[str, object]) -> None:
+        """Nobody waits."""
+
+
 def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
     """Run one case to its end."""
     servos = face(case.n_servos)
     clock = ManualClock()
     chain = chain_for(servos, BAUD_RATE, faults=case.faults(), seed=seed)
     auditor = Auditor(servos, 1.0 / case.rate_hz)
+    auditor.watch(chain)
     bus = DynamixelBus(
         servos,
         lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see),
         watchdog_s=max(0.1, 3.0 / case.rate_hz),
-        strict=False,
+        strict=case.strict,
     )
     channel = MemoryTargetChannel()
     joints = [servo.joint for servo in servos]
-    bridge = Bridge(bus, joints, channel, rate_hz=case.rate_hz, tolerant=True)
-    error, recovered_s = "", math.nan
+    bridge = Bridge(bus, joints, channel, rate_hz=case.rate_hz, tolerant=not case.strict)
+    control = _Stop(case.stop, clock, auditor)
+    error, recovered_s, unknown = "", math.nan, 0
     try:
-        with bus, LifeCycle(bridge, clock, rate_hz=case.rate_hz) as life:
+        with bus, LifeCycle(bridge, clock, rate_hz=case.rate_hz, control=control) as life:
             life.start()
             for time_s, late in life.ticks():
                 if time_s > end_s:
@@ -200,23 +202,29 @@ def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
                     recovered_s = math.nan
                 elif math.isnan(recovered_s):
                     recovered_s = time_s
-            believed = bus.look_after().torque_on if chain.plugged else None
-            unknown = 0
-            if believed is not None:
+            if chain.plugged and not life.stopping:
+                believed = bus.look_after().torque_on
                 for servo, belief in zip(chain.servos, believed, strict=True):
                     reachable = servo.deaf_until_s <= clock.now() and _reachable(servo, servos)
                     unknown += reachable and servo.torque_on != belief
     except (BusError, ArithmeticError, LookupError, ValueError, TypeError) as problem:
-        error, unknown = f"{type(problem).__name__}: {problem}", 0
+        error = f"{type(problem).__name__}: {problem}"
     stiff = sum(s.torque_on for s in chain.servos if _reachable(s, servos))
+    never = case.stop is not None or math.isnan(recovered_s)
     return Outcome(
-        case,
-        error,
-        auditor.outside,
-        auditor.too_far,
-        chain.counts.contention,
-        int(unknown + (stiff if chain.plugged else 0)),
-        None if math.isnan(recovered_s) else max(0.0, recovered_s - FAULT_UNTIL_S),
+        case=case,
+        error=error,
+        goals_outside_limits=auditor.goals_outside,
+        steps_above_clamp=auditor.steps_too_long,
+        motion_too_fast=auditor.too_fast,
+        moved_outside=auditor.moved_outside,
+        armed_wrongly=auditor.armed_wrongly,
+        undone=auditor.armed_late,
+        moved_frozen=auditor.moved_frozen,
+        contention=chain.counts.contention,
+        torque_unknown=int(unknown),
+        torque_left_on=int(stiff) if chain.plugged else 0,
+        recovery_s=None if never else max(0.0, recovered_s - FAULT_UNTIL_S),
     )
 
 

@@ -11,7 +11,8 @@ from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.life_cycle import LifeCycle
-from firmware_bridge.simulator.campaign import BAUD_RATE, Auditor, face, wanted_deg
+from firmware_bridge.simulator.auditor import Auditor
+from firmware_bridge.simulator.campaign import BAUD_RATE, face, wanted_deg
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.memory_transport import MemoryTransport
@@ -93,8 +94,8 @@ def endure(
         descriptors_at_tenth=warm[1],
         descriptors_at_end=end[1],
         goals=auditor.goals,
-        goals_outside_limits=auditor.outside,
-        steps_above_clamp=auditor.too_far,
+        goals_outside_limits=auditor.goals_outside,
+        steps_above_clamp=auditor.steps_too_long,
         contention=chain.counts.contention,
         replugs=bridge.status.n_unplugged,
     )

@@ -144,12 +144,15 @@ class Motors:
 
     def _step(self) -> None:
         on = self.torque_on
+        # Before the profile goes on: a shaft that is with its trajectory follows it at its pace.
+        trajectory = self.trajectory
+        error = trajectory - self.position
         self._follow_profile()
+        pace = (self.trajectory - trajectory) / _STEP_S
         room = np.maximum(0.0, 1.0 - self.load / np.maximum(self.strength, 1e-6))
         top = self._no_load * room * self.voltage_v / self._nominal_v
         top = np.where(on & ~self.jammed, top, 0.0)
-        error = self.trajectory - self.position
-        wanted = self.trajectory_velocity + _POSITION_LOOP_PER_S * error
+        wanted = pace + _POSITION_LOOP_PER_S * error
         velocity = np.minimum(np.maximum(wanted, -top), top)
         effort = self.load + 0.05 * np.minimum(1.0, np.abs(velocity) / self._no_load)
         effort += 0.001 / _STEP_S * np.abs(velocity - self.velocity) / self._no_load
