@@ -28,8 +28,10 @@ _MARGIN_PULSES: Final = 12
 _SPEED_MARGIN: Final = 1.10
 #: A frozen face may still brake, and give a little under load.
 _BRAKES_S, _CREEP_DEG_S = 0.3, 5.0
+#: A shaft that is more than this behind its trajectory at top speed is held up.
+_LAG_S: Final = 0.020
 #: No motor makes this without load: a hand pushed the shaft, or its encoder jumped.
-_PUSHED_DEG_S: Final = 1000.0
+_PUSHED_DEG_S: Final = 700.0
 
 
 class Auditor:
@@ -38,7 +40,7 @@ class Auditor:
     goals: goals seen. goals_outside: beyond the joint's limits, and no way back into them; when
     torque comes on, any other goal than the place. steps_too_long: more than top speed times one
     period since the last goal. too_fast: steps of 5 ms above 1.1 times top speed with torque on;
-    but for a shaft that a hand has pushed, until it is back at its goal.
+    but for a shaft that was pushed or held up, until it is back on its trajectory.
     moved_outside: steps outwards beyond the limits with torque on. armed_wrongly: torque switched
     on though the servo's settings differ from the face's, without a running watchdog, or with a
     goal elsewhere. armed_late: torque switched on after a person's stop. moved_frozen: steps of a
@@ -56,6 +58,7 @@ class Auditor:
             for servo, speed in zip(servos, self._speed.tolist(), strict=True)
         }
         self._pushed = _PUSHED_DEG_S * per_deg
+        self._lag = self._speed * _LAG_S
         self._in_hand = np.zeros(len(servos), dtype=np.bool_)
         self._last: dict[int, int] = {}
         self._parser = FrameParser()
@@ -102,7 +105,7 @@ class Auditor:
         if not min(low, before) - 1 <= goal <= max(high, before) + 1:
             self.goals_outside += 1
         too_long = abs(goal - before) > self._reach[servo_id] + 1e-6
-        if too_long and not self._is_place(servo_id, goal):
+        if too_long and not self._is_way_back(servo_id, before, goal):
             self.steps_too_long += 1
 
     def _see_first_goal(self, servo_id: int, data: bytes) -> None:
@@ -112,6 +115,14 @@ class Auditor:
         self.goals += 1
         if not self._is_place(servo_id, goal):
             self.goals_outside += 1
+
+    def _is_way_back(self, servo_id: int, before: int, goal: int) -> bool:
+        """Whether the new goal lies between the old one and where the servo stands."""
+        index = self._index(servo_id)
+        if index is None or self._chain is None:
+            return False
+        place = float(self._chain.motors.position[index])
+        return min(before, place) - _PLACE_PULSES <= goal <= max(before, place) + _PLACE_PULSES
 
     def _is_place(self, servo_id: int, goal: int) -> bool:
         """Whether the servo stands at `goal`, so that nothing moves. True of one nobody knows."""
@@ -145,9 +156,11 @@ class Auditor:
             return
         speed = (position - before) / span_s
         motors = self._chain.motors
-        # A stiff servo snaps back by itself when a hand lets go of it: nobody told it to.
-        self._in_hand |= np.abs(speed) >= self._pushed
-        self._in_hand &= np.abs(position - motors.goal) > _MARGIN_PULSES
+        # A servo that was pushed or held up comes back by itself as fast as it can: its position
+        # loop does that, and nobody told it to.
+        error = np.abs(motors.trajectory - position)
+        self._in_hand |= (np.abs(speed) >= self._pushed) | (error > self._lag)
+        self._in_hand &= error > _MARGIN_PULSES
         own = motors.torque_on & ~self._in_hand
         fast = np.abs(speed) / self._speed
         self.fastest = max(self.fastest, float(np.where(own, fast, 0.0).max()))
