@@ -71,7 +71,7 @@ class ServoCare:
 
     def __init__(self, joints: Sequence[Joint], tracking: TrackingRule | None = None) -> None:
         n = len(joints)
-        self._tracking = TrackingMonitor(n, tracking or TrackingRule())
+        self._tracking = TrackingMonitor(joints, tracking or TrackingRule())
         self._behind = np.zeros(n, dtype=np.bool_)
         self.reasons = [""] * n
         self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
@@ -172,9 +172,7 @@ class ServoCare:
             self._let_go(i, time_s, nurse, describe_errors(error) if error else "too hot")
             return True
         if self._behind[i]:
-            off_deg, rule = self._tracking.error_deg[i], self._tracking.rule
-            why = f"does not follow, {off_deg:.0f} deg off for {rule.after_s:g} s: jammed or weak"
-            self._let_go(i, time_s, nurse, why)
+            self._let_go(i, time_s, nurse, self._tracking.reason(i))
             self._count(i, time_s)
             return True
         if health.watchdog_tripped[i]:

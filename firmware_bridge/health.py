@@ -53,3 +53,25 @@ class Health:
     hardware_errors: NDArray[np.uint8]
     room_degc: NDArray[np.float64]
     voltage_v: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ServoHealth:
+    """One servo as it was last heard, for a log or a table. NaN: never heard.
+
+    state: what care says of it, `driven` for one. load: share of the stall torque, 0..1.
+    current_ma: None on a model that does not measure current. hardware_errors: bits of
+    `HardwareError`. n_reboots, n_unanswered: since the run began.
+    """
+
+    name: str
+    servo_id: int
+    state: str
+    temperature_degc: float
+    load: float
+    voltage_v: float
+    current_ma: float | None
+    hardware_errors: int
+    n_reboots: int
+    n_unanswered: int
+    torque_on: bool
