@@ -10,6 +10,7 @@ import math
 import os
 import queue
 import re
+import stat
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -139,7 +140,10 @@ def append_line(path: Path, line: bytes) -> None:
     flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK
     descriptor = os.open(path, flags, 0o644)
     try:
-        size = os.fstat(descriptor).st_size
+        about = os.fstat(descriptor)
+        if not stat.S_ISREG(about.st_mode):
+            raise OSError(errno.EINVAL, f"{path.name} is no plain file")
+        size = about.st_size
         if size > MOST_BYTES:
             raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
         torn = size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
