@@ -22,7 +22,7 @@ from firmware_bridge.health import describe_errors
 
 _SETUP: Final = "`lipservo setup-servos`"
 _WARM_DEGC: Final = 10
-#: Of the stall torque: what is proposed where nothing bounds a servo, as in the shipped faces' jaws.
+#: Of the stall torque: proposed where nothing bounds a servo; the shipped faces' jaws have it.
 _GENTLE_SHARE: Final = 0.3
 _STATE: Final = (
     "firmware_version",
