@@ -1,17 +1,21 @@
 # make run    sees speech move a face; installs what it needs into .venv first
 # make test   the tests
+# make traces the motion that tests/test_reference_traces.py holds, anew: docs/traces.md
 # make check  style, types, and the wheel: what it holds, and that it runs when installed alone
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test check format clean
+.PHONY: run test traces check format clean
 
 run: $(VENV)/.installed
 	$(BIN)/lipservo run
 
 test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest
+
+traces: $(VENV)/.installed-dev
+	$(BIN)/python tests/make_reference_traces.py
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

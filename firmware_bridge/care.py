@@ -84,7 +84,7 @@ class ServoCare:
     ) -> None:
         """given_up: reason by index, of servos that stay limp from the beginning."""
         n = len(joints)
-        self._tracking = TrackingMonitor(n, tracking or TrackingRule())
+        self._tracking = TrackingMonitor(joints, tracking or TrackingRule())
         self._behind = np.zeros(n, dtype=np.bool_)
         self.reasons = [""] * n
         self.n_changes = 0
@@ -203,9 +203,7 @@ class ServoCare:
             self._let_go(i, time_s, port, describe_errors(error) if error else "too hot")
             return True
         if self._behind[i]:
-            off_deg, rule = self._tracking.error_deg[i], self._tracking.rule
-            why = f"does not follow, {off_deg:.0f} deg off for {rule.after_s:g} s: jammed or weak"
-            self._let_go(i, time_s, port, why)
+            self._let_go(i, time_s, port, self._tracking.reason(i))
             self._count(i, time_s, port)
             return True
         if health.watchdog_tripped[i]:

@@ -10,10 +10,12 @@ from lipservo.commands import (
     bench_recognition,
     builder,
     calibration,
+    health,
     processes,
     recognition,
     sim_bus,
     street,
+    trace,
     training,
 )
 from lipservo.face_life import FaceStopped, exit_status
@@ -52,7 +54,9 @@ app.command("new-face")(builder.new_face)
 app.command("bridge-process", hidden=True)(processes.bridge_process)
 app.command("speech-process", hidden=True)(processes.speech_process)
 app.command("stop")(processes.stop)
+app.command()(health.health)
 app.add_typer(bench.app, name="bench")
+app.add_typer(trace.app, name="trace")
 
 
 def main() -> None:

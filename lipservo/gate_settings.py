@@ -34,7 +34,10 @@ class StaleSettings(Strict):
 
 
 class TrackingSettings(Strict):
-    """A servo so far from its goal for so long does not follow, and is let go."""
+    """A servo so far from its goal for so long does not follow, and is let go.
 
-    error_deg: Annotated[float, within(1.0, 360.0)] = 15.0
+    error_deg: None = by each joint's range (`firmware_bridge.tracking`).
+    """
+
+    error_deg: Annotated[float, within(1.0, 360.0)] | None = None
     after_s: Annotated[float, within(0.1, 60.0)] = 0.5

@@ -16,6 +16,8 @@ from firmware_bridge.tracking import TrackingMonitor, TrackingRule
 PERIOD_S = 0.01
 JOINT = Joint("jaw", 1, -10.0, 20.0, 300.0, max_acceleration_deg_s2=6000.0)
 
+ONE_JOINT = [Joint("jaw", 1, -40.0, 40.0, 300.0)]
+
 
 def steps(limiter, wanted):
     sent = [limiter.sent_deg.copy()]
@@ -231,7 +233,7 @@ def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
     ("lag_deg", "age_s", "behind"), [(14.9, 0.0, False), (15.1, 0.0, True), (90.0, 1.0, False)]
 )
 def test_only_a_lasting_error_that_was_heard_counts(lag_deg, age_s, behind):
-    monitor = TrackingMonitor(1, TrackingRule(error_deg=15.0, after_s=0.5))
+    monitor = TrackingMonitor(ONE_JOINT, TrackingRule(error_deg=15.0, after_s=0.5))
     found = []
     for tick in range(60):
         age = np.array([age_s])
@@ -243,7 +245,7 @@ def test_only_a_lasting_error_that_was_heard_counts(lag_deg, age_s, behind):
 
 def test_quick_motion_that_crosses_its_goal_is_no_failure_to_follow():
     """25 deg to and fro, always 30 ms late: up to 20 deg behind, but never for half a second."""
-    monitor = TrackingMonitor(1, TrackingRule())
+    monitor = TrackingMonitor(ONE_JOINT, TrackingRule())
     for tick in range(1000):
         time_s = tick * 0.01
         goal, place = (25.0 * np.sin(2 * np.pi * 4.0 * s) for s in (time_s, time_s - 0.03))

@@ -1,5 +1,7 @@
 """Setting up and examining servos, on simulated ones in memory."""
 
+from dataclasses import replace
+
 import pytest
 from dynamixel_chain import BAUD_RATE, MemoryFace, mounted
 
@@ -83,10 +85,22 @@ def examined(face, rate_hz=30.0, latency_timer_ms=1, servos=None):
 
 
 def test_a_healthy_face_has_nothing_bad():
-    found = examined(MemoryFace(3))
+    servos = [replace(servo, max_current_ma=440.0) for servo in mounted(3)]
+    found = examined(MemoryFace(servos=servos))
 
     assert found[Severity.BAD] == found[Severity.WARNING] == []
     assert "joint_1 (id 1): XL330-M288, firmware 52, 5.0 V, 25 degC" in found[Severity.GOOD]
+
+
+def test_servos_that_nothing_bounds_are_named_with_a_value_to_write():
+    bounded, other = mounted(2)
+    unable = mounted(3, "XL430-W250")[2]
+    servos = [replace(bounded, max_current_ma=300.0), other, unable]
+    found = list(examine(Line(MemoryFace(servos=servos).open()), servos, 30.0, 1))
+
+    (finding,) = [each for each in found if each.severity is Severity.WARNING]
+    assert finding.what == "without max_current_ma these pull as hard as they can: joint_2"
+    assert "`max_current_ma: 440`" in finding.remedy
 
 
 @pytest.mark.parametrize(

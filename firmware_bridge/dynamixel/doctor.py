@@ -22,6 +22,8 @@ from firmware_bridge.health import describe_errors
 
 _SETUP: Final = "`lipservo setup-servos`"
 _WARM_DEGC: Final = 10
+#: Of the stall torque: proposed where nothing bounds a servo; the shipped faces' jaws have it.
+_GENTLE_SHARE: Final = 0.3
 _STATE: Final = (
     "firmware_version",
     "torque_enable",
@@ -92,6 +94,7 @@ def examine(
             f"id {each} ({name}) is on the bus but not in the YAML",
             "add it to the YAML, or unplug it",
         )
+    yield from _strength(servos)
     slow = budget(len(servos), wanted_rate, rate_hz)
     if slow is not None:
         yield Finding(Severity.BAD, slow, f"then {_SETUP}")
@@ -100,6 +103,22 @@ def examine(
             Severity.GOOD,
             f"{len(servos)} servos at {wanted_rate:,} baud can do {rate_hz:g} Hz with feedback",
         )
+
+
+def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
+    """Who pulls as hard as it can, although it could be bounded."""
+    unbounded = [s for s in servos if s.model.measures_current and s.max_current_ma is None]
+    if not unbounded:
+        return
+    names = ", ".join(servo.joint.name for servo in unbounded)
+    model = unbounded[0].model
+    gentle_ma = round(_GENTLE_SHARE * model.stall_a * 1e3, -1)
+    yield Finding(
+        Severity.WARNING,
+        f"without max_current_ma these pull as hard as they can: {names}",
+        f"write `max_current_ma: {gentle_ma:.0f}`, three tenths of what an {model.name} takes, "
+        f"then run {_SETUP}",
+    )
 
 
 def _adapter(latency_timer_ms: int | None) -> Finding:
