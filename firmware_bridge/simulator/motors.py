@@ -191,9 +191,12 @@ class Motors:
         error = self.trajectory - self.position
         wanted = self.trajectory_velocity + _POSITION_LOOP_PER_S * error
         velocity = np.minimum(np.maximum(wanted, -top), top)
-        effort = self.load + 0.05 * np.minimum(1.0, np.abs(velocity) / self.no_load)
+        pace = np.abs(velocity) / self.no_load
+        effort = self.load + 0.05 * pace
         effort += 0.001 / _STEP_S * np.abs(velocity - self.velocity) / self.no_load
-        effort += 0.004 * np.abs(error) * (np.abs(wanted) > top)
+        # Held back, it pushes the harder the farther away; at top speed nothing is left to push.
+        spare = np.minimum(0.004 * np.abs(error), np.maximum(0.0, room - pace))
+        effort += spare * (np.abs(wanted) > top)
         self.velocity = velocity
         self.position = self.position + velocity * _STEP_S
         self._wanted = wanted
