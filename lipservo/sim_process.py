@@ -14,11 +14,12 @@ _END_S = 5.0
 def simulated_port(arguments: Sequence[str]) -> Iterator[str]:
     """Run `lipservo sim-bus` with `arguments`; the port it serves until the block ends.
 
-    The simulator also ends when this process dies, since its standard input closes then.
+    The simulator also ends when this process dies, since its standard input closes then. A Ctrl-C
+    in the terminal does not reach it: servos stay until whoever drives them has let them go.
     """
     command = [sys.executable, "-m", "lipservo", "sim-bus", "--until-stdin-closes", *arguments]
     with subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, process_group=0
     ) as process:
         try:
             assert process.stdout is not None

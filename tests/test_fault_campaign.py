@@ -4,7 +4,7 @@ import pytest
 
 from firmware_bridge.simulator.campaign import Case, cases, play
 from firmware_bridge.simulator.endurance import endure
-from firmware_bridge.simulator.faults import KINDS, Fault, read_faults
+from firmware_bridge.simulator.faults import KINDS
 
 
 @pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
@@ -48,30 +48,3 @@ def test_a_hundred_thousand_cycles_do_not_grow():
 
     assert result.replugs >= 1
     assert result.rss_mb_at_end - result.rss_mb_at_tenth < 2.0
-
-
-def test_a_fault_script_is_read_from_yaml():
-    seed, (drop, reboot) = read_faults(
-        "seed: 7\n"
-        "faults:\n"
-        "- {kind: drop_reply, probability: 0.01, servos: [2]}\n"
-        "- {kind: reboot, at_s: 3.0}\n"
-    )
-
-    assert seed == 7
-    assert drop == Fault("drop_reply", servos=(2,), probability=0.01)
-    assert reboot == Fault("reboot", at_s=(3.0,))
-
-
-@pytest.mark.parametrize(
-    ("script", "said"),
-    [
-        ("faults: [{kind: gremlin}]", "'gremlin' is not known"),
-        ("faults: [{kind: drop_reply, probability: 2}]", "outside 0..1"),
-        ("faults: [{kind: reboot, when: 3}]", "a fault needs `kind`"),
-        ("- 3", "needs `faults"),
-    ],
-)
-def test_a_mistake_in_a_script_is_explained(script, said):
-    with pytest.raises(ValueError, match=said):
-        read_faults(script)

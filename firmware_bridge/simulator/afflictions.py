@@ -7,12 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.simulator.faults import ON_SERVOS, Fault, schedule
-from firmware_bridge.simulator.motors import ENCODER_ERROR, PULSES_PER_DEG, SHOCK_ERROR, Motors
+from firmware_bridge.simulator.faults import ON_SERVOS, Fault
+from firmware_bridge.simulator.motors import ENCODER_ERROR, SHOCK_ERROR, Motors
+from firmware_bridge.simulator.profile import PULSES_PER_DEG
 from firmware_bridge.simulator.servo import SimulatedServo
-
-#: The script is laid out this far ahead; no simulation runs longer.
-_HORIZON_S = 40_000.0
 
 
 class Afflictions:
@@ -23,15 +21,16 @@ class Afflictions:
     ) -> None:
         self._servos = servos
         self._motors = motors
-        on_servos = [fault for fault in faults if fault.kind in ON_SERVOS]
-        horizon_s = _HORIZON_S if on_servos else 0.0
-        self._coming: list[tuple[float, int, bool, Fault]] = [
-            (s, n, True, fault) for n, (s, fault) in enumerate(schedule(on_servos, horizon_s))
-        ]
-        heapq.heapify(self._coming)
-        self._n = len(self._coming)
+        #: When, in which order at the same moment, how often before (-1: at a moment of its own),
+        #: whether it begins or ends.
+        self._coming: list[tuple[float, int, int, bool, Fault]] = []
+        self._n = 0
+        for fault in faults:
+            if fault.kind in ON_SERVOS:
+                for when_s in fault.at_s:
+                    self._expect(when_s, -1, fault, begins=True)
+                self._expect_again(fault, 0)
         self.unplugged = False
-        self.plugged_in_s = 0.0
         limits = ("min_voltage_limit", "max_voltage_limit", "temperature_limit")
         low, high, hot = (np.array([s[name] for s in servos], float) for name in limits)
         self._low_v, self._high_v, self._hottest = low / 10.0, high / 10.0, hot
@@ -39,14 +38,29 @@ class Afflictions:
     def advance(self, now_s: float) -> None:
         """Everything that is due by `now_s`."""
         while self._coming and self._coming[0][0] <= now_s:
-            when_s, _, begins, fault = heapq.heappop(self._coming)
+            when_s, _, n_before, begins, fault = heapq.heappop(self._coming)
             self._motors.advance(when_s)
             for servo in self._servos:
-                if not fault.servos or servo.index in fault.servos:
-                    (self._begin if begins else self._end)(servo, fault, when_s)
+                if fault.servos and servo.index not in fault.servos:
+                    continue
+                if begins:
+                    self._begin(servo, fault, when_s)
+                else:
+                    self._end(servo, fault)
             if begins and fault.lasts_s:
-                self._n += 1
-                heapq.heappush(self._coming, (when_s + fault.lasts_s, self._n, False, fault))
+                self._expect(when_s + fault.lasts_s, -1, fault, begins=False)
+            if begins and n_before >= 0:
+                self._expect_again(fault, n_before + 1)
+
+    def _expect(self, when_s: float, n_before: int, fault: Fault, *, begins: bool) -> None:
+        self._n += 1
+        heapq.heappush(self._coming, (when_s, self._n, n_before, begins, fault))
+
+    def _expect_again(self, fault: Fault, n_before: int) -> None:
+        """The next of what comes every so often."""
+        when_s = fault.from_s + (n_before + 1) * fault.every_s
+        if fault.every_s > 0.0 and when_s <= fault.until_s:
+            self._expect(when_s, n_before, fault, begins=True)
 
     def hardware_errors(self) -> NDArray[np.int64]:
         """The bits that each servo would set now."""
@@ -77,13 +91,12 @@ class Afflictions:
             servo.latch(ENCODER_ERROR)
             motors.position[i] += fault.amount * PULSES_PER_DEG
         else:
-            self._change_registers(servo, fault, now_s)
+            self._change_registers(servo, fault)
 
-    def _change_registers(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
+    def _change_registers(self, servo: SimulatedServo, fault: Fault) -> None:
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind == "torque_lost":
-            servo["torque_enable"] = 0
-            motors.torque_on[i] = False
+            servo.let_go()
         elif kind == "id_change":
             servo["id"] = int(fault.amount)
         elif kind == "baud_reset":
@@ -100,9 +113,8 @@ class Afflictions:
             motors.position[i] += fault.amount * PULSES_PER_DEG
         elif kind == "unplug":
             self.unplugged = True
-            self.plugged_in_s = now_s + fault.lasts_s
 
-    def _end(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
+    def _end(self, servo: SimulatedServo, fault: Fault) -> None:
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind in ("overload", "jam", "load"):
             motors.load[i] = 0.0
@@ -115,4 +127,3 @@ class Afflictions:
             servo["status_return_level"] = 2
         elif kind == "unplug":
             self.unplugged = False
-            self.plugged_in_s = now_s

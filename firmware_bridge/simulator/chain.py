@@ -1,15 +1,18 @@
 """A chain of simulated servos on one half-duplex wire: bytes in, bytes out, each at its time."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
 from firmware_bridge.dynamixel.frames import Frame, FrameParser
+from firmware_bridge.simulator import group_instructions
 from firmware_bridge.simulator.afflictions import Afflictions
 from firmware_bridge.simulator.faults import Fault
+from firmware_bridge.simulator.group_instructions import SpanWanted
 from firmware_bridge.simulator.motors import Environment, Motors
 from firmware_bridge.simulator.servo import SimulatedServo
 from firmware_bridge.simulator.wire import BITS_PER_BYTE, Wire, WireCounts, WireRules
@@ -20,9 +23,16 @@ _PING_SLOT_BYTES: Final = 14
 #: How often the servos look at watchdog and hardware. Ours; finer than any loop.
 _CHECK_S: Final = 0.010
 #: Ints: looking a member up in its enumeration costs as much as comparing three.
-_SYNC_WRITE: Final = int(Instruction.SYNC_WRITE)
-_SYNC_READ: Final = int(Instruction.SYNC_READ)
-_FAST_SYNC_READ: Final = int(Instruction.FAST_SYNC_READ)
+_GROUP_READS: Final = {
+    int(Instruction.SYNC_READ): (group_instructions.sync_read, False),
+    int(Instruction.FAST_SYNC_READ): (group_instructions.sync_read, True),
+    int(Instruction.BULK_READ): (group_instructions.bulk_read, False),
+    int(Instruction.FAST_BULK_READ): (group_instructions.bulk_read, True),
+}
+_GROUP_WRITES: Final = {
+    int(Instruction.SYNC_WRITE): group_instructions.sync_write,
+    int(Instruction.BULK_WRITE): group_instructions.bulk_write,
+}
 
 
 class SimulatedChain:
@@ -61,6 +71,7 @@ class SimulatedChain:
         self._parser = FrameParser()
         self._now_s = -1.0
         self._checked_s = 0.0
+        self._cut_off = False
 
     @property
     def counts(self) -> WireCounts:
@@ -73,9 +84,30 @@ class SimulatedChain:
         return not self._afflictions.unplugged
 
     @property
-    def plugged_in_s(self) -> float:
-        """When the plug was put in last."""
-        return self._afflictions.plugged_in_s
+    def motion(self) -> Callable[[float, NDArray[np.float64]], None] | None:
+        """Who is told of every step of the motion: its time, and the shafts' positions, (n,).
+
+        Steps are 5 ms. Positions are pulses as `Motors` counts them, which is as present_position
+        does for servos that are neither reversed nor given a homing offset. The array is the
+        motors' own: copy what is kept. None, the default, costs nothing.
+        """
+        return self.motors.motion
+
+    @motion.setter
+    def motion(self, observer: Callable[[float, NDArray[np.float64]], None] | None) -> None:
+        self.motors.motion = observer
+
+    def unplug(self) -> None:
+        """Pull the computer's plug: what is under way is lost, servos keep their power.
+
+        May be called from any thread; a `PtyHost` hangs up within 50 ms.
+        """
+        self._cut_off = True
+        self._afflictions.unplugged = True
+
+    def plug_in(self) -> None:
+        """Put the plug in again; a `PtyHost` opens a new port, and its link leads there."""
+        self._afflictions.unplugged = False
 
     @property
     def next_delivery_s(self) -> float:
@@ -88,12 +120,13 @@ class SimulatedChain:
             return
         self._now_s = now_s
         self._afflictions.advance(now_s)
-        if not self.plugged:
+        if self._cut_off or not self.plugged:
+            self._cut_off = False
             self._wire.clear()
             self._parser.reset()
         check = now_s - self._checked_s >= _CHECK_S
         if check:
-            self._trip_watchdogs(now_s)
+            self._look_at_clocks(now_s)
         self.motors.advance(now_s)
         if check:
             self._checked_s = now_s
@@ -101,9 +134,14 @@ class SimulatedChain:
             for index in np.flatnonzero(bits).tolist():
                 self.servos[index].latch(int(bits[index]))
 
-    def _trip_watchdogs(self, now_s: float) -> None:
-        """Stop those that have heard nothing for too long, each where it stood then."""
+    def _look_at_clocks(self, now_s: float) -> None:
+        """Stop those that have heard nothing for too long, each where it stood then.
+
+        And those that switch torque on at start-up do so once they have booted.
+        """
         for servo in self.servos:
+            if servo.holds_at_start:
+                servo.start_up(now_s)
             trip_s = servo.heard_s + servo.patience_s
             if trip_s <= now_s:
                 self.motors.advance(trip_s)
@@ -136,16 +174,23 @@ class SimulatedChain:
             servo.heard_s = end_s
         self._wire.until_s = end_s
         instruction, parameters = frame.instruction, frame.parameters
-        if instruction == _SYNC_WRITE:
-            _sync_write(awake, parameters)
-        elif instruction == _SYNC_READ:
-            self._sync_read(awake, parameters, byte_s)
-        elif instruction == _FAST_SYNC_READ:
-            self._fast_sync_read(awake, parameters, byte_s)
+        if frame.packet_id != BROADCAST_ID:
+            awake = [each for each in awake if each.servo_id == frame.packet_id]
+        if instruction in _GROUP_WRITES:
+            blocks = _GROUP_WRITES[instruction](parameters)
+            for servo in awake:
+                if servo.servo_id in blocks:
+                    servo.write(blocks[servo.servo_id])
+        elif instruction in _GROUP_READS:
+            take_apart, fast = _GROUP_READS[instruction]
+            wanted = take_apart(parameters)
+            if frame.packet_id != BROADCAST_ID:  # nobody else feels addressed
+                wanted = [each for each in wanted if each.servo_id == frame.packet_id]
+            (self._read_together if fast else self._read_in_turn)(awake, wanted, byte_s)
         elif frame.packet_id == BROADCAST_ID:
             self._broadcast(awake, instruction, parameters, byte_s)
         else:
-            for servo in [each for each in awake if each.servo_id == frame.packet_id]:
+            for servo in awake:
                 answer = servo.answer(instruction, parameters, end_s)
                 if answer is not None:
                     self._wire.say(servo, frame.packet_id, answer, end_s, byte_s)
@@ -163,14 +208,12 @@ class SimulatedChain:
                 slot_s = servo.servo_id * _PING_SLOT_BYTES * byte_s
                 self._wire.say(servo, servo.servo_id, answer, end_s + slot_s, byte_s)
 
-    def _sync_read(self, awake: list[SimulatedServo], parameters: bytes, byte_s: float) -> None:
+    def _read_in_turn(
+        self, awake: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
+    ) -> None:
         """Each in its turn; a silent servo leaves a gap of its own length, or stops the rest."""
-        if len(parameters) < 5:
-            return
-        address = parameters[0] | parameters[1] << 8
-        size = parameters[2] | parameters[3] << 8
         by_id = _by_id(awake)
-        for servo_id in parameters[4:]:
+        for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
             if not answering:
                 if self._chain_stops:
@@ -182,17 +225,13 @@ class SimulatedChain:
                 said = servo.read_span(address, size)
                 self._wire.say(servo, servo_id, said, start_s, byte_s)
 
-    def _fast_sync_read(
-        self, awake: list[SimulatedServo], parameters: bytes, byte_s: float
+    def _read_together(
+        self, awake: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
         """All in one frame, which ends where somebody is silent."""
-        if len(parameters) < 5:
-            return
-        address = parameters[0] | parameters[1] << 8
-        size = parameters[2] | parameters[3] << 8
-        by_id, ids = _by_id(awake), parameters[4:]
+        by_id = _by_id(awake)
         said = []
-        for servo_id in ids:
+        for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
             if not answering or self._wire.swallows(answering[0]):
                 break
@@ -201,7 +240,8 @@ class SimulatedChain:
                 break
             said.append((answering[0], error, data))
         if said:
-            self._wire.say_together(said, len(ids) - len(said), self._wire.until_s, byte_s)
+            missing = [each.size for each in wanted[len(said) :]]
+            self._wire.say_together(said, missing, self._wire.until_s, byte_s)
 
 
 def _by_id(awake: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
@@ -211,18 +251,3 @@ def _by_id(awake: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
         if servo.answers_reads:
             by_id.setdefault(servo.servo_id, []).append(servo)
     return by_id
-
-
-def _sync_write(awake: list[SimulatedServo], parameters: bytes) -> None:
-    if len(parameters) < 5:
-        return
-    head = parameters[:2]
-    size = parameters[2] | parameters[3] << 8
-    blocks = {
-        parameters[at]: parameters[at + 1 : at + 1 + size]
-        for at in range(4, len(parameters) - size, size + 1)
-    }
-    for servo in awake:
-        data = blocks.get(servo.servo_id)
-        if data is not None:
-            servo.write(head + data)

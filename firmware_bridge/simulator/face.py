@@ -22,8 +22,6 @@ def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) ->
     for servo, simulated in zip(servos, chain.servos, strict=True):
         for name, value in wanted_settings(servo, baud_rate).items():
             simulated[name] = value
-        neutral = servo.pulse(0.0)
-        chain.motors.position[simulated.index] = neutral
-        chain.motors.trajectory[simulated.index] = neutral
-        simulated["goal_position"] = neutral
+        simulated.power_up(0.0)
+        simulated.stand_at(servo.pulse(0.0))
     return chain

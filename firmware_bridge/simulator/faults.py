@@ -1,12 +1,9 @@
-"""What can go wrong on the simulated wire and in the simulated servos: seeded, scripted in YAML."""
+"""What can go wrong on the simulated wire and in the simulated servos, by seed and by moment."""
 
 import math
 import random
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
-
-import yaml
+from typing import Final
 
 #: What happens to a status packet on its way, by chance.
 ON_REPLIES: Final = frozenset(
@@ -50,6 +47,43 @@ ON_SERVOS: Final = frozenset(
     }
 )
 KINDS: Final = tuple(sorted(ON_REPLIES | ON_INSTRUCTIONS | ON_SERVOS))
+#: Those that are over after `lasts_s`; the others are a matter of a moment.
+LASTING: Final = frozenset(
+    {
+        *("silence", "brown_out", "overload", "overheat", "undervoltage", "overvoltage"),
+        *("jam", "load", "answers_stop", "unplug"),
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Amount:
+    """What `amount` means for one kind, and between which bounds it lies; whole: no fractions."""
+
+    meaning: str
+    low: float
+    high: float
+    whole: bool = False
+    needed: bool = False
+
+
+#: Kinds that are not here have no amount.
+AMOUNTS: Final = {
+    "late_reply": Amount("seconds late", 0.0, 10.0, needed=True),
+    "error_reply": Amount("error byte of the reply, else 1", 1, 255, whole=True),
+    "babble": Amount("bytes of noise, else 8", 1, 1000, whole=True),
+    "overload": Amount("load as a share of the stall torque, else 0.9", 0.0, 1.0),
+    "overheat": Amount("degC, else 5 above the limit", 0.0, 200.0),
+    "undervoltage": Amount("volt, else 0.6 of nominal", 0.0, 60.0),
+    "overvoltage": Amount("volt, else 1.5 of nominal", 0.0, 60.0),
+    "encoder_fault": Amount("degrees that the reading jumps", -360.0, 360.0),
+    "jam": Amount("load as a share of the stall torque", 0.0, 1.0),
+    "load": Amount("load as a share of the stall torque", 0.0, 1.0, needed=True),
+    "id_change": Amount("the new id", 0, 252, whole=True, needed=True),
+    "return_delay_drift": Amount("register value, else 250", 1, 254, whole=True),
+    "limits_drift": Amount("the new max_position_limit, else 4095", 1, 4095, whole=True),
+    "pushed": Amount("degrees", -360.0, 360.0, needed=True),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,44 +118,3 @@ class Fault:
             and self.from_s <= now_s < self.until_s
             and rng.random() < self.probability
         )
-
-    def moments_s(self, until_s: float) -> list[float]:
-        """When it befalls servos, in order, up to `until_s`."""
-        moments = [s for s in self.at_s if s <= until_s]
-        if self.every_s > 0.0:
-            last = min(until_s, self.until_s)
-            n = int((last - self.from_s) / self.every_s)
-            moments += [self.from_s + k * self.every_s for k in range(1, n + 1)]
-        return sorted(moments)
-
-
-def read_faults(text: str) -> tuple[int, tuple[Fault, ...]]:
-    """Seed and faults of a YAML script: `seed: 1` and a list `faults`.
-
-    Raises ValueError for anything unknown in it.
-    """
-    content = yaml.safe_load(text)
-    if not isinstance(content, dict) or set(content) - {"seed", "faults"}:
-        raise ValueError("a fault script needs `faults: [...]` and may have `seed: <number>`")
-    faults = tuple(_fault(raw) for raw in content.get("faults") or ())
-    return int(content.get("seed", 0)), faults
-
-
-def _fault(raw: Any) -> Fault:
-    known = set(Fault.__dataclass_fields__)
-    if not isinstance(raw, dict) or "kind" not in raw or set(raw) - known:
-        raise ValueError(f"a fault needs `kind` and knows {', '.join(sorted(known))}; got {raw!r}")
-    tuples = {
-        key: tuple(value if isinstance(value, Sequence) else [value])
-        for key, value in raw.items()
-        if key in ("servos", "at_s")
-    }
-    return Fault(**{**raw, **tuples})
-
-
-def schedule(faults: Iterable[Fault], until_s: float) -> list[tuple[float, Fault]]:
-    """Every moment at which something befalls a servo, in order."""
-    moments = [
-        (s, fault) for fault in faults if fault.kind in ON_SERVOS for s in fault.moments_s(until_s)
-    ]
-    return sorted(moments, key=lambda moment: moment[0])

@@ -42,14 +42,14 @@ class RegisterMemory:
     ) -> list[tuple[Register, int]] | StatusError:
         """Which registers a write touches, with their values, through indirect data if need be.
 
-        locked: torque is on, so indirect addresses cannot be changed. Those are changed right here:
-        they have no effect of their own.
+        Empty for a write of indirect addresses, which `map_indirect` then does. locked: torque is
+        on, so those cannot be changed.
         """
         for block in self._indirect:
             if block.data <= address < block.data + block.count:
                 return self._indirect_pieces(block, address, data)
             if block.addresses <= address < block.addresses + 2 * block.count:
-                return StatusError.ACCESS if locked else self._map_indirect(block, address, data)
+                return StatusError.ACCESS if locked else self._mapping_refusal(block, address, data)
         pieces = []
         end = address + len(data)
         at = address
@@ -86,7 +86,11 @@ class RegisterMemory:
             pieces.append((entry, entry.decode(bytes(shown[n] for n in behind))))
         return pieces
 
-    def _map_indirect(
+    def map_indirect(self, address: int, data: bytes) -> None:
+        """Let indirect data show other addresses; `pieces` has found nothing against it."""
+        self.bytes[address : address + len(data)] = data
+
+    def _mapping_refusal(
         self, block: IndirectBlock, address: int, data: bytes
     ) -> list[tuple[Register, int]] | StatusError:
         if (address - block.addresses) % 2 or len(data) % 2:
@@ -96,7 +100,6 @@ class RegisterMemory:
             return StatusError.ACCESS
         if not all(64 <= target < len(self.bytes) for target in targets):
             return StatusError.DATA_RANGE
-        self.bytes[address : address + len(data)] = data
         return []
 
     def _through_indirect(self, block: IndirectBlock, address: int, data: bytes) -> bytes:

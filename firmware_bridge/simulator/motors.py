@@ -1,27 +1,31 @@
 """The motors of simulated servos: profile, speed, load, current, heat, supply; in arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.dynamixel.control_table import ServoModel
+from firmware_bridge.simulator.profile import PULSES_PER_DEG, UNBOUNDED, VELOCITY_UNIT, Course
 
 Array = NDArray[np.float64]
 
-PULSES_PER_DEG = 4096 / 360.0
-#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108 and the next entry
-VELOCITY_UNIT = 0.229 * 6.0 * PULSES_PER_DEG
-ACCELERATION_UNIT = 214.577 * 6.0 * PULSES_PER_DEG / 60.0
 #: The integration runs on a grid of its own, so that the motion does not depend on who asks when.
 #: Short against any profile; between two points of the grid positions go on in straight lines.
 _STEP_S = 0.005
 #: How fast the position loop closes an error, 1/s. It has no feedforward, as the factory settings
 #: have none, so a shaft is 12 ms behind its trajectory and never quicker. Ours; not measured.
 _POSITION_LOOP_PER_S = 80.0
-_UNBOUNDED = 1e9
 _AT_REST_PULSES = 0.01
+#: moving_status: so near counts as arrived, so far from the trajectory as not following. The manual
+#: names no numbers; these are ours.
+_IN_POSITION_PULSES = 10.0
+_FOLLOWING_PULSES = 60.0
+_IN_POSITION, _ONGOING, _NOT_FOLLOWING = 1, 2, 8
+#: goal_pwm and present_pwm at the full voltage:
+#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#goal-pwm100
+FULL_PWM = 885
 
 #: Bits of hardware_error_status: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#hardware-error-status70
 VOLTAGE_ERROR, HEAT_ERROR, ENCODER_ERROR, SHOCK_ERROR, OVERLOAD_ERROR = 1, 4, 8, 16, 32
@@ -50,66 +54,97 @@ class Environment:
 class Motors:
     """Every motor of a chain; positions in pulses, speeds in pulses a second. Arrays are (n,).
 
-    Set the inputs (goal, torque, profile, load, jam), call `advance`, read the rest.
+    Positions are the shafts' own, counter-clockwise, with 2048 in the middle of the first turn.
+    What a register shows is `sign` x position + `zero`: the same, unless the servo is reversed, has
+    a homing offset, or counts another turn.
+    Set the inputs (goal, torque, course, load, jam), call `advance`, read the rest.
     """
 
     def __init__(self, models: Sequence[ServoModel], environment: Environment) -> None:
         n = len(models)
         self._environment = environment
-        self._no_load = np.array([m.no_load_deg_s * PULSES_PER_DEG for m in models])
+        self.no_load = np.array([m.no_load_deg_s * PULSES_PER_DEG for m in models])
         self._stall_a = np.array([m.stall_a for m in models])
         self._nominal_v = np.array([m.nominal_voltage_v for m in models])
         self.supply_v = self._nominal_v.copy()
         if environment.supply_v is not None:
             self.supply_v[:] = environment.supply_v
+        self.sign = np.ones(n)
+        self.zero = np.zeros(n)
         self.position = np.full(n, 2048.0)
         self.velocity = np.zeros(n)
         self.trajectory = self.position.copy()
         self.trajectory_velocity = np.zeros(n)
         self.goal = self.position.copy()
-        self.top_speed = np.full(n, _UNBOUNDED)
-        self.acceleration = np.full(n, _UNBOUNDED)
+        self.top_speed = np.full(n, UNBOUNDED)
+        self.acceleration = np.full(n, UNBOUNDED)
+        self.shape = np.zeros(n, dtype=np.int64)  # of the profile, as in moving_status
+        self.moving_speed = np.zeros(n)  # moving_threshold
         self.torque_on = np.zeros(n, dtype=np.bool_)
-        self.strength = np.ones(n)  # goal current as a share of the stall current
+        self.strength = np.ones(n)  # what goal current and goal PWM allow, share of stall torque
+        self.free_speed = self.no_load.copy()  # no-load speed at what goal PWM allows
         self.load = np.zeros(n)  # external, share of the stall torque
         self.jammed = np.zeros(n, dtype=np.bool_)
         self.temperature = np.full(n, environment.ambient_degc)
-        self.current_a = np.full(n, environment.standby_a)
         self.voltage_v = self.supply_v.copy()
         self.overload_s = np.zeros(n)
         self.now_s = 0.0
+        #: Called at every step of the integration with its time and the positions, (n,), which
+        #: are the motors' own array: copy what is kept. None costs nothing.
+        self.motion: Callable[[float, Array], None] | None = None
+        self._effort = np.zeros(n)  # share of the stall torque, without its direction
+        self._wanted = np.zeros(n)  # the speed asked of the motor, whose direction it pushes in
         self._grid_s = 0.0  # so far the motion is worked out
         self._heat_kept = float(np.exp(-_STEP_S / environment.cooling_s))
-        units = [m.current_unit_ma for m in models]
-        self._current_scale = np.array([1e3 / unit if unit else 0.0 for unit in units])
-        self._load_scale = np.array([0.0 if unit else 1e3 for unit in units])
-        self._values = np.zeros((8, n))
+        units = [(m.current_unit_ma, m.stall_a * 1e3) for m in models]
+        # Models without a current sensor count load in 0.1 %.
+        self._effort_scale = np.array([stall / unit if unit else 1e3 for unit, stall in units])
+        self._values = np.zeros((10, n))
         self._shown: list[list[int]] = []
         self._shown_at_s = -1.0
 
     def register_values(self) -> list[list[int]]:
-        """Per servo: moving, current, velocity, position, both trajectories, voltage, temperature.
+        """The registers of the present, from `moving` to present_temperature, a list a servo.
 
         In the units of the registers, of the time that was advanced to.
         """
         if self._shown_at_s != self.now_s:
             self._shown_at_s = self.now_s
-            values = self._values
-            values[0] = self.goal != self.trajectory
-            values[1] = self.current_a * self._current_scale + self.load * self._load_scale
-            values[2] = self.velocity / VELOCITY_UNIT
-            values[3] = self.position + self.velocity * (self.now_s - self._grid_s)
-            values[4] = self.trajectory_velocity / VELOCITY_UNIT
-            values[5] = self.trajectory
-            values[6] = self.voltage_v * 10.0
-            values[7] = self.temperature
+            values, sign = self._values, self.sign
+            ongoing = self.torque_on & (self.goal != self.trajectory)
+            speed = np.abs(self.velocity)
+            values[0] = ongoing | (speed > self.moving_speed)
+            values[1] = self._moving_status(ongoing)
+            duty = (speed / self.no_load + self._effort) * (self._nominal_v / self.voltage_v)
+            duty = np.minimum(duty, self.free_speed / self.no_load) * self.torque_on
+            push = np.copysign(sign, self._wanted * sign)
+            values[2] = FULL_PWM * duty * push
+            values[3] = self._effort * self._effort_scale * push
+            values[4] = self.velocity * sign / VELOCITY_UNIT
+            position = self.position + self.velocity * (self.now_s - self._grid_s)
+            values[5] = position * sign + self.zero
+            values[6] = self.trajectory_velocity * sign / VELOCITY_UNIT
+            values[7] = self.trajectory * sign + self.zero
+            values[8] = self.voltage_v * 10.0
+            values[9] = self.temperature
             self._shown = np.rint(values).astype(np.int64).T.tolist()
         return self._shown
 
-    def set_profile(self, index: int, velocity: float, acceleration: float) -> None:
-        """Pulses a second (squared); 0 = no bound, as in the registers."""
-        self.top_speed[index] = velocity or _UNBOUNDED
-        self.acceleration[index] = acceleration or _UNBOUNDED
+    def _moving_status(self, ongoing: NDArray[np.bool_]) -> NDArray[np.int64]:
+        status = self.shape + _ONGOING * ongoing
+        status += _IN_POSITION * (np.abs(self.goal - self.position) <= _IN_POSITION_PULSES)
+        late = np.abs(self.trajectory - self.position) > _FOLLOWING_PULSES
+        return np.asarray(status + _NOT_FOLLOWING * late)
+
+    def forget_shown(self) -> None:
+        """What registers show has changed although no time has passed."""
+        self._shown_at_s = -1.0
+
+    def set_course(self, index: int, course: Course) -> None:
+        """What bounds the way to the next goal."""
+        self.top_speed[index] = course.top_speed
+        self.acceleration[index] = course.acceleration
+        self.shape[index] = course.shape
 
     def stop(self, index: int) -> None:
         """Hold the present place from now on."""
@@ -124,15 +159,20 @@ class Motors:
         n_steps = int((now_s - self._grid_s) / _STEP_S)
         if not n_steps:
             return
+        end_s = self._grid_s + n_steps * _STEP_S
         if self._at_rest():
             self.velocity[:] = 0.0
             span_s = n_steps * _STEP_S
             keep = float(np.exp(-span_s / self._environment.cooling_s))
             self._supply_and_heat(span_s, np.zeros_like(self.load), keep)
+            if self.motion is not None:
+                self.motion(end_s, self.position)
         else:
-            for _ in range(n_steps):
+            for n in range(1, n_steps + 1):
                 self._step()
-        self._grid_s += n_steps * _STEP_S
+                if self.motion is not None:
+                    self.motion(self._grid_s + n * _STEP_S, self.position)
+        self._grid_s = end_s
 
     def _at_rest(self) -> bool:
         arrived = (self.goal == self.trajectory) | ~self.torque_on
@@ -146,16 +186,20 @@ class Motors:
         on = self.torque_on
         self._follow_profile()
         room = np.maximum(0.0, 1.0 - self.load / np.maximum(self.strength, 1e-6))
-        top = self._no_load * room * self.voltage_v / self._nominal_v
+        top = self.free_speed * room * self.voltage_v / self._nominal_v
         top = np.where(on & ~self.jammed, top, 0.0)
         error = self.trajectory - self.position
         wanted = _POSITION_LOOP_PER_S * error
         velocity = np.minimum(np.maximum(wanted, -top), top)
-        effort = self.load + 0.05 * np.minimum(1.0, np.abs(velocity) / self._no_load)
-        effort += 0.001 / _STEP_S * np.abs(velocity - self.velocity) / self._no_load
-        effort += 0.004 * np.abs(error) * (np.abs(wanted) > top)
+        pace = np.abs(velocity) / self.no_load
+        effort = self.load + 0.05 * pace
+        effort += 0.001 / _STEP_S * np.abs(velocity - self.velocity) / self.no_load
+        # Held back, it pushes the harder the farther away; at top speed nothing is left to push.
+        spare = np.minimum(0.004 * np.abs(error), np.maximum(0.0, room - pace))
+        effort += spare * (np.abs(wanted) > top)
         self.velocity = velocity
         self.position = self.position + velocity * _STEP_S
+        self._wanted = wanted
         effort = np.where(on, np.maximum(0.0, np.minimum(effort, self.strength)), 0.0)
         self._supply_and_heat(_STEP_S, effort, self._heat_kept)
 
@@ -181,8 +225,9 @@ class Motors:
     def _supply_and_heat(self, dt_s: float, effort: Array, keep: float) -> None:
         """keep: the share of a difference in temperature that is left after `dt_s`."""
         around = self._environment
-        self.current_a = self._stall_a * effort + around.standby_a
-        self.voltage_v = self.supply_v - around.supply_ohm * self.current_a.sum()
+        self._effort = effort
+        current_a = self._stall_a * effort + around.standby_a
+        self.voltage_v = self.supply_v - around.supply_ohm * current_a.sum()
         settles = around.ambient_degc + effort * effort * (around.heat_deg_s * around.cooling_s)
         self.temperature = settles + (self.temperature - settles) * keep
         over = effort >= around.overload_share

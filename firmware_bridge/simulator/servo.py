@@ -1,28 +1,22 @@
 """One simulated servo: its control table, and what it answers to an instruction."""
 
-import math
 import struct
 from collections.abc import Mapping
 from typing import Final
 
 from firmware_bridge.dynamixel.codec import ALERT_BIT, Instruction, StatusError
-from firmware_bridge.dynamixel.control_table import (
-    Register,
-    ServoModel,
-    baud_rates,
-    register,
-)
-from firmware_bridge.simulator.memory import RegisterMemory
-from firmware_bridge.simulator.motors import ACCELERATION_UNIT, VELOCITY_UNIT, Motors
+from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates, register
+from firmware_bridge.simulator.drive import SHAPING, Drive
+from firmware_bridge.simulator.motors import Motors
+from firmware_bridge.simulator.refusals import Refusals
 
-#: Modes that are simulated: position, and position with limited current.
-MODES: Final = (3, 5)
-_WATCHDOG_UNIT_S: Final = 0.020
-_MODE, _LIMITS = register("operating_mode").address, register("max_position_limit").address
-_WATCHDOG, _GOAL = register("bus_watchdog").address, register("goal_position").address
-#: realtime_tick .. present_temperature
-_PRESENT: Final = struct.Struct("<HBBhhiiiiHB")
-_WATCHDOG_TRIPPED: Final = -1
+_GOAL: Final = register("goal_position").address
+_PRESENT: Final = register("realtime_tick").address
+_RAM: Final = register("torque_enable").address
+#: Bit of startup_configuration: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#startup-configuration60
+_TORQUE_AT_START: Final = 0x01
+#: What the instruction clear needs: https://emanual.robotis.com/docs/en/dxl/protocol2/#clear
+_CLEAR_TURNS: Final = b"\x01\x44\x58\x4c\x22"
 #: Not in the manual: how long a restart takes, and that a reset takes as long.
 BOOT_S: Final = 0.5
 
@@ -32,34 +26,48 @@ Answer = tuple[int, bytes]
 class SimulatedServo:
     """State machine over the model's control table. Its motor is number `index` of `motors`.
 
-    Simulated: ping, read, write, reboot, factory reset, indirect data, status return level, EEPROM
+    Simulated: ping, read, write, reg write, action, clear of turns, reboot, factory reset; sync and
+    bulk instructions, which `SimulatedChain` hands out; indirect data, status return level, EEPROM
     lock and persistence, status errors 1, 2, 4, 5, 6, 7 and the alert bit, hardware errors that
-    latch until reboot, bus watchdog, modes 3 and 5.
-    Refused with the instruction error, so not simulated: reg write, action, clear, backup, bulk
-    read and write. Other modes are refused with the range error.
+    latch until reboot, bus watchdog; operating modes 3, 4 and 5 as far as the model has them, with
+    what a change of mode resets; velocity- and time-based profiles, reverse mode, homing offset,
+    torque on by goal update, torque on at start-up, goal PWM and goal current as limits.
+    Refused with the instruction error: control table backup. So nothing is ever backed up, and RAM
+    restore at start-up finds nothing to restore. Refused with the range error: modes 0, 1 and 16
+    (current, velocity, PWM control), slave mode.
+    Accepted without effect: gains, PWM slope, secondary id, protocol type, goal velocity, LED.
+
+    servo[name] reads a register and puts a value into it, past all locks and checks, as a fault or
+    a test may: the motor goes by it, but torque is not switched and no goal pursued.
     """
 
     def __init__(self, model: ServoModel, servo_id: int, index: int, motors: Motors) -> None:
         self.model = model
         self.index = index
+        self._drive = Drive(model, index, motors)
+        self._refusals = Refusals(model, self._drive)
         self._motors = motors
         self._registers = model.registers
-        self._table = RegisterMemory(model)
+        self._table = self._drive.table
         self._memory = self._table.bytes
-        self.hardware_error = 0
+        self._registered = b""
+        self.holds_at_start = False
         self.deaf_until_s = 0.0
         self.booted_s = 0.0
         self.heard_s = 0.0
-        self.patience_s = math.inf  # silence after which the watchdog trips; infinity while off
         self._factory_settings()
         self["id"] = servo_id
-        self._restart(0.0)
+        self.power_up(0.0)
 
     def __getitem__(self, name: str) -> int:
+        if self._registers[name].address >= _PRESENT:
+            self._drive.refresh(self.booted_s)
         return self._table[name]
 
     def __setitem__(self, name: str, value: int) -> None:
         self._table[name] = value
+        if name in SHAPING:
+            self._drive.settle()
 
     @property
     def servo_id(self) -> int:
@@ -79,31 +87,48 @@ class SimulatedServo:
     @property
     def torque_on(self) -> bool:
         """Whether it holds its place."""
-        return self._memory[64] == 1
+        return self._drive.torque_on
 
     @property
     def answers_reads(self) -> bool:
         """Whether its status return level lets it."""
         return self._memory[68] >= 1
 
+    @property
+    def patience_s(self) -> float:
+        """The silence after which its watchdog trips; infinity while that is off."""
+        return self._drive.patience_s
+
+    def stand_at(self, place: float) -> None:
+        """Put the shaft where present_position reads `place`; its goal is there, too."""
+        self._drive.stand_at(place)
+
     def trip_watchdog(self) -> None:
         """Stop where it is; goals are refused until 0 is written. Torque stays on."""
-        self["bus_watchdog"] = _WATCHDOG_TRIPPED
-        self._set_patience()
-        self._motors.stop(self.index)
+        self._drive.trip_watchdog()
+
+    def let_go(self) -> None:
+        """Torque off, as if by itself."""
+        self._drive.set_torque(on=False)
 
     def latch(self, bits: int) -> None:
         """Note hardware errors; those in `shutdown` switch torque off."""
-        if bits & ~self.hardware_error:
-            self.hardware_error |= bits
-            self["hardware_error_status"] = self.hardware_error
+        known = self._memory[70]
+        if bits & ~known:
+            self["hardware_error_status"] = known | bits
             if bits & self["shutdown"]:
-                self._set_torque(on=False)
+                self._drive.set_torque(on=False)
 
     def reboot(self, now_s: float) -> None:
         """Restart: RAM and errors are forgotten, EEPROM is kept, deaf for a while."""
-        self._restart(now_s)
+        self.power_up(now_s)
         self.deaf_until_s = now_s + BOOT_S
+
+    def start_up(self, now_s: float) -> None:
+        """Once booted: torque, if the start-up configuration wants it."""
+        if self.deaf_until_s <= now_s:
+            self.holds_at_start = False
+            self._drive.set_torque(on=not self._drive.broken)
 
     def answer(self, instruction: int, parameters: bytes, now_s: float) -> Answer | None:
         """Do what one instruction packet asks; None: no status packet."""
@@ -111,10 +136,16 @@ class SimulatedServo:
             return self._error(), struct.pack("<HB", self["model_number"], self["firmware_version"])
         if instruction == Instruction.READ:
             reply = self._read(parameters)
-            return reply if self["status_return_level"] >= 1 else None
+            return reply if self.answers_reads else None
         level = self["status_return_level"]
         if instruction == Instruction.WRITE:
             error = self.write(parameters)
+        elif instruction == Instruction.REG_WRITE:
+            error = self._register(parameters)
+        elif instruction == Instruction.ACTION:
+            error = self._act()
+        elif instruction == Instruction.CLEAR:
+            error = self._clear(parameters)
         elif instruction == Instruction.REBOOT:
             self.reboot(now_s)
             error = 0
@@ -128,8 +159,8 @@ class SimulatedServo:
         """The bytes that a read, alone or among others, is answered with."""
         if size < 1 or address + size > len(self._memory):
             return self._error(StatusError.ACCESS), b""
-        if address + size > 120:
-            self._refresh()
+        if address + size > _PRESENT:
+            self._drive.refresh(self.booted_s)
         data = self._table.shown(address, size)
         return self._error(), data
 
@@ -140,131 +171,96 @@ class SimulatedServo:
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
         if address == _GOAL and len(data) == 4:  # what nearly every write is
             goal = int.from_bytes(data, "little", signed=True)
-            error = self._goal_refusal("goal_position", goal)
+            error = self._refusals.of_goal_position(goal)
             if not error:
                 self._memory[_GOAL : _GOAL + 4] = data
-                self._take_effect("goal_position", goal)
+                self._drive.pursue(goal)
             return error
         pieces = self._table.pieces(address, data, locked=self.torque_on)
         if isinstance(pieces, StatusError):
             return pieces
+        error = self._refusals.of_all(pieces)
+        if error:
+            return error
         for entry, value in pieces:
-            error = self._refusal(entry, value)
-            if error:
-                return error
-        for entry, value in pieces:
-            self[entry.name] = value
-            self._take_effect(entry.name, value)
+            self._set(entry.name, value)
+        if not pieces:
+            self._table.map_indirect(address, data)
+        return 0
+
+    def _set(self, name: str, value: int) -> None:
+        """One register of a write, with all that goes with it."""
+        drive = self._drive
+        if name == "torque_enable":
+            drive.set_torque(on=bool(value))
+            return
+        changed = self._table[name] != value
+        self[name] = value
+        if name == "goal_position":
+            drive.pursue(value)
+        elif name == "operating_mode" and changed:
+            drive.change_mode()
+
+    def _register(self, parameters: bytes) -> int:
+        """Keep a write for the next action; what would be refused now is refused now."""
+        if len(parameters) < 3:
+            return StatusError.DATA_LENGTH
+        address, data = parameters[0] | parameters[1] << 8, parameters[2:]
+        pieces = self._table.pieces(address, data, locked=self.torque_on)
+        error = pieces if isinstance(pieces, StatusError) else self._refusals.of_all(pieces)
+        if not error:
+            self._registered = parameters
+            self["registered_instruction"] = 1
+        return error
+
+    def _act(self) -> int:
+        """Do the write that was kept. Without one: the instruction error, as the manual says."""
+        if not self._registered:
+            return StatusError.INSTRUCTION
+        parameters, self._registered = self._registered, b""
+        self["registered_instruction"] = 0
+        return self.write(parameters)
+
+    def _clear(self, parameters: bytes) -> int:
+        """Forget whole turns, unless it moves."""
+        if parameters != _CLEAR_TURNS:
+            return StatusError.DATA_RANGE
+        if self["moving"]:
+            return StatusError.RESULT_FAIL
+        self._drive.count_one_turn()
+        self._drive.stand_at(self._drive.place)
         return 0
 
     def _error(self, error: int = 0) -> int:
-        return error | (ALERT_BIT if self.hardware_error else 0)
+        return error | (ALERT_BIT if self._memory[70] else 0)
 
     def _read(self, parameters: bytes) -> Answer:
         if len(parameters) != 4:
             return self._error(StatusError.DATA_LENGTH), b""
         return self.read_span(*struct.unpack("<HH", parameters))
 
-    def _refusal(self, register: Register, value: int) -> int:
-        name = register.name
-        if register.in_eeprom and self.torque_on:
-            return StatusError.ACCESS
-        if register.low is not None and not register.low <= value <= (register.high or 0):
-            return StatusError.DATA_RANGE
-        if name == "operating_mode" and value not in MODES:
-            return StatusError.DATA_RANGE
-        if name.startswith("goal_"):
-            return self._goal_refusal(name, value)
-        if name == "torque_enable" and value and self.hardware_error & self["shutdown"]:
-            return StatusError.ACCESS
-        return 0
-
-    def _goal_refusal(self, name: str, value: int) -> int:
-        if self._memory[_WATCHDOG] == 0xFF:
-            return StatusError.DATA_RANGE
-        if name == "goal_position":
-            # Mode 5 counts turns: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#goal-position116
-            low, high = -1_048_575, 1_048_575
-            if self._memory[_MODE] == 3:
-                high, low = struct.unpack_from("<II", self._memory, _LIMITS)
-        else:
-            limit = {"goal_velocity": "velocity_limit", "goal_current": "current_limit"}
-            high = self[limit.get(name, "pwm_limit")]
-            low = -high
-        return 0 if low <= value <= high else StatusError.DATA_LIMIT
-
-    def _take_effect(self, name: str, value: int) -> None:
-        motors, i = self._motors, self.index
-        if name == "goal_position":
-            if self.torque_on:
-                motors.goal[i] = value
-        elif name == "bus_watchdog":
-            self._set_patience()
-        elif name == "torque_enable":
-            self._set_torque(on=bool(value))
-        elif name in ("profile_velocity", "profile_acceleration"):
-            motors.set_profile(
-                i,
-                self["profile_velocity"] * VELOCITY_UNIT,
-                self["profile_acceleration"] * ACCELERATION_UNIT,
-            )
-        elif name in ("goal_current", "operating_mode") and "goal_current" in self._registers:
-            limited = self["operating_mode"] == 5
-            motors.strength[i] = self._share_of_stall() if limited else 1.0
-
-    def _share_of_stall(self) -> float:
-        """What goal_current lets the motor do, as a share of its stall torque."""
-        milliamperes = abs(self["goal_current"]) * (self.model.current_unit_ma or 0.0)
-        return min(1.0, milliamperes / (self.model.stall_a * 1e3))
-
-    def _set_torque(self, *, on: bool) -> None:
-        motors, i = self._motors, self.index
-        self["torque_enable"] = int(on)
-        self._set_patience()
-        motors.torque_on[i] = on
-        if on:
-            motors.trajectory[i] = motors.position[i]
-            motors.goal[i] = self["goal_position"]
-
-    def _refresh(self) -> None:
-        """Bring the registers of the present up to date."""
-        moving, *values = self._motors.register_values()[self.index]
-        tick_ms = int((self._motors.now_s - self.booted_s) * 1e3) % 32768
-        status = 0x32 if moving else 0x01
-        _PRESENT.pack_into(self._memory, 120, tick_ms, moving, status, 0, *values)
-
-    def _set_patience(self) -> None:
-        setting = self["bus_watchdog"]
-        armed = setting > 0 and self.torque_on
-        self.patience_s = setting * _WATCHDOG_UNIT_S if armed else math.inf
-
     def _factory_settings(self, keep: Mapping[str, int] | None = None) -> None:
         self._memory[:] = bytes(len(self._memory))
         for name, value in self.model.defaults.items():
-            self[name] = value
+            self._table[name] = value
         self["model_number"] = self.model.model_number
         self["firmware_version"] = 52
         for name, value in (keep or {}).items():
-            self[name] = value
+            self._table[name] = value
 
-    def _restart(self, now_s: float) -> None:
-        """RAM back to defaults."""
-        self._memory[64:] = bytes(len(self._memory) - 64)
+    def power_up(self, now_s: float) -> None:
+        """As after power has been away: RAM back to defaults, EEPROM kept, goal = place."""
+        self._memory[_RAM:] = bytes(len(self._memory) - _RAM)
         for name, value in self.model.defaults.items():
             if not self._registers[name].in_eeprom:
-                self[name] = value
+                self._table[name] = value
         self._table.reset_indirect()
-        if "goal_current" in self._registers:
-            self["goal_current"] = self["current_limit"]
-        self.hardware_error = 0
-        self.patience_s = math.inf
+        self._registered = b""
         self.booted_s = now_s
-        motors, i = self._motors, self.index
-        motors.torque_on[i] = False
-        motors.overload_s[i] = 0.0
-        motors.strength[i] = self._share_of_stall() if self["operating_mode"] == 5 else 1.0
-        motors.set_profile(i, 0.0, 0.0)
-        self["goal_position"] = round(motors.position[i])
+        self._drive.set_torque(on=False)
+        self._drive.reset_goals()
+        self._motors.overload_s[self.index] = 0.0
+        self.holds_at_start = bool(self["startup_configuration"] & _TORQUE_AT_START)
 
     def _reset(self, parameters: bytes, now_s: float) -> int:
         if len(parameters) != 1:

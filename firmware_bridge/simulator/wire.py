@@ -160,19 +160,23 @@ class Wire:
     def say_together(
         self,
         said: list[tuple[SimulatedServo, int, bytes]],
-        missing: int,
+        missing: list[int],
         after_s: float,
         byte_s: float,
     ) -> None:
-        """One frame from many; a silent servo cuts it off where its part should be."""
-        size = len(said[0][2])
+        """One frame from many; a silent servo cuts it off where its part should be.
+
+        missing: how many bytes of data each of those would have sent that are not heard.
+        """
         blocks = [(servo.servo_id, error, data) for servo, error, data in said]
-        frame = fast_status([*blocks, *([(0, 0, bytes(size))] * missing)])
-        frame = frame[: len(frame) - missing * (size + 4)]
+        frame = fast_status([*blocks, *((0, 0, bytes(size)) for size in missing)])
+        frame = frame[: len(frame) - sum(size + 4 for size in missing)]
         for fault in self._on_replies:
-            for n, (servo, _, _) in enumerate(said):
+            at = 8
+            for servo, _, data in said:
                 if fault.kind == "corrupt_reply" and fault.hits(servo.index, after_s, self._rng):
-                    frame = self._flip(frame, 8 + n * (size + 4), size + 4)
+                    frame = self._flip(frame, at, len(data) + 4)
+                at += len(data) + 4
         self._queue(frame, after_s + said[0][0].return_delay_s, byte_s)
 
     def _flip(self, raw: bytes, start: int, size: int) -> bytes:

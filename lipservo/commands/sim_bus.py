@@ -11,7 +11,10 @@ from lipsync.errors import UserError
 
 if TYPE_CHECKING:
     from firmware_bridge.simulator.chain import SimulatedChain
+    from firmware_bridge.simulator.faults import Fault
 
+#: Characters.
+_LONGEST_SCRIPT = 100_000
 #: A face of ten, as `face_sim`.
 _N_SERVOS = 10
 
@@ -49,11 +52,15 @@ def sim_bus(
 
     Any program that speaks to Dynamixels can open the port: lipservo, dynamixel-sdk, others.
     """
+    from firmware_bridge.bus import PortError
     from firmware_bridge.process import run_on_time
     from firmware_bridge.simulator.pty_host import PtyHost
 
     chain = _chain(config, servos, model, first_id, baud_rate, faults, chain_stops=chain_stops)
-    host = PtyHost(chain, link)
+    try:
+        host = PtyHost(chain, link)
+    except PortError as error:
+        raise UserError(str(error)) from error
     stopped = False
 
     def stop(*_: object) -> None:
@@ -85,7 +92,6 @@ def _chain(
     from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
     from firmware_bridge.simulator.chain import SimulatedChain
     from firmware_bridge.simulator.face import chain_for
-    from firmware_bridge.simulator.faults import read_faults
     from firmware_bridge.simulator.wire import WireRules
     from lipservo.assembly import load_settings
     from lipservo.servos import mounted_servos
@@ -96,15 +102,35 @@ def _chain(
         raise UserError(f"{baud_rate} baud is no rate of these servos")
     if first_id + n_servos - 1 > 252:
         raise UserError(f"ids {first_id}..{first_id + n_servos - 1}: a servo's id is at most 252")
-    try:
-        seed, script = (0, ()) if faults is None else read_faults(faults.read_text())
-    except (OSError, ValueError) as error:
-        raise UserError(f"{faults}: {error}") from error
     rules = WireRules(chain_stops=chain_stops)
     if config is not None:
         face, _ = load_settings(config)
+        mounted = mounted_servos(face)
+        seed, script = _script(faults, len(mounted))
         rate = baud_rate or face.bus.baud_rate
-        return chain_for(mounted_servos(face), rate, faults=script, seed=seed, rules=rules)
+        return chain_for(mounted, rate, faults=script, seed=seed, rules=rules)
+    seed, script = _script(faults, n_servos)
     models = [servo_models()[model]] * n_servos
     ids = range(first_id, first_id + n_servos)
     return SimulatedChain(models, ids, baud_rate=baud_rate, faults=script, seed=seed, rules=rules)
+
+
+def _script(file: Path | None, n_servos: int) -> "tuple[int, tuple[Fault, ...]]":
+    """Seed and faults; none without a file."""
+    from firmware_bridge.simulator.fault_script import FaultScriptError, read_faults
+
+    if file is None:
+        return 0, ()
+    try:
+        with file.open(encoding="utf-8") as opened:
+            text = opened.read(_LONGEST_SCRIPT + 1)
+    except OSError as error:
+        raise UserError(f"--faults {file}: cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise UserError(f"--faults {file}: is not text in UTF-8") from error
+    if len(text) > _LONGEST_SCRIPT:
+        raise UserError(f"--faults {file}: is longer than any fault script, {_LONGEST_SCRIPT:,}")
+    try:
+        return read_faults(text, n_servos)
+    except FaultScriptError as error:
+        raise UserError(f"--faults {file}: {error}") from error

@@ -1,0 +1,190 @@
+"""What a servo's registers mean for its motor: frame of positions, profile, strength, torque."""
+
+import math
+import struct
+from typing import Final
+
+from firmware_bridge.dynamixel.control_table import ServoModel, register
+from firmware_bridge.simulator.memory import RegisterMemory
+from firmware_bridge.simulator.motors import FULL_PWM, Motors
+from firmware_bridge.simulator.profile import VELOCITY_UNIT, Profile
+
+#: Bits of drive_mode: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#drive-mode10
+REVERSED, TIMED_PROFILE, TORQUE_BY_GOAL = 0x01, 0x04, 0x08
+#: Operating modes: position in one turn, position over many turns, the same with limited current.
+POSITION, EXTENDED_POSITION, CURRENT_BASED_POSITION = 3, 4, 5
+#: Position control ignores a larger homing offset:
+#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#homing-offset20
+_LARGEST_OFFSET_IN_ONE_TURN: Final = 1024
+_TURN: Final = 4096
+_WATCHDOG_UNIT_S: Final = 0.020
+_WATCHDOG_TRIPPED: Final = -1
+_DRIVE_MODE, _TORQUE = register("drive_mode").address, register("torque_enable").address
+#: realtime_tick .. present_temperature
+_PRESENT: Final = struct.Struct("<HBBhhiiiiHB")
+_PRESENT_ADDRESS: Final = register("realtime_tick").address
+#: Registers from which `settle` works out what it sets.
+SHAPING: Final = frozenset(
+    {
+        *("drive_mode", "operating_mode", "homing_offset", "moving_threshold", "bus_watchdog"),
+        *("profile_velocity", "profile_acceleration"),
+        *("goal_pwm", "pwm_limit", "goal_current", "current_limit"),
+    }
+)
+
+
+class Drive:
+    """Memory and motor of one servo, number `index` of `motors`.
+
+    The manual does not say about which place reverse mode mirrors positions; here it is 2048, so
+    that one turn stays one turn.
+    """
+
+    def __init__(self, model: ServoModel, index: int, motors: Motors) -> None:
+        self.index = index
+        self.motors = motors
+        self.table = RegisterMemory(model)
+        self.patience_s = math.inf  # silence after which the watchdog trips; infinity while off
+        self._memory = self.table.bytes
+        self._model = model
+        self._stall_ma = model.stall_a * 1e3
+        self._has_current = "goal_current" in model.registers
+        self._turns = 0
+        self._sign, self._zero = 1.0, 0.0
+        self._profile = Profile(False, 0, 0)
+        self._profile_is_new = True
+
+    @property
+    def torque_on(self) -> bool:
+        """Whether the motor holds its place."""
+        return self._memory[_TORQUE] == 1
+
+    @property
+    def broken(self) -> bool:
+        """Whether a hardware error keeps torque off until the next restart."""
+        return bool(self.table["hardware_error_status"] & self.table["shutdown"])
+
+    @property
+    def place(self) -> float:
+        """Where the shaft stands, as present_position counts, unrounded."""
+        return float(self.motors.position[self.index] * self._sign + self._zero)
+
+    def stand_at(self, place: float) -> None:
+        """Put the shaft where present_position reads `place`; its goal is there, too."""
+        motors, i = self.motors, self.index
+        motors.position[i] = motors.trajectory[i] = motors.goal[i] = self._shaft(place)
+        self.table["goal_position"] = round(place)
+        motors.forget_shown()
+
+    def settle(self) -> None:
+        """Let the motor be as the registers say now. A new profile counts from the next goal on."""
+        table, motors, i = self.table, self.motors, self.index
+        drive_mode = table["drive_mode"]
+        offset = table["homing_offset"]
+        if table["operating_mode"] == POSITION and abs(offset) > _LARGEST_OFFSET_IN_ONE_TURN:
+            offset = 0
+        reversed_ = bool(drive_mode & REVERSED)
+        self._sign = -1.0 if reversed_ else 1.0
+        self._zero = float(offset + (_TURN if reversed_ else 0) - _TURN * self._turns)
+        motors.sign[i], motors.zero[i] = self._sign, self._zero
+        timed = bool(drive_mode & TIMED_PROFILE)
+        profile = Profile(timed, table["profile_velocity"], table["profile_acceleration"])
+        self._profile_is_new |= profile != self._profile
+        self._profile = profile
+        pwm = min(abs(table["goal_pwm"]), table["pwm_limit"]) / FULL_PWM
+        motors.strength[i] = min(pwm, self._share_of_stall())
+        motors.free_speed[i] = pwm * motors.no_load[i]
+        motors.moving_speed[i] = table["moving_threshold"] * VELOCITY_UNIT
+        self.set_patience()
+        motors.forget_shown()
+
+    def _share_of_stall(self) -> float:
+        """What goal_current lets the motor do, as a share of its stall torque."""
+        if not self._has_current or self.table["operating_mode"] != CURRENT_BASED_POSITION:
+            return 1.0
+        units = min(abs(self.table["goal_current"]), self.table["current_limit"])
+        return min(1.0, units * (self._model.current_unit_ma or 0.0) / self._stall_ma)
+
+    def count_one_turn(self) -> None:
+        """Forget whole turns: the place is counted from 0 to 4095 again, but for the offset."""
+        counted = float(self.motors.position[self.index]) * self._sign
+        self._turns = math.floor(counted / _TURN) + (self._sign < 0)
+        self.settle()
+
+    def pursue(self, goal: int) -> None:
+        """Start a profile to `goal`, pulses of goal_position."""
+        if not self.torque_on:
+            if self._memory[_DRIVE_MODE] & TORQUE_BY_GOAL and not self.broken:
+                self.set_torque(on=True)
+            return
+        motors, i = self.motors, self.index
+        shaft = (goal - self._zero) * self._sign
+        profile = self._profile
+        if profile.depends_on_distance:
+            way = shaft - float(motors.trajectory[i])
+            speed = float(motors.trajectory_velocity[i])
+            motors.set_course(i, profile.course(abs(way), math.copysign(speed, speed * way)))
+        elif self._profile_is_new:
+            motors.set_course(i, profile.course(0.0))
+        self._profile_is_new = False
+        motors.goal[i] = shaft
+        motors.forget_shown()
+
+    def set_torque(self, *, on: bool) -> None:
+        """Switch torque; on, the motor runs to the goal that was left in the register."""
+        motors, i = self.motors, self.index
+        was_on = self.torque_on
+        self._memory[_TORQUE] = on
+        self.set_patience()
+        motors.torque_on[i] = on
+        motors.forget_shown()
+        if on and not was_on:
+            if self.table["operating_mode"] == POSITION:
+                self.count_one_turn()
+            motors.trajectory[i] = motors.position[i]
+            motors.trajectory_velocity[i] = 0.0
+            self.pursue(self.table["goal_position"])
+
+    def change_mode(self) -> None:
+        """What goes with another operating mode: gains, profile and limits are as after a restart.
+
+        https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#operating-mode11
+        The manual tells gains of mode 3 alone, so the other modes have the same. It does not say
+        what becomes of the goal; here it is where the servo stands, as after a restart.
+        """
+        defaults = self._model.defaults
+        for name in defaults:
+            if name.endswith("_gain"):
+                self.table[name] = defaults[name]
+        self.table["profile_velocity"] = self.table["profile_acceleration"] = 0
+        self.reset_goals()
+
+    def reset_goals(self) -> None:
+        """Goal PWM and goal current at their limits, goal position where the servo stands."""
+        self.table["goal_pwm"] = self.table["pwm_limit"]
+        if self._has_current:
+            self.table["goal_current"] = self.table["current_limit"]
+        self.settle()
+        self.count_one_turn()
+        self.stand_at(self.place)
+
+    def trip_watchdog(self) -> None:
+        """Stop where it is; goals are refused until 0 is written. Torque stays on."""
+        self.table["bus_watchdog"] = _WATCHDOG_TRIPPED
+        self.set_patience()
+        self.motors.stop(self.index)
+
+    def set_patience(self) -> None:
+        """The watchdog counts while torque is on."""
+        setting = self.table["bus_watchdog"]
+        armed = setting > 0 and self.torque_on
+        self.patience_s = setting * _WATCHDOG_UNIT_S if armed else math.inf
+
+    def refresh(self, booted_s: float) -> None:
+        """Bring the registers of the present up to date."""
+        values = self.motors.register_values()[self.index]
+        tick_ms = int((self.motors.now_s - booted_s) * 1e3) % 32768
+        _PRESENT.pack_into(self._memory, _PRESENT_ADDRESS, tick_ms, *values)
+
+    def _shaft(self, place: float) -> float:
+        return (place - self._zero) * self._sign

@@ -1,0 +1,215 @@
+"""Fault scripts: YAML that says what goes wrong with simulated servos, and when.
+
+docs/simulator.md has an example and the table of kinds.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import yaml
+
+from firmware_bridge.simulator.faults import (
+    AMOUNTS,
+    KINDS,
+    LASTING,
+    ON_INSTRUCTIONS,
+    ON_REPLIES,
+    Fault,
+)
+
+#: Bounds of the numbers that every kind may have.
+_TIMES: Final = ("from_s", "until_s", "lasts_s")
+_SHORTEST_EVERY_S: Final = 0.001
+_LONGEST_S: Final = 1e9
+#: A list of mappings of lists is 3 deep.
+_DEEPEST: Final = 20
+
+
+class FaultScriptError(ValueError):
+    """A script that cannot be used: in one line which fault, which key, and what is allowed."""
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """Plain values, and no key twice: PyYAML would silently keep the last one."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode):
+                if key.value in seen:
+                    problem = f"`{key.value}` is given twice"
+                    raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def read_faults(text: str, n_servos: int) -> tuple[int, tuple[Fault, ...]]:
+    """Seed and faults of a script for a chain of `n_servos`.
+
+    Raises FaultScriptError for whatever is not allowed in it.
+    """
+    content = _load(text)
+    if not isinstance(content, dict) or set(content) - {"seed", "faults"}:
+        raise FaultScriptError("a fault script needs `faults: [...]` and may have `seed: <number>`")
+    seed = content.get("seed", 0)
+    if not isinstance(seed, int) or isinstance(seed, bool):
+        raise FaultScriptError(f"seed: must be a whole number, found {_shown(seed)}")
+    listed = content.get("faults")
+    if not isinstance(listed, list):
+        raise FaultScriptError(f"faults: must be a list, found {_shown(listed)}")
+    faults = (_Reader(n, raw, n_servos).fault() for n, raw in enumerate(listed, start=1))
+    return seed, tuple(faults)
+
+
+def _load(text: str) -> object:
+    if _bracket_depth(text) > _DEEPEST:  # PyYAML takes seconds for thousands of them
+        raise FaultScriptError("not a fault script: nested too deep")
+    try:
+        return yaml.load(text, Loader=_StrictLoader)  # a SafeLoader
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f" at line {error.problem_mark.line + 1}"
+        raise FaultScriptError(f"not YAML{line}: {error.problem or error.context}") from error
+    except yaml.YAMLError as error:
+        raise FaultScriptError(f"not YAML: {' '.join(str(error).split())}") from error
+    except RecursionError as error:
+        raise FaultScriptError("not a fault script: nested too deep") from error
+    except ValueError as error:  # a date of month 13, a number of 5,000 digits
+        raise FaultScriptError("not a fault script: a value in it is none") from error
+
+
+def _bracket_depth(text: str) -> int:
+    """How many brackets are open at once, at most; those in quotes count, too."""
+    depth = deepest = 0
+    for character in text:
+        depth += (character in "[{") - (character in "]}")
+        deepest = max(deepest, depth)
+    return deepest
+
+
+class _Reader:
+    """Takes one entry of the list apart, key by key."""
+
+    def __init__(self, number: int, raw: object, n_servos: int) -> None:
+        self._where = f"fault {number}"
+        self._n_servos = n_servos
+        if not isinstance(raw, Mapping):
+            raise self._wrong("", "must be a mapping like {kind: reboot, at_s: 3.0}", raw)
+        kind = raw.get("kind")
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise self._wrong("kind", f"must be one of {', '.join(KINDS)}", kind)
+        self._where = f"fault {number} ({kind})"
+        self._kind, self._raw = kind, raw
+        self._by_chance = kind in ON_REPLIES | ON_INSTRUCTIONS
+        allowed = self._allowed()
+        for key in raw:
+            if key not in allowed:
+                raise FaultScriptError(
+                    f"{self._where}: {_shown(key)} does not belong here; "
+                    f"this kind has {', '.join(allowed)}"
+                )
+
+    def fault(self) -> Fault:
+        """The fault. Raises FaultScriptError."""
+        amount = AMOUNTS.get(self._kind)
+        if not self._by_chance:
+            self._check_moments()
+        values: dict[str, Any] = {}
+        if "servos" in self._raw:
+            values["servos"] = tuple(
+                int(self._number("servos", each, 0, self._n_servos - 1, whole=True))
+                for each in self._several("servos")
+            )
+        if "probability" in self._raw:
+            values["probability"] = self._number("probability", self._raw["probability"], 0.0, 1.0)
+        if "at_s" in self._raw:
+            moments = (self._number("at_s", each, 0.0) for each in self._several("at_s"))
+            values["at_s"] = tuple(sorted(moments))
+        if "every_s" in self._raw:
+            values["every_s"] = self._number("every_s", self._raw["every_s"], _SHORTEST_EVERY_S)
+        for key in _TIMES:
+            if key in self._raw:
+                values[key] = self._number(key, self._raw[key], 0.0)
+        if amount is not None and ("amount" in self._raw or amount.needed):
+            values["amount"] = self._number(
+                "amount",
+                self._raw.get("amount"),
+                amount.low,
+                amount.high,
+                whole=amount.whole,
+                meaning=f" ({amount.meaning})",
+            )
+        if values.get("until_s", math.inf) <= values.get("from_s", 0.0):
+            raise self._wrong("until_s", "must be later than from_s", self._raw["until_s"])
+        return Fault(self._kind, **values)
+
+    def _allowed(self) -> list[str]:
+        kind = self._kind
+        keys = ["kind"] if kind in ON_INSTRUCTIONS or kind == "unplug" else ["kind", "servos"]
+        if self._by_chance:
+            keys += ["probability", "from_s", "until_s"]
+        else:
+            keys += ["at_s", "every_s", "from_s", "until_s"]
+        if kind in LASTING:
+            keys.append("lasts_s")
+        if kind in AMOUNTS:
+            keys.append("amount")
+        return keys
+
+    def _check_moments(self) -> None:
+        if "at_s" not in self._raw and "every_s" not in self._raw:
+            raise FaultScriptError(f"{self._where}: never happens; give at_s or every_s")
+        for key in ("from_s", "until_s"):
+            if key in self._raw and "every_s" not in self._raw:
+                raise FaultScriptError(f"{self._where}: {key} needs every_s")
+
+    def _several(self, key: str) -> list[Any]:
+        value = self._raw[key]
+        several = value if isinstance(value, list) else [value]
+        if not several:
+            raise self._wrong(key, "must not be empty; leave it out", value)
+        return several
+
+    def _number(
+        self,
+        key: str,
+        value: object,
+        low: float,
+        high: float = _LONGEST_S,
+        *,
+        whole: bool = False,
+        meaning: str = "",
+    ) -> float:
+        kind = "a whole number" if whole else "a number"
+        bounds = f"from {low:g} on" if high == _LONGEST_S else f"between {low:g} and {high:g}"
+        allowed = f"must be {kind} {bounds}{meaning}"
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self._wrong(key, allowed, value)
+        if whole and not isinstance(value, int):
+            raise self._wrong(key, allowed, value)
+        if not low <= value <= high:
+            raise self._wrong(key, allowed, value)
+        return value
+
+    def _wrong(self, key: str, allowed: str, value: object) -> FaultScriptError:
+        where = f"{self._where}: {key}" if key else self._where
+        return FaultScriptError(f"{where}: {allowed}, found {_shown(value)}")
+
+
+def _shown(value: object) -> str:
+    """A value as a person would recognise it, never long."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, list):
+        return f"a list of {len(value)}"
+    if isinstance(value, dict):
+        return "a mapping"
+    if isinstance(value, str):
+        short = repr(value if len(value) <= 40 else value[:37] + "...")
+        try:
+            return f"{short} (YAML takes this for text; write {float(value):g})"
+        except ValueError:
+            return short
+    if isinstance(value, int) and value.bit_length() > 128:
+        return "a number of many digits"
+    return str(value)
