@@ -33,6 +33,7 @@ class HalfDuplex:
         self.heard_noise = False
         self._clock = transport.clock
         self._parser = FrameParser()
+        self._heard = b""  # in answer to the last question
         self._quiet_s = 0.0  # from here on no reply is on the wire any more
         self._sent_s = 0.0  # here our own last byte is
 
@@ -86,6 +87,7 @@ class HalfDuplex:
             if ended or len(stream) >= reply_size:
                 statuses = take(stream, last=ended)
                 if statuses is not None:
+                    self._heard = stream
                     self._quiet_s = clock.now()
                     if not patience_s:
                         self.latency.learn(self._quiet_s - due_s)
@@ -96,6 +98,7 @@ class HalfDuplex:
                 deadline_s = min(deadline_s, rest_s)
             more = transport.read(deadline_s)
             if not more:
+                self._heard = stream
                 self._quiet_s = max(wire_end_s, clock.now())
                 statuses = take(stream, last=True) or []
                 self.heard_noise = bool(stream) and not statuses

@@ -1,136 +1,22 @@
 """Questions to servos, and their answers, on one half-duplex line."""
 
-import struct
-from collections.abc import Sequence
 from typing import Final
 
 from firmware_bridge.dynamixel import codec
-from firmware_bridge.dynamixel.codec import BROADCAST_ID, MAX_ID, Instruction, Status, crc16
+from firmware_bridge.dynamixel.codec import BROADCAST_ID, MAX_ID, Status
 from firmware_bridge.dynamixel.half_duplex import HalfDuplex
 from firmware_bridge.dynamixel.owed import ANYBODY, OwedAnswers
+from firmware_bridge.dynamixel.prepared import GoalWrite, SpanRead
 from firmware_bridge.dynamixel.transport import Transport
+
+__all__ = ["FACTORY_RETURN_DELAY_S", "GoalWrite", "Line", "SpanRead"]
 
 #: Return delay of a servo fresh from the factory: 250 x 2 us.
 FACTORY_RETURN_DELAY_S: Final = 0.0005
-#: An int: looking a member up in its enumeration costs as much as comparing three.
-_STATUS: Final = int(Instruction.STATUS)
 #: What a ping is answered with: model number (2 bytes), firmware version (1). The same bytes lie at
 #: 0 and 6 of every control table.
 _PONG_SIZE: Final = 3
 _IDENTITY_SIZE: Final = 7
-
-
-class GoalWrite:
-    """A prepared sync write of one four-byte register of several servos."""
-
-    def __init__(self, ids: Sequence[int], address: int) -> None:
-        self._flat = [each for servo_id in ids for each in (servo_id, 0)]
-        self._pack = struct.Struct("<" + "Bi" * len(ids)).pack
-        parameters = struct.pack("<HH", address, 4)
-        length = len(parameters) + 5 * len(ids) + 3
-        head = struct.pack("<BHB", BROADCAST_ID, length, Instruction.SYNC_WRITE)
-        self._head = codec.HEADER + head + parameters
-        self._address = address
-
-    def request(self, values: Sequence[int]) -> bytes:
-        """The packet that sets these values, one a servo, in the order of the ids."""
-        self._flat[1::2] = values
-        blocks = self._pack(*self._flat)
-        if b"\xff\xff\xfd" in blocks:
-            parameters = self._head[8:] + blocks
-            return codec.packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
-        raw = self._head + blocks
-        return raw + crc16(raw).to_bytes(2, "little")
-
-
-class SpanRead:
-    """A prepared question to several servos for the same `size` bytes from `address` on."""
-
-    def __init__(self, ids: Sequence[int], address: int, size: int, *, fast: bool) -> None:
-        self.ids = tuple(ids)
-        self.address = address
-        self.size = size
-        self.fast = fast
-        self.request = codec.sync_read(self.ids, address, size, fast=fast)
-        self._step = size + codec.EMPTY_STATUS_SIZE
-        self._heads = [
-            codec.HEADER + struct.pack("<BHB", each, size + 4, Instruction.STATUS)
-            for each in self.ids
-        ]
-        n = len(self.ids)
-        length = 1 + n * (size + 4)
-        self._fast_head = codec.HEADER + struct.pack("<BHB", BROADCAST_ID, length, _STATUS)
-        self._blocks = struct.Struct(f"<BB{size}s2x")  # error, id, data, inner CRC
-        self._id_bytes = bytes(self.ids)
-        self.reply_size = codec.EMPTY_PACKET_SIZE - 2 + n * (size + 4) if fast else n * self._step
-        self._wider: dict[int, SpanRead] = {}
-
-    def widened(self, size: int) -> "SpanRead":
-        """The same question for `size` bytes, the further ones before its own where there are such.
-
-        Every control table begins at 0; where it ends differs.
-        """
-        if size not in self._wider:
-            more = size - self.size
-            address = self.address - more if self.address >= more else self.address
-            self._wider[size] = SpanRead(self.ids, address, size, fast=self.fast)
-        return self._wider[size]
-
-    def cut(self, status: Status, address: int) -> Status:
-        """Our own bytes of an answer that begins at `address`."""
-        at = self.address - address
-        return status._replace(data=status.data[at : at + self.size])
-
-    def is_over(self, stream: bytes) -> bool:
-        """Whether nothing more can come: all bytes are there, or the servo asked last has spoken.
-
-        On a half-duplex line nobody speaks after the last one, whoever was silent before.
-        """
-        if self.fast:
-            return len(stream) >= self.reply_size and stream.startswith(self._fast_head)
-        return stream[-self._step : 8 - self._step] == self._heads[-1]
-
-    def take_undisturbed(self, stream: bytes) -> list[Status] | None:
-        """All statuses when `stream` is exactly what was asked for; None when anything differs."""
-        if len(stream) != self.reply_size:
-            return None
-        if self.fast:
-            return self._take_fast(stream)
-        statuses = []
-        at, step = 0, self._step
-        for servo_id, head in zip(self.ids, self._heads, strict=True):
-            end = at + step
-            if stream[at : at + 8] != head:
-                return None
-            if crc16(stream[at : end - 2]) != stream[end - 2] | stream[end - 1] << 8:
-                return None
-            data = stream[at + 9 : end - 2]
-            if b"\xff\xff\xfd\xfd" in data:
-                return None
-            statuses.append(Status(servo_id, stream[at + 8], data))
-            at = end
-        return statuses
-
-    def salvage_fast(self, stream: bytes) -> list[Status]:
-        """The parts of a disturbed common frame that arrived whole."""
-        start = stream.find(self._fast_head)
-        if start < 0:
-            return []
-        found = codec.split_fast_status(stream[start : start + self.reply_size], self.size)
-        return [
-            status
-            for status, asked in zip(found, self.ids, strict=False)
-            if status.servo_id == asked
-        ]
-
-    def _take_fast(self, stream: bytes) -> list[Status] | None:
-        """The common frame in one go, when its head, ids and last CRC are as they should be."""
-        if stream[:8] != self._fast_head or stream[9 :: self.size + 4] != self._id_bytes:
-            return None
-        if crc16(stream[:-2]) != stream[-2] | stream[-1] << 8:
-            return None
-        blocks = self._blocks.iter_unpack(memoryview(stream)[8:])
-        return [Status(servo_id, error, data) for error, servo_id, data in blocks]
 
 
 class Line(HalfDuplex):
@@ -180,7 +66,7 @@ class Line(HalfDuplex):
             wide = span.widened(self._owed.free_size(span.ids, size))
             request = codec.read(servo_id, wide.address, wide.size)
             status = self._ask_one(servo_id, request, wide.size, exact=True)
-            return None if status is None else span.cut(status, wide.address)
+            return None if status is None else span.cut([status], wide.address)[0]
         return self._ask_one(servo_id, codec.read(servo_id, address, size), size)
 
     def write(
@@ -211,12 +97,13 @@ class Line(HalfDuplex):
         if not self._owes():
             return self._ask_span(span)
         if span.fast:
-            step = len(span.ids)
-            n_bytes = self._owed.free_size((BROADCAST_ID,), span.reply_size, step)
-            wide = span.widened(span.size + (n_bytes - span.reply_size) // step)
+            n, frame = len(span.ids), span.answer_size
+            wider = self._owed.free_size((BROADCAST_ID,), frame, step=n)
+            wide = span.widened(span.size + (wider - frame) // n)
         else:
             wide = span.widened(self._owed.free_size(span.ids, span.size))
-        return [span.cut(status, wide.address) for status in self._ask_span(wide)]
+        statuses = self._ask_span(wide)
+        return statuses if wide.size == span.size else span.cut(statuses, wide.address)
 
     def _ask_span(self, span: SpanRead) -> list[Status]:
         n = len(span.ids)
@@ -228,6 +115,8 @@ class Line(HalfDuplex):
             return statuses if last or len(statuses) == n else None
 
         statuses = self._converse(span.request, span.reply_size, take, span.is_over, n_turns=n)
+        if self._owed.any:
+            self._note_late(self._heard, asked_size=span.answer_size)
         if len(statuses) != n:
             self._note_missing(span, statuses)
         return statuses
@@ -243,7 +132,7 @@ class Line(HalfDuplex):
         """Who of those asked may answer yet; a common frame comes as a whole."""
         now_s = self._clock.now()
         if span.fast:
-            self._owed.note(BROADCAST_ID, span.reply_size, span.request, now_s)
+            self._owed.note(BROADCAST_ID, span.answer_size, span.request, now_s)
             return
         for servo_id in {*span.ids} - {status.servo_id for status in statuses}:
             self._owed.note(servo_id, span.size, span.request, now_s)
@@ -274,13 +163,25 @@ class Line(HalfDuplex):
             return found[:1] if found or last else None
 
         found = self._converse(request, size, take, patience_s=patience_s)
+        if self._owed.any:
+            self._note_late(self._heard, asked_size=n_data)
         if not found:
             self._owed.note(servo_id, n_data, request, self._clock.now())
             return None
         return found[0]
 
     def _owes(self) -> bool:
-        return self._owed.any and self._owed.expire(self._clock.now())
+        """Whether an answer to an earlier question may come yet; takes note of those that have."""
+        if not self._owed.any:
+            return False
+        self._note_late(self.transport.discard_input(), asked_size=None)
+        return self._owed.expire(self._clock.now())
+
+    def _note_late(self, stream: bytes, asked_size: int | None) -> None:
+        """Cross off what came for earlier questions; not what may answer the one just asked."""
+        for status in self._statuses(stream):
+            if len(status.data) != asked_size:
+                self._owed.came(status.servo_id, len(status.data))
 
     def _acknowledgement_is_ambiguous(self, servo_id: int, request: bytes) -> bool:
         """All acknowledgements look alike; one for the same bytes, written again, is as good."""

@@ -21,6 +21,7 @@ class OwedAnswers:
     def __init__(self) -> None:
         self.any = False
         self._until_s: dict[tuple[int, int], float] = {}
+        self._n: dict[tuple[int, int], int] = {}
         self._requests: dict[tuple[int, int], bytes] = {}
 
     @property
@@ -34,13 +35,21 @@ class OwedAnswers:
         if self._requests.setdefault(key, request) != request:
             self._requests[key] = b""
         self._until_s[key] = now_s + LATE_S
+        self._n[key] = self._n.get(key, 0) + 1
         self.any = True
+
+    def came(self, servo_id: int, size: int) -> None:
+        """An answer of `size` bytes arrived too late for its question."""
+        key = (servo_id, size)
+        if key in self._n:
+            self._n[key] -= 1
+            if not self._n[key]:
+                self._forget(key)
 
     def expire(self, now_s: float) -> bool:
         """Forget what can no longer come; whether anything is left."""
         for key in [each for each, until_s in self._until_s.items() if until_s <= now_s]:
-            del self._until_s[key], self._requests[key]
-        self.any = bool(self._until_s)
+            self._forget(key)
         return self.any
 
     def looks_like(self, servo_id: int, size: int, request: bytes) -> bool:
@@ -57,3 +66,7 @@ class OwedAnswers:
         while size in taken:
             size += step
         return size
+
+    def _forget(self, key: tuple[int, int]) -> None:
+        del self._until_s[key], self._requests[key], self._n[key]
+        self.any = bool(self._until_s)
