@@ -21,6 +21,7 @@ HEADER: Final = b"\xff\xff\xfd\x00"
 crc16 = _crc16.umts
 _PATTERN: Final = b"\xff\xff\xfd"
 _STUFFED: Final = b"\xff\xff\xfd\xfd"
+_STATUS_HEAD: Final = struct.Struct("<HB")
 #: Bytes of a packet without parameters.
 EMPTY_PACKET_SIZE: Final = 10
 #: Bytes of a status packet without data: one more, the error.
@@ -139,6 +140,16 @@ def sync_write(address: int, size: int, data: Iterable[tuple[int, bytes]]) -> by
 def status(servo_id: int, error: int = 0, data: bytes = b"") -> bytes:
     """What a servo answers. The simulator's half of the codec."""
     return packet(servo_id, Instruction.STATUS, bytes((error,)) + data)
+
+
+def undisturbed_status(raw: bytes) -> Status | None:
+    """The status that `raw` is, bytes from header to CRC; None for all else, and where stuffed."""
+    size = len(raw) - 7
+    if raw[:4] != HEADER or raw[5:8] != _STATUS_HEAD.pack(size, Instruction.STATUS):
+        return None
+    if crc16(raw[:-2]) != raw[-2] | raw[-1] << 8 or _STUFFED in raw:
+        return None
+    return Status(raw[4], raw[8], raw[9:-2])
 
 
 def fast_status(blocks: Sequence[tuple[int, int, bytes]]) -> bytes:

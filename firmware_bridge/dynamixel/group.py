@@ -13,7 +13,8 @@ _ABSENT_AFTER: Final = 5
 _RETRY_EVERY: Final = 200
 #: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
 #: servo gets a frame of its own again. After a while the fast way is tried once more; after each
-#: relapse the while is twice as long, up to ten minutes at 100 Hz.
+#: relapse the while is twice as long, up to ten minutes at 100 Hz. Some servos do not know fast
+#: reads at all: until one has come whole, whoever it lacks is asked in the plain way, too.
 _BAD_FAST_READS: Final = 2
 _FAST_WINDOW: Final = 100
 _SLOW_FOR: Final = 2_000
@@ -34,8 +35,10 @@ class SpanGroup:
 
     def reset(self) -> None:
         """Think well of everybody again."""
+        self._proven = False
+        self._ever_proven = False
+        self._n_refused = 0
         self._silent = dict.fromkeys(self._ids, 0)
-        self._order = list(self._ids)
         self.answers: list[Status] = []
         self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
         self._n_asked = self._n_bad = self._slow_until = 0
@@ -47,6 +50,11 @@ class SpanGroup:
         """Whether the next question is a fast one."""
         return self._n_asked >= self._slow_until
 
+    @property
+    def fast_unsupported(self) -> bool:
+        """Whether fast questions are met with silence, always, and plain ones are not."""
+        return self._n_refused >= _BAD_FAST_READS and not self._ever_proven
+
     def ask(self, line: Line) -> list[Status]:
         """Ask; the answers that came, whole ones only, in no particular order."""
         if self._n_asked == self._slow_until or self._n_asked % _RETRY_EVERY == 0:
@@ -55,6 +63,8 @@ class SpanGroup:
         statuses = line.sync_read(span)
         self._n_asked += 1
         if len(statuses) == len(span.ids):
+            if span.fast and not self._proven:
+                self._proven = self._ever_proven = True
             if len(span.ids) != len(self._ids) or self._doubted:
                 self._judge(span, statuses, [])
         else:
@@ -69,8 +79,10 @@ class SpanGroup:
 
         Not when nobody was heard, for then it is not single packets that are lost; and not those
         who are silent for longer. The first one missing comes last: it may cut off the others.
+        While the fast way has yet to prove itself, it costs time but no answers: all are asked.
         """
-        if not statuses:
+        on_trial = self.asked.fast and not self._proven
+        if not statuses and not on_trial:
             return []
         answered = {status.servo_id for status in statuses}
         missing = [
@@ -79,10 +91,14 @@ class SpanGroup:
             if each not in answered and self._silent[each] < _SUSPECT_AFTER
         ]
         n_fit = int(_AGAIN_S / line.byte_s / (self._size + EMPTY_STATUS_SIZE + 1))
-        ids = (missing[1:] + missing[:1])[:n_fit]
+        ids = missing[1:] + missing[:1]
+        if not on_trial:
+            ids = ids[:n_fit]
         if not ids:
             return []
-        return line.sync_read(SpanRead(ids, self._address, self._size, fast=False))
+        again = line.sync_read(SpanRead(ids, self._address, self._size, fast=False))
+        self._n_refused += bool(on_trial and not statuses and again)
+        return again
 
     def trust(self, servo_id: int) -> None:
         """It has been heard elsewhere: ask it again, if it was left out."""
@@ -122,6 +138,7 @@ class SpanGroup:
         self._n_bad += 1
         if self._n_bad >= _BAD_FAST_READS:
             self._n_bad = 0
+            self._proven = False
             self._slow_until = self._n_asked + self._slow_for
             self._slow_for = min(2 * self._slow_for, _SLOW_AT_MOST)
 

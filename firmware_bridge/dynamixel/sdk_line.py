@@ -9,7 +9,6 @@ import termios
 from collections.abc import Callable
 from typing import TypeVar
 
-import serial
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
 from firmware_bridge.bus import PortError, PortGone
@@ -17,6 +16,7 @@ from firmware_bridge.clock import Clock, MonotonicClock
 from firmware_bridge.dynamixel.codec import Instruction, Status
 from firmware_bridge.dynamixel.frames import FrameParser
 from firmware_bridge.dynamixel.line import Line, SpanRead
+from firmware_bridge.dynamixel.serial_transport import claim, explain, release
 
 _Result = TypeVar("_Result")
 
@@ -31,8 +31,13 @@ class SdkTransport:
         self.handler = PortHandler(port)
         try:
             opened = self.handler.openPort() and self.handler.setBaudRate(baud_rate)
-        except (OSError, serial.SerialException, termios.error) as error:
-            raise PortError(f"{port}: cannot be opened by dynamixel-sdk ({error})") from error
+            if opened:
+                claim(self.handler.ser.fileno())
+        except OSError as error:
+            self.close()
+            raise PortError(explain(port, error)) from error
+        except termios.error as error:
+            raise PortError(f"{port}: is not a serial port") from error
         if not opened:
             raise PortError(f"{port}: dynamixel-sdk cannot open it at {baud_rate:,} baud")
         self._baud_rate = baud_rate
@@ -45,13 +50,19 @@ class SdkTransport:
     @baud_rate.setter
     def baud_rate(self, baud_rate: int) -> None:
         self._baud_rate = baud_rate
-        self.call(lambda: self.handler.setBaudRate(baud_rate))
+        self.call(lambda: self._reopen(baud_rate))
+
+    def _reopen(self, baud_rate: int) -> None:
+        """The SDK sets a rate by opening the port anew, which a claim would refuse even to us."""
+        release(self.handler.ser.fileno())
+        self.handler.setBaudRate(baud_rate)
+        claim(self.handler.ser.fileno())
 
     def call(self, ask: Callable[[], _Result]) -> _Result:
         """Let the SDK work; a port that fails in between is gone, and not left marked as used."""
         try:
             return ask()
-        except (OSError, serial.SerialException, termios.error) as error:
+        except (OSError, termios.error) as error:  # OSError: pyserial's exceptions, too
             raise PortGone(f"{self.port}: gone ({error}); plug the adapter in again") from error
         finally:
             self.handler.is_using = False
@@ -73,6 +84,7 @@ class SdkTransport:
     def close(self) -> None:
         """Give the port back."""
         if self.handler.is_open:
+            release(self.handler.ser.fileno())
             self.handler.closePort()
 
 

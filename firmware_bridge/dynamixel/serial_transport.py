@@ -1,6 +1,5 @@
-"""A serial port as raw descriptor: blocking reads, no polling, one owner."""
+"""A serial port: pyserial opens it, for us alone; reads sleep in the kernel, nothing polls."""
 
-import array
 import contextlib
 import errno
 import fcntl
@@ -10,17 +9,11 @@ import termios
 from pathlib import Path
 from typing import Final
 
+import serial
+
 from firmware_bridge.bus import PortError, PortGone
 from firmware_bridge.clock import Clock, MonotonicClock
 
-#: Baud rates that termios names here; 4.5 Mbaud is not among them.
-_SPEEDS: Final = {
-    int(name[1:]): value
-    for name, value in vars(termios).items()
-    if name[:1] == "B" and name[1:].isdigit() and name != "B0"
-}
-#: linux/serial.h: ask the driver not to hold bytes back. Only some drivers know it.
-_TIOCGSERIAL, _TIOCSSERIAL, _ASYNC_LOW_LATENCY = 0x541E, 0x541F, 0x2000
 #: More than the longest reply of 252 servos.
 _CHUNK: Final = 16_384
 
@@ -28,13 +21,15 @@ _CHUNK: Final = 16_384
 class SerialTransport:
     """A `Transport` over a tty: USB adapter or pseudo-terminal. Use `open_port` to make one."""
 
-    def __init__(self, fd: int, port: str, baud_rate: int, clock: Clock) -> None:
-        self._fd = fd
-        self._port = port
+    def __init__(self, handle: serial.Serial, clock: Clock) -> None:
+        """handle: open, and used for nothing but its settings and its end from now on."""
+        self._handle = handle
+        self._fd: int = handle.fileno()
+        self._port = handle.port
         self._clock = clock
-        self._baud_rate = baud_rate
+        self._baud_rate: int = handle.baudrate
         self._poll = select.poll()
-        self._poll.register(fd, select.POLLIN)
+        self._poll.register(self._fd, select.POLLIN)
 
     @property
     def clock(self) -> Clock:
@@ -49,8 +44,10 @@ class SerialTransport:
     @baud_rate.setter
     def baud_rate(self, baud_rate: int) -> None:
         try:
-            _configure(self._fd, self._port, baud_rate)
-        except termios.error as error:
+            self._handle.baudrate = baud_rate
+        except ValueError as error:
+            raise PortError(_no_such_rate(self._port, baud_rate)) from error
+        except (OSError, termios.error) as error:
             raise self._gone(error) from error
         self._baud_rate = baud_rate
 
@@ -91,11 +88,12 @@ class SerialTransport:
             raise self._gone(error) from error
 
     def close(self) -> None:
-        """Close the descriptor, which also gives the lock back."""
+        """Close the port, which lets others open it again."""
         if self._fd >= 0:
-            with contextlib.suppress(OSError):
-                os.close(self._fd)
             self._fd = -1
+            release(self._handle.fileno())
+            with contextlib.suppress(OSError):
+                self._handle.close()
 
     def _gone(self, error: Exception) -> PortGone:
         return PortGone(f"{self._port}: gone ({error}); plug the adapter in again")
@@ -104,24 +102,35 @@ class SerialTransport:
 def open_port(port: str, baud_rate: int, clock: Clock | None = None) -> SerialTransport:
     """Open a port for us alone. Raises PortError that says what to do."""
     try:
-        fd = os.open(port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    except OSError as error:
-        raise PortError(_explain(port, error)) from error
-    try:
-        fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        _configure(fd, port, baud_rate)
-        _ask_for_low_latency(fd, port)
-        termios.tcflush(fd, termios.TCIOFLUSH)
-        return SerialTransport(fd, port, baud_rate, clock or MonotonicClock())
-    except OSError as error:
-        os.close(fd)
-        raise PortError(_explain(port, error)) from error
+        handle = serial.Serial(port, baud_rate, timeout=0, exclusive=True)
+    except ValueError as error:
+        raise PortError(_no_such_rate(port, baud_rate)) from error
     except termios.error as error:
-        os.close(fd)
-        raise PortError(f"{port}: is not a serial port ({error})") from error
-    except PortError:
-        os.close(fd)
-        raise
+        raise PortError(f"{port}: is not a serial port") from error
+    except OSError as error:
+        raise PortError(explain(port, error)) from error
+    try:
+        claim(handle.fileno())
+        _ask_for_low_latency(handle, port)
+        return SerialTransport(handle, clock or MonotonicClock())
+    except OSError as error:
+        handle.close()
+        raise PortError(explain(port, error)) from error
+
+
+def claim(fd: int) -> None:
+    """Let nobody else open the port of `fd`. Raises OSError when somebody has claimed it.
+
+    The lock keeps out those who ask for it, root too; the flag of the terminal everybody but root.
+    """
+    fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    fcntl.ioctl(fd, termios.TIOCEXCL)
+
+
+def release(fd: int) -> None:
+    """Undo `claim`; a port that is gone needs none of it."""
+    with contextlib.suppress(OSError):
+        fcntl.ioctl(fd, termios.TIOCNXCL)
 
 
 def latency_timer_ms(port: str) -> int | None:
@@ -133,18 +142,7 @@ def latency_timer_ms(port: str) -> int | None:
         return None
 
 
-def _configure(fd: int, port: str, baud_rate: int) -> None:
-    """Raw bytes, eight bits, no parity, one stop bit, no flow control."""
-    speed = _SPEEDS.get(baud_rate)
-    if speed is None:
-        raise PortError(f"{port}: {baud_rate} baud is not known to this computer")
-    control = termios.CS8 | termios.CREAD | termios.CLOCAL
-    characters = termios.tcgetattr(fd)[6]
-    characters[termios.VMIN], characters[termios.VTIME] = 0, 0
-    termios.tcsetattr(fd, termios.TCSANOW, [0, 0, control, 0, speed, speed, characters])
-
-
-def _ask_for_low_latency(fd: int, port: str) -> None:
+def _ask_for_low_latency(handle: serial.Serial, port: str) -> None:
     """Ask FTDI chips not to collect bytes for 16 ms, as they do by default.
 
     Best effort: other adapters need nothing, and without permission the udev rule does it.
@@ -153,14 +151,18 @@ def _ask_for_low_latency(fd: int, port: str) -> None:
     name = Path(port).resolve().name
     with contextlib.suppress(OSError):
         Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").write_text("1")
-    with contextlib.suppress(OSError, ValueError):
-        settings = array.array("i", [0] * 32)
-        fcntl.ioctl(fd, _TIOCGSERIAL, settings)
-        settings[4] |= _ASYNC_LOW_LATENCY
-        fcntl.ioctl(fd, _TIOCSSERIAL, settings)
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # Linux only
+        handle.set_low_latency_mode(True)
 
 
-def _explain(port: str, error: OSError) -> str:
+def _no_such_rate(port: str, baud_rate: int) -> str:
+    return f"{port}: this adapter cannot do {baud_rate:,} baud; choose another bus.baud_rate"
+
+
+def explain(port: str, error: OSError) -> str:
+    """Why a port cannot be opened, and what to do."""
+    if error.errno is None:  # pyserial found no settings to change
+        return f"{port}: is not a serial port"
     if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
         found = sorted(str(path) for path in Path("/dev/serial/by-id").glob("*"))
         there = f"there are: {', '.join(found)}" if found else "is the adapter plugged in?"
@@ -169,4 +171,4 @@ def _explain(port: str, error: OSError) -> str:
         return f"{port}: no permission; run `sudo usermod -aG dialout $USER`, log out and in again"
     if error.errno in (errno.EAGAIN, errno.EBUSY):
         return f"{port}: used by another program; `fuser -v {port}` tells which"
-    return f"{port}: cannot be opened: {error.strerror}"
+    return f"{port}: cannot be opened: {os.strerror(error.errno)}"

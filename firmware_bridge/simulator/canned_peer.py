@@ -1,7 +1,8 @@
 """Answers sync reads at once with prepared bytes, so that only the master's own work is measured.
 
 Run as `python -m firmware_bridge.simulator.canned_peer N SIZE`; prints its port, ends when its
-standard input closes.
+standard input closes. Questions of another size than SIZE, which a line asks after it has missed an
+answer, are answered in their size, too.
 """
 
 import os
@@ -19,20 +20,26 @@ def serve(n_servos: int, size: int) -> None:
     tty.setraw(slave)
     sys.stdout.write(f"{os.ttyname(slave)}\n")
     sys.stdout.flush()
-    data = [(n, 0, bytes(range(n, n + size))) for n in range(1, n_servos + 1)]
-    answers = {
-        codec.Instruction.SYNC_READ: b"".join(codec.status(*each) for each in data),
-        codec.Instruction.FAST_SYNC_READ: codec.fast_status(data),
-    }
+    answers = _answers(n_servos, size)
     parser = FrameParser()
     while True:
         ready = select.select([master, sys.stdin], [], [])[0]
         if sys.stdin in ready:
             return
         for frame in parser.feed(os.read(master, 65_536)):
-            answer = answers.get(codec.Instruction(frame.instruction))
-            if answer is not None:
-                os.write(master, answer)
+            if frame.instruction in answers:
+                asked = frame.parameters[2] | frame.parameters[3] << 8
+                said = answers if asked == size else _answers(n_servos, asked)
+                os.write(master, said[frame.instruction])
+
+
+def _answers(n_servos: int, size: int) -> dict[int, bytes]:
+    """What each kind of sync read is answered with."""
+    data = [(n, 0, bytes(range(n, n + size))) for n in range(1, n_servos + 1)]
+    return {
+        codec.Instruction.SYNC_READ: b"".join(codec.status(*each) for each in data),
+        codec.Instruction.FAST_SYNC_READ: codec.fast_status(data),
+    }
 
 
 if __name__ == "__main__":
