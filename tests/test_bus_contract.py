@@ -224,12 +224,16 @@ def test_a_ping_tells_the_model_and_nobody_answers_to_a_strange_id(line):
     assert [s.servo_id for s in answer(line.ping_all, line)] == IDS
 
 
+#: More than any mode takes as a goal position: 2,000,000 pulses.
+BEYOND = (2_000_000).to_bytes(4, "little")
+
+
 def test_what_is_written_is_read_and_what_is_refused_says_why(line):
     assert answer(lambda: line.write(IDS[1], 65, b"\1"), line).error == 0
     assert answer(lambda: line.read(IDS[1], 65, 1), line).data == b"\1"
     assert answer(lambda: line.write(IDS[1], 65, b"\0"), line).error == 0
     assert answer(lambda: line.write(IDS[1], 132, bytes(4)), line).error == 7
-    assert answer(lambda: line.write(IDS[1], 116, b"\xff\xff\0\0"), line).error == 6
+    assert answer(lambda: line.write(IDS[1], 116, BEYOND), line).error == 6
 
 
 def ids_heard(line, span):
