@@ -11,10 +11,10 @@ from rich.table import Table
 
 from lipservo.commands.options import Json
 from lipservo.output import MESSAGES, RESULTS, print_json
-from lipservo.trace import TraceError
 from lipservo.trace_diff import Difference, IncomparableError, Tolerance, compare, excesses, overlay
 from lipservo.trace_reader import Trace, read_trace
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
+from lipsync.errors import UserError
 
 app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
 
@@ -57,24 +57,24 @@ def diff(
 
     Exit status 1 beyond a tolerance, 2 where they cannot be compared.
     """
-    if plot is not None:
-        from lipservo.trace_plot import check_plot
-
-        check_plot(plot)
     tolerance = Tolerance(tolerance_mm, tolerance_deg, tolerance_ms * 1e-3)
     try:
+        if plot is not None:
+            from lipservo.trace_plot import check_plot
+
+            check_plot(plot)
         first, second = read_trace(a), read_trace(b)
         looks = _looks((first, second), model or [])
         laid = overlay(first, second, (looks[0].markers_mm, looks[1].markers_mm))
-    except (TraceError, IncomparableError) as error:
+        if plot is not None:
+            from lipservo.trace_plot import draw_difference
+
+            draw_difference(plot, first, second, laid)
+    except UserError as error:
         MESSAGES.print(f"lipservo: {error}", soft_wrap=True, markup=False, highlight=False)
         raise typer.Exit(_INCOMPARABLE) from error
     found = compare(first, second, laid, margin_mm=tolerance.mm)
     beyond = excesses(first.servos, found, tolerance)
-    if plot is not None:
-        from lipservo.trace_plot import draw_difference
-
-        draw_difference(plot, first, second, laid)
     notes = [*first.notes, *second.notes, *_delay_note(first, second)]
     if as_json:
         print_json({"same": not beyond, "beyond": beyond, "notes": notes, **_figures(first, found)})
