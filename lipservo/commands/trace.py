@@ -21,7 +21,8 @@ app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
 #: Two traces that cannot be compared, as against 1, two that differ: as `diff` and `cmp` do.
 _INCOMPARABLE = 2
 
-Recorded = Annotated[Path, typer.Argument(metavar="FILE", help="A trace, `.gz` or not.")]
+First = Annotated[Path, typer.Argument(metavar="A", help="A trace, `.gz` or not.")]
+Second = Annotated[Path, typer.Argument(metavar="B", help="The one to compare with it.")]
 
 
 @app.callback()
@@ -31,8 +32,8 @@ def about() -> None:
 
 @app.command()
 def diff(
-    a: Recorded,
-    b: Recorded,
+    a: First,
+    b: Second,
     *,
     tolerance_mm: Annotated[
         float, typer.Option(min=0.0, help="Lips and lip gap may be so far apart.")
