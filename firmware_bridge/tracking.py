@@ -23,16 +23,17 @@ _MOST_ERROR_DEG: Final = 15.0
 #: Travel is forgotten with this time constant, seconds: a phrase, not a sentence.
 _MEMORY_S: Final = 1.5
 #: Goals must have travelled so far within the memory, degrees, and the servo less than this share
-#: of it. Driven well it makes .8 and more of it, jammed .07 and less (bundled clip, simulator).
+#: of it. Driven well it makes .68 and more of it, jammed .06 and less (bundled clip, simulator).
 _ENOUGH_TRAVEL_DEG: Final = 6.0
 _TRAVEL_SHARE: Final = 0.25
 #: Motion to and fro within twice this is not travel: of goals, what friction may swallow; of
 #: encoders, their flicker (a step is 0.088 degrees).
 _GOAL_SLACK_DEG: Final = 1.0
 _ENCODER_SLACK_DEG: Final = 0.2
-#: Places are compared so far apart at least: a mouth turns round five times a second at most. A
-#: little less than the 30 ms meant, so that rounding makes no fourth tick of the third.
-_SAMPLE_S: Final = 0.029
+#: Places are compared so far apart at least, to save CPU: every second tick at 30 Hz, every fifth
+#: at 100. A mouth goes to and fro five times a second at most. A little less than the 50 ms meant,
+#: so that rounding makes no sixth tick of the fifth.
+_SAMPLE_S: Final = 0.049
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,7 +145,7 @@ class _Travel:
     ) -> None:
         """See one tick; heard: None = everybody.
 
-        In place, and every third tick at 100 Hz: every tick pays for this.
+        In place and not in every tick: all of them pay for this.
         """
         elapsed_s = feedback.time_s - self._time_s
         if elapsed_s < _SAMPLE_S:

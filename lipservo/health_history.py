@@ -88,23 +88,37 @@ class _Counted:
         return news
 
 
-def day_files(folders: Iterable[Path], days: int) -> dict[str, list[Path]]:
-    """The newest `days` days on which anything was logged: their files by name."""
-    found: dict[str, list[Path]] = {}
+def day_files(folders: Iterable[Path], days: int) -> dict[date, list[Path]]:
+    """The newest `days` days on which anything was logged, and their files.
+
+    Raises OSError for a folder that cannot be read.
+    """
+    found: dict[date, list[Path]] = {}
     for folder in folders:
         for path in sorted(folder.iterdir()):
-            if DAY_FILE.fullmatch(path.name):
-                found.setdefault(path.name, []).append(path)
-    return {name: found[name] for name in sorted(found)[-days:]}
+            day = _day(path.name)
+            if day is not None:
+                found.setdefault(day, []).append(path)
+    return {day: found[day] for day in sorted(found)[-days:]}
+
+
+def _day(name: str) -> date | None:
+    try:
+        return date.fromisoformat(name[:10]) if DAY_FILE.fullmatch(name) else None
+    except ValueError:
+        return None
 
 
 def read_history(folders: Iterable[Path], days: int) -> History:
-    """The newest `days` days of the logs in these folders; what cannot be read is counted."""
+    """The newest `days` days of the logs in these folders; what cannot be read is counted.
+
+    Raises OSError for a folder that cannot be read.
+    """
     servos: dict[str, list[ServoDay]] = {}
     n_readings = n_bad = 0
     bad_files: list[str] = []
     counted: dict[Path, _Counted] = {}
-    for name, paths in day_files(folders, days).items():
+    for day, paths in day_files(folders, days).items():
         columns: dict[str, _Column] = {}
         for path in paths:
             counts = counted.setdefault(path.parent, _Counted())
@@ -116,7 +130,7 @@ def read_history(folders: Iterable[Path], days: int) -> History:
             good, bad = _read_lines(lines, columns, counts)
             n_readings, n_bad = n_readings + good, n_bad + bad
         for servo, column in columns.items():
-            servos.setdefault(servo, []).append(_summarize(name, column))
+            servos.setdefault(servo, []).append(_summarize(day, column))
     return History(servos, n_readings, n_bad, tuple(bad_files))
 
 
@@ -130,7 +144,7 @@ def _read_lines(
             continue
         try:
             names, number, record = _parse(line)
-        except (ValueError, TypeError, KeyError, RecursionError):
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError):
             bad += 1
             continue
         good += 1
@@ -155,6 +169,8 @@ def _parse(line: bytes) -> tuple[list[str], float, dict[str, list[float]]]:
         raise ValueError("columns of different lengths")
     if not all(math.isfinite(value) for key in (*_COUNTS, "errors") for value in columns[key]):
         raise ValueError("a count that is no number")
+    if not all(0 <= bits <= 255 for bits in columns["errors"]):
+        raise ValueError("errors are a byte")
     return names, _float(raw["number"]), columns
 
 
@@ -166,7 +182,7 @@ def _float(value: object) -> float:
     return float(value)
 
 
-def _summarize(name: str, column: _Column) -> ServoDay:
+def _summarize(day: date, column: _Column) -> ServoDay:
     values = {key: np.array(list_) for key, list_ in column.values.items()}
     on = values["torque_on"] > 0
     warm = values["temperature_degc"]
@@ -174,7 +190,7 @@ def _summarize(name: str, column: _Column) -> ServoDay:
     for bits in set(values["errors"].astype(int).tolist()):
         errors |= bits
     return ServoDay(
-        day=date.fromisoformat(name.removesuffix(".jsonl")),
+        day=day,
         n_readings=int(on.sum()),
         temperature_degc=_of(np.median, warm[on]),
         hottest_degc=_of(np.max, warm),

@@ -62,7 +62,7 @@ def read_trace(path: Path) -> Trace:
             ticks.append(record)
     try:
         return _trace(path, head, ticks, end, torn=torn)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise TraceError(f"{path}: damaged: {error or 'no ticks'}") from error
 
 
@@ -83,6 +83,8 @@ def _trace(
     elif end["dropped"]:
         notes.append(f"{path.name} lacks {end['dropped']} ticks, for the disk was too slow")
     servos = tuple(str(name) for name in head["servos"])
+    if not servos:
+        raise ValueError("it names no servo")
     trace = Trace(
         name=path.name,
         face=str(head["face"]),

@@ -277,10 +277,12 @@ def test_lines_that_are_damaged_are_counted_and_left_out(tmp_path):
     bad = [
         good[:40], "[]", "{}", "nonsense", "\x00\x00", "[" * 100_000, "1e999",
         good.replace("[40]", '["hot"]'), good.replace("[40]", "[40,41]"),
+        good.replace("[40]", f"[{10**400}]"), good.replace('"errors":[0]', '"errors":[256]'),
         good.replace('["jaw"]', "[3]"), good.replace('"errors":[0]', '"errors":[null]'),
     ]  # fmt: skip
     with (folder / "2026-11-22.jsonl").open("a") as file:
         file.write("\n".join(bad))
+    (folder / "2026-99-99.jsonl").write_text(good)
     done = health(tmp_path)
 
     assert done.exit_code == 0, done.exception

@@ -128,6 +128,8 @@ def elsewhere(_, ticks):
         (elsewhere, "show no sound time together"),
         (lambda _, ticks: ticks[7].pop("sent_deg"), "damaged: 'sent_deg'"),
         (lambda _, ticks: ticks[7]["sent_deg"].pop(), "damaged"),
+        (lambda _, ticks: ticks[7].update(sent_deg=[10**400] * 10), "damaged"),
+        (lambda head, _: head.update(servos=[]), "damaged: it names no servo"),
         (lambda head, _: head.pop("lipservo_trace"), "not a lipservo trace"),
         (lambda head, _: head.update(lipservo_trace=9), "not a lipservo trace of version"),
         (lambda _, ticks: ticks[3].update(sound_s=-9.0), "damaged: time runs backwards"),
@@ -174,10 +176,10 @@ def test_a_picture_is_drawn(tmp_path):
 
 
 def test_a_picture_of_another_kind_is_refused_before_anything_is_read(tmp_path):
-    done = CliRunner().invoke(
-        app, ["trace", "diff", "none", "none", "--plot", str(tmp_path / "x.jpg")]
-    )
-    assert "--plot draws .png or .svg" in str(done.exception)
+    done = diff("none", "none", "--plot", tmp_path / "x.jpg")
+
+    assert done.exit_code == 2
+    assert "--plot draws .png or .svg" in done.stderr
 
 
 @settings(max_examples=25)

@@ -21,7 +21,7 @@ from lipsync.errors import UserError
 
 
 class HealthError(UserError):
-    """A face of which nothing was logged."""
+    """A log that is not there or cannot be read."""
 
 
 def health(
@@ -48,7 +48,10 @@ def health(
                 f"known here: {known}"
             )
         logged = {wanted: logged[wanted]}
-    histories = {name: read_history(folders, days) for name, folders in logged.items()}
+    try:
+        histories = {name: read_history(folders, days) for name, folders in logged.items()}
+    except OSError as error:
+        raise HealthError(f"{error.filename}: cannot be read: {error.strerror}") from error
     if as_json:
         print_json({"faces": [_as_dict(name, history) for name, history in histories.items()]})
         return

@@ -11,17 +11,18 @@ from rich.table import Table
 
 from lipservo.commands.options import Json
 from lipservo.output import MESSAGES, RESULTS, print_json
-from lipservo.trace import TraceError
 from lipservo.trace_diff import Difference, IncomparableError, Tolerance, compare, excesses, overlay
 from lipservo.trace_reader import Trace, read_trace
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
+from lipsync.errors import UserError
 
 app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
 
 #: Two traces that cannot be compared, as against 1, two that differ: as `diff` and `cmp` do.
 _INCOMPARABLE = 2
 
-Recorded = Annotated[Path, typer.Argument(metavar="FILE", help="A trace, `.gz` or not.")]
+First = Annotated[Path, typer.Argument(metavar="A", help="A trace, `.gz` or not.")]
+Second = Annotated[Path, typer.Argument(metavar="B", help="The one to compare with it.")]
 
 
 @app.callback()
@@ -31,8 +32,8 @@ def about() -> None:
 
 @app.command()
 def diff(
-    a: Recorded,
-    b: Recorded,
+    a: First,
+    b: Second,
     *,
     tolerance_mm: Annotated[
         float, typer.Option(min=0.0, help="Lips and lip gap may be so far apart.")
@@ -57,24 +58,24 @@ def diff(
 
     Exit status 1 beyond a tolerance, 2 where they cannot be compared.
     """
-    if plot is not None:
-        from lipservo.trace_plot import check_plot
-
-        check_plot(plot)
     tolerance = Tolerance(tolerance_mm, tolerance_deg, tolerance_ms * 1e-3)
     try:
+        if plot is not None:
+            from lipservo.trace_plot import check_plot
+
+            check_plot(plot)
         first, second = read_trace(a), read_trace(b)
         looks = _looks((first, second), model or [])
         laid = overlay(first, second, (looks[0].markers_mm, looks[1].markers_mm))
-    except (TraceError, IncomparableError) as error:
+        if plot is not None:
+            from lipservo.trace_plot import draw_difference
+
+            draw_difference(plot, first, second, laid)
+    except UserError as error:
         MESSAGES.print(f"lipservo: {error}", soft_wrap=True, markup=False, highlight=False)
         raise typer.Exit(_INCOMPARABLE) from error
     found = compare(first, second, laid, margin_mm=tolerance.mm)
     beyond = excesses(first.servos, found, tolerance)
-    if plot is not None:
-        from lipservo.trace_plot import draw_difference
-
-        draw_difference(plot, first, second, laid)
     notes = [*first.notes, *second.notes, *_delay_note(first, second)]
     if as_json:
         print_json({"same": not beyond, "beyond": beyond, "notes": notes, **_figures(first, found)})
