@@ -17,6 +17,8 @@ _STEP_S = 0.005
 #: How fast the position loop closes an error, 1/s. Ours: lag of a tenth of a second feels like an
 #: XL330 with factory gains; not measured.
 _POSITION_LOOP_PER_S = 40.0
+#: The error is looked at one step of the trajectory too late, which this takes out again.
+_FORWARD = 1.0 - _POSITION_LOOP_PER_S * _STEP_S
 _AT_REST_PULSES = 0.01
 #: moving_status: so near counts as arrived, so far from the trajectory as not following. The manual
 #: names no numbers; these are ours.
@@ -189,7 +191,7 @@ class Motors:
         top = self.free_speed * room * self.voltage_v / self._nominal_v
         top = np.where(on & ~self.jammed, top, 0.0)
         error = self.trajectory - self.position
-        wanted = self.trajectory_velocity + _POSITION_LOOP_PER_S * error
+        wanted = _FORWARD * self.trajectory_velocity + _POSITION_LOOP_PER_S * error
         velocity = np.minimum(np.maximum(wanted, -top), top)
         pace = np.abs(velocity) / self.no_load
         effort = self.load + 0.05 * pace
