@@ -10,12 +10,15 @@ from lipservo.commands import (
     bench_recognition,
     builder,
     calibration,
+    doctor,
     processes,
     recognition,
+    setup_servos,
     sim_bus,
     street,
     training,
 )
+from lipservo.output import complain
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -43,10 +46,10 @@ app.command("trim", context_settings={"ignore_unknown_options": True})(calibrati
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 app.command("sim-bus")(sim_bus.sim_bus)
-app.command("doctor")(builder.doctor)
+app.command("doctor")(doctor.doctor)
 app.command("jog")(builder.jog)
 app.command("neutral")(builder.neutral)
-app.command("setup-servos")(builder.setup_servos)
+app.command("setup-servos")(setup_servos.setup_servos)
 app.command("new-face")(builder.new_face)
 app.command("bridge-process", hidden=True)(processes.bridge_process)
 app.command("speech-process", hidden=True)(processes.speech_process)
@@ -59,8 +62,7 @@ def main() -> None:
     try:
         app(_with_default_microphone(sys.argv[1:]))
     except (UserError, BusError) as error:
-        for line in str(error).splitlines():
-            sys.stderr.write(f"lipservo: {line}\n")
+        complain(str(error))
         sys.exit(1)
 
 
