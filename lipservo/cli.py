@@ -10,15 +10,18 @@ from lipservo.commands import (
     bench_recognition,
     builder,
     calibration,
+    doctor,
     health,
     processes,
     recognition,
+    setup_servos,
     sim_bus,
     street,
     trace,
     training,
 )
 from lipservo.face_life import FaceStopped, exit_status
+from lipservo.output import complain
 from lipsync.errors import UserError
 
 app = typer.Typer(
@@ -46,10 +49,10 @@ app.command("trim", context_settings={"ignore_unknown_options": True})(calibrati
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 app.command("sim-bus")(sim_bus.sim_bus)
-app.command("doctor")(builder.doctor)
+app.command("doctor")(doctor.doctor)
 app.command("jog")(builder.jog)
 app.command("neutral")(builder.neutral)
-app.command("setup-servos")(builder.setup_servos)
+app.command("setup-servos")(setup_servos.setup_servos)
 app.command("new-face")(builder.new_face)
 app.command("bridge-process", hidden=True)(processes.bridge_process)
 app.command("speech-process", hidden=True)(processes.speech_process)
@@ -65,11 +68,10 @@ def main() -> None:
         app(_with_default_microphone(sys.argv[1:]))
     except (UserError, BusError) as error:
         # Notes say what became of the servos.
-        for line in "\n".join([str(error), *getattr(error, "__notes__", [])]).splitlines():
-            sys.stderr.write(f"lipservo: {line}\n")
+        complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
         sys.exit(1)
     except FaceStopped as stop:
-        sys.stderr.write(f"lipservo: {stop}\n")
+        complain(str(stop))
         sys.exit(exit_status(stop.report, stop.signal_number))
 
 

@@ -1,5 +1,6 @@
 """How results and messages leave the program."""
 
+import contextlib
 import json
 import platform
 import sys
@@ -10,6 +11,13 @@ from rich.console import Console
 #: Results go to stdout; everything else, progress and logs and complaints, to stderr.
 RESULTS = Console()
 MESSAGES = Console(stderr=True)
+
+
+def complain(text: str) -> None:
+    """Why the program ends, on stderr; in vain where the terminal is gone."""
+    with contextlib.suppress(OSError):
+        sys.stderr.write("".join(f"lipservo: {line}\n" for line in text.splitlines()))
+        sys.stderr.flush()
 
 
 def print_json(result: Mapping[str, object]) -> None:

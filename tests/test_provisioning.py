@@ -13,6 +13,7 @@ from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.handshake import read_identities
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.provisioning import (
+    Difference,
     differences,
     read_settings,
     scan,
@@ -29,11 +30,15 @@ def fresh_servo():
     return chain, Line(MemoryTransport(chain, ManualClock(), 57_600))
 
 
+def lacking(line, model, wanted):
+    return differences(read_settings(line, 1, model, wanted), wanted)
+
+
 def test_a_servo_from_the_factory_is_set_up_and_the_line_follows_it():
     chain, line = fresh_servo()
     (servo,) = mounted(8)[7:]
     wanted = wanted_settings(servo, BAUD_RATE)
-    changes = set_up(line, 1, servo.model, wanted)
+    changes = list(set_up(line, 1, servo.model, lacking(line, servo.model, wanted)))
 
     assert {change.name for change in changes} == {
         "id", "baud_rate", "return_delay_time", "min_position_limit", "max_position_limit",
@@ -48,15 +53,15 @@ def test_setting_up_twice_writes_nothing_the_second_time():
     (servo,) = mounted(1)
     wanted = wanted_settings(servo, 57_600)
 
-    assert set_up(line, 1, servo.model, wanted)
-    assert set_up(line, 1, servo.model, wanted) == []
+    assert list(set_up(line, 1, servo.model, lacking(line, servo.model, wanted)))
+    assert lacking(line, servo.model, wanted) == []
 
 
 def test_settings_survive_a_power_cycle():
     chain, line = fresh_servo()
     (servo,) = mounted(1)
     wanted = wanted_settings(servo, 57_600)
-    set_up(line, 1, servo.model, wanted)
+    list(set_up(line, 1, servo.model, lacking(line, servo.model, wanted)))
     chain.servos[0].reboot(line.transport.clock.now())
     line.transport.clock.advance(1.0)
 
@@ -68,7 +73,7 @@ def test_a_servo_that_refuses_is_named_with_register_and_value():
     model = servo_models()["XL330-M288"]
 
     with pytest.raises(ServoError, match=r"id 1 refuses max_position_limit = 9999 \(error 4\)"):
-        set_up(line, 1, model, {"max_position_limit": 9999})
+        list(set_up(line, 1, model, [Difference("max_position_limit", 4095, 9999)]))
 
 
 def test_the_scan_finds_servos_at_any_rate():

@@ -6,24 +6,30 @@ from enum import IntEnum
 from typing import Final
 
 from firmware_bridge.bus import ServoError
-from firmware_bridge.dynamixel.budget import budget
+from firmware_bridge.dynamixel.adapter import measured_latency_s, without_fast_read
+from firmware_bridge.dynamixel.budget import budget, slow_adapter
 from firmware_bridge.dynamixel.control_table import model_by_number
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
+    UNHURRIED_S,
     differences,
     duplicates,
     read_settings,
     scan,
     wanted_settings,
 )
+from firmware_bridge.dynamixel.shared_id import shares_id
 from firmware_bridge.health import describe_errors
 
 _SETUP: Final = "`lipservo setup-servos`"
+_UDEV: Final = "install the udev rule (docs/hardware.md), or `echo 1` into its latency_timer"
 _WARM_DEGC: Final = 10
 #: Of the stall torque: proposed where nothing bounds a servo; the shipped faces' jaws have it.
 _GENTLE_SHARE: Final = 0.3
+#: Later than this, answers are held back by something: a USB frame is 1 ms, a busy computer less.
+_SLOW_S: Final = 0.004
 _STATE: Final = (
     "firmware_version",
     "torque_enable",
@@ -57,9 +63,12 @@ class Finding:
 def examine(
     line: Line, servos: Sequence[MountedServo], rate_hz: float, latency_timer_ms: int | None
 ) -> Iterator[Finding]:
-    """Findings in the order they are made; nothing is written to any servo."""
-    yield _adapter(latency_timer_ms)
+    """Findings in the order they are made; nothing is written to any servo.
+
+    latency_timer_ms: what the adapter's driver declares; None: it does not tell, so it is measured.
+    """
     wanted_rate = line.baud_rate
+    line.patience_s = UNHURRIED_S
     ids = [servo.joint.servo_id for servo in servos]
     at_rate: dict[int, tuple[int, int]] = {}
     for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):
@@ -74,14 +83,19 @@ def examine(
             f"no servo answers at any of {tried} baud",
             "check that the servos have power (their LED blinks once) and the data cable is in",
         )
+        yield from _adapter(line, None, latency_timer_ms)
         return
+    there = [each for each in ids if at_rate.get(each, (0,))[0] == wanted_rate]
+    yield from _adapter(line, there[0] if there else None, latency_timer_ms)
     doubled = duplicates(line, [each for each in ids if each not in at_rate])
+    doubled += [each for each in there if shares_id(line, each)]
     for each in doubled:
         yield Finding(
             Severity.BAD,
             f"answers of id {each} are spoilt: two servos may have this id",
             f"connect one of them alone and run {_SETUP}",
         )
+    yield from _fast_read(line, [each for each in there if each not in doubled])
     for servo in servos:
         servo_id = servo.joint.servo_id
         if servo_id not in doubled:
@@ -96,8 +110,11 @@ def examine(
         )
     yield from _strength(servos)
     slow = budget(len(servos), wanted_rate, rate_hz)
+    held_back = slow_adapter(len(servos), wanted_rate, rate_hz, latency_timer_ms)
     if slow is not None:
         yield Finding(Severity.BAD, slow, f"then {_SETUP}")
+    elif held_back is not None:
+        yield Finding(Severity.BAD, held_back, _UDEV)
     else:
         yield Finding(
             Severity.GOOD,
@@ -121,16 +138,37 @@ def _strength(servos: Sequence[MountedServo]) -> Iterator[Finding]:
     )
 
 
-def _adapter(latency_timer_ms: int | None) -> Finding:
+def _adapter(line: Line, servo_id: int | None, latency_timer_ms: int | None) -> Iterator[Finding]:
+    """What the adapter does to answers: holds them back, or adds what was sent."""
     if latency_timer_ms is None:
-        return Finding(Severity.GOOD, "the adapter has no latency timer to set")
-    if latency_timer_ms <= 1:
-        return Finding(Severity.GOOD, "the adapter's latency timer is 1 ms")
-    return Finding(
-        Severity.WARNING,
-        f"the adapter holds bytes back for {latency_timer_ms} ms",
-        "install the udev rule (docs/hardware.md), or `echo 1` into its latency_timer",
-    )
+        latency_s = measured_latency_s(line, servo_id) if servo_id is not None else None
+        if latency_s is not None and latency_s > _SLOW_S:
+            yield Finding(
+                Severity.WARNING,
+                f"answers come {latency_s * 1e3:.0f} ms later than on the wire",
+                "give the adapter a USB port of its own; see its driver for a latency setting",
+            )
+        else:
+            yield Finding(Severity.GOOD, "the adapter has no latency timer to set")
+    elif latency_timer_ms <= 1:
+        yield Finding(Severity.GOOD, "the adapter's latency timer is 1 ms")
+    else:
+        what = f"the adapter holds bytes back for {latency_timer_ms} ms"
+        yield Finding(Severity.WARNING, what, _UDEV)
+    if line.echoes:
+        what = "the adapter gives back what is sent (echo); that is swallowed"
+        yield Finding(Severity.WARNING, what, "nothing to do, unless it has a switch for it")
+
+
+def _fast_read(line: Line, ids: Sequence[int]) -> Iterator[Finding]:
+    deaf = without_fast_read(line, ids)
+    if deaf:
+        named = "all servos" if len(deaf) == len(ids) else f"ids {', '.join(map(str, deaf))}"
+        yield Finding(
+            Severity.WARNING,
+            f"{named} do not answer Fast Sync Read; plain sync read is used, which takes longer",
+            "nothing to do, unless there is newer firmware (Dynamixel Wizard)",
+        )
 
 
 def _servo(

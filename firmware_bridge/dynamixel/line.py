@@ -43,6 +43,21 @@ class Line(HalfDuplex):
             return status._replace(data=status.data[:2] + status.data[-1:])
         return self._ask_one(servo_id, request, _PONG_SIZE)
 
+    def ping_each(self, servo_id: int) -> list[Status]:
+        """Every answer to one ping: two servos of one id give two, unless they spoil each other."""
+
+        def take(stream: bytes, *, last: bool) -> list[Status] | None:
+            return self._statuses(stream) if last else None
+
+        if self._owes() and self._owed.free_size((servo_id,), _PONG_SIZE) != _PONG_SIZE:
+            self._wait_for_owed()
+        request = codec.ping(servo_id)
+        n_bytes = 2 * (codec.EMPTY_STATUS_SIZE + _PONG_SIZE)
+        statuses = self._converse(request, n_bytes, take, patience_s=FACTORY_RETURN_DELAY_S)
+        if not statuses:
+            self._owed.note(servo_id, _PONG_SIZE, request, self._clock.now())
+        return [s for s in statuses if s.servo_id == servo_id and len(s.data) == _PONG_SIZE]
+
     def ping_all(self) -> list[Status]:
         """Everybody there is, by one broadcast; takes 253 turns of 14 bytes.
 

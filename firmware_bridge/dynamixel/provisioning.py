@@ -3,7 +3,7 @@
 The only place that writes EEPROM: torque off, only differences, all of it read back.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,6 +20,10 @@ SCANNED_RATES: Final = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_
 #: Not in the manual; generous.
 _EEPROM_WRITE_S: Final = 0.05
 _TRIES: Final = 3
+#: An answer that comes this late is still waited for; who sets up or examines is in no hurry.
+UNHURRIED_S: Final = 0.06
+#: What changes how a servo is spoken to is written last, in this order.
+_LAST: Final = {"id": 1, "baud_rate": 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,33 +86,29 @@ def read_settings(
 
 
 def set_up(
-    line: Line, servo_id: int, model: ServoModel, wanted: Mapping[str, int]
-) -> list[Difference]:
-    """Make the servo at `servo_id` hold `wanted`; what was changed.
+    line: Line, servo_id: int, model: ServoModel, changes: Sequence[Difference]
+) -> Iterator[Difference]:
+    """Write `changes` to the servo at `servo_id`, and yield each once the servo holds it.
 
-    The id and then the baud rate come last, and the line follows to the new rate. Raises ServoError
-    when the servo refuses or does not keep a value.
+    Torque goes off first and stays off. The id and then the baud rate come last, and the line
+    follows to the new rate. Whoever stops between two leaves nothing half-written. Raises
+    ServoError when the servo refuses or does not keep a value.
     """
-    late = ("id", "baud_rate")
-    _write(line, servo_id, model, "torque_enable", 0)
-    changes = differences(read_settings(line, servo_id, model, wanted), wanted)
-    for change in [c for c in changes if c.name not in late]:
+    if changes:
+        _write(line, servo_id, model, "torque_enable", 0)
+    for change in sorted(changes, key=lambda each: _LAST.get(each.name, 0)):
         _write(line, servo_id, model, change.name, change.wanted)
+        if change.name == "id":
+            servo_id = change.wanted
+        elif change.name == "baud_rate":
+            line.baud_rate = baud_rates()[change.wanted]
         kept = read_settings(line, servo_id, model, [change.name])[change.name]
         if kept != change.wanted:
             raise ServoError(
                 f"servo id {servo_id}: {change.name} stays at {kept} although "
                 f"{change.wanted} was written"
             )
-    for change in [c for name in late for c in changes if c.name == name]:
-        _write(line, servo_id, model, change.name, change.wanted)
-        if change.name == "id":
-            servo_id = change.wanted
-        else:
-            line.baud_rate = baud_rates()[change.wanted]
-    if differences(read_settings(line, servo_id, model, wanted), wanted):
-        raise ServoError(f"servo id {servo_id} does not keep its settings; power it off and on")
-    return changes
+        yield change
 
 
 def scan(line: Line, rates: Iterable[int] = SCANNED_RATES) -> Iterator[tuple[int, dict[int, int]]]:
@@ -132,6 +132,7 @@ def duplicates(line: Line, ids: Iterable[int]) -> list[int]:
 
 
 def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) -> None:
+    """One register. A servo whose id or rate has changed may answer to the old one no more."""
     entry = model.registers[name]
     for _ in range(_TRIES):
         status = line.write(servo_id, entry.address, entry.encode(value), _EEPROM_WRITE_S)
@@ -141,4 +142,5 @@ def _write(line: Line, servo_id: int, model: ServoModel, name: str, value: int) 
                     f"servo id {servo_id} refuses {name} = {value} (error {status.error & 0x7F})"
                 )
             return
-    raise ServoError(f"servo id {servo_id} does not answer to a write of {name}")
+    if name not in _LAST:
+        raise ServoError(f"servo id {servo_id} does not answer to a write of {name}")

@@ -1,123 +1,17 @@
-"""`doctor`, `setup-servos`, `jog`, `neutral`, `new-face`: a builder's first hour."""
+"""`jog`, `neutral`, `new-face`: a builder's first hour."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Json
+from lipservo.commands.options import DEFAULT_FACE, Config, Port
 from lipservo.face_life import exit_status
-from lipservo.output import MESSAGES, RESULTS, print_json
+from lipservo.output import MESSAGES, RESULTS
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
-    from firmware_bridge.dynamixel.mounting import MountedServo
     from lipservo.moving import Moved
-
-Port = Annotated[
-    str | None,
-    typer.Option(help="Serial port of the servos; default: the face's.", show_default=False),
-]
-
-
-def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = False) -> None:
-    """Examine port, adapter and every servo; say what is wrong and what to do. Changes nothing.
-
-    Exit status 1 when something is bad.
-    """
-    from firmware_bridge.dynamixel.doctor import Severity, examine
-    from firmware_bridge.dynamixel.line import Line
-    from firmware_bridge.dynamixel.serial_transport import latency_timer_ms, open_port
-    from lipservo.assembly import load_settings
-    from lipservo.servos import mounted_servos
-
-    settings, _ = load_settings(config)
-    name = _port(port, settings.bus.port)
-    transport = open_port(name, settings.bus.baud_rate)
-    try:
-        findings = []
-        line = Line(transport)
-        for finding in examine(
-            line, mounted_servos(settings), settings.rate_hz, latency_timer_ms(name)
-        ):
-            findings.append(finding)
-            if not as_json:
-                mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]
-                remedy = f" -> {finding.remedy}" if finding.remedy else ""
-                RESULTS.print(f"{mark} {finding.what}{remedy}", soft_wrap=True, highlight=False)
-    finally:
-        transport.close()
-    n_bad = sum(finding.severity is Severity.BAD for finding in findings)
-    if as_json:
-        listed = [
-            {"severity": f.severity.name.lower(), "what": f.what, "remedy": f.remedy}
-            for f in findings
-        ]
-        print_json({"bad": n_bad, "findings": listed})
-    if n_bad:
-        raise typer.Exit(1)
-
-
-def setup_servos(
-    joints: Annotated[
-        list[str] | None, typer.Argument(help="Joints to set up; default: all, one by one.")
-    ] = None,
-    port: Port = None,
-    config: Config = DEFAULT_FACE,
-) -> None:
-    """Give each servo its id, rate and limits. Connect one servo at a time.
-
-    Without JOINTS it asks for one after another; with one joint it asks nothing.
-    """
-    from lipservo.assembly import load_settings
-    from lipservo.servos import mounted_servos
-
-    settings, _ = load_settings(config)
-    servos = {servo.joint.name: servo for servo in mounted_servos(settings)}
-    unknown = [name for name in joints or () if name not in servos]
-    if unknown:
-        raise UserError(f"no joint {unknown[0]!r} in this face; it has {', '.join(servos)}")
-    name = _port(port, settings.bus.port)
-    for joint in joints or list(servos):
-        if joints is None or len(joints) > 1:
-            typer.prompt(
-                f"Connect the servo of {joint!r} alone, then press Enter", "", show_default=False
-            )
-        _set_up_one(name, settings.bus.baud_rate, servos[joint])
-
-
-def _set_up_one(port: str, baud_rate: int, servo: "MountedServo") -> None:
-    """Find the one servo there is, whatever its id and rate, and set it up."""
-    from firmware_bridge.dynamixel.control_table import model_by_number
-    from firmware_bridge.dynamixel.line import Line
-    from firmware_bridge.dynamixel.provisioning import SCANNED_RATES, scan, set_up, wanted_settings
-    from firmware_bridge.dynamixel.serial_transport import open_port
-
-    transport = open_port(port, baud_rate)
-    try:
-        line = Line(transport)
-        scanned = scan(line, [baud_rate, *SCANNED_RATES])
-        rate, found = next((each for each in scanned if each[1]), (0, {}))
-        if not found:
-            raise UserError(f"{port}: no servo answers; check its power and cable")
-        if len(found) > 1:
-            raise UserError(
-                f"{port}: {len(found)} servos answer (ids {sorted(found)}); connect one at a time"
-            )
-        ((servo_id, number),) = found.items()
-        known = model_by_number(number)
-        if known is None or known.name != servo.model.name:
-            it_is = known.name if known else f"of unknown model {number}"
-            raise UserError(
-                f"the servo found is {it_is}, {servo.joint.name!r} needs {servo.model.name}"
-            )
-        line.baud_rate = rate
-        changes = set_up(line, servo_id, servo.model, wanted_settings(servo, baud_rate))
-    finally:
-        transport.close()
-    for change in changes:
-        RESULTS.print(f"{servo.joint.name}: {change.name} {change.found} -> {change.wanted}")
-    RESULTS.print(f"{servo.joint.name}: set up as id {servo.joint.servo_id}")
 
 
 def jog(
@@ -194,10 +88,3 @@ def _finish(moved: "Moved") -> None:
     status = exit_status(moved.report, None)
     if status:
         raise typer.Exit(status)
-
-
-def _port(given: str | None, of_the_face: str | None) -> str:
-    port = given or of_the_face
-    if port is None:
-        raise UserError("no port: give --port, or write `bus: {kind: dynamixel, port: ...}`")
-    return port
