@@ -31,6 +31,8 @@ READABLE_VERSIONS = (1, 2, 3)
 #: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
 _SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
+#: A calibration needs five levels.
+_DEEPEST = 20
 #: What the previous file is kept as.
 PREVIOUS_SUFFIX = ".previous"
 
@@ -72,7 +74,10 @@ def parse_calibration(text: str, source: str) -> Calibration:
     Raises CalibrationError, one line: where, what is wrong, what was expected.
     """
     try:
+        _check_depth(text)
         content = yaml.load(text, Loader=_SAFE_LOADER)
+    except CalibrationError as error:
+        raise CalibrationError(f"{source}: {error}") from None
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2024-13-01
         where = getattr(error, "problem_mark", None)
         line = f", line {where.line + 1}" if where else ""
@@ -81,6 +86,18 @@ def parse_calibration(text: str, source: str) -> Calibration:
         return _parse(Place(content, ""))
     except CalibrationError as error:
         raise CalibrationError(f"{source}: {error}; run `lipservo calibrate` again") from error
+
+
+def _check_depth(text: str) -> None:
+    """Refuse what is nested very deep: libyaml's reader crashes the whole program on that."""
+    depth = 0
+    for event in yaml.parse(text, Loader=_SAFE_LOADER):
+        if isinstance(event, yaml.CollectionStartEvent):
+            depth += 1
+        elif isinstance(event, yaml.CollectionEndEvent):
+            depth -= 1
+        if depth > _DEEPEST:
+            raise CalibrationError("is nested too deep to be a calibration")
 
 
 def _parse(file: Place) -> Calibration:

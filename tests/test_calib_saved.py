@@ -111,6 +111,15 @@ def test_what_is_no_calibration_at_all_is_refused(tmp_path, content):
         load_calibration(path)
 
 
+@pytest.mark.parametrize("content", ["[" * 100_000, "{a: " * 5_000, "version: 3\n1: 2\n"])
+def test_what_is_nested_deep_or_has_keys_of_no_text_is_one_line(tmp_path, content):
+    path = tmp_path / "c.yaml"
+    path.write_text(content)
+    with pytest.raises(CalibrationError, match="nested too deep|the key 1 is no text") as raised:
+        load_calibration(path)
+    assert "\n" not in str(raised.value)
+
+
 def test_missing_and_binary_files_are_one_clear_line(tmp_path):
     with pytest.raises(CalibrationError, match=r"no such calibration; run `lipservo calibrate"):
         load_calibration(tmp_path / "none.yaml")
