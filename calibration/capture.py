@@ -166,7 +166,7 @@ def read_kept(
             content = json.loads(line)
             if not (goes_on and int(str(content["pose"])) >= len(plan)):
                 poses.append(_parse(content, plan, marker_names))
-        except (ValueError, KeyError, TypeError, IndexError) as error:
+        except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
             raise CalibrationError(
                 f"{keep}, line {number + 1}: not a pose of this face and plan; "
                 "name another file or remove this one"

@@ -106,7 +106,7 @@ def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:
             str(name): np.array([float(pose[servo]) for servo in servo_names])
             for name, pose in content.items()
         }
-    except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OSError) as error:
         raise CalibrationError(
             f"{path}: not the poses of this face; name another file or remove this one"
         ) from error

@@ -21,6 +21,7 @@ from calibration.calibration import CalibrationError
 from calibration.capture import Capture
 from calibration.capture_plan import LEAD_IN_DEG, PosePlan
 from calibration.dots_folder import is_dots_folder, read_dots_folder
+from lipsync.errors import shown
 from lipsync.output_file import write_whole
 
 Array = NDArray[np.float64]
@@ -130,7 +131,7 @@ def _csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[
 def _json_rows(path: Path) -> Iterable[tuple[str, Mapping[str, object]]]:
     try:
         content = json.loads(_text(path))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CalibrationError(f"{path}: not readable as JSON") from error
     if not isinstance(content, list):
         raise CalibrationError(f"{path}: should be a list of readings")
@@ -159,12 +160,12 @@ def _number(value: object, place: str, *, lost: bool = False) -> float:
     except ValueError:
         number = math.inf
     if not math.isfinite(number) and not (lost and math.isnan(number)):
-        raise CalibrationError(f"{place}: {value!r} is not a number")
+        raise CalibrationError(f"{place}: {shown(value)} is not a number")
     return number
 
 
 def _whole(value: object, place: str) -> int:
     number = _number(value, place)
     if number != int(number):
-        raise CalibrationError(f"{place}: pose {value!r} is not a whole number")
+        raise CalibrationError(f"{place}: pose {shown(value)} is not a whole number")
     return int(number)

@@ -87,7 +87,7 @@ def main() -> None:
         _complain(str(error).splitlines())
         status = 1
     except typer.Abort:
-        _complain(["the input ended before all questions were answered; nothing was written"])
+        _complain(["the input ended before all questions were answered; no file was written"])
         status = 1
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "

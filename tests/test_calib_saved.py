@@ -84,7 +84,7 @@ def test_a_failed_write_leaves_the_old_file(calibration, tmp_path):
         ("max_deg: 40.0", "max_deg: wide", r"servos\.jaw\.max_deg is 'wide', expected a finite"),
         ("max_deg: 40.0", "max_deg: true", r"servos\.jaw\.max_deg is True, expected a finite"),
         ("max_deg: 40.0", "max_deg: -1", r"servos\.jaw: needs min_deg <= 0 <= max_deg"),
-        ("max_deg: 40.0", "max_deg: " + "9" * 400, r"max_deg is 9+, expected a finite number"),
+        ("max_deg: 40.0", "max_deg: " + "9" * 400, r"max_deg is 9+...9+, expected a finite number"),
         ("rest: [", "rest: [.nan, ", r"rest\[0\] is nan, expected a finite number"),
         ("rest: [", "rest: 1 # [", "rest should be a list of numbers"),
         (f'"{FACE}"', "7", "face_checksum is 7, expected text in quotes"),
@@ -115,7 +115,7 @@ def test_what_is_no_calibration_at_all_is_refused(tmp_path, content):
 def test_what_is_nested_deep_or_has_keys_of_no_text_is_one_line(tmp_path, content):
     path = tmp_path / "c.yaml"
     path.write_text(content)
-    with pytest.raises(CalibrationError, match="nested too deep|the key 1 is no text") as raised:
+    with pytest.raises(CalibrationError, match=r"nested too deep|the key 1 is no text") as raised:
         load_calibration(path)
     assert "\n" not in str(raised.value)
 

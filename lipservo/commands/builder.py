@@ -1,5 +1,7 @@
 """`doctor`, `setup-servos`, `jog`, `neutral`, `new-face`: a builder's first hour."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,6 +10,7 @@ import typer
 from lipservo.commands.options import DEFAULT_FACE, Config, Json
 from lipservo.output import MESSAGES, RESULTS, print_json, say_simulated
 from lipsync.errors import UserError
+from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:
     from firmware_bridge.dynamixel.mounting import MountedServo
@@ -157,11 +160,17 @@ def new_face(
     With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
     """
     from calibration.lerobot_ranges import by_id, read_ranges
-    from lipservo.new_face import FoundJoint, face_yaml, find_servos, nudge
-    from lipservo.settings import load_face
+    from lipservo.new_face import (
+        FoundJoint,
+        check_face_file,
+        check_joint_name,
+        face_yaml,
+        find_servos,
+        nudge,
+    )
+    from lipservo.settings import parse_face
 
-    if output.exists():
-        raise UserError(f"{output}: exists already; choose another name")
+    check_face_file(output)
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     rate, found = find_servos(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
@@ -172,20 +181,28 @@ def new_face(
         name = typer.prompt(
             f"id {servo_id} ({model}) moved by 3 degrees and back. Which joint",
             default=known.name if known else None,
+            value_proc=partial(_joint_name, check_joint_name, [joint.name for joint in joints]),
+            err=True,
         )
-        word = typer.prompt("What should a positive angle do (opens, raises, widens ...)")
-        same = typer.confirm("Did its first move do that", default=True)
+        word = typer.prompt("What should a positive angle do (opens, raises, widens ...)", err=True)
+        same = typer.confirm("Did its first move do that", default=True, err=True)
         joint = FoundJoint(name, servo_id, model, word, 1 if same else -1)
         joints.append(joint if known is None else joint.within(known, tick))
-    output.write_text(face_yaml(output.stem, port, rate, joints), encoding="utf-8")
-    try:
-        load_face(output)
-    except UserError:
-        output.unlink()
-        raise
+    text = face_yaml(output.stem, port, rate, joints)
+    parse_face(text, output.name)
+    write_whole(output, text)
     RESULTS.print(
-        f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`"
+        f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`",
+        soft_wrap=True,
     )
+
+
+def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
+    """An answer to the question for a joint's name; asked again where it cannot be one."""
+    try:
+        return check(text, taken)
+    except UserError as error:
+        raise typer.BadParameter(str(error)) from None
 
 
 def _say_if_simulated(port: str | None, config: str) -> None:
