@@ -84,7 +84,8 @@ def main() -> None:
         _complain([_usage_line(error)])
         status = error.exit_code
     except (UserError, BusError) as error:
-        _complain(str(error).splitlines())
+        # Notes say what became of the servos.
+        _complain("\n".join([str(error), *getattr(error, "__notes__", [])]).splitlines())
         status = 1
     except typer.Abort:
         _complain(["the input ended before all questions were answered; no file was written"])

@@ -54,7 +54,8 @@ RateHz = Annotated[float, within(30.0, 200.0)]
 JOINT_NAME = r"^[a-z][a-z0-9_]*$"
 JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME)]
 #: A file beside the face or among the shipped ones, never a path.
-CalibrationName = Annotated[str, StringConstraints(pattern=r"^[\w.-]+\.yaml$")]
+CALIBRATION_NAME = r"^[\w.-]+\.yaml$"
+CalibrationName = Annotated[str, StringConstraints(pattern=CALIBRATION_NAME)]
 Text = Annotated[str, StringConstraints(min_length=1)]
 
 

@@ -1,5 +1,6 @@
 """`calibrate` and `trim`: from any face's motion to this robot's servos."""
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,6 +9,8 @@ import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.output import MESSAGES, RESULTS, print_json
+from lipservo.setting_types import CALIBRATION_NAME
+from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
@@ -140,6 +143,7 @@ def calibrate(
         return
     if output is None:
         raise typer.BadParameter("say where to write the calibration", param_hint="--output")
+    _check_name(output)
     check_output(output, replaces=is_calibration, kind="calibration", inputs=[plan, markers])
     if keep is not None and not keep.exists():
         check_output(keep)
@@ -167,6 +171,12 @@ def calibrate(
                 at, tracker, axes, practise, guided=guided, over_wire=found_port is not None
             )
     _finish(at, result, output, plots, as_json=as_json)
+
+
+def _check_name(output: Path) -> None:
+    """A calibration that no face can name is of no use to anybody."""
+    if not re.match(CALIBRATION_NAME, output.name):
+        raise UserError(f"{output}: a face can only name a file such as my_face.calibration.yaml")
 
 
 def _from_robot(
@@ -240,7 +250,7 @@ def _from_files(at: "Workplace", plan: Path, markers: Path, axes: str) -> "Resul
 
     names = tuple(joint.name for joint in at.joints)
     capture = read_capture(plan, markers, names, axes=axes)
-    with MESSAGES.status("fitting"):
+    with MESSAGES.status("fitting", spinner="line"):
         return fit_capture(at, capture)
 
 
@@ -279,7 +289,13 @@ def _finish(
     for line in report_lines(calibration, str(output), fit):
         RESULTS.print(line, soft_wrap=True, highlight=False)
     if jaw_r is not None:
-        RESULTS.print(f"the jaw goes with the talker's: correlation {jaw_r:.2f}", highlight=False)
+        RESULTS.print(f"the jaw goes with the talker's: correlation {jaw_r:.2f}")
+    if at.settings.calibration != output.name:
+        RESULTS.print(
+            f"to use it, write `calibration: {output.name}` into the face's YAML, and keep both "
+            "files in one folder",
+            soft_wrap=True,
+        )
 
 
 def trim(
