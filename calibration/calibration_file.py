@@ -23,6 +23,7 @@ from calibration.file_place import Place
 from calibration.hold_out import HoldOutErrors
 from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
+from lipsync.yaml_depth import is_nested_deeper
 
 Array = NDArray[np.float64]
 
@@ -74,10 +75,11 @@ def parse_calibration(text: str, source: str) -> Calibration:
     Raises CalibrationError, one line: where, what is wrong, what was expected.
     """
     try:
-        _check_depth(text)
+        if is_nested_deeper(text, _DEEPEST):
+            raise CalibrationError(f"{source}: is nested too deep to be a calibration")
         content = yaml.load(text, Loader=_SAFE_LOADER)
-    except CalibrationError as error:
-        raise CalibrationError(f"{source}: {error}") from None
+    except CalibrationError:
+        raise
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2024-13-01
         where = getattr(error, "problem_mark", None)
         line = f", line {where.line + 1}" if where else ""
@@ -86,18 +88,6 @@ def parse_calibration(text: str, source: str) -> Calibration:
         return _parse(Place(content, ""))
     except CalibrationError as error:
         raise CalibrationError(f"{source}: {error}; run `lipservo calibrate` again") from error
-
-
-def _check_depth(text: str) -> None:
-    """Refuse what is nested very deep: libyaml's reader crashes the whole program on that."""
-    depth = 0
-    for event in yaml.parse(text, Loader=_SAFE_LOADER):
-        if isinstance(event, yaml.CollectionStartEvent):
-            depth += 1
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
-        if depth > _DEEPEST:
-            raise CalibrationError("is nested too deep to be a calibration")
 
 
 def _parse(file: Place) -> Calibration:

@@ -53,6 +53,15 @@ app.command("stop")(processes.stop)
 app.add_typer(bench.app, name="bench")
 
 
+#: What pydantic says of a value, and what we say.
+_IN_OUR_WORDS = {
+    "Input should be a valid number, unable to parse string as a number": "not a number",
+    "Input should be a valid integer, unable to parse string as an integer": "not a whole number",
+    "Input should be ": "should be ",
+    "Value error, ": "",
+}
+
+
 @app.callback(invoke_without_command=True)
 def lipservo(
     context: typer.Context,
@@ -90,6 +99,9 @@ def main() -> None:
     except typer.Abort:
         _complain(["the input ended before all questions were answered; no file was written"])
         status = 1
+    except UnicodeDecodeError as error:
+        _complain([f"a file that should be text is none: byte {error.start} is no UTF-8"])
+        status = 1
     except OSError as error:
         where = "" if error.filename is None else f"{error.filename}: "
         _complain([f"{where}{error.strerror or error}"])
@@ -105,6 +117,8 @@ def _complain(lines: Iterable[str]) -> None:
 def _usage_line(error: typer.TyperException) -> str:
     """What is wrong with a command line, in one line, and where to read on."""
     told = " ".join(error.format_message().split())
+    for pydantics, ours in _IN_OUR_WORDS.items():
+        told = told.replace(pydantics, ours)
     context = getattr(error, "ctx", None)
     command = "lipservo" if context is None else context.command_path
     return f"{told.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"

@@ -10,9 +10,12 @@ from collections.abc import Iterator
 import yaml
 
 from lipsync.errors import UserError, shown
+from lipsync.yaml_depth import is_nested_deeper
 
 #: Longer than any number of a setting; Python refuses to read ints of 4,300 digits.
 _MOST_DIGITS = 40
+#: Settings need four levels.
+_DEEPEST = 20
 _INT = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
 _REPLACED = (_INT, _FLOAT, "tag:yaml.org,2002:timestamp")
@@ -63,6 +66,8 @@ def read_mapping(text: str, file_name: str) -> dict[object, object]:
     would silently keep the last one.
     """
     try:
+        if is_nested_deeper(text, _DEEPEST):
+            raise SettingsError(f"{file_name}: is nested too deep to be settings")
         root = yaml.compose(text, Loader=_Loader)
         if root is None:
             raise SettingsError(f"{file_name}: is empty")
@@ -74,8 +79,6 @@ def read_mapping(text: str, file_name: str) -> dict[object, object]:
         if isinstance(error, SettingsError):
             raise
         raise SettingsError(_explain(error, file_name)) from error
-    except RecursionError:
-        raise SettingsError(f"{file_name}: is nested too deep to be settings") from None
     if not isinstance(content, dict):
         raise SettingsError(f"{file_name}: needs settings as `key: value`, found {_found(content)}")
     return content

@@ -42,6 +42,7 @@ class TraceFile:
         Raises OutputError where it cannot be written; only a trace is written over.
         """
         check_output(path, replaces=is_trace, kind="trace")
+        self._path = path
         self._whole = ExitStack()
         partial = self._whole.enter_context(written_whole(path))
         self._file = self._whole.enter_context(partial.open("w", encoding="utf-8"))
@@ -50,11 +51,7 @@ class TraceFile:
 
     def observe(self, tick: StreetTick) -> None:
         """Write one tick. Raises TraceError where the disk is full; no file is left then."""
-        try:
-            self._write(_record(self._n_ticks, tick))
-        except OSError as error:
-            self.abandon()
-            raise TraceError(f"the trace broke off: {error.strerror}") from error
+        self._write(_record(self._n_ticks, tick))
         self._n_ticks += 1
 
     def close(self, dropped: int = 0) -> None:
@@ -84,7 +81,11 @@ class TraceFile:
         self.close()
 
     def _write(self, record: Mapping[str, object]) -> None:
-        self._file.write(json.dumps(record, separators=(",", ":")) + "\n")
+        try:
+            self._file.write(json.dumps(record, separators=(",", ":")) + "\n")
+        except OSError as error:
+            self.abandon()
+            raise TraceError(f"{self._path}: the trace broke off: {error.strerror}") from error
 
 
 class BackgroundTrace:

@@ -18,8 +18,10 @@ def read_log(path: Path) -> list[Record]:
     """The lines of a `log.jsonl`; TrainingLogError for a file that is none."""
     try:
         records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, ValueError, RecursionError) as error:
-        raise TrainingLogError(f"{path}: not a readable run log ({error})") from error
+    except OSError as error:
+        raise TrainingLogError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise TrainingLogError(f"{path}: no run log: not one JSON object a line") from error
     if not records or not all(
         isinstance(r, dict) and {"step", "loss"} <= r.keys() for r in records
     ):

@@ -1,10 +1,15 @@
 """What a command writes: refused before the work, and whole or not at all."""
 
 import os
+import resource
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
+from lipservo.trace import TraceFile
+from lipsync.errors import UserError
 from lipsync.output_file import OutputError, check_output, write_whole, written_whole
 
 
@@ -91,6 +96,43 @@ def test_what_an_earlier_run_left_half_written_is_no_obstacle(tmp_path):
     check_output(tmp_path / "place")
     write_whole(tmp_path / "place", "whole")
     assert listed(tmp_path) == {"place"}
+
+
+@contextmanager
+def files_of_at_most(n_bytes: int) -> Iterator[None]:
+    """Writing more fails as on a full disk, only by another number (setrlimit(2), EFBIG)."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_disk_that_fills_up_leaves_the_old_file_and_nothing_else(tmp_path):
+    place = tmp_path / "place"
+    place.write_text("old")
+    with files_of_at_most(1000), pytest.raises(OutputError, match="written: File too large"):
+        write_whole(place, "much" * 1000)
+    assert place.read_text() == "old"
+    assert listed(tmp_path) == {"place"}
+
+
+@pytest.mark.parametrize(
+    ("n_letters", "said"),
+    [
+        (20_000, r"the trace broke off: File too large"),  # more than Python holds back: at once
+        (2_000, r"cannot be written: File too large"),  # at the end
+    ],
+)
+def test_a_trace_on_a_disk_that_fills_up_is_one_line_and_no_file(tmp_path, n_letters, said):
+    def write() -> None:
+        with TraceFile(tmp_path / "trace.jsonl", {"servos": ["x" * n_letters]}):
+            pass
+
+    with files_of_at_most(1000), pytest.raises(UserError, match=said):
+        write()
+    assert listed(tmp_path) == set()
 
 
 def test_a_full_disk_is_named_in_one_line(tmp_path, monkeypatch):

@@ -148,6 +148,11 @@ def calibrate(
     if keep is not None and not keep.exists():
         check_output(keep)
     if plots is not None:
+        if guided or all(each is None for each in (markers, tracker, practise, port, sim)):
+            raise typer.BadParameter(
+                "needs measured markers; by eye and without a robot there are none",
+                param_hint="--plots",
+            )
         from lipservo.coverage_plot import PICTURE
         from lipservo.pictures import check_folder
 
