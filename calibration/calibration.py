@@ -16,6 +16,10 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _REMEDY = "run `lipservo calibrate --config FACE -o FILE`"
+_OTHER_MODEL = (
+    "give the model it was made for with --model (without --model it is the shipped one), or run "
+    "`lipservo calibrate --config FACE --model MODEL -o FILE` for this one"
+)
 #: Models keep their rest in float32, about 1e-6 of a coefficient; any other rest is another mouth.
 _REST_TOLERANCE = 1e-4
 
@@ -192,10 +196,10 @@ def check_calibration(
     if calibration.model_checksum != model.checksum:
         raise CalibrationError(
             f"calibration was made for model {calibration.model_checksum}, "
-            f"this is model {model.checksum}; {_REMEDY}"
+            f"this is model {model.checksum}; {_OTHER_MODEL}"
         )
     if not np.allclose(calibration.rest, model.rest, rtol=0.0, atol=_REST_TOLERANCE):
-        raise CalibrationError(f"calibration was made for another closed mouth; {_REMEDY}")
+        raise CalibrationError(f"calibration was made for another closed mouth; {_OTHER_MODEL}")
     if calibration.face_checksum != face_checksum or calibration.servo_names != tuple(servo_names):
         raise CalibrationError(
             f"calibration was made for face {calibration.face_checksum}, "

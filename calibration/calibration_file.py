@@ -1,6 +1,5 @@
 """Calibrations on disk: YAML that a person can read, written whole or not at all."""
 
-import os
 from dataclasses import fields
 from pathlib import Path
 
@@ -22,7 +21,9 @@ from calibration.calibration import (
 from calibration.calibration_text import CALIBRATION_VERSION, calibration_text
 from calibration.file_place import Place
 from calibration.hold_out import HoldOutErrors
+from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
+from lipsync.yaml_depth import is_nested_deeper
 
 Array = NDArray[np.float64]
 
@@ -31,6 +32,8 @@ READABLE_VERSIONS = (1, 2, 3)
 #: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
 _SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
+#: A calibration needs five levels.
+_DEEPEST = 20
 #: What the previous file is kept as.
 PREVIOUS_SUFFIX = ".previous"
 
@@ -38,22 +41,17 @@ PREVIOUS_SUFFIX = ".previous"
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all, and keep the file that was there as `.previous`.
 
-    The same calibration gives the same bytes. Raises CalibrationError where it cannot be written.
+    The same calibration gives the same bytes. Raises OutputError where it cannot be written.
     """
-    partial = path.with_name(path.name + ".partial")
-    previous = path.with_name(path.name + PREVIOUS_SUFFIX)
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.write(calibration_text(calibration))
-            file.flush()
-            os.fsync(file.fileno())
-        if path.exists():
-            kept = previous.with_name(previous.name + ".partial")
-            kept.write_bytes(path.read_bytes())
-            os.replace(kept, previous)
-        os.replace(partial, path)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
+    text = calibration_text(calibration)
+    if path.exists():
+        write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
+    write_whole(path, text)
+
+
+def is_calibration(head: bytes) -> bool:
+    """Whether a file that begins so is a calibration, damaged or not."""
+    return b"model_checksum:" in head
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -77,7 +75,11 @@ def parse_calibration(text: str, source: str) -> Calibration:
     Raises CalibrationError, one line: where, what is wrong, what was expected.
     """
     try:
+        if is_nested_deeper(text, _DEEPEST):
+            raise CalibrationError(f"{source}: is nested too deep to be a calibration")
         content = yaml.load(text, Loader=_SAFE_LOADER)
+    except CalibrationError:
+        raise
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2024-13-01
         where = getattr(error, "problem_mark", None)
         line = f", line {where.line + 1}" if where else ""

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import CalibrationError
+from lipsync.errors import shown
 
 Array = NDArray[np.float64]
 
@@ -23,11 +24,18 @@ class Place:
         self.path = path
 
     @property
+    def _where(self) -> str:
+        return self.path or "the file"
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The keys below this place."""
         if not isinstance(self._value, dict) or not self._value:
-            raise CalibrationError(f"{self.path or 'the file'} should hold `key: value` lines")
-        return tuple(map(str, self._value))
+            raise CalibrationError(f"{self._where} should hold `key: value` lines")
+        for key in self._value:
+            if not isinstance(key, str):
+                raise CalibrationError(f"{self._where}: the key {shown(key)} is no text")
+        return tuple(self._value)
 
     def at(self, key: str) -> "Place":
         """What lies under a key."""
@@ -39,7 +47,7 @@ class Place:
     def text(self) -> str:
         """Some text."""
         if not isinstance(self._value, str):
-            raise CalibrationError(f"{self.path} is {self._value!r}, expected text in quotes")
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected text in quotes")
         return self._value
 
     def number(self) -> float:
@@ -47,7 +55,7 @@ class Place:
         value = self._value
         if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
             return float(value)
-        raise CalibrationError(f"{self.path} is {value!r}, expected a finite number")
+        raise CalibrationError(f"{self.path} is {shown(value)}, expected a finite number")
 
     def has(self, key: str) -> bool:
         """Whether there is such a key."""
@@ -56,13 +64,15 @@ class Place:
     def count(self) -> int:
         """A whole number, not negative."""
         if isinstance(self._value, bool) or not isinstance(self._value, int) or self._value < 0:
-            raise CalibrationError(f"{self.path} is {self._value!r}, expected a whole number >= 0")
+            raise CalibrationError(
+                f"{self.path} is {shown(self._value)}, expected a whole number >= 0"
+            )
         return self._value
 
     def whole(self) -> int:
         """A whole number of either sign."""
         if isinstance(self._value, bool) or not isinstance(self._value, int):
-            raise CalibrationError(f"{self.path} is {self._value!r}, expected a whole number")
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
         return self._value
 
     def numbers(self, n: int | None = None) -> Array:

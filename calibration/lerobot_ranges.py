@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calibration.calibration import CalibrationError
+from lipsync.errors import shown
 
 _TICKS_A_TURN = 4096
 _KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
@@ -44,7 +45,7 @@ def read_ranges(path: Path) -> Mapping[str, RecordedRange]:
         raise CalibrationError(f"{path}: no such file") from None
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise CalibrationError(f"{path}: not readable as JSON") from error
     if not isinstance(content, dict) or not content:
         raise CalibrationError(f"{path}: should hold one entry for each joint")
@@ -71,7 +72,7 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
     for key in _KEYS:
         value = entry.get(key)
         if isinstance(value, bool) or not isinstance(value, int):
-            raise CalibrationError(f"{place}.{key} is {value!r}, expected a whole number")
+            raise CalibrationError(f"{place}.{key} is {shown(value)}, expected a whole number")
         values[key] = value
     if not 0 <= values["range_min"] < values["range_max"] < _TICKS_A_TURN:
         raise CalibrationError(

@@ -24,13 +24,11 @@ from calibration.joint_range import JointRange
 from lipservo.mouth_drawing import draw_mouth
 from lipservo.settings import FaceSettings
 from lipsync.animpho.model import FaceModel
-from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 
 Array = NDArray[np.float64]
 
 #: Joint degrees (n_servos,) -> markers (47, 3), where the robot's face can be drawn.
 Drawn = Callable[[Array], Array]
-_LOOK_BELOW_MM = np.array([0.0, 8.0, 0.0])
 
 
 def calibrate_by_eye(
@@ -81,7 +79,8 @@ def guide(
     try:
         while not session.done:
             move(session.positions_deg)
-            console.print(_page(model, session, drawn))
+            ascii_only = console.options.ascii_only
+            console.print(_page(model, session, drawn, ascii_only=ascii_only))
             after = session.press(read_key())
             if keep is not None and len(after.made_deg) != len(session.made_deg):
                 keep_poses(after.made_deg, names, keep)
@@ -91,24 +90,26 @@ def guide(
     return dict(session.made_deg)
 
 
-def _page(model: FaceModel, session: GuidedSession, drawn: Drawn | None) -> Group:
+def _page(
+    model: FaceModel, session: GuidedSession, drawn: Drawn | None, *, ascii_only: bool
+) -> Group:
     pose = session.poses[session.pose]
     wanted_mm = model.markers_mm(pose.coefficients[None])[0]
     mouths = Table.grid(padding=(0, 3))
-    row = [_mouth(model, wanted_mm, "yellow")]
+    row = [_mouth(model, wanted_mm, "yellow", ascii_only=ascii_only)]
     if drawn is not None:
-        row.append(_mouth(model, drawn(session.positions_deg), "red"))
+        made_mm = drawn(session.positions_deg)
+        row.append(_mouth(model, made_mm, "red", ascii_only=ascii_only))
     mouths.add_row(*row)
     servos = Table.grid(padding=(0, 2))
     for index, joint in enumerate(session.joints):
-        mark = "▶" if index == session.servo else " "
+        mark = (">" if ascii_only else "▶") if index == session.servo else " "
         servos.add_row(mark, joint.name, f"{session.positions_deg[index]:6.1f} deg")
     keys = Text("   ".join(f"{key}: {what}" for key, what in KEYS.items()), style="dim")
     title = f"{session.pose + 1} of {len(session.poses)}, {pose.name}: {pose.instruction}"
     return Group(Text(title, style="bold"), mouths, servos, keys)
 
 
-def _mouth(model: FaceModel, markers_mm: Array, style: str) -> Text:
+def _mouth(model: FaceModel, markers_mm: Array, style: str, *, ascii_only: bool) -> Text:
     rest_mm = model.markers_mm(model.rest[None])[0]
-    centre_mm = rest_mm[[UPPER_INNER_LIP, LOWER_INNER_LIP]].mean(axis=0) - _LOOK_BELOW_MM
-    return Text("\n".join(draw_mouth(markers_mm, centre_mm)), style=style)
+    return Text("\n".join(draw_mouth(markers_mm, rest_mm, ascii_only=ascii_only)), style=style)

@@ -7,6 +7,8 @@ from typing import get_args
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from lipsync.errors import shown
+
 _WANTED = {
     "int_type": "a whole number",
     "int_from_float": "a whole number",
@@ -20,18 +22,27 @@ _WANTED = {
 }
 
 
+#: More would hide the first.
+_MOST_LINES = 20
+_LONGEST_KEY = 60
+
+
 def explain(error: ValidationError, schema: type[BaseModel], file_name: str) -> list[str]:
     """Say each mistake in one line: path from the file down, what is wrong, what is allowed."""
-    return [
+    lines = [
         f"{_path(file_name, detail)}: {line}"
         for detail in error.errors(include_url=False)
         for line in _lines(detail, schema)
     ]
+    n_more = len(lines) - _MOST_LINES
+    return lines if n_more <= 0 else [*lines[:_MOST_LINES], f"{file_name}: and {n_more} more"]
 
 
 def _path(file_name: str, detail: ErrorDetails) -> str:
     """Join file and keys with dots; pydantic marks a bad mapping key by a last part "[key]"."""
-    return ".".join([file_name, *(str(part) for part in detail["loc"] if part != "[key]")])
+    return ".".join(
+        [file_name, *(str(part)[:_LONGEST_KEY] for part in detail["loc"] if part != "[key]")]
+    )
 
 
 def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
@@ -43,15 +54,15 @@ def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
         yield f"unknown setting; {_nearest(str(key), _keys_at(tuple(path), schema))}"
     elif kind == "literal_error":
         allowed = detail["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
-        yield f"{value!r} is not known here; use one of {allowed}"
+        yield f"{shown(value)} is not known here; use one of {allowed}"
     elif kind == "string_pattern_mismatch":
-        yield f"{value!r} does not have the form {detail['ctx']['pattern']}"
+        yield f"{shown(value)} does not have the form {detail['ctx']['pattern']}"
     elif kind == "string_too_short":
         yield "is empty"
     elif kind == "value_error":
         yield from str(detail["ctx"]["error"]).splitlines()
     elif kind in _WANTED:
-        yield f"{value!r} is not {_WANTED[kind]}"
+        yield f"{shown(value)} is not {_WANTED[kind]}"
     else:
         yield detail["msg"]
 
@@ -62,9 +73,9 @@ def _nearest(key: str, known: list[str]) -> str:
 
 
 def _keys_at(path: tuple[int | str, ...], kind: object) -> list[str]:
-    """List the settings known at `path` below `kind`: a model, or a Mapping[name, model]."""
+    """List the settings known at `path` below `kind`: a model, or a mapping or tuple of them."""
     if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
-        return _keys_at(path[1:], get_args(kind)[-1])
+        return _keys_at(path[1:], next(each for each in get_args(kind)[::-1] if each is not ...))
     if not path:
         return list(kind.model_fields)
     return _keys_at(path[1:], kind.model_fields[str(path[0])].annotation)

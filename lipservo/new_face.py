@@ -1,8 +1,10 @@
 """The parts of `lipservo new-face`: find servos, nudge one, write the YAML."""
 
+import re
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import yaml
@@ -22,7 +24,9 @@ from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 from lipservo.face_life import FaceStopped, face_life
 from lipservo.servos import port_opener
-from lipsync.errors import UserError
+from lipservo.setting_types import JOINT_NAME
+from lipsync.errors import UserError, shown
+from lipsync.output_file import check_output
 
 NUDGE_DEG = 3.0
 _NUDGE_S = 0.5
@@ -115,10 +119,29 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     return int(place)
 
 
+def check_face_file(path: Path) -> None:
+    """Raises UserError where a new face cannot be written: a file that is there is never lost."""
+    if path.suffix not in (".yaml", ".yml"):
+        raise UserError(f"{path}: call the face {path.stem or 'my_face'}.yaml")
+    check_output(path)
+
+
+def check_joint_name(name: str, taken: Sequence[str]) -> str:
+    """The name that a person typed; UserError where a face cannot have such a joint."""
+    name = name.strip()
+    if not re.match(JOINT_NAME, name):
+        raise UserError(
+            f"{shown(name)} is no name of a joint; use small letters, digits and _, as in upper_lip"
+        )
+    if name in taken:
+        raise UserError(f"{name} is another servo of this face already; choose another name")
+    return name
+
+
 def face_yaml(name: str, port: str, rate: int, joints: Sequence[FoundJoint]) -> str:
-    """The YAML of a face."""
+    """The YAML of a face. name: any text, also of bytes that are no UTF-8."""
     content = {
-        "name": name,
+        "name": name.encode(errors="replace").decode(),
         "rate_hz": 30,
         "bus": {"kind": "dynamixel", "port": port, "baud_rate": rate},
         "servos": {

@@ -13,7 +13,7 @@ from lipservo.assembly import Face, assemble_face, at_port, check_servos, make_b
 from lipservo.daemon import play
 from lipservo.face_life import face_life, say
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
-from lipservo.output import MESSAGES
+from lipservo.output import MESSAGES, say_simulated
 from lipservo.pipeline import Street, TickObserver
 from lipservo.summary import Summary, Tally
 from lipservo.trace import BackgroundTrace, TraceFile
@@ -70,6 +70,8 @@ class Performance:
             )
             delay = street.speech.delay
             if not self.quiet:
+                if face.settings.bus.kind == "simulated":
+                    say_simulated()
                 MESSAGES.print(f"delay from sound to face: {delay}")
             tally = Tally(clock, street)
             life = face_life(street.bridge, clock, rate_hz, log=self._log)

@@ -119,6 +119,11 @@ class Speech:
         return self._synthesizer.phonemes_planned
 
     @property
+    def calibration(self) -> Calibration:
+        """How faces become joint angles, for all servos that targets are published for."""
+        return self._calibration
+
+    @property
     def lag_s(self) -> float:
         """How far the sound of a live device is behind the clock; 0 for everything else."""
         return self._arrival.lag_s

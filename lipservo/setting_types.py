@@ -51,9 +51,11 @@ BaudRate = Annotated[int, AfterValidator(_check_baud_rate)]
 #: a millisecond for USB (bytes on the wire, fast sync read), ten 298 times; nothing needs more.
 RateHz = Annotated[float, within(30.0, 200.0)]
 #: One word in every file, table and command: no spaces, dots or capitals to get wrong.
-JointName = Annotated[str, StringConstraints(pattern=r"^[a-z][a-z0-9_]*$")]
+JOINT_NAME = r"^[a-z][a-z0-9_]*$"
+JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME)]
 #: A file beside the face or among the shipped ones, never a path.
-CalibrationName = Annotated[str, StringConstraints(pattern=r"^[\w.-]+\.yaml$")]
+CALIBRATION_NAME = r"^[\w.-]+\.yaml$"
+CalibrationName = Annotated[str, StringConstraints(pattern=CALIBRATION_NAME)]
 Text = Annotated[str, StringConstraints(min_length=1)]
 
 

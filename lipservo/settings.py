@@ -43,6 +43,7 @@ __all__ = [
     "calibration_file",
     "load_face",
     "load_shipped_face",
+    "parse_face",
     "shipped_faces",
 ]
 
@@ -258,6 +259,14 @@ def _shipped() -> Traversable:
     return files("lipservo.config")
 
 
+def parse_face(text: str, file_name: str) -> FaceSettings:
+    """The face that a YAML text describes; `file_name` names it in errors. Raises SettingsError."""
+    try:
+        return FaceSettings.model_validate(read_mapping(text, file_name))
+    except ValidationError as error:
+        raise SettingsError("\n".join(explain(error, FaceSettings, file_name))) from error
+
+
 def _load(file: Traversable) -> FaceSettings:
     try:
         text = file.read_text(encoding="utf-8")
@@ -265,7 +274,4 @@ def _load(file: Traversable) -> FaceSettings:
         raise SettingsError(f"{file.name}: not UTF-8 text (byte {error.start})") from error
     except OSError as error:
         raise SettingsError(f"{file}: cannot be read: {error.strerror}") from error
-    try:
-        return FaceSettings.model_validate(read_mapping(text, file.name))
-    except ValidationError as error:
-        raise SettingsError("\n".join(explain(error, FaceSettings, file.name))) from error
+    return parse_face(text, file.name)

@@ -24,9 +24,9 @@ from firmware_bridge.control_client import ask, stop_and_wait
 from numpy.typing import NDArray
 
 from firmware_bridge.control_socket import StopLevel
+from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.face import chain_for
-from firmware_bridge.simulator.motors import PULSES_PER_DEG
 from firmware_bridge.simulator.pty_host import PtyHost
 from lipservo.servos import mounted_servos
 from lipservo.settings import load_shipped_face
@@ -225,7 +225,7 @@ def _judge_frozen(robot: _Robot, since_s: float, outcome: StopOutcome) -> None:
     robot.look(_WATCH_S)
     watched = robot.seen[first:]
     places = np.array([places for _, _, places in watched])
-    moved_deg = np.ptp(places, axis=0) / PULSES_PER_DEG
+    moved_deg = np.ptp(places, axis=0) / PULSES_PER_TURN * 360.0
     outcome.moved_frozen = int((moved_deg > _STILL_DEG).sum())
     torque = np.array([torque for _, torque, _ in watched])
     outcome.undone = int((torque[1:] & ~torque[:-1]).sum())

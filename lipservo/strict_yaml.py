@@ -1,14 +1,62 @@
-"""YAML for humans who mistype: a mapping or one clear line, and no key given twice."""
+"""YAML for humans who mistype: a mapping or one clear line, and no key given twice.
 
+Numbers are those of YAML 1.2 (https://yaml.org/spec/1.2.2/#1032-tag-resolution): `011` is 11 and
+`3e2` is 300, where YAML 1.1, which PyYAML reads, has 9 and a text; and a date is a text.
+"""
+
+import re
 from collections.abc import Iterator
 
 import yaml
 
-from lipsync.errors import UserError
+from lipsync.errors import UserError, shown
+from lipsync.yaml_depth import is_nested_deeper
+
+#: Longer than any number of a setting; Python refuses to read ints of 4,300 digits.
+_MOST_DIGITS = 40
+#: Settings need four levels.
+_DEEPEST = 20
+_INT = "tag:yaml.org,2002:int"
+_FLOAT = "tag:yaml.org,2002:float"
+_REPLACED = (_INT, _FLOAT, "tag:yaml.org,2002:timestamp")
 
 
 class SettingsError(UserError):
     """Settings that cannot be used; one line for each mistake: where, what, what is allowed."""
+
+
+class _Loader(yaml.SafeLoader):
+    """PyYAML's safe loader with the numbers of YAML 1.2."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [each for each in resolvers if each[0] not in _REPLACED]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+
+
+def _number(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int | float:
+    text = loader.construct_scalar(node)
+    if node.tag == _FLOAT:
+        return float(text.replace(".inf", "inf").replace(".nan", "nan"))
+    return int(text, {"0x": 16, "0o": 8}.get(text[:2], 10))
+
+
+_Loader.add_constructor(_INT, _number)
+_Loader.add_constructor(_FLOAT, _number)
+_Loader.add_implicit_resolver(
+    _INT,
+    re.compile(rf"^(?:[-+]?[0-9]{{1,{_MOST_DIGITS}}}|0o[0-7]{{1,20}}|0x[0-9a-fA-F]{{1,20}})$"),
+    list("-+0123456789"),
+)
+_Loader.add_implicit_resolver(
+    _FLOAT,
+    re.compile(
+        r"^(?:[-+]?(?:\.[0-9]+|[0-9]+\.[0-9]*|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?"
+        r"|[-+]?\.inf|\.nan)$"
+    ),
+    list("-+.0123456789"),
+)
 
 
 def read_mapping(text: str, file_name: str) -> dict[object, object]:
@@ -18,20 +66,28 @@ def read_mapping(text: str, file_name: str) -> dict[object, object]:
     would silently keep the last one.
     """
     try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        if is_nested_deeper(text, _DEEPEST):
+            raise SettingsError(f"{file_name}: is nested too deep to be settings")
+        root = yaml.compose(text, Loader=_Loader)
         if root is None:
             raise SettingsError(f"{file_name}: is empty")
         repeated = list(_repeated_keys(root, file_name, set()))
         if repeated:
             raise SettingsError("\n".join(repeated))
-        content: object = yaml.safe_load(text)
-    except yaml.YAMLError as error:
+        content: object = yaml.load(text, Loader=_Loader)  # a SafeLoader
+    except (yaml.YAMLError, ValueError) as error:
+        if isinstance(error, SettingsError):
+            raise
         raise SettingsError(_explain(error, file_name)) from error
     if not isinstance(content, dict):
-        raise SettingsError(
-            f"{file_name}: needs settings as `key: value`, found {type(content).__name__}"
-        )
+        raise SettingsError(f"{file_name}: needs settings as `key: value`, found {_found(content)}")
     return content
+
+
+def _found(content: object) -> str:
+    if content is None:
+        return "nothing"
+    return "a list" if isinstance(content, list) else shown(content)
 
 
 def _repeated_keys(node: yaml.Node, where: str, seen: set[int]) -> Iterator[str]:
@@ -57,8 +113,10 @@ def _repeated_keys(node: yaml.Node, where: str, seen: set[int]) -> Iterator[str]
             yield from _repeated_keys(item, f"{where}.{index}", seen)
 
 
-def _explain(error: yaml.YAMLError, file_name: str) -> str:
+def _explain(error: Exception, file_name: str) -> str:
     if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
         line = error.problem_mark.line + 1
         return f"{file_name}: not YAML at line {line}: {error.problem or error.context}"
-    return f"{file_name}: not YAML: {' '.join(str(error).split())}"
+    if isinstance(error, yaml.YAMLError):
+        return f"{file_name}: not YAML: {' '.join(str(error).split())}"
+    return f"{file_name}: not YAML: a value in it is not what its tag (`!!`) says"

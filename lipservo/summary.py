@@ -2,7 +2,8 @@
 
 import resource
 import sys
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,10 @@ from lipservo.pipeline import Street, StreetTick
 #: Lateness is counted in bins of 0.1 ms up to one second; later than that counts as one second.
 _BIN_S = 1e-4
 _N_BINS = 10_000
+#: Less than an encoder's step, 360 / 4096 deg.
+_AT_LIMIT_DEG = 0.05
+#: A joint at its limit in so large a share of the frames is worth a word.
+_OFTEN = 0.05
 
 
 class Histogram:
@@ -65,6 +70,8 @@ class Summary:
     rss_mb: float
     seconds: float
     recognizer: str = ""
+    #: Joints that often stood at a limit in speech, and in which share of the frames.
+    joints_at_limit: Mapping[str, float] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
@@ -79,6 +86,9 @@ class Tally:
         self._street = street
         self._lateness = Histogram()
         self._latency = Histogram()
+        calibration = street.speech.calibration
+        self._limits_deg = np.stack([calibration.min_deg, calibration.max_deg])
+        self._n_at_limit = np.zeros(len(calibration.servo_names), dtype=np.int64)
         self.frames_sent = 0
         self.first_command_s = 0.0
 
@@ -93,6 +103,10 @@ class Tally:
         if self.frames_sent == 0:
             self.first_command_s = seconds_since_process_start()
         self.frames_sent += 1
+        sent_deg = tick.report.sent_deg
+        at_limit = (np.abs(sent_deg - self._limits_deg) < _AT_LIMIT_DEG).any(axis=0)
+        # A joint whose neutral is its limit is there at rest.
+        self._n_at_limit += at_limit & (np.abs(sent_deg) > _AT_LIMIT_DEG)
         delay_s = self._street.speech.delay.total_s
         self._latency.add(self._clock.now() - tick.report.time_s + delay_s)
 
@@ -121,6 +135,13 @@ class Tally:
             start_to_first_command_s=self.first_command_s,
             rss_mb=peak_resident_mb(),
             seconds=seconds,
+            joints_at_limit={
+                name: round(float(n) / self.frames_sent, 3)
+                for name, n in zip(
+                    self._street.speech.calibration.servo_names, self._n_at_limit, strict=True
+                )
+                if n >= _OFTEN * max(self.frames_sent, 1)
+            },
         )
 
 
@@ -156,20 +177,46 @@ def seconds_since_process_start() -> float:
 
 
 _UNITS = {"_ms": "ms", "_s": "s", "_mb": "MB"}
+#: What a figure tells, and when it is good.
+_MEANINGS = {
+    "duration_s": "of sound",
+    "phonemes": "moved the mouth",
+    "frames_sent": "goals sent to every servo",
+    "late_ticks": "good: 0; the computer was busy",
+    "lateness_p50_ms": "good: below 1; how late ticks began",
+    "lateness_p99_ms": "good: below 10; one in a hundred",
+    "latency_declared_ms": "the face is so far behind the sound",
+    "latency_p50_ms": "good: as declared",
+    "latency_p99_ms": "good: at most 10 more",
+    "range_limits_hit": "good: few; goals beyond a limit",
+    "rate_limits_hit": "a few are normal; steps slowed",
+    "targets_rejected": "good: 0; not let through the gate",
+    "stale_ticks": "good: 0; nothing new to show",
+    "lost_sound_blocks": "good: 0; sound not heard",
+    "speed": "good: near 1 live, above 1 in replay",
+    "start_to_first_command_s": "from the start of the program",
+    "rss_mb": "the most memory used",
+    "seconds": "the whole run took",
+    "recognizer": "good: network; others hear worse",
+}
 
 
 def print_summary(summary: Summary, console: Console) -> None:
-    """A table of the figures for people."""
-    table = Table(title=f"{summary.source}", show_header=False, title_justify="left")
-    for field in fields(summary):
-        if field.name == "source":
-            continue
-        value = getattr(summary, field.name)
-        name, unit = field.name, "x real time" if field.name == "speed" else ""
+    """A table of the figures for people: what each is, and when it is good."""
+    table = Table(title=summary.source, show_header=False, title_justify="left", box=None)
+    for name, meaning in _MEANINGS.items():
+        value = getattr(summary, name)
+        shown, unit = name, "x real time" if name == "speed" else ""
         for suffix, symbol in _UNITS.items():
             if name.endswith(suffix):
-                name, unit = name.removesuffix(suffix), symbol
+                shown, unit = name.removesuffix(suffix), symbol
                 break
         text = f"{value:.2f}" if isinstance(value, float) else str(value)
-        table.add_row(name.replace("_", " "), f"{text} {unit}".rstrip())
+        table.add_row(shown.replace("_", " "), f"{text} {unit}".rstrip(), meaning)
     console.print(table)
+    for name, share in summary.joints_at_limit.items():
+        console.print(
+            f"{name} stood at a limit in {share:.0%} of the frames: widen its min_deg and "
+            "max_deg if it can go farther, else calibrate it again",
+            soft_wrap=True,
+        )

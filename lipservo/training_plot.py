@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from lipservo.pictures import save_picture, without_screen
 from lipsync.errors import UserError
 
 Record = Mapping[str, float]
@@ -17,8 +18,10 @@ def read_log(path: Path) -> list[Record]:
     """The lines of a `log.jsonl`; TrainingLogError for a file that is none."""
     try:
         records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-    except (OSError, ValueError) as error:
-        raise TrainingLogError(f"{path}: not a readable run log ({error})") from error
+    except OSError as error:
+        raise TrainingLogError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise TrainingLogError(f"{path}: no run log: not one JSON object a line") from error
     if not records or not all(
         isinstance(r, dict) and {"step", "loss"} <= r.keys() for r in records
     ):
@@ -28,11 +31,7 @@ def read_log(path: Path) -> list[Record]:
 
 def draw_log(records: Sequence[Record], picture: Path) -> None:
     """Loss on the left, accuracies of visemes by condition on the right, over the steps."""
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise TrainingLogError("pictures need matplotlib: pip install 'lipservo[plots]'") from None
-    mpl.use("Agg")
+    without_screen()
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
@@ -47,5 +46,5 @@ def draw_log(records: Sequence[Record], picture: Path) -> None:
     right.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
     if right.lines:
         right.legend(fontsize="small")
-    figure.savefig(picture, dpi=110)
+    save_picture(figure, picture)
     plt.close(figure)

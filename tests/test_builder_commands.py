@@ -118,15 +118,27 @@ def test_a_fresh_servo_becomes_a_joint_and_several_at_once_are_refused(tmp_path)
 def test_new_face_writes_a_yaml_that_loads(tmp_path):
     path = tmp_path / "mine.yaml"
     with simulated_port(["--servos", "2", "--baud-rate", "1000000"]) as port:
-        answers = "jaw\nopens\ny\nbrow\nraises\nn\n"
+        asked_again = "Brow!\njaw\n"  # no name of a joint, and the name of the first servo
+        answers = f"jaw\nopens\ny\n{asked_again}brow\nraises\nn\n"
         done = lipservo("new-face", "-o", path, "--port", port, input=answers)
         assert done.returncode == 0, done.stderr
+        assert "'Brow!' is no name of a joint" in done.stderr
+        assert "jaw is another servo of this face already" in done.stderr
     face = load_face(path)
 
     assert [(name, s.id, s.positive, s.sign) for name, s in face.servos.items()] == [
         ("jaw", 1, "opens", 1),
         ("brow", 2, "raises", -1),
     ]
+
+
+def test_new_face_says_so_when_its_answers_end_early(tmp_path):
+    with simulated_port(["--servos", "1", "--baud-rate", "1000000"]) as port:
+        done = lipservo("new-face", "-o", tmp_path / "mine.yaml", "--port", port, input="jaw\n")
+    assert done.returncode == 1
+    assert "the input ended before all questions were answered" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_new_face_takes_names_and_limits_from_a_range_file_of_lerobot(tmp_path):

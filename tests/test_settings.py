@@ -208,8 +208,8 @@ def test_every_mistake_gets_its_own_line(tmp_path):
     [
         ("", "face.yaml: is empty"),
         ("# nothing but a comment\n", "face.yaml: is empty"),
-        ("- jaw\n- lip\n", "face.yaml: needs settings as `key: value`, found list"),
-        ("jaw\n", "face.yaml: needs settings as `key: value`, found str"),
+        ("- jaw\n- lip\n", "face.yaml: needs settings as `key: value`, found a list"),
+        ("jaw\n", "face.yaml: needs settings as `key: value`, found 'jaw'"),
         ("name: a\nservos: {jaw: [\n", "face.yaml: not YAML at line 3: "),
         ("name: a\n\tservos: 3\n", "face.yaml: not YAML at line 2: "),
         ("name: a\nrate_hz: 3\nname: b\n", "face.yaml.name: given twice, on lines 1 and 3; "),
@@ -303,3 +303,38 @@ def test_the_rules_of_the_gate_come_from_the_yaml(tmp_path):
         levels = [bridge.tick(n / 50.0).stale.name for n in range(110)]
 
     assert [levels.index(name) for name in ("EASING", "NEUTRAL", "LIMP")] == [11, 50, 100]
+
+
+@pytest.mark.parametrize(
+    ("written", "meant"), [("3e2", 300.0), ("0300", 300.0), ("+300", 300.0), ("0x12c", 300.0)]
+)
+def test_numbers_are_what_a_person_reads_in_them(tmp_path, written, meant):
+    """YAML 1.2, section 10.3.2: no octal by a leading zero, and `3e2` needs no point."""
+    face = load(tmp_path, FACE.replace("max_speed_deg_s: 300", f"max_speed_deg_s: {written}"))
+    assert face.servos["jaw"].max_speed_deg_s == meant
+
+
+def test_a_leading_zero_makes_no_octal_id(tmp_path):
+    assert load(tmp_path, FACE.replace("id: 3\n", "id: 011\n")).servos["jaw"].id == 11
+
+
+@pytest.mark.parametrize("nested", ["[" * 5000, "{a: " * 5000, "- " * 5000])
+def test_settings_nested_very_deep_are_refused_in_one_line(tmp_path, nested):
+    (line,) = mistakes_in(tmp_path, nested)
+    assert "nested too deep" in line or "not YAML" in line
+
+
+def test_an_alias_of_an_alias_of_an_alias_is_shown_short(tmp_path):
+    """Nine of nine of nine, nine times over: 3 GB, were it written out."""
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 9)
+    )
+    lines = mistakes_in(tmp_path, FACE.replace("name: test face", f"{bomb}name: *a8"))
+    assert len("\n".join(lines)) < 4000
+    assert any("is not text" in line for line in lines)
+
+
+def test_a_mistyped_key_of_a_rule_is_told(tmp_path):
+    rules = FACE + "prevent:\n  - {jonts: {jaw: 1}, above: 2, because: they touch}\n"
+    lines = mistakes_in(tmp_path, rules)
+    assert "face.yaml.prevent.0.jonts: unknown setting; did you mean joints?" in lines

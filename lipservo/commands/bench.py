@@ -12,16 +12,18 @@ from rich.progress import Progress
 from lipservo.commands import bench_motion
 from lipservo.commands.options import Json, Quiet
 from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
+from lipsync.errors import UserError
 
-app = typer.Typer(no_args_is_help=True)
+app = typer.Typer()
 app.command()(bench_motion.motion)
 
-#: Where the corpora lie for those who develop: beside the checkout.
-_CORPORA = Path("../shared/corpus")
 #: What the replay figure replays: a sentence of 3 s and an utterance of 20 s.
 _REPLAYED = ("grid_s1/audio/bbaf3s.flac", "librispeech/audio/1089-134691-0011.opus")
 
-Corpora = Annotated[Path, typer.Option(help="Folder that holds grid_s1 and librispeech.")]
+Corpora = Annotated[
+    Path | None,
+    typer.Option(help="Folder that holds grid_s1 and librispeech.", show_default=False),
+]
 
 
 @app.callback()
@@ -30,7 +32,7 @@ def bench() -> None:
 
 
 @app.command()
-def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet = False) -> None:
+def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = False) -> None:
     """Measure the speed of the street and the miss rates of the published selection.
 
     Without the corpora: the speeds on the bundled clip, and no miss rates.
@@ -42,7 +44,8 @@ def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet =
 
     began_s = time.perf_counter()
     model = load_shipped_model()
-    grid = corpora / "grid_s1"
+    if corpora is not None and not corpora.is_dir():
+        raise UserError(f"{corpora}: no such folder; give the one that holds grid_s1")
     figures: dict[str, float] = {
         "mean_successors": model.mean_successors,
         "variance_held": float(model.provenance["variance_held"]),
@@ -56,15 +59,16 @@ def synthesis(corpora: Corpora = _CORPORA, as_json: Json = False, quiet: Quiet =
             model, [list(heard_events(FileSource(clip), "network"))]
         )
         progress.advance(steps)
-        recordings = [path for name in _REPLAYED if (path := corpora / name).is_file()]
+        known = [] if corpora is None else [corpora / name for name in _REPLAYED]
+        recordings = [path for path in known if path.is_file()]
         figures["replay_speed"] = measure.replay_speed(recordings or [clip])
         progress.advance(steps)
         figures |= measure.live_figures()
         progress.advance(steps)
-        if grid.is_dir():
-            figures |= measure.miss_rates(grid)
+        if corpora is not None and (corpora / "grid_s1").is_dir():
+            figures |= measure.miss_rates(corpora / "grid_s1")
         else:
-            MESSAGES.print(f"no corpus at {grid}: no miss rates (--corpora says where it is)")
+            MESSAGES.print("no miss rates: give --corpora, a folder that holds the corpus grid_s1")
         progress.advance(steps)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 

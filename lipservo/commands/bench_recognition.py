@@ -14,7 +14,6 @@ from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
 
-_CORPUS = Path("../shared/corpus/librispeech")
 EngineName = Annotated[Engine, typer.Option(help="Which recogniser listens.")]
 Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
 Limit = Annotated[
@@ -29,7 +28,7 @@ _Item = TypeVar("_Item")
 def recognition(
     corpus: Annotated[
         Path, typer.Option(help="Folder laid out like LibriSpeech, or like grid_s1.")
-    ] = _CORPUS,
+    ],
     speakers: Speakers = "",
     only: Annotated[
         str | None,
@@ -108,6 +107,11 @@ def listening(
     from lipsync.recognition.benchmark import block_costs_s, false_speech, quiet_sounds
     from lipsync.recognition.sound import read_speech
 
+    utterances = None
+    if corpus is not None:
+        from lipservo.aligned_corpus import aligned, selected
+
+        utterances = selected(corpus, speakers, limit=limit)
     recognizer = _maker(engine, latency_ms / 1e3, weights)()
     figures: dict[str, object] = {
         f"false_speech_{name}": false_speech(recognizer, sound)
@@ -118,13 +122,11 @@ def listening(
     costs_s = block_costs_s(recognizer, speech)
     for percent in (50, 99):
         figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
-    if corpus is not None:
-        from lipservo.aligned_corpus import aligned, selected
+    if utterances is not None:
         from lipservo.assembly import load_face_model
         from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S
         from lipsync.evaluation.closing import ClosingBench, closing_figures
 
-        utterances = selected(corpus, speakers, limit=limit)
         bench = ClosingBench(recognizer, load_face_model(model), DEFAULT_LOOKAHEAD_S)
         with progress_bar(quiet=quiet) as advance:
             alignments = aligned(utterances, cache, None, advance)

@@ -1,5 +1,7 @@
 """`jog`, `neutral`, `new-face`: a builder's first hour."""
 
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -7,8 +9,9 @@ import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Port
 from lipservo.face_life import exit_status
-from lipservo.output import MESSAGES, RESULTS
+from lipservo.output import MESSAGES, RESULTS, say_simulated
 from lipsync.errors import UserError
+from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:
     from lipservo.moving import Moved
@@ -24,6 +27,7 @@ def jog(
     """Move one joint, the others held, through the safety gate; then all go limp."""
     from lipservo.moving import move_to
 
+    _say_if_simulated(port, config)
     moved = move_to(config, port, {joint: deg}, hold_s)
     RESULTS.print(f"{joint} stands at {moved.reached_deg[joint]:.1f} deg")
     _finish(moved)
@@ -33,6 +37,7 @@ def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
     """Bring every joint to its neutral, through the safety gate; then all go limp."""
     from lipservo.moving import move_to
 
+    _say_if_simulated(port, config)
     moved = move_to(config, port, None, 0.5)
     for name, angle_deg in moved.reached_deg.items():
         RESULTS.print(f"{name} stands at {angle_deg:.1f} deg")
@@ -53,11 +58,17 @@ def new_face(
     With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
     """
     from calibration.lerobot_ranges import by_id, read_ranges
-    from lipservo.new_face import FoundJoint, face_yaml, find_servos, nudge
-    from lipservo.settings import load_face
+    from lipservo.new_face import (
+        FoundJoint,
+        check_face_file,
+        check_joint_name,
+        face_yaml,
+        find_servos,
+        nudge,
+    )
+    from lipservo.settings import parse_face
 
-    if output.exists():
-        raise UserError(f"{output}: exists already; choose another name")
+    check_face_file(output)
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     rate, found = find_servos(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
@@ -68,19 +79,19 @@ def new_face(
         name = typer.prompt(
             f"id {servo_id} ({model}) moved by 3 degrees and back. Which joint",
             default=known.name if known else None,
+            value_proc=partial(_joint_name, check_joint_name, [joint.name for joint in joints]),
+            err=True,
         )
-        word = typer.prompt("What should a positive angle do (opens, raises, widens ...)")
-        same = typer.confirm("Did its first move do that", default=True)
+        word = typer.prompt("What should a positive angle do (opens, raises, widens ...)", err=True)
+        same = typer.confirm("Did its first move do that", default=True, err=True)
         joint = FoundJoint(name, servo_id, model, word, 1 if same else -1)
         joints.append(joint if known is None else joint.within(known, tick))
-    output.write_text(face_yaml(output.stem, port, rate, joints), encoding="utf-8")
-    try:
-        load_face(output)
-    except UserError:
-        output.unlink()
-        raise
+    text = face_yaml(output.stem, port, rate, joints)
+    parse_face(text, output.name)
+    write_whole(output, text)
     RESULTS.print(
-        f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`"
+        f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`",
+        soft_wrap=True,
     )
 
 
@@ -88,3 +99,18 @@ def _finish(moved: "Moved") -> None:
     status = exit_status(moved.report, None)
     if status:
         raise typer.Exit(status)
+
+
+def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
+    """An answer to the question for a joint's name; asked again where it cannot be one."""
+    try:
+        return check(text, taken)
+    except UserError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _say_if_simulated(port: str | None, config: str) -> None:
+    from lipservo.assembly import load_settings
+
+    if port is None and load_settings(config)[0].bus.kind == "simulated":
+        say_simulated()

@@ -1,5 +1,6 @@
 """`calibrate` and `trim`: from any face's motion to this robot's servos."""
 
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -8,6 +9,9 @@ import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.output import MESSAGES, RESULTS, print_json
+from lipservo.setting_types import CALIBRATION_NAME
+from lipsync.errors import UserError
+from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
     from lipservo.calibration_ways import Result, Workplace
@@ -120,6 +124,7 @@ def calibrate(
     record markers, and come back with --plan FILE --markers FILE. Without servos: --practise SEED,
     or nothing at all: the simulated face.
     """
+    from calibration.calibration_file import is_calibration
     from lipservo.assembly import load_face_model, load_settings, settings_at_port
     from lipservo.calibration_ways import Workplace
     from lipservo.sim_process import servo_port
@@ -138,12 +143,20 @@ def calibrate(
         return
     if output is None:
         raise typer.BadParameter("say where to write the calibration", param_hint="--output")
-    if not output.parent.is_dir():
-        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
+    _check_name(output)
+    check_output(output, replaces=is_calibration, kind="calibration", inputs=[plan, markers])
+    if keep is not None and not keep.exists():
+        check_output(keep)
     if plots is not None:
-        from lipservo.motion_plots import check_plots
+        if guided or all(each is None for each in (markers, tracker, practise, port, sim)):
+            raise typer.BadParameter(
+                "needs measured markers; by eye and without a robot there are none",
+                param_hint="--plots",
+            )
+        from lipservo.coverage_plot import PICTURE
+        from lipservo.pictures import check_folder
 
-        check_plots(plots)
+        check_folder(plots, [PICTURE])
     if markers is not None:
         if plan is None:
             raise typer.BadParameter("--markers needs the --plan it was recorded with")
@@ -163,6 +176,12 @@ def calibrate(
                 at, tracker, axes, practise, guided=guided, over_wire=found_port is not None
             )
     _finish(at, result, output, plots, as_json=as_json)
+
+
+def _check_name(output: Path) -> None:
+    """A calibration that no face can name is of no use to anybody."""
+    if not re.match(CALIBRATION_NAME, output.name):
+        raise UserError(f"{output}: a face can only name a file such as my_face.calibration.yaml")
 
 
 def _from_robot(
@@ -205,17 +224,19 @@ def _write_plan(
 ) -> None:
     """A first plan, or with markers of one a longer plan."""
     from calibration.capture_plan import joined
-    from calibration.marker_files import read_capture, read_plan, write_plan
+    from calibration.marker_files import is_plan, read_capture, read_plan, write_plan
 
+    target = path if markers is None or refine is None else refine
+    check_output(target, replaces=is_plan, kind="plan of poses", inputs=[markers])
     procedure = at.procedure()
     names = tuple(joint.name for joint in at.joints)
     if markers is None or refine is None:
-        plan, target = procedure.whole_range_plan(), path
+        plan = procedure.whole_range_plan()
         then = f"--plan {path} --markers FILE -o FILE"
     else:
         capture = read_capture(path, markers, names, axes=axes)
         further = procedure.speech_plan(capture, max(1, procedure.n_of_speech))
-        plan, target = joined(read_plan(path, names), further), refine
+        plan = joined(read_plan(path, names), further)
         then = f"--plan {refine} --markers {markers} -o FILE"
     write_plan(plan, target)
     if as_json:
@@ -234,7 +255,7 @@ def _from_files(at: "Workplace", plan: Path, markers: Path, axes: str) -> "Resul
 
     names = tuple(joint.name for joint in at.joints)
     capture = read_capture(plan, markers, names, axes=axes)
-    with MESSAGES.status("fitting"):
+    with MESSAGES.status("fitting", spinner="line"):
         return fit_capture(at, capture)
 
 
@@ -273,7 +294,13 @@ def _finish(
     for line in report_lines(calibration, str(output), fit):
         RESULTS.print(line, soft_wrap=True, highlight=False)
     if jaw_r is not None:
-        RESULTS.print(f"the jaw goes with the talker's: correlation {jaw_r:.2f}", highlight=False)
+        RESULTS.print(f"the jaw goes with the talker's: correlation {jaw_r:.2f}")
+    if at.settings.calibration != output.name:
+        RESULTS.print(
+            f"to use it, write `calibration: {output.name}` into the face's YAML, and keep both "
+            "files in one folder",
+            soft_wrap=True,
+        )
 
 
 def trim(

@@ -5,6 +5,7 @@ they are clipped there, as any converter to a loudspeaker would.
 """
 
 import math
+import os
 from collections.abc import Iterator
 from os import PathLike
 from pathlib import Path
@@ -96,7 +97,7 @@ def _open(path: Path) -> soundfile.SoundFile:
     if is_empty:
         raise SoundError(f"{path}: the file is empty (0 bytes); record or copy it again")
     try:
-        return soundfile.SoundFile(path)
+        return soundfile.SoundFile(os.fsencode(path))  # names need not be UTF-8
     except soundfile.LibsndfileError as error:
         raise SoundError(
             f"{path}: not a sound file that can be read ({error.error_string.rstrip('.')}); "

@@ -1,6 +1,7 @@
 """Reader for folders laid out like `grid_s1`: one talker, sound, face landmarks, labels."""
 
 import json
+import os
 import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -139,7 +140,7 @@ def _read_sentence(folder: Path, name: str, layout: _Layout) -> _Sentence:
     sound_path = folder / "audio" / f"{name}.flac"
     duration_s = len(landmarks_px) / layout.frame_rate_hz
     try:
-        sound_s = soundfile.info(sound_path).duration
+        sound_s = soundfile.info(os.fsencode(sound_path)).duration
     except soundfile.LibsndfileError as error:
         raise CorpusError(f"{sound_path}: missing or not a sound file") from error
     if abs(sound_s - duration_s) > _LENGTH_TOLERANCE_S:
