@@ -1,0 +1,148 @@
+"""Files that a command writes: refused before the work begins, and written whole or not at all.
+
+While it is written a file is called `NAME.partial`, beside its place; it takes its name when it is
+complete and on the disk. What fails or is interrupted leaves neither.
+"""
+
+import errno
+import os
+import stat
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from lipsync.errors import UserError
+
+PARTIAL_SUFFIX = ".partial"
+#: So much of a file that is there tells what kind of file it is.
+_HEAD_BYTES = 4096
+
+
+class OutputError(UserError):
+    """A file cannot be written where it was asked for; one line: which, why, what to do."""
+
+
+def nothing(_head: bytes) -> bool:
+    """For `replaces`: no file that is there is replaced."""
+    return False
+
+
+def check_output(
+    path: Path,
+    *,
+    replaces: Callable[[bytes], bool] = nothing,
+    kind: str = "",
+    inputs: Iterable[Path | None] = (),
+) -> None:
+    """Refuse a destination that could not be written later; leaves nothing behind.
+
+    replaces: whether a file that is there may be replaced, told by its first 4096 bytes; an empty
+    one always may. kind: what `replaces` accepts, in words, for the message. inputs: files that
+    the command reads, which are never written over. Raises OutputError.
+    """
+    try:
+        place = _place(path)
+        found = place.stat() if place.exists() else None
+        if found is not None:
+            _check_replaced(path, place, found, replaces, kind, inputs)
+        with _open_partial(place):
+            pass
+        _partial(place).unlink()
+    except OutputError:
+        raise
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+        raise _explained(path, error) from error
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """A path to write to; its file becomes `path` at the end, or vanishes when anything is raised.
+
+    Raises OutputError where the file cannot be written, on a full disk for one.
+    """
+    try:
+        place = _place(path)
+        partial = _partial(place)
+        with _open_partial(place):
+            pass
+        try:
+            yield partial
+            _sync(partial)
+            os.replace(partial, place)
+        except BaseException:
+            partial.unlink(missing_ok=True)
+            raise
+        _sync(place.parent)
+    except OSError as error:
+        raise _explained(path, error) from error
+
+
+def write_whole(path: Path, content: str | bytes) -> None:
+    """Write all of `content` (text as UTF-8) or nothing. Raises OutputError."""
+    with written_whole(path) as partial:
+        partial.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def _place(path: Path) -> Path:
+    """Where the file really lies: a symbolic link stays, what it leads to is written."""
+    place = Path(os.path.realpath(path))
+    if place.is_symlink():
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+    return place
+
+
+def _partial(place: Path) -> Path:
+    return place.with_name(place.name + PARTIAL_SUFFIX)
+
+
+@contextmanager
+def _open_partial(place: Path) -> Iterator[None]:
+    """Create the partial file anew, whatever an earlier run has left: two writers share none."""
+    partial = _partial(place)
+    partial.unlink(missing_ok=True)
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+    try:
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _check_replaced(
+    path: Path,
+    place: Path,
+    found: os.stat_result,
+    replaces: Callable[[bytes], bool],
+    kind: str,
+    inputs: Iterable[Path | None],
+) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise OutputError(f"{path}: is a folder; name a file in it")
+    if not stat.S_ISREG(found.st_mode):
+        raise OutputError(f"{path}: is a device or a pipe, not a file; choose another name")
+    for each in inputs:
+        if each is not None and each.exists() and place.samefile(each):
+            raise OutputError(f"{path}: is what this command reads; choose another name")
+    with place.open("rb") as file:
+        head = file.read(_HEAD_BYTES)
+    if head and not replaces(head):
+        other = f" and is no {kind}" if kind else ""
+        raise OutputError(f"{path}: exists already{other}; choose another name")
+
+
+def _sync(path: Path) -> None:
+    """On the disk, and not only promised; some file systems refuse that for folders."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    except OSError:
+        if not path.is_dir():
+            raise
+    finally:
+        os.close(descriptor)
+
+
+def _explained(path: Path, error: OSError | ValueError) -> OutputError:
+    reason = error.strerror if isinstance(error, OSError) else str(error)
+    if isinstance(error, FileNotFoundError) and not path.parent.is_dir():
+        reason = f"there is no folder {path.parent}"
+    return OutputError(f"{path}: cannot be written: {reason}")
