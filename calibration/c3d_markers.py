@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import CalibrationError
+from lipsync.extras import check_extra
 
 Array = NDArray[np.float64]
 
@@ -38,13 +39,13 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, A
 
 
 def read_c3d(path: Path) -> dict[str, Array]:
-    """Mean position (3,) in mm of each labelled point; NaN for one never seen."""
-    try:
-        import ezc3d
-    except ImportError:
-        raise CalibrationError(
-            f"{path}: reading C3D needs ezc3d; `pip install 'lipservo[mocap]'`"
-        ) from None
+    """Mean position (3,) in mm of each labelled point; NaN for one never seen.
+
+    Raises CalibrationError for what is no C3D file, MissingExtraError without ezc3d.
+    """
+    check_extra("ezc3d", f"{path}: reading C3D")
+    import ezc3d
+
     try:
         content = ezc3d.c3d(str(path))
         labels = [str(label) for label in content["parameters"]["POINT"]["LABELS"]["value"]]

@@ -1,6 +1,5 @@
 """Calibrations on disk: YAML that a person can read, written whole or not at all."""
 
-import os
 from dataclasses import fields
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from calibration.calibration import (
 from calibration.calibration_text import CALIBRATION_VERSION, calibration_text
 from calibration.file_place import Place
 from calibration.hold_out import HoldOutErrors
+from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
 
 Array = NDArray[np.float64]
@@ -38,22 +38,17 @@ PREVIOUS_SUFFIX = ".previous"
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all, and keep the file that was there as `.previous`.
 
-    The same calibration gives the same bytes. Raises CalibrationError where it cannot be written.
+    The same calibration gives the same bytes. Raises OutputError where it cannot be written.
     """
-    partial = path.with_name(path.name + ".partial")
-    previous = path.with_name(path.name + PREVIOUS_SUFFIX)
-    try:
-        with partial.open("w", encoding="utf-8") as file:
-            file.write(calibration_text(calibration))
-            file.flush()
-            os.fsync(file.fileno())
-        if path.exists():
-            kept = previous.with_name(previous.name + ".partial")
-            kept.write_bytes(path.read_bytes())
-            os.replace(kept, previous)
-        os.replace(partial, path)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
+    text = calibration_text(calibration)
+    if path.exists():
+        write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
+    write_whole(path, text)
+
+
+def is_calibration(head: bytes) -> bool:
+    """Whether a file that begins so is a calibration, damaged or not."""
+    return b"model_checksum:" in head
 
 
 def load_calibration(path: Path) -> Calibration:

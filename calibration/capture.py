@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calibration.calibration import CalibrationError
 from calibration.capture_plan import PosePlan
+from lipsync.output_file import write_whole
 
 Array = NDArray[np.float64]
 
@@ -141,6 +142,10 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
     )
 
 
+#: How `_append` begins a line; what begins otherwise is no pose cut short.
+_LINE_HEAD = '{"pose": '
+
+
 def read_kept(
     keep: Path, plan: PosePlan, marker_names: tuple[str, ...], *, goes_on: bool = False
 ) -> list[CapturedPose]:
@@ -152,7 +157,10 @@ def read_kept(
     if not keep.exists():
         return []
     poses = []
-    lines = keep.read_text(encoding="utf-8").split("\n")
+    try:
+        lines = keep.read_text(encoding="utf-8").split("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{keep}: not readable as kept poses; name another file") from error
     for number, line in enumerate(lines[:-1]):
         try:
             content = json.loads(line)
@@ -163,15 +171,14 @@ def read_kept(
                 f"{keep}, line {number + 1}: not a pose of this face and plan; "
                 "name another file or remove this one"
             ) from error
-    if lines[-1]:  # cut short while writing
-        _drop_unfinished(keep, lines[:-1])
+    if lines[-1]:  # cut short while writing, or a file of somebody else's
+        if not lines[-1].startswith(_LINE_HEAD[: len(lines[-1])]):
+            raise CalibrationError(
+                f"{keep}, line {len(lines)}: not a pose of this face and plan; "
+                "name another file or remove this one"
+            )
+        write_whole(keep, "".join(line + "\n" for line in lines[:-1]))
     return poses
-
-
-def _drop_unfinished(keep: Path, lines: list[str]) -> None:
-    partial = keep.with_name(keep.name + ".partial")
-    partial.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
-    os.replace(partial, keep)
 
 
 def _parse(line: dict[str, object], plan: PosePlan, marker_names: tuple[str, ...]) -> CapturedPose:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from calibration.calibration import CalibrationError
+from lipsync.extras import check_extra
 
 Array = NDArray[np.float64]
 
@@ -37,14 +38,11 @@ class DotColour:
 def find_dots_px(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> Array:
     """(n, 2): column and row of the middle of every dot of that colour.
 
-    Raises CalibrationError for what is not a picture, or without OpenCV.
+    Raises CalibrationError for what is not a picture, MissingExtraError without OpenCV.
     """
-    try:
-        import cv2
-    except ImportError:
-        raise CalibrationError(
-            f"{picture}: finding dots needs OpenCV; `pip install 'lipservo[video]'`"
-        ) from None
+    check_extra("cv2", f"{picture}: finding dots")
+    import cv2
+
     pixels = cv2.imread(str(picture))
     if pixels is None:
         raise CalibrationError(f"{picture}: not readable as a picture")

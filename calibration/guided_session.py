@@ -1,7 +1,6 @@
 """A person making landmark poses with keys: what each key does, and what has been made so far."""
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from calibration.calibration import CalibrationError
 from calibration.guided import LandmarkPose
 from calibration.joint_range import JointRange
+from lipsync.output_file import write_whole
 
 Array = NDArray[np.float64]
 
@@ -85,17 +85,12 @@ def start_session(
 
 
 def keep_poses(made_deg: Mapping[str, Array], servo_names: Sequence[str], path: Path) -> None:
-    """Write what was made so far, whole or not at all."""
+    """Write what was made so far, whole or not at all. Raises OutputError."""
     content = {
         name: dict(zip(servo_names, degrees.tolist(), strict=True))
         for name, degrees in made_deg.items()
     }
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
+    write_whole(path, json.dumps(content, indent=2) + "\n")
 
 
 def kept_poses(servo_names: Sequence[str], path: Path) -> dict[str, Array]:

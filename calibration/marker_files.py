@@ -10,7 +10,6 @@ import csv
 import io
 import json
 import math
-import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -22,6 +21,7 @@ from calibration.calibration import CalibrationError
 from calibration.capture import Capture
 from calibration.capture_plan import LEAD_IN_DEG, PosePlan
 from calibration.dots_folder import is_dots_folder, read_dots_folder
+from lipsync.output_file import write_whole
 
 Array = NDArray[np.float64]
 
@@ -30,19 +30,20 @@ _COLUMNS = ("pose", "marker", *_AXES)
 
 
 def write_plan(plan: PosePlan, path: Path) -> None:
-    """Write the plan whole or not at all; poses are counted from 1."""
+    """Write the plan whole or not at all; poses are counted from 1. Raises OutputError."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     degrees = [f"{name}_deg" for name in plan.servo_names]
     writer.writerow(["pose", *degrees, *(f"{name}_from" for name in plan.servo_names)])
     for pose, (goals, sides) in enumerate(zip(plan.goals_deg, plan.from_below, strict=True)):
         writer.writerow([pose + 1, *(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in sides)])
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(text.getvalue(), encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be written: {error.strerror}") from error
+    write_whole(path, text.getvalue())
+
+
+def is_plan(head: bytes) -> bool:
+    """Whether a file that begins so is a plan: its first line names a pose and degrees."""
+    columns = head.decode("utf-8-sig", errors="replace").split("\n", 1)[0].strip().split(",")
+    return columns[0] == "pose" and any(column.endswith("_deg") for column in columns[1:])
 
 
 def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:

@@ -5,7 +5,6 @@ a function that it is given, so that the servos are held meanwhile.
 """
 
 import json
-import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from calibration.calibration import CalibrationError
 from calibration.dots_folder import is_dots_folder, read_dots_folder
 from calibration.marker_files import read_readings
+from lipsync.output_file import write_whole
 
 Array = NDArray[np.float64]
 
@@ -67,9 +67,13 @@ class FileTracker:
         self._axes = axes
         self._names: tuple[str, ...] = ()
         self._pose = 0
-        if not self._readings(0):
-            self._announce(0, np.zeros(len(servo_names)))
-        self._names = tuple(self._wait_for(0))
+        try:
+            if not self._readings(0):
+                self._announce(0, np.zeros(len(servo_names)))
+            self._names = tuple(self._wait_for(0))
+        except BaseException:  # nobody can close what was never made
+            self.close()
+            raise
 
     @property
     def marker_names(self) -> tuple[str, ...]:
@@ -103,12 +107,7 @@ class FileTracker:
     def _announce(self, pose: int, reached_deg: Array) -> None:
         self._pose = pose
         stands = dict(zip(self._servo_names, np.round(reached_deg, 3).tolist(), strict=True))
-        partial = self._pose_file.with_name(self._pose_file.name + ".partial")
-        try:
-            partial.write_text(json.dumps({"pose": pose, "servos_deg": stands}), encoding="utf-8")
-            os.replace(partial, self._pose_file)
-        except OSError as error:
-            raise CalibrationError(f"{partial}: cannot be written: {error.strerror}") from error
+        write_whole(self._pose_file, json.dumps({"pose": pose, "servos_deg": stands}))
         self._say(f"pose {pose} stands: record it in {self._path}")
 
     def _wait_for(self, pose: int) -> Mapping[str, Array]:

@@ -1,6 +1,10 @@
 """The command `lipservo`."""
 
+import io
 import sys
+from collections.abc import Iterable
+from importlib.metadata import version
+from typing import Annotated
 
 import typer
 
@@ -18,13 +22,7 @@ from lipservo.commands import (
 )
 from lipsync.errors import UserError
 
-app = typer.Typer(
-    name="lipservo",
-    help="Live speech moves a physical mouth.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (
     street.run,
     street.daemon,
@@ -39,12 +37,13 @@ for command in (
 ):
     app.command()(command)
 # Degrees may be negative, which looks like an option.
-app.command("trim", context_settings={"ignore_unknown_options": True})(calibration.trim)
+_DEGREES = {"ignore_unknown_options": True}
+app.command("trim", context_settings=_DEGREES)(calibration.trim)
+app.command("jog", context_settings=_DEGREES)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(builder.doctor)
-app.command("jog")(builder.jog)
 app.command("neutral")(builder.neutral)
 app.command("setup-servos")(builder.setup_servos)
 app.command("new-face")(builder.new_face)
@@ -54,21 +53,68 @@ app.command("stop")(processes.stop)
 app.add_typer(bench.app, name="bench")
 
 
+@app.callback(invoke_without_command=True)
+def lipservo(
+    context: typer.Context,
+    show_version: Annotated[
+        bool, typer.Option("--version", help="Print the version and leave.")
+    ] = False,
+) -> None:
+    """Live speech, in English, moves a physical mouth."""
+    if show_version:
+        sys.stdout.write(f"lipservo {version('lipservo')}\n")
+        raise typer.Exit
+    if context.invoked_subcommand is None:
+        raise typer.BadParameter("say which command")
+
+
 def main() -> None:
-    """Run the command line. What the user can mend ends in clear lines and status 1."""
+    """Run the command line: status 0, 1 for what the user can mend, 2 for wrong usage.
+
+    Every mistake is told in clear lines on stderr that begin with `lipservo:`.
+    """
+    for stream in (sys.stdin, sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # Names of files need not be UTF-8, and neither need a terminal be.
+            stream.reconfigure(errors="backslashreplace")
+    arguments = _with_default_microphone(sys.argv[1:] or ["--help"])
     try:
-        app(_with_default_microphone(sys.argv[1:]))
+        status = app(arguments, prog_name="lipservo", standalone_mode=False)
+    except typer.TyperException as error:
+        _complain([_usage_line(error)])
+        status = error.exit_code
     except (UserError, BusError) as error:
-        for line in str(error).splitlines():
-            sys.stderr.write(f"lipservo: {line}\n")
-        sys.exit(1)
+        _complain(str(error).splitlines())
+        status = 1
+    except typer.Abort:
+        _complain(["the input ended before all questions were answered; nothing was written"])
+        status = 1
+    except OSError as error:
+        where = "" if error.filename is None else f"{error.filename}: "
+        _complain([f"{where}{error.strerror or error}"])
+        status = 1
+    sys.exit(status or 0)
+
+
+def _complain(lines: Iterable[str]) -> None:
+    for line in lines:
+        sys.stderr.write(f"lipservo: {line}\n")
+
+
+def _usage_line(error: typer.TyperException) -> str:
+    """What is wrong with a command line, in one line, and where to read on."""
+    told = " ".join(error.format_message().split())
+    context = getattr(error, "ctx", None)
+    command = "lipservo" if context is None else context.command_path
+    return f"{told.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
 
 
 def _with_default_microphone(arguments: list[str]) -> list[str]:
     """`--mic` alone means the default device; typer options cannot leave out their value."""
     completed: list[str] = []
-    for argument, following in zip(arguments, [*arguments[1:], "-"], strict=True):
+    following = [*arguments[1:], "-"]
+    for argument, after in zip(arguments, following, strict=True):
         completed.append(argument)
-        if argument == "--mic" and following.startswith("-"):
+        if argument == "--mic" and after.startswith("-"):
             completed.append("default")
     return completed

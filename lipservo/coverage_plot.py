@@ -12,11 +12,13 @@ from calibration.calibration import Calibration, CalibrationError
 from calibration.correspondence import RobotMouth
 from calibration.measured import MeasuredFit
 from calibration.measured_errors import REACHABLE_MM, ShapeErrors
+from lipservo.pictures import save_picture, without_screen
 from lipsync.animpho.model import FaceModel
 from lipsync.phonemes import VISEME_CLASSES
 
 Array = NDArray[np.float64]
 
+PICTURE = "coverage.png"
 _FRAMES = 1500
 #: Farther off than this all points look alike.
 _WORST_MM = 1.5
@@ -31,6 +33,7 @@ def draw_coverage(
     """
     if fit is None:
         raise CalibrationError("--plots needs a measured way; this one knows no millimetres")
+    without_screen()
     from matplotlib import pyplot as plt
 
     frames = model.animphos.reshape(-1, model.n_components)
@@ -66,8 +69,8 @@ def draw_coverage(
     right.set_xlabel("part within reach; beside it, how far off this map is")
     figure.suptitle(f"What this robot can make of speech, {calibration.origin.poses} poses")
     figure.tight_layout()
-    path = folder / "coverage.png"
-    figure.savefig(path, dpi=110)
+    path = folder / PICTURE
+    save_picture(figure, path)
     plt.close(figure)
     return path
 

@@ -1,30 +1,60 @@
 """Keys and lines from a person at a terminal, or from a script that plays one."""
 
+import os
+import select
 import sys
+import termios
+import tty
 
-import click
+from lipsync.errors import UserError
 
 #: What terminals send for arrows, and the keys that mean the same.
 _ARROWS = {"\x1b[A": "w", "\x1b[B": "s", "\x1b[C": "d", "\x1b[D": "a"}
 _END = "q"
+_CTRL_D = "\x04"
+#: The rest of an arrow comes at once; a person who presses Escape alone sends no more.
+_ARROW_S = 0.05
+
+
+class NoAnswerError(UserError):
+    """The input ended before a question was answered."""
 
 
 def read_key() -> str:
     """One key; arrows as w, s, d, a; q at the end of a script."""
     if sys.stdin.isatty():
-        key = str(click.getchar())
-        return _ARROWS.get(key.replace("\x1bO", "\x1b["), key)
-    key = sys.stdin.read(1)
-    if key == "\x1b":
-        key += sys.stdin.read(2)
-    return _ARROWS.get(key, key) if key else _END
+        key = _terminal_key(sys.stdin.fileno())
+    else:
+        key = sys.stdin.read(1)
+        if key == "\x1b":
+            key += sys.stdin.read(2)
+    if key in ("", _CTRL_D):
+        return _END
+    # In application mode terminals send O in place of the bracket.
+    return _ARROWS.get(key.replace("\x1bO", "\x1b["), key)
 
 
 def read_line(question: str) -> str:
-    """One line. Raises EOFError at the end of a script."""
+    """One line. Raises NoAnswerError at the end of a script."""
     sys.stderr.write(f"{question}: ")
     sys.stderr.flush()
     line = sys.stdin.readline()
     if not line:
-        raise EOFError(f"no answer to: {question}")
+        sys.stderr.write("\n")
+        raise NoAnswerError(f"the input ended before an answer to: {question}")
     return line.strip()
+
+
+def _terminal_key(terminal: int) -> str:
+    """One key without Enter, unseen; "" when the terminal is gone. Ctrl-C stays a signal."""
+    before = termios.tcgetattr(terminal)
+    try:
+        tty.setcbreak(terminal)
+        key = os.read(terminal, 1)
+        if key == b"\x1b" and select.select([terminal], [], [], _ARROW_S)[0]:
+            key += os.read(terminal, 2)
+    except OSError:  # EIO: hung up
+        return ""
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+    return key.decode(errors="replace")

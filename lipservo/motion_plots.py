@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from lipservo.pictures import save_picture, without_screen
 from lipsync.animpho.closing import BILABIALS
 from lipsync.animpho.closures import CLOSED_GAP_MM, lip_gaps_mm
 from lipsync.animpho.live import LIVE_STRATEGY
 from lipsync.animpho.model import FaceModel
 from lipsync.corpus.utterance import Utterance
-from lipsync.errors import UserError
 from lipsync.evaluation.methods import REFERENCE, Heard, all_methods
 from lipsync.evaluation.minimal_pairs import AFTER
 from lipsync.evaluation.wrong_phonemes import ErrorRow, error_rows
@@ -46,20 +46,8 @@ _COLOURS = {
 }
 
 
-class PlotError(UserError):
-    """Pictures that cannot be drawn."""
-
-
-def check_plots(folder: Path) -> None:
-    """Make the folder, and see that there is something to draw with, before hours of measuring."""
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise PlotError("pictures need matplotlib: pip install 'lipservo[plots]'") from None
-    mpl.use("Agg")
-    if folder.exists() and not folder.is_dir():
-        raise PlotError(f"{folder}: is a file; --plots wants a folder")
-    folder.mkdir(parents=True, exist_ok=True)
+#: What is drawn into the folder.
+PICTURES = ("trajectory.png", "lookahead.png", "recovery.png", "errors.png")
 
 
 def draw(
@@ -73,6 +61,7 @@ def draw(
 
     utterances: not the model's. Returns what the third picture shows.
     """
+    without_screen()
     draw_trajectory(folder, model, utterances[0])
     draw_lookahead(folder, rows)
     draw_recovery(folder, recovery)
@@ -107,7 +96,7 @@ def draw_trajectory(folder: Path, model: FaceModel, utterance: Utterance) -> Non
     _mark_phones(axes[0], utterance)
     axes[0].legend(fontsize=8)
     axes[2].set_xlabel("s")
-    figure.savefig(folder / "trajectory.png", dpi=110)
+    save_picture(figure, folder / "trajectory.png")
     plt.close(figure)
 
 
@@ -154,7 +143,7 @@ def draw_lookahead(folder: Path, rows: Sequence[Row]) -> None:
         axis.set_xlabel("look-ahead, ms")
     axes[0][0].set_ylabel("RMSE over that of the fixed reference")
     axes[0][0].legend(fontsize=8)
-    figure.savefig(folder / "lookahead.png", dpi=110)
+    save_picture(figure, folder / "lookahead.png")
     plt.close(figure)
 
 
@@ -180,7 +169,7 @@ def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
     axis.set_ylabel("share of its deviation that is left")
     if axis.lines:
         axis.legend(fontsize=8)
-    figure.savefig(folder / "recovery.png", dpi=110)
+    save_picture(figure, folder / "recovery.png")
     plt.close(figure)
 
 
@@ -202,7 +191,7 @@ def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
     axes[0][0].set_ylim(bottom=0.0)
     axes[0][0].set_ylabel("RMSE, mm")
     axes[0][0].legend(fontsize=8)
-    figure.savefig(folder / "errors.png", dpi=110)
+    save_picture(figure, folder / "errors.png")
     plt.close(figure)
 
 

@@ -12,7 +12,7 @@ from firmware_bridge.clock import Clock, ManualClock
 from lipservo.assembly import Face, assemble_face, at_port, check_servos, make_bus, make_street
 from lipservo.daemon import play
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
-from lipservo.output import MESSAGES
+from lipservo.output import MESSAGES, say_simulated
 from lipservo.pipeline import Street, TickObserver
 from lipservo.summary import Summary, Tally
 from lipservo.trace import BackgroundTrace, TraceFile
@@ -68,6 +68,8 @@ class Performance:
             )
             delay = street.speech.delay
             if not self.quiet:
+                if face.settings.bus.kind == "simulated":
+                    say_simulated()
                 MESSAGES.print(f"delay from sound to face: {delay}")
             tally = Tally(clock, street)
             with self._observers(face, street, source, clock, rate_hz) as observers:

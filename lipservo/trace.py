@@ -6,49 +6,71 @@ wall-clock time, so that two replays of one file give the same bytes.
 
 import json
 import math
-import os
 import queue
 import threading
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 
 from lipservo.pipeline import StreetTick
 from lipsync.errors import UserError
+from lipsync.output_file import OutputError, check_output, written_whole
 
 TRACE_VERSION = 1
+#: The first key of every trace.
+_MARK = "lipservo_trace"
 #: Ticks that may wait for the disk: a minute at 200 Hz.
 _QUEUE_LENGTH = 12_000
 
 
 class TraceError(UserError):
-    """The trace file cannot be written."""
+    """A trace that broke off."""
+
+
+def is_trace(head: bytes) -> bool:
+    """Whether a file that begins so is a trace."""
+    return head.startswith(f'{{"{_MARK}":'.encode())
 
 
 class TraceFile:
     """Writes each tick at once. For `replay`, where nobody waits for a tick."""
 
     def __init__(self, path: Path, header: Mapping[str, object]) -> None:
-        """header: what a reader needs to know first, such as the servo names."""
-        self._path = path
-        self._partial = path.with_name(path.name + ".partial")
-        try:
-            self._file = self._partial.open("w", encoding="utf-8")
-        except OSError as error:
-            raise TraceError(f"{path}: cannot be written: {error.strerror}") from error
+        """header: what a reader needs to know first, such as the servo names.
+
+        Raises OutputError where it cannot be written; only a trace is written over.
+        """
+        check_output(path, replaces=is_trace, kind="trace")
+        self._whole = ExitStack()
+        partial = self._whole.enter_context(written_whole(path))
+        self._file = self._whole.enter_context(partial.open("w", encoding="utf-8"))
         self._n_ticks = 0
-        self._write({"lipservo_trace": TRACE_VERSION, **header})
+        self._write({_MARK: TRACE_VERSION, **header})
 
     def observe(self, tick: StreetTick) -> None:
-        """Write one tick."""
-        self._write(_record(self._n_ticks, tick))
+        """Write one tick. Raises TraceError where the disk is full; no file is left then."""
+        try:
+            self._write(_record(self._n_ticks, tick))
+        except OSError as error:
+            self.abandon()
+            raise TraceError(f"the trace broke off: {error.strerror}") from error
         self._n_ticks += 1
 
     def close(self, dropped: int = 0) -> None:
-        """Complete the file and give it its name; `dropped` ticks were never written."""
-        self._write({"ticks": self._n_ticks, "dropped": dropped})
-        self._file.close()
-        os.replace(self._partial, self._path)
+        """Complete the file and give it its name; `dropped` ticks were never written.
+
+        Raises OutputError where that fails; does nothing to an abandoned file.
+        """
+        if self._file.closed:
+            return
+        with self._whole:
+            self._write({"ticks": self._n_ticks, "dropped": dropped})
+
+    def abandon(self) -> None:
+        """Leave no file: it could not be completed."""
+        with suppress(OutputError), self._whole:
+            raise OutputError("abandoned")
 
     def __enter__(self) -> "TraceFile":
         return self
@@ -74,7 +96,7 @@ class BackgroundTrace:
     def __init__(self, file: TraceFile) -> None:
         self._file = file
         self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
-        self._error: OSError | None = None
+        self._error: TraceError | None = None
         self._dropped = 0
         self._thread = threading.Thread(target=self._run, name="trace", daemon=True)
         self._thread.start()
@@ -93,7 +115,7 @@ class BackgroundTrace:
         self._queue.put(None)
         self._thread.join()
         if self._error is not None:
-            raise TraceError(f"the trace broke off: {self._error.strerror}") from self._error
+            raise self._error
         self._file.close(self._dropped)
 
     def _run(self) -> None:
@@ -101,7 +123,7 @@ class BackgroundTrace:
             try:
                 if self._error is None:
                     self._file.observe(tick)
-            except OSError as error:  # a full disk must not stop the face
+            except TraceError as error:  # a full disk must not stop the face
                 self._error = error
 
 

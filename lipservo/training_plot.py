@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from lipservo.pictures import save_picture, without_screen
 from lipsync.errors import UserError
 
 Record = Mapping[str, float]
@@ -28,11 +29,7 @@ def read_log(path: Path) -> list[Record]:
 
 def draw_log(records: Sequence[Record], picture: Path) -> None:
     """Loss on the left, accuracies of visemes by condition on the right, over the steps."""
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise TrainingLogError("pictures need matplotlib: pip install 'lipservo[plots]'") from None
-    mpl.use("Agg")
+    without_screen()
     from matplotlib import pyplot as plt
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
@@ -47,5 +44,5 @@ def draw_log(records: Sequence[Record], picture: Path) -> None:
     right.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
     if right.lines:
         right.legend(fontsize="small")
-    figure.savefig(picture, dpi=110)
+    save_picture(figure, picture)
     plt.close(figure)

@@ -8,6 +8,7 @@ from praatio.data_classes.interval_tier import IntervalTier
 from praatio.utilities.errors import PraatioException
 
 from lipsync.errors import UserError
+from lipsync.output_file import written_whole
 
 
 class LabelError(UserError):
@@ -55,14 +56,17 @@ def read_tiers(path: str | PathLike[str]) -> dict[str, tuple[Interval, ...]]:
 def write_tiers(path: str | PathLike[str], tiers: dict[str, tuple[Interval, ...]]) -> None:
     """Write interval tiers as a Praat TextGrid in long form; stretches between are left empty.
 
-    Raises LabelError when the file cannot be written.
+    Whole or not at all. Raises OutputError.
     """
     grid = textgrid.Textgrid()
     file_end_s = max((end_s for tier in tiers.values() for _, _, end_s in tier), default=0.0)
     for name, intervals in tiers.items():
         entries = [(start_s, end_s, label) for label, start_s, end_s in intervals]
         grid.addTier(IntervalTier(name, entries, 0.0, file_end_s))
-    try:
-        grid.save(str(path), format="long_textgrid", includeBlankSpaces=True)
-    except OSError as error:
-        raise LabelError(f"{path}: cannot be written ({error.strerror})") from error
+    with written_whole(Path(path)) as partial:
+        grid.save(str(partial), format="long_textgrid", includeBlankSpaces=True)
+
+
+def is_textgrid(head: bytes) -> bool:
+    """Whether a file that begins so is a TextGrid, as Praat writes them: UTF-8 or UTF-16."""
+    return b"ooTextFile" in head.replace(b"\0", b"")

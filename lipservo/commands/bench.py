@@ -13,7 +13,7 @@ from lipservo.commands import bench_motion
 from lipservo.commands.options import Json, Quiet
 from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
 
-app = typer.Typer(no_args_is_help=True)
+app = typer.Typer()
 app.command()(bench_motion.motion)
 
 #: Where the corpora lie for those who develop: beside the checkout.

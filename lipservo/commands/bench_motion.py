@@ -61,13 +61,14 @@ def motion(
 ) -> None:
     """Measure synthesised motion against recorded faces, ours and its rivals."""
     from lipservo import motion_figures as measure
-    from lipservo.motion_plots import check_plots
+    from lipservo.motion_plots import PICTURES
+    from lipservo.pictures import check_folder
     from lipsync.animpho.live import LIVE_STRATEGY
     from lipsync.animpho.model import load_model, load_shipped_model
 
     began_s = time.perf_counter()
     if plots is not None:
-        check_plots(plots)
+        check_folder(plots, PICTURES)
     asked = measure.question(strategy, lookahead_ms, phonemes, words)
     given = None
     if model is not None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json
-from lipservo.output import MESSAGES, RESULTS, print_json
+from lipservo.output import MESSAGES, RESULTS, print_json, say_simulated
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
@@ -128,6 +128,7 @@ def jog(
     """Move one joint, the others held, through the safety gate; then all go limp."""
     from lipservo.moving import move_to
 
+    _say_if_simulated(port, config)
     reached_deg = move_to(config, port, {joint: deg}, hold_s)
     RESULTS.print(f"{joint} stands at {reached_deg[joint]:.1f} deg")
 
@@ -136,6 +137,7 @@ def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
     """Bring every joint to its neutral, through the safety gate; then all go limp."""
     from lipservo.moving import move_to
 
+    _say_if_simulated(port, config)
     reached_deg = move_to(config, port, None, 0.5)
     for name, angle_deg in reached_deg.items():
         RESULTS.print(f"{name} stands at {angle_deg:.1f} deg")
@@ -184,6 +186,13 @@ def new_face(
     RESULTS.print(
         f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`"
     )
+
+
+def _say_if_simulated(port: str | None, config: str) -> None:
+    from lipservo.assembly import load_settings
+
+    if port is None and load_settings(config)[0].bus.kind == "simulated":
+        say_simulated()
 
 
 def _port(given: str | None, of_the_face: str | None) -> str:

@@ -8,6 +8,7 @@ import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.output import MESSAGES, RESULTS, print_json
+from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
     from lipservo.calibration_ways import Result, Workplace
@@ -120,6 +121,7 @@ def calibrate(
     record markers, and come back with --plan FILE --markers FILE. Without servos: --practise SEED,
     or nothing at all: the simulated face.
     """
+    from calibration.calibration_file import is_calibration
     from lipservo.assembly import load_face_model, load_settings, settings_at_port
     from lipservo.calibration_ways import Workplace
     from lipservo.sim_process import servo_port
@@ -138,12 +140,14 @@ def calibrate(
         return
     if output is None:
         raise typer.BadParameter("say where to write the calibration", param_hint="--output")
-    if not output.parent.is_dir():
-        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
+    check_output(output, replaces=is_calibration, kind="calibration", inputs=[plan, markers])
+    if keep is not None and not keep.exists():
+        check_output(keep)
     if plots is not None:
-        from lipservo.motion_plots import check_plots
+        from lipservo.coverage_plot import PICTURE
+        from lipservo.pictures import check_folder
 
-        check_plots(plots)
+        check_folder(plots, [PICTURE])
     if markers is not None:
         if plan is None:
             raise typer.BadParameter("--markers needs the --plan it was recorded with")
@@ -205,17 +209,19 @@ def _write_plan(
 ) -> None:
     """A first plan, or with markers of one a longer plan."""
     from calibration.capture_plan import joined
-    from calibration.marker_files import read_capture, read_plan, write_plan
+    from calibration.marker_files import is_plan, read_capture, read_plan, write_plan
 
+    target = path if markers is None or refine is None else refine
+    check_output(target, replaces=is_plan, kind="plan of poses", inputs=[markers])
     procedure = at.procedure()
     names = tuple(joint.name for joint in at.joints)
     if markers is None or refine is None:
-        plan, target = procedure.whole_range_plan(), path
+        plan = procedure.whole_range_plan()
         then = f"--plan {path} --markers FILE -o FILE"
     else:
         capture = read_capture(path, markers, names, axes=axes)
         further = procedure.speech_plan(capture, max(1, procedure.n_of_speech))
-        plan, target = joined(read_plan(path, names), further), refine
+        plan = joined(read_plan(path, names), further)
         then = f"--plan {refine} --markers {markers} -o FILE"
     write_plan(plan, target)
     if as_json:

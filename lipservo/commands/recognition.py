@@ -1,6 +1,5 @@
 """`align`, `recognize` and `train-recognizer`: what has to do with hearing phonemes."""
 
-import importlib.util
 import json
 import os
 import sys
@@ -14,6 +13,8 @@ from rich.progress import Progress, TimeRemainingColumn
 
 from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
 from lipservo.output import MESSAGES, RESULTS, print_json
+from lipsync.extras import check_extra
+from lipsync.output_file import check_output
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights_name
 
 Jobs = Annotated[
@@ -43,8 +44,10 @@ def align(
         raise typer.BadParameter("say what is said in the sound", param_hint="TEXT")
     from lipsync.recognition.alignment import align as force_align
     from lipsync.recognition.sound import read_speech
-    from lipsync.textgrid import write_tiers
+    from lipsync.textgrid import is_textgrid, write_tiers
 
+    if output is not None:
+        check_output(output, replaces=is_textgrid, kind="TextGrid", inputs=[sound])
     said = Path(text).read_text(encoding="utf-8") if _is_file(text) else text
     alignment = force_align(read_speech(sound), said)
     phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in alignment.phones)
@@ -90,9 +93,11 @@ def recognize(
     from lipservo.listening import heard_events
     from lipservo.sources import DEFAULT_MICROPHONE, open_microphone
     from lipsync.audio.file import FileSource
-    from lipsync.textgrid import write_tiers
+    from lipsync.textgrid import is_textgrid, write_tiers
 
     check_weights_name(weights)
+    if output is not None:
+        check_output(output, replaces=is_textgrid, kind="TextGrid", inputs=[sound])
     source = FileSource(sound) if sound is not None else open_microphone(mic or DEFAULT_MICROPHONE)
     events = []
 
@@ -161,15 +166,13 @@ def train_recognizer(
     quiet: Quiet = False,
 ) -> None:
     """Learn the recogniser's weights (needs the extra `train`: torch)."""
-    if not output.parent.is_dir():
-        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
-    if importlib.util.find_spec("torch") is None:
-        raise typer.BadParameter("needs torch: `pip install 'lipservo[train]'`")
+    check_extra("torch", "train-recognizer")
     from lipsync.corpus.transcribed import read_names
     from lipsync.recognition.training import TrainingPlan
     from lipsync.recognition.training_run import TrainingRun, run_training
-    from lipsync.recognition.weights import find_weights, save_weights
+    from lipsync.recognition.weights import find_weights, is_weights, save_weights
 
+    check_output(output, replaces=is_weights, kind="weights")
     n_jobs = jobs or os.cpu_count() or 1
     run = TrainingRun(
         corpora=tuple(corpora),
@@ -193,9 +196,10 @@ def plot_training(
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture (PNG) to write.")],
 ) -> None:
     """Draw the run log of `train-recognizer` (needs the extra `plots`)."""
-    if not output.parent.is_dir():
-        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
+    from lipservo.pictures import check_picture
     from lipservo.training_plot import draw_log, read_log
+
+    check_picture(output, [log])
 
     draw_log(read_log(log), output)
     MESSAGES.print(f"{output}: done", soft_wrap=True)

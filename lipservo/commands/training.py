@@ -10,6 +10,7 @@ from rich.progress import Progress
 
 from lipservo.commands.options import Json, Quiet, SkipBad
 from lipservo.output import MESSAGES, RESULTS, print_json
+from lipsync.output_file import check_output
 
 #: What the expectation learns from.
 Phonemes = Literal["both", "true"]
@@ -37,14 +38,13 @@ def train(
     quiet: Quiet = False,
 ) -> None:
     """Learn a face model from recorded speech with mouth motion."""
-    if not output.parent.is_dir():
-        raise typer.BadParameter(f"{output.parent}: no such folder", param_hint="--output")
-    from lipsync.animpho.model import save_model
+    from lipsync.animpho.model import is_model, save_model
     from lipsync.animpho.training import train as train_model
     from lipsync.corpus.grid import read_grid
     from lipsync.expectation.hearing import hear_sentences
     from lipsync.recognition.weights import load_shipped_weights
 
+    check_output(output, replaces=is_model, kind="face model")
     with _progress(quiet=quiet) as progress:
         reading = progress.add_task("reading", total=None)
 

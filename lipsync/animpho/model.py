@@ -6,8 +6,8 @@ Data only. One `.npz` without pickle; float32 on disk, float64 in the arithmetic
 import hashlib
 import io
 import json
-import os
 import zipfile
+import zlib
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -21,6 +21,7 @@ from lipsync.evaluation.dominance import Dominance
 from lipsync.evaluation.regression import PlainRegression
 from lipsync.expectation.expectation import Expectation, expectation_of
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.output_file import write_whole
 from lipsync.phonemes import PHONEMES
 
 Array = NDArray[np.float64]
@@ -29,6 +30,16 @@ Indices = NDArray[np.int64]
 #: Raised whenever the meaning of a stored field changes; older files are refused, not guessed at.
 MODEL_VERSION = 3
 SAMPLES_PER_ANIMPHO = 5
+#: What reading a damaged archive raises, by where the damage is.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
 SHIPPED_MODEL = "grid_s1"
 
 
@@ -117,7 +128,7 @@ class FaceModel:
 
 
 def save_model(model: FaceModel, path: Path) -> None:
-    """Write the model whole or not at all."""
+    """Write the model whole or not at all. Raises OutputError."""
     about = {
         "version": MODEL_VERSION,
         "marker_names": model.marker_names,
@@ -150,9 +161,12 @@ def save_model(model: FaceModel, path: Path) -> None:
     )
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **arrays)
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(buffer.getvalue())
-    os.replace(partial, path)
+    write_whole(path, buffer.getvalue())
+
+
+def is_model(head: bytes) -> bool:
+    """Whether a file that begins so looks like a model: a zip archive that begins with `about`."""
+    return head.startswith(b"PK") and b"about.npy" in head
 
 
 def load_model(path: Path) -> FaceModel:
@@ -182,7 +196,7 @@ def _parse(content: bytes, name: str) -> FaceModel:
             arrays = {key: file[key] for key in file.files}
         about = json.loads(arrays["about"].tobytes())
         version = about["version"]
-    except (ValueError, KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile) as error:
+    except (KeyError, TypeError, *_UNREADABLE) as error:
         raise ModelError(damaged) from error
     if version != MODEL_VERSION:
         raise ModelError(

@@ -6,6 +6,7 @@ gruut guesses in IPA, offline; docs/decisions/0031-pronunciations.md says why it
 from functools import cache
 
 from lipsync.errors import UserError
+from lipsync.extras import MissingExtraError, check_extra
 
 #: IPA of gruut's US English against ARPAbet; stress marks are stripped before.
 _ARPABET_OF = {
@@ -44,12 +45,11 @@ def pronounce(word: str) -> tuple[str, ...]:
 
 def _ipa(word: str) -> list[str]:
     try:
-        from gruut import sentences
-    except ImportError as error:
-        raise PronunciationError(
-            f"word {word!r} has no pronunciation in the dictionary; "
-            "`pip install gruut` to have it guessed"
-        ) from error
+        check_extra("gruut", f"word {word!r} is not in the dictionary; guessing how it sounds")
+    except MissingExtraError as error:
+        raise PronunciationError(str(error)) from None
+    from gruut import sentences
+
     # Numbers, dates and money would be spelt out as other words; a word is taken as it stands.
     return [
         phone

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from lipsync.errors import UserError
+from lipsync.output_file import written_whole
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.features import N_BANDS, FeatureScale
 from lipsync.recognition.network import Layer, NetworkWeights
@@ -302,9 +303,8 @@ def _save(
         "average": average.state_dict(),
         "optimizer": optimizer.state_dict(),
     }
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    partial.replace(path)
+    with written_whole(path) as partial:
+        torch.save(state, partial)
 
 
 def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:

@@ -1,6 +1,7 @@
 """The network's weights on disk: one .npz of float16 arrays, never pickle."""
 
 import zipfile
+import zlib
 from importlib import resources
 from os import PathLike
 from pathlib import Path
@@ -9,11 +10,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.errors import UserError
+from lipsync.output_file import written_whole
 from lipsync.phonemes import VISEME_OF
 from lipsync.recognition.features import N_BANDS, FeatureScale
 from lipsync.recognition.network import Layer, NetworkWeights
 
 _FORMAT = 1
+#: What reading a damaged archive raises, by where the damage is.
+_UNREADABLE = (
+    OSError,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
 DEFAULT_WEIGHTS = "default"
 #: The weights that come with the package, by name.
 SHIPPED = {DEFAULT_WEIGHTS: "recognizer.npz", "grid": "recognizer_grid.npz"}
@@ -24,7 +36,7 @@ class WeightsError(UserError):
 
 
 def save_weights(weights: NetworkWeights, path: str | PathLike[str]) -> None:
-    """Write the weights, whole or not at all.
+    """Write the weights, whole or not at all. Raises OutputError.
 
     Half precision changes posteriors by less than 0.01 (tested).
     """
@@ -42,26 +54,31 @@ def save_weights(weights: NetworkWeights, path: str | PathLike[str]) -> None:
     for index, layer in enumerate(layers):
         arrays[f"kernel_{index}"] = layer.kernel.astype(np.float16)
         arrays[f"bias_{index}"] = layer.bias.astype(np.float32)
-    partial = Path(f"{path}.partial")
-    with partial.open("wb") as file:
+    with written_whole(Path(path)) as partial, partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
-    partial.replace(path)
+
+
+def is_weights(head: bytes) -> bool:
+    """Whether a file that begins so looks like weights: a zip archive that begins with `format`."""
+    return head.startswith(b"PK") and b"format.npy" in head
 
 
 def load_weights(path: str | PathLike[str]) -> NetworkWeights:
     """Read weights; WeightsError for a file that is missing, damaged or does not fit together."""
     try:
         # Opened here: where numpy fails to read a file it leaves it open.
-        with Path(path).open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with Path(path).open("rb") as file, np.lib.npyio.NpzFile(file) as archive:
             arrays = {name: archive[name] for name in archive.files}
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file; check the path") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+    except _UNREADABLE as error:
         raise WeightsError(f"{path}: damaged or no weights file; copy or train it again") from error
     try:
         weights = _weights(arrays)
     except KeyError as error:
         raise WeightsError(f"{path}: no weights of a recogniser: {error} is missing") from error
+    except (ValueError, TypeError, IndexError) as error:  # no layers, text for numbers
+        raise WeightsError(f"{path}: no weights of a recogniser; train them again") from error
     if mistake := _mistake(weights):
         raise WeightsError(f"{path}: {mistake}; copy or train it again")
     return weights

@@ -1,0 +1,64 @@
+"""Pictures that commands draw with matplotlib, the extra `plots`."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lipsync.errors import UserError
+from lipsync.extras import check_extra
+from lipsync.output_file import check_output, written_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_DOTS_PER_INCH = 110
+#: https://www.w3.org/TR/png-3/#5PNG-file-signature
+_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+class PictureError(UserError):
+    """Pictures that cannot be drawn."""
+
+
+def check_picture(path: Path, inputs: Iterable[Path] = ()) -> None:
+    """See before the work that a picture can be drawn there; only a picture is replaced.
+
+    Raises MissingExtraError or OutputError.
+    """
+    check_extra("matplotlib", "drawing pictures")
+    check_output(path, replaces=is_picture, kind="PNG picture", inputs=inputs)
+
+
+def check_folder(folder: Path, names: Iterable[str]) -> None:
+    """See before the work that pictures of these names can be drawn in a folder, new or not.
+
+    Raises PictureError, MissingExtraError or OutputError.
+    """
+    check_extra("matplotlib", "drawing pictures")
+    if folder.is_dir():
+        for name in names:
+            check_picture(folder / name)
+    elif folder.exists():
+        raise PictureError(f"{folder}: is a file; name a folder for the pictures")
+    else:
+        missing = next(each for each in (folder, *folder.parents) if each.parent.exists())
+        check_output(missing)
+
+
+def without_screen() -> None:
+    """Draw into files alone, whatever the computer can show. Call before pyplot is imported."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+
+
+def save_picture(figure: "Figure", path: Path) -> None:
+    """Write a figure as PNG, whole or not at all; its folder is made. Raises OutputError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with written_whole(path) as partial:
+        figure.savefig(partial, dpi=_DOTS_PER_INCH, format="png")
+
+
+def is_picture(head: bytes) -> bool:
+    """Whether a file that begins so is a PNG picture."""
+    return head.startswith(_SIGNATURE)
