@@ -10,6 +10,7 @@ import typer
 
 from firmware_bridge.bus import BusError
 from lipservo.commands import (
+    alignment,
     bench,
     bench_recognition,
     builder,
@@ -30,7 +31,7 @@ for command in (
     street.devices,
     training.train,
     calibration.calibrate,
-    recognition.align,
+    alignment.align,
     recognition.recognize,
     recognition.train_recognizer,
     recognition.plot_training,

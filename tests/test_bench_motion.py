@@ -119,6 +119,14 @@ def test_a_given_model_is_scored_on_the_words_asked_for(folder, model):
     assert 0 < words["results"][0]["frames"] < whole["results"][0]["frames"]
 
 
+def test_words_that_every_sentence_holds_leave_nothing_to_train_on_and_it_says_so(folder):
+    done = CliRunner().invoke(app, ["bench", "motion", "--corpus", str(folder), "--words", "word"])
+    assert done.exit_code == 1
+    assert "every labelled sentence holds 'word', so none is left to train on" in str(
+        done.exception
+    )
+
+
 def test_recognized_phonemes_are_those_of_the_live_recogniser(folder, model):
     (row,) = bench(
         "--corpus", folder, "--model", model, "--strategy", LIVE_STRATEGY,

@@ -39,11 +39,11 @@ _SEEKS_EXACTLY = {"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF", "FLAC"}
 _RUN_IN_S = 0.25
 
 
-def _ignore(_line: str) -> None:
+def ignore(_line: str) -> None:
     """For whoever need not know."""
 
 
-def read_sound(path: str | PathLike[str], warn: Warn = _ignore) -> tuple[Samples, int]:
+def read_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[Samples, int]:
     """The whole file as samples (n,) float32 mono in [-1, 1], and its own sample rate in hertz.
 
     `warn` hears in one line that the file is shorter than its header says. Raises SoundError for
@@ -71,7 +71,7 @@ class FileSource:
     is_live = False
 
     def __init__(
-        self, path: str | PathLike[str], *, start_s: float = 0.0, warn: Warn = _ignore
+        self, path: str | PathLike[str], *, start_s: float = 0.0, warn: Warn = ignore
     ) -> None:
         """Begin at the block that holds sound time `start_s`; times stay those of the file.
 
