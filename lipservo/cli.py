@@ -12,6 +12,7 @@ from firmware_bridge.bus import BusError
 from lipservo.commands import (
     alignment,
     bench,
+    bench_closures,
     bench_recognition,
     builder,
     calibration,
@@ -43,6 +44,7 @@ app.command("trim", context_settings=_DEGREES)(calibration.trim)
 app.command("jog", context_settings=_DEGREES)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
+bench.app.command("closures")(bench_closures.closures)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(builder.doctor)
 app.command("neutral")(builder.neutral)

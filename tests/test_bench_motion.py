@@ -13,12 +13,16 @@ from typer.testing import CliRunner
 from lipservo.cli import app
 from lipservo.motion_figures import BenchError, question
 from lipsync.animpho.live import LIVE_STRATEGY
-from lipsync.animpho.model import save_model
+from lipsync.animpho.model import load_model, save_model
+from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.training import train
 from lipsync.corpus.grid import read_grid
-from lipsync.evaluation.methods import all_methods
+from lipsync.evaluation.methods import Heard, all_methods
 from lipsync.evaluation.mishearing import KINDS
+from lipsync.evaluation.misses import count_misses
+from lipsync.evaluation.paper_costs import cost_rows
 from lipsync.markers import MARKER_NAMES
+from lipsync.phonemes import PhonemeEvent
 
 #: The fields that a row must have.
 ROW = {
@@ -77,6 +81,22 @@ def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser
     }
     assert cases < set(paper["table_2"][0])
     assert all(row["priority"] <= 1.0 for row in paper["figure_6"])
+    assert [r["printed"] for r in paper["table_3"]][:3] == [76.73, 38.56, 0.16]
+    assert len(paper["table_3"]) == 3 * 6
+
+
+def test_the_costs_of_table_3_add_up_and_equation_6_follows_from_them(folder, model):
+    (clip,) = read_grid(folder).keep({"s0"}).utterances
+    rows = cost_rows(load_model(model), clip, 0, lambda u: Heard(u.phones))
+    lines = {row["of_a_phoneme"]: row for row in rows}
+    for method in ("priority", LIVE_STRATEGY):
+        parts = ("recognition_ms", "synthesis_ms", "blending_ms")
+        total_ms = sum(lines[part][method] or 0.0 for part in parts)
+        assert lines["total_ms"][method] == pytest.approx(total_ms)
+        phoneme_s = 1.0 / lines["phonemes_per_s"][method]
+        assert phoneme_s == pytest.approx(0.15)  # B AA T UW: 0.1, 0.2, 0.1 and 0.2 s
+        assert lines["frames_per_s"][method] == pytest.approx(30.0 * phoneme_s / total_ms * 1e3)
+    assert lines["blending_ms"][LIVE_STRATEGY] is None
 
 
 def test_self_correction_is_measured_and_everything_is_printed(folder, model, tmp_path):
@@ -117,6 +137,46 @@ def test_a_given_model_is_scored_on_the_words_asked_for(folder, model):
     )  # fmt: skip
     assert [r["lookahead_ms"] for r in words["results"]] == [50]
     assert 0 < words["results"][0]["frames"] < whole["results"][0]["frames"]
+
+
+def test_misses_and_times_are_those_of_the_phonemes_that_were_heard(folder, model, monkeypatch):
+    """A recogniser that hears silence alone: nothing follows anything, so nothing is missed."""
+    deaf = Heard((PhonemeEvent("SIL", 0.0, 1.2),), (), 0.095)
+    arguments = ("--corpus", folder, "--model", model, "--lookahead-ms", "0,100")
+    monkeypatch.setattr("lipservo.motion_figures.paper_tables", lambda *_: {})
+    true = bench(*arguments)["results"]
+    monkeypatch.setattr("lipservo.motion_figures.heard_by", lambda *_: deaf)
+    recognized = bench(*arguments, "--phonemes", "recognized")["results"]
+
+    def miss_rates(rows):
+        return {r["miss_rate"] for r in rows if r["strategy"] in ("naive", "priority")}
+
+    assert max(miss_rates(true)) > 0.0
+    assert miss_rates(recognized) == {0.0}
+    live = [r for r in recognized if r["strategy"] == LIVE_STRATEGY]
+    assert [r["timed_sentences"] for r in live] == [6, 6]
+    assert all(r["ms_per_frame_p95"] > 0.0 for r in live)
+
+
+def test_the_miss_rate_of_a_split_is_that_of_all_its_folds(folder):
+    """Two folds; the rate is neither one's own, but that of the misses of both together."""
+    corpus = read_grid(folder)
+    counts = []
+    for fold in ({"s0", "s1"}, {"s2", "s3"}):
+        trained = train(corpus.keep({u.name for u in corpus.utterances} - fold))
+        sentences = [u.phones for u in corpus.keep(fold).utterances]
+        counts.append(count_misses(trained, STRATEGIES["naive"], sentences))
+    rows = bench("--corpus", folder, "--strategy", "naive", "--lookahead-ms", "0")["results"]
+    assert [r["miss_rate"] for r in rows] == [sum(m for m, _ in counts) / sum(n for _, n in counts)]
+
+
+def test_equation_5_as_printed_can_be_asked_for_and_moves_otherwise(folder, model):
+    arguments = ("--corpus", folder, "--model", model, "--strategy", "priority")
+    ours = bench(*arguments, "--lookahead-ms", "0")
+    printed = bench(*arguments, "--lookahead-ms", "0", "--published-derivatives")
+    assert (ours["published_derivatives"], printed["published_derivatives"]) == (False, True)
+    assert ours["results"][0]["rmse_mm"] != printed["results"][0]["rmse_mm"]
+    assert ours["results"][0]["miss_rate"] == printed["results"][0]["miss_rate"]
 
 
 def test_words_that_every_sentence_holds_leave_nothing_to_train_on_and_it_says_so(folder):

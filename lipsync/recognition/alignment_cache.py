@@ -65,6 +65,13 @@ class AlignedUtterance:
             labels[first:end] = PHONEME_INDEX[phoneme]
         return labels
 
+    def events(self) -> tuple[PhonemeEvent, ...]:
+        """The phones in sound time."""
+        return tuple(
+            PhonemeEvent(phoneme, first / FRAMES_PER_S, end / FRAMES_PER_S)
+            for phoneme, first, end in self.phones
+        )
+
     def as_line(self) -> str:
         """One line of the file."""
         record: dict[str, object] = {"name": self.name, "text": self.text}

@@ -19,7 +19,7 @@ from lipsync.recognition.network import NetworkWeights
 from lipsync.recognition.weights import load_shipped_weights
 
 #: A text that scores less was not said.
-LEAST_SCORE = -2.5
+LEAST_SCORE = -3.5
 #: One that scores less was probably not said as it stands: words are missing, or too many.
 DOUBTFUL_SCORE = -1.5
 #: Nineteen in twenty true texts of native speakers, in words for people.
