@@ -14,6 +14,7 @@ from lipservo.commands import (
     bench,
     bench_closures,
     bench_recognition,
+    bench_texts,
     builder,
     calibration,
     processes,
@@ -45,6 +46,7 @@ app.command("jog", context_settings=_DEGREES)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 bench.app.command("closures")(bench_closures.closures)
+bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(builder.doctor)
 app.command("neutral")(builder.neutral)
