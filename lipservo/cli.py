@@ -9,8 +9,11 @@ import typer
 
 from firmware_bridge.bus import BusError
 from lipservo.commands import (
+    alignment,
     bench,
+    bench_closures,
     bench_recognition,
+    bench_texts,
     builder,
     calibration,
     doctor,
@@ -35,7 +38,7 @@ for command in (
     street.devices,
     training.train,
     calibration.calibrate,
-    recognition.align,
+    alignment.align,
     recognition.recognize,
     recognition.train_recognizer,
     recognition.plot_training,
@@ -47,6 +50,8 @@ app.command("trim", context_settings=_DEGREES)(calibration.trim)
 app.command("jog", context_settings=_DEGREES)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
+bench.app.command("closures")(bench_closures.closures)
+bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(doctor.doctor)
 app.command("neutral")(builder.neutral)

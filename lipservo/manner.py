@@ -11,7 +11,7 @@ from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.ladder import RecognizerLadder, Rung
-from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights_name, find_weights
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights, find_weights
 
 #: Which recogniser is tried first.
 Engine = Literal["network", "pocketsphinx"]
@@ -26,7 +26,8 @@ _POCKETSPHINX_LATENCY_S = 0.09
 class Manner:
     """The recogniser to begin with, the strategy by name, and the style of ours.
 
-    weights: shipped ones by name, or a file; refused here, as a live face would only fall back.
+    weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
+    to a lesser recogniser. Raises WeightsError, StyleError.
     """
 
     engine: Engine = "network"
@@ -35,7 +36,7 @@ class Manner:
     style: Style = field(default_factory=Style)
 
     def __post_init__(self) -> None:
-        check_weights_name(self.weights)
+        check_weights(self.weights)
         known = (LIVE_STRATEGY, *STRATEGIES)
         if self.strategy not in known:
             raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")

@@ -1,7 +1,7 @@
 """The figures of `lipservo bench motion`: every method against recorded faces."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 
@@ -12,14 +12,14 @@ from lipsync.animpho.selection import STRATEGIES
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
 from lipsync.evaluation.listening import heard_by
-from lipsync.evaluation.methods import Heard, Method, all_methods
-from lipsync.evaluation.misses import miss_rate
+from lipsync.evaluation.methods import Heard, Method, PublishedMethod, all_methods
+from lipsync.evaluation.misses import count_misses
 from lipsync.evaluation.paper_tables import paper_tables
 from lipsync.evaluation.recovery import recovery_rows
-from lipsync.evaluation.scoring import Scores, add_scores, check_scorable, true_phonemes
+from lipsync.evaluation.scoring import Listen, Scores, add_scores, check_scorable, true_phonemes
 from lipsync.evaluation.speech import speech_frames
 from lipsync.evaluation.splits import Part, read_parts, words_part
-from lipsync.evaluation.timing import Times, live_times, published_times
+from lipsync.evaluation.timing import method_times
 from lipsync.phonemes import PhonemeEvent
 
 Sentences = Sequence[Sequence[PhonemeEvent]]
@@ -28,8 +28,8 @@ Train = Callable[[Corpus], FaceModel]
 Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
 
 PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
-#: Sentences that speed is measured on.
-_TIMED = 40
+#: Sentences that speed is measured on: the first of a split's first part.
+_TIMED = 90
 #: Methods whose self-correction is measured, where they are asked for.
 _RECOVERING = ("priority", LIVE_STRATEGY)
 
@@ -53,9 +53,24 @@ class Question:
         return len(self.methods) > 1
 
 
-def question(strategy: str | None, lookaheads: str, phonemes: str, words: str | None) -> Question:
-    """From the command line's texts; raises BenchError for what is not known here."""
-    methods = all_methods()
+def question(
+    strategy: str | None,
+    lookaheads: str,
+    phonemes: str,
+    words: str | None,
+    *,
+    published_derivatives: bool = False,
+) -> Question:
+    """From the command line's texts; raises BenchError for what is not known here.
+
+    published_derivatives: of the paper's two strategies, as the paper prints equation (5).
+    """
+    methods = {
+        name: replace(method, published_derivatives=published_derivatives)
+        if isinstance(method, PublishedMethod)
+        else method
+        for name, method in all_methods().items()
+    }
     if strategy is not None and strategy not in methods:
         raise BenchError(f"unknown strategy {strategy!r}; known here: {', '.join(methods)}")
     if phonemes not in (PHONEMES_TRUE, PHONEMES_RECOGNIZED):
@@ -129,13 +144,31 @@ def cross_validate(
     return CrossValidation(rows, first, labelled.keep(set(parts[0].test)))
 
 
+@dataclass(slots=True)
+class _Ears:
+    """A listener who remembers what was heard: the phonemes of all, the first sentences whole."""
+
+    listen: Listen
+    sentences: list[tuple[PhonemeEvent, ...]] = field(default_factory=list)
+    first: list[Heard] = field(default_factory=list)
+
+    def __call__(self, utterance: Utterance) -> Heard:
+        heard = self.listen(utterance)
+        self.sentences.append(heard.events)
+        if len(self.first) < _TIMED:
+            self.first.append(heard)
+        return heard
+
+
 def _rows(
     trained: Sequence[tuple[FaceModel, Part]], corpus: Corpus, asked: Question, track: Track
 ) -> list[Row]:
-    """One split: the sums of all its parts together."""
+    """One split: the sums of all its parts together; misses and times of the phonemes heard."""
     scores = Scores()
     listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else _listener(ENGINES[0])
+    ears = []
     for model, part in trained:
+        ears.append(_Ears(listen))
         add_scores(
             scores,
             model,
@@ -143,16 +176,15 @@ def _rows(
             asked.methods,
             asked.lookaheads_ms,
             words=part.words,
-            listen=listen,
+            listen=ears[-1],
             progress=partial(track, f"scoring {part.split}"),
         )
     model, part = trained[0]
-    sentences = [u.phones for u in corpus.keep(set(part.test)).utterances]
     rows = []
     for method in asked.methods:
-        times = _times(method.name, model, sentences[:_TIMED])
-        strategy = STRATEGIES.get(method.name)
+        missed = _miss_rate(method, [m for m, _ in trained], ears)
         for lookahead_ms in asked.lookaheads_ms:
+            times = method_times(method, model, ears[0].first, lookahead_ms / 1e3)
             rows.append(
                 {
                     "strategy": method.name,
@@ -160,23 +192,24 @@ def _rows(
                     "split": part.split,
                     "phonemes": asked.phonemes,
                     **scores.row(method.name, lookahead_ms),
-                    "miss_rate": strategy and miss_rate(model, strategy, sentences),
+                    "miss_rate": missed,
                     "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
                     "ms_per_frame_p95": times and times.frame_p95_ms,
+                    "timed_sentences": times and len(ears[0].first),
                 }
             )
     return rows
 
 
-def _times(
-    name: str, model: FaceModel, sentences: Sequence[Sequence[PhonemeEvent]]
-) -> Times | None:
-    """None for methods that only exist offline, a whole sentence at a time."""
-    if name == LIVE_STRATEGY:
-        return live_times(model, sentences)
-    if name in STRATEGIES:
-        return published_times(model, STRATEGIES[name], sentences)
-    return None
+def _miss_rate(method: Method, models: Sequence[FaceModel], ears: Sequence[_Ears]) -> float | None:
+    """Over all parts of a split, each by its own model; None for methods that choose nothing."""
+    strategy = STRATEGIES.get(method.name)
+    if strategy is None:
+        return None
+    counts = [
+        count_misses(m, strategy, heard.sentences) for m, heard in zip(models, ears, strict=True)
+    ]
+    return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
 
 
 def _listener(engine: Engine) -> Callable[[Utterance], Heard]:

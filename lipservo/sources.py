@@ -3,6 +3,7 @@
 from importlib import resources
 from pathlib import Path
 
+from lipservo.output import MESSAGES
 from lipsync.audio.file import FileSource
 from lipsync.audio.silence import SilenceAfter, SilentSource
 from lipsync.audio.source import AudioSource
@@ -11,19 +12,25 @@ from lipsync.audio.source import AudioSource
 DEFAULT_MICROPHONE = "default"
 
 
-def open_source(wav: Path | None, mic: str | None) -> AudioSource:
-    """The file, the microphone, or the bundled clip; `wav` and `mic` are not both given."""
+def open_source(wav: Path | None, mic: str | None, start_s: float = 0.0) -> AudioSource:
+    """The file, the microphone, or the bundled clip; `wav` and `mic` are not both given.
+
+    start_s: the sound time at which a file is taken up; its blocks keep the file's times. A file
+    is checked here, in a time that does not depend on its length; raises SoundError.
+    """
     if mic is not None:
         return open_microphone(mic)
     if wav is not None:
-        return SilenceAfter(FileSource(wav))
+        return _file(wav, start_s)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        return SilenceAfter(FileSource(clip))
+        return _file(clip, start_s)
 
 
-def open_source_or_silence(wav: Path | None, mic: str | None) -> AudioSource:
+def open_source_or_silence(wav: Path | None, mic: str | None, start_s: float = 0.0) -> AudioSource:
     """As `open_source`, but silence without end rather than the clip."""
-    return SilentSource() if wav is None and mic is None else open_source(wav, mic)
+    if wav is None and mic is None:
+        return SilentSource(start_s)
+    return open_source(wav, mic, start_s)
 
 
 def open_microphone(device: str) -> AudioSource:
@@ -32,3 +39,12 @@ def open_microphone(device: str) -> AudioSource:
 
     named = None if device == DEFAULT_MICROPHONE else int(device) if device.isdigit() else device
     return MicrophoneSource(named)
+
+
+def warn(line: str) -> None:
+    """One line on stderr about a sound that is used all the same."""
+    MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _file(path: Path, start_s: float) -> AudioSource:
+    return SilenceAfter(FileSource(path, start_s=start_s, warn=warn), start_s)

@@ -45,9 +45,10 @@ class Histogram:
 class Summary:
     """The figures of one run, as `--json` prints them.
 
-    latency: from the moment a sound is heard to the bus write that shows it; lateness: from a grid
-    tick's time to when it was worked on; speed: sound seconds in a second; recognizer: the rung
-    of the ladder that listened last.
+    latency: from the moment a sound was captured until the face made of it is due, that is the bus
+    write that asks for it and as much later as the calibration says that servos are; measured, so
+    it may exceed the declared one; lateness: from a grid tick's time to when it was worked on;
+    speed: sound seconds in a second; recognizer: the rung of the ladder that listened last.
     """
 
     source: str
@@ -107,8 +108,9 @@ class Tally:
         at_limit = (np.abs(sent_deg - self._limits_deg) < _AT_LIMIT_DEG).any(axis=0)
         # A joint whose neutral is its limit is there at rest.
         self._n_at_limit += at_limit & (np.abs(sent_deg) > _AT_LIMIT_DEG)
-        delay_s = self._street.speech.delay.total_s
-        self._latency.add(self._clock.now() - tick.report.time_s + delay_s)
+        if tick.captured_s is not None:
+            actuation_s = self._street.speech.delay.actuation_s
+            self._latency.add(self._clock.now() - tick.captured_s + actuation_s)
 
     def summary(
         self, source: str, duration_s: float, seconds: float, lost_sound_blocks: int

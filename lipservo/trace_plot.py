@@ -1,15 +1,17 @@
 """A picture of two traces over one another; needs matplotlib, the extra `plots`."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lipservo.motion_plots import PlotError
+from lipservo.pictures import is_picture
 from lipservo.trace_diff import Overlay
 from lipservo.trace_reader import Trace
 from lipsync.animpho.closures import CLOSED_GAP_MM
+from lipsync.errors import UserError
+from lipsync.extras import check_extra
+from lipsync.output_file import check_output, written_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -20,20 +22,21 @@ _SUFFIXES = (".png", ".svg")
 
 
 def check_plot(path: Path) -> None:
-    """See that there is something to draw with and a place for it. Raises PlotError."""
+    """See that there is something to draw with, and a place for it.
+
+    Raises UserError for another kind of picture, OutputError, MissingExtraError.
+    """
     if path.suffix not in _SUFFIXES:
-        raise PlotError(f"{path}: --plot draws {' or '.join(_SUFFIXES)}")
-    if path.is_dir() or not path.parent.is_dir():
-        raise PlotError(f"{path}: is a folder, or its folder is not there")
-    try:
-        import matplotlib as mpl
-    except ImportError:
-        raise PlotError("pictures need matplotlib: pip install 'lipservo[plots]'") from None
-    mpl.use("Agg")
+        raise UserError(f"{path}: --plot draws {' or '.join(_SUFFIXES)}")
+    check_extra("matplotlib", "--plot")
+    check_output(path, replaces=is_picture, kind="picture")
 
 
 def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> None:
     """Lip gaps, how far lips are apart, and the servos that differ most, against sound time."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
     from matplotlib import pyplot as plt
 
     apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0]).max(axis=0)
@@ -55,15 +58,9 @@ def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> N
             axis.plot(laid.sound_s, curve[:, servo], style, linewidth=1.0)
         axis.set_ylabel(f"{first.servos[servo]},\ndeg", fontsize=8)
     axes[-1].set_xlabel("sound time, s")
-    partial = path.with_name(f"{path.name}.partial")
-    try:
-        figure.savefig(partial, dpi=110, format=path.suffix[1:])
-        os.replace(partial, path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise PlotError(f"{path}: cannot be written: {error.strerror}") from error
-    finally:
-        plt.close(figure)
+    with written_whole(path) as file:
+        figure.savefig(file, dpi=110, format=path.suffix[1:])
+    plt.close(figure)
 
 
 def _name_phonemes(axis: "Axes", laid: Overlay) -> None:

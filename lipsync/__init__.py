@@ -1,4 +1,4 @@
-"""Speech becomes face motion: sound, phonemes, AnimPhos, face frames.
+"""Speech becomes face motion: sound, phonemes, face frames.
 
 The first half of the street. Knows no servo and reads no YAML.
 """

@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -7,9 +8,17 @@ from speech import CLIP_LABELS_PATH, CLIP_PATH, phoneme_frames, viseme_accuracy
 
 from lipsync.corpus.transcribed import TranscriptError, of_speakers, read_transcribed
 from lipsync.recognition.alignment import AlignmentError, align, words_of
-from lipsync.recognition.alignment_cache import CacheError, align_corpus, read_alignments
+from lipsync.recognition.alignment_cache import (
+    CacheError,
+    align_corpus,
+    read_alignments,
+    unfinished_of,
+)
 from lipsync.recognition.pronunciation import PronunciationError, pronounce
 from lipsync.recognition.scripted import read_phonemes
+from lipsync.recognition.sound import read_speech
+from lipsync.recognition.text_score import DOUBTFUL_SCORE, LEAST_SCORE, text_score
+from lipsync.recognition.weights import load_weights
 from lipsync.textgrid import read_tier, write_tiers
 
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
@@ -108,7 +117,7 @@ def test_a_corpus_is_aligned_once_and_failures_are_kept(clip, aligned, tmp_path)
     made, again = [], []
     first = align_corpus(utterances[:2], path, progress=made.append)
     # A run that was killed while it wrote.
-    path.write_text(path.read_text() + '{"name": "8-1-0000", "te')
+    unfinished_of(path).write_text('{"name": "8-1-0000", "te')
     both = align_corpus(utterances, path, n_processes=2, progress=again.append)
 
     assert made == ["7-1-0000", "7-1-0001"]
@@ -117,9 +126,69 @@ def test_a_corpus_is_aligned_once_and_failures_are_kept(clip, aligned, tmp_path)
     assert both["7-1-0000"] == first["7-1-0000"]
     assert "does not fit" in both["7-1-0001"].error
     labels = both["8-1-0000"].labels(len(clip) // 160)
+    assert both["8-1-0000"].score == pytest.approx(text_score(clip, aligned.phones), abs=1e-3)
+    assert not unfinished_of(path).exists()
     n_said = len(both["8-1-0000"].phones)
     assert n_said == len(aligned.phones)
     assert np.count_nonzero(np.diff(labels)) + 1 <= n_said
+
+
+class Killed(BaseException):
+    """As if the process had ended here."""
+
+
+def test_a_run_that_is_killed_leaves_no_file_of_that_name_and_is_taken_up(clip, tmp_path):
+    utterances = small_corpus(tmp_path / "corpus", clip)
+    path = tmp_path / "alignments.jsonl"
+
+    def kill(_name):
+        raise Killed
+
+    with pytest.raises(Killed):
+        align_corpus(utterances, path, progress=kill)
+    assert not path.exists()
+    (first,) = read_alignments(unfinished_of(path)).values()
+
+    made = []
+    align_corpus(utterances, path, progress=made.append)
+
+    assert made[0] == first.name
+    assert [*read_alignments(path)] == [u.name for u in utterances]
+    assert not unfinished_of(path).exists()
+
+
+def test_a_file_of_the_users_is_not_taken_for_alignments(clip, tmp_path):
+    utterances = small_corpus(tmp_path / "corpus", clip)
+    path = tmp_path / "thesis.jsonl"
+    path.write_bytes(b"\xff\xd8 a photograph")
+
+    with pytest.raises(CacheError, match="is no file of alignments"):
+        align_corpus(utterances, path)
+    assert path.read_bytes() == b"\xff\xd8 a photograph"
+
+
+def test_the_score_tells_what_was_said_from_what_was_not(clip, aligned):
+    """A voice of a synthesiser, and a text of as many sounds that pocketsphinx does align."""
+    other = "the quick brown fox jumps over the lazy dog and then goes home to sleep a while"
+    assert DOUBTFUL_SCORE < text_score(clip, aligned.phones) < 0.0
+    assert text_score(clip, align(clip, other).phones) < LEAST_SCORE
+    assert text_score(np.zeros(16_000, np.float32), ()) == 0.0
+
+
+def test_the_transcripts_of_librispeech_are_not_taken_for_one_anothers(corpus_dir):
+    """A sentence each of four speakers who trained nothing, with its own text and another's."""
+    folder = corpus_dir / "librispeech"
+    speakers = frozenset({"1221", "4446", "1089", "5105"})
+    utterances = of_speakers(read_transcribed(folder), speakers, 1)
+    twin = load_weights(Path(__file__).parents[1] / "benchmarks" / "recognizer_held_out.npz")
+    for utterance, other in zip(utterances, utterances[1:] + utterances[:1], strict=True):
+        samples = read_speech(utterance.sound)
+        assert text_score(samples, align(samples, utterance.text).phones, twin) > DOUBTFUL_SCORE
+        try:
+            foreign = align(samples, other.text)
+        except AlignmentError:
+            continue
+        assert text_score(samples, foreign.phones, twin) < LEAST_SCORE
 
 
 def test_a_damaged_alignment_file_names_its_line(tmp_path):

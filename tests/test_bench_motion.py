@@ -13,12 +13,14 @@ from typer.testing import CliRunner
 from lipservo.cli import app
 from lipservo.motion_figures import BenchError, question
 from lipsync.animpho.live import LIVE_STRATEGY
-from lipsync.animpho.model import save_model
+from lipsync.animpho.model import load_model, save_model
 from lipsync.animpho.training import train
 from lipsync.corpus.grid import read_grid
-from lipsync.evaluation.methods import all_methods
+from lipsync.evaluation.methods import Heard, all_methods
 from lipsync.evaluation.mishearing import KINDS
+from lipsync.evaluation.paper_costs import cost_rows
 from lipsync.markers import MARKER_NAMES
+from lipsync.phonemes import PhonemeEvent
 
 #: The fields that a row must have.
 ROW = {
@@ -77,6 +79,22 @@ def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser
     }
     assert cases < set(paper["table_2"][0])
     assert all(row["priority"] <= 1.0 for row in paper["figure_6"])
+    assert [r["printed"] for r in paper["table_3"]][:3] == [76.73, 38.56, 0.16]
+    assert len(paper["table_3"]) == 3 * 6
+
+
+def test_the_costs_of_table_3_add_up_and_equation_6_follows_from_them(folder, model):
+    (clip,) = read_grid(folder).keep({"s0"}).utterances
+    rows = cost_rows(load_model(model), clip, 0, lambda u: Heard(u.phones))
+    lines = {row["of_a_phoneme"]: row for row in rows}
+    for method in ("priority", LIVE_STRATEGY):
+        parts = ("recognition_ms", "synthesis_ms", "blending_ms")
+        total_ms = sum(lines[part][method] or 0.0 for part in parts)
+        assert lines["total_ms"][method] == pytest.approx(total_ms)
+        phoneme_s = 1.0 / lines["phonemes_per_s"][method]
+        assert phoneme_s == pytest.approx(0.15)  # B AA T UW: 0.1, 0.2, 0.1 and 0.2 s
+        assert lines["frames_per_s"][method] == pytest.approx(30.0 * phoneme_s / total_ms * 1e3)
+    assert lines["blending_ms"][LIVE_STRATEGY] is None
 
 
 def test_self_correction_is_measured_and_everything_is_printed(folder, model, tmp_path):
@@ -117,6 +135,58 @@ def test_a_given_model_is_scored_on_the_words_asked_for(folder, model):
     )  # fmt: skip
     assert [r["lookahead_ms"] for r in words["results"]] == [50]
     assert 0 < words["results"][0]["frames"] < whole["results"][0]["frames"]
+
+
+def said(phonemes: str) -> tuple[PhonemeEvent, ...]:
+    """Phonemes of 0.2 s each, one after the other."""
+    return tuple(
+        PhonemeEvent(phoneme, 0.2 * n, 0.2 * (n + 1)) for n, phoneme in enumerate(phonemes.split())
+    )
+
+
+def test_misses_and_times_are_those_of_the_phonemes_that_were_heard(folder, model, monkeypatch):
+    """No B follows a B in the corpus: who hears nothing else misses every one but the first."""
+    heard = Heard(said("SIL B B B SIL"), (), 0.095)
+    monkeypatch.setattr("lipservo.motion_figures.heard_by", lambda *_: heard)
+    for phonemes, missed in (("true", 0.0), ("recognized", 1.0)):
+        (row,) = bench(
+            "--corpus", folder, "--model", model, "--lookahead-ms", "0",
+            "--phonemes", phonemes, "--strategy", "priority",
+        )["results"]  # fmt: skip
+        assert row["miss_rate"] == missed
+        assert row["timed_sentences"] == 6
+        assert row["ms_per_frame_p95"] > 0.0
+
+
+def test_the_miss_rate_of_a_split_is_that_of_all_its_folds(folder, monkeypatch):
+    """In the first fold two of two phonemes are missed, in the second none of six."""
+    by_fold = {"s0": "B B", "s1": "B B", "s2": "B AA T UW", "s3": "B AA T UW"}
+    monkeypatch.setattr(
+        "lipservo.motion_figures.heard_by",
+        lambda _, recording: Heard(said(f"SIL {by_fold[recording.stem]} SIL"), (), 0.095),
+    )
+    (row,) = bench(
+        "--corpus", folder, "--strategy", "priority", "--lookahead-ms", "0",
+        "--phonemes", "recognized",
+    )["results"]  # fmt: skip
+    assert row["miss_rate"] == pytest.approx(2 / 8)
+
+
+def test_equation_5_as_printed_can_be_asked_for_and_moves_otherwise(folder, model):
+    arguments = ("--corpus", folder, "--model", model, "--strategy", "priority")
+    ours = bench(*arguments, "--lookahead-ms", "0")
+    printed = bench(*arguments, "--lookahead-ms", "0", "--published-derivatives")
+    assert (ours["published_derivatives"], printed["published_derivatives"]) == (False, True)
+    assert ours["results"][0]["rmse_mm"] != printed["results"][0]["rmse_mm"]
+    assert ours["results"][0]["miss_rate"] == printed["results"][0]["miss_rate"]
+
+
+def test_words_that_every_sentence_holds_leave_nothing_to_train_on_and_it_says_so(folder):
+    done = CliRunner().invoke(app, ["bench", "motion", "--corpus", str(folder), "--words", "word"])
+    assert done.exit_code == 1
+    assert "every labelled sentence holds 'word', so none is left to train on" in str(
+        done.exception
+    )
 
 
 def test_recognized_phonemes_are_those_of_the_live_recogniser(folder, model):

@@ -1,6 +1,7 @@
 """What a calibration changes in the live path, and the figures that are claimed."""
 
 import dataclasses
+import math
 
 import numpy as np
 import pytest
@@ -50,8 +51,8 @@ class PerfectListener:
         return self._script.updates(self._heard_until_s)
 
 
-def published(calibration):
-    """Times and positions of a second of SIL AA M AA SIL, heard in one go."""
+def published(calibration, stalled_s=(math.inf, math.inf)):
+    """Times and positions of a second of SIL AA M AA SIL; nothing is computed while stalled."""
     times = (0.0, 0.3, 0.45, 0.6, 0.75, 1.5)
     spoken = ("SIL", "AA", "M", "AA", "SIL")
     events = [PhonemeEvent(*e, 1.0) for e in zip(spoken, times[:-1], times[1:], strict=True)]
@@ -60,8 +61,9 @@ def published(calibration):
         speech = Speech(
             source, PerfectListener(events), PublishedSynthesizer(MODEL), calibration, channel
         )
-        for n in range(150):
-            speech.advance(n * PUBLISH_PERIOD_S, 0.0)
+        for n in range(250):
+            if not stalled_s[0] <= n * PUBLISH_PERIOD_S < stalled_s[1]:
+                speech.advance(n * PUBLISH_PERIOD_S, 0.0)
     return speech, channel.targets
 
 
@@ -97,6 +99,23 @@ def test_a_trim_reaches_the_servos_while_its_class_is_spoken(calibration):
     late_in_m = (sound_s > 0.54) & (sound_s < 0.6)
     assert added[late_in_m, 0] == pytest.approx(-1.5, abs=0.15)
     assert added[(sound_s > 0.1) & (sound_s < 0.44)] == pytest.approx(0.0)
+
+
+def test_after_a_stall_the_servos_are_asked_as_if_there_had_been_none(calibration):
+    """Lag, play and trim remember what the stall skipped; it is worked out for them."""
+    following = Following(LAG_S, np.array([1.2, 0.8]), np.full(2, np.inf), np.full(2, np.inf))
+    trim = {"P": np.array([-1.5, 2.0]), "AA": np.array([1.0, 0.5])}
+    late_and_loose = dataclasses.replace(calibration, following=following, trim=trim)
+    _, undisturbed = published(late_and_loose)
+    _, stalled = published(late_and_loose, stalled_s=(0.35, 1.35))
+
+    asked = {round(t.time_s, 6): t.positions_deg for t in undisturbed}
+    after = [t for t in stalled if t.time_s > 1.2]
+    assert len(stalled) <= len(undisturbed) - 80
+    assert len(after) > 80
+    assert np.ptp([t.positions_deg[0] for t in undisturbed if 0.4 < t.time_s < 1.2]) > 2.0
+    for target in after:
+        assert target.positions_deg == pytest.approx(asked[round(target.time_s, 6)], abs=1e-6)
 
 
 def test_the_figures_of_one_robot_meet_their_bars(monkeypatch):

@@ -1,13 +1,16 @@
 """The options of a manner, written out for another process and read back, lose nothing."""
 
+from pathlib import Path
+
 import typer
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipservo.commands.manner_options import manner_arguments, takes_manner
 from lipservo.manner import Manner
 from lipsync.animpho.live import STRONGEST, Style
 
+HELD_OUT = str(Path(__file__).parents[1] / "benchmarks" / "recognizer_held_out.npz")
 styles = st.builds(
     Style,
     lookahead_s=st.integers(0, 1000).map(lambda ms: ms / 1e3),
@@ -17,11 +20,13 @@ styles = st.builds(
 manners = st.builds(
     Manner,
     engine=st.sampled_from(["network", "pocketsphinx"]),
+    weights=st.sampled_from(["default", "grid", HELD_OUT]),
     strategy=st.sampled_from(["expected", "priority", "naive"]),
     style=styles,
 )
 
 
+@settings(max_examples=25)  # weights that are named are read
 @given(manners)
 def test_a_manner_survives_the_command_line_of_another_process(manner: Manner) -> None:
     heard: list[Manner] = []
@@ -33,6 +38,7 @@ def test_a_manner_survives_the_command_line_of_another_process(manner: Manner) -
     app = typer.Typer()
     app.command()(command)
     app(manner_arguments(manner), standalone_mode=False)
+    assert heard[0].weights == manner.weights
     assert heard[0].engine == manner.engine
     assert heard[0].strategy == manner.strategy
     assert abs(heard[0].style.lookahead_s - manner.style.lookahead_s) < 1e-9

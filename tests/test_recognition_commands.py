@@ -1,6 +1,7 @@
 """`align`, `recognize`, `bench recognition` and `--engine` as their users meet them."""
 
 import json
+import os
 import subprocess
 import sys
 from itertools import pairwise
@@ -11,6 +12,9 @@ import pytest
 import soundfile
 from speech import CLIP_PATH
 
+from lipservo.listening import heard_events
+from lipsync.audio.file import FileSource
+from lipsync.recognition import weights
 from lipsync.recognition.alignment import words_of
 from lipsync.textgrid import read_tier
 
@@ -35,13 +39,56 @@ def test_recognize_tells_the_whole_sound_once_in_order(tmp_path):
     assert list(read_tier(grid, "phones")) == told
 
 
-def test_recognize_says_why_it_listens_with_less(tmp_path):
+def refused(*arguments: object) -> str:
+    """The one line of a command that fails."""
+    done = lipservo(*arguments)
+    assert done.returncode != 0
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("command", ["recognize", "replay"])
+def test_weights_that_were_asked_for_and_are_damaged_are_refused(tmp_path, command):
     damaged = tmp_path / "damaged.npz"
     damaged.write_bytes(b"no weights")
-    done = lipservo("recognize", CLIP_PATH, "--weights", damaged, "--json")
+    said = refused(command, CLIP_PATH, "--weights", damaged)
+    assert f"{damaged}: damaged or no weights file" in said
+
+
+def test_damaged_default_weights_are_made_up_for_and_it_says_so(monkeypatch, tmp_path):
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(b"no weights")
+    monkeypatch.setitem(weights.SHIPPED, "default", str(damaged))
+    said = []
+    events = list(heard_events(FileSource(CLIP_PATH), "network", warn=said.append))
+    assert len(events) > 20
+    assert len(said) == 1
+    assert "damaged or no weights file" in said[0]
+
+
+def test_a_file_cut_short_is_named_once_and_played_all_the_same(tmp_path):
+    cut = tmp_path / "cut.wav"
+    soundfile.write(cut, soundfile.read(CLIP_PATH)[0][:64_000], 16_000)
+    cut.write_bytes(cut.read_bytes()[: 44 + 2 * 22_400])
+    for command in ("recognize", "replay"):
+        done = lipservo(command, cut, "--json")
+        assert done.returncode == 0, done.stderr
+        assert done.stderr.count("cut short: its header promises 4.00 s, the file holds 1.40") == 1
+
+
+def test_phones_are_written_as_the_ending_says(tmp_path):
+    path = tmp_path / "clip.json"
+    done = lipservo("recognize", CLIP_PATH, "--json", "-o", path)
     assert done.returncode == 0, done.stderr
-    assert len(done.stdout.splitlines()) > 20
-    assert done.stderr.count("damaged or no weights file") == 1
+    told = [list(json.loads(line).values()) for line in done.stdout.splitlines()]
+    assert json.loads(path.read_text()) == {"phones": told}
+    assert "name it .TextGrid (Praat) or .json" in refused(
+        "recognize", CLIP_PATH, "-o", tmp_path / "clip.txt"
+    )
+    assert "name it .TextGrid (Praat) or .json" in refused(
+        "align", CLIP_PATH, "hello", "-o", tmp_path / "clip"
+    )
+    assert os.listdir(tmp_path) == ["clip.json"]
 
 
 def test_recognize_prints_columns_for_people():
@@ -58,7 +105,9 @@ def test_align_writes_words_and_phones(tmp_path):
     assert done.returncode == 0, done.stderr
     words = [label for label, _, _ in read_tier(grid, "words") if label]
     assert words == words_of(CLIP_TEXT)
-    assert json.loads(done.stdout)["beams"] == "default"
+    told = json.loads(done.stdout)
+    assert told["beams"] == "default"
+    assert -1.0 < told["score"] < 0.0
     assert "lipservo" in done.stderr  # its pronunciation was guessed
 
 
@@ -73,6 +122,23 @@ def test_align_explains_a_text_that_cannot_be_aligned(text, said):
     assert said in line
 
 
+def test_align_refuses_a_text_that_was_not_said(tmp_path):
+    """Pocketsphinx finds a way through this one."""
+    other = "the quick brown fox jumps over the lazy dog and then goes home to sleep a while"
+    grid = tmp_path / "clip.TextGrid"
+    assert "this text is not what is said there" in refused("align", CLIP_PATH, other, "-o", grid)
+    assert not grid.exists()
+
+
+def test_align_doubts_a_text_with_a_part_that_was_not_said():
+    less = CLIP_TEXT.replace("maple, fever,", "")
+    assert less != CLIP_TEXT
+    done = lipservo("align", CLIP_PATH, less, "--json")
+    assert done.returncode == 0, done.stderr
+    assert "the text fits badly" in done.stderr
+    assert -3.5 <= json.loads(done.stdout)["score"] < -1.5
+
+
 @pytest.fixture
 def corpus(tmp_path):
     samples = soundfile.read(CLIP_PATH, dtype="float32")[0]
@@ -84,6 +150,17 @@ def corpus(tmp_path):
     names = ("3-1-0000", "4-1-0000", "4-1-0001")
     (tmp_path / "transcripts.txt").write_text("".join(f"{name} {text}\n" for name in names))
     return tmp_path
+
+
+def test_align_tells_which_transcripts_of_a_folder_were_not_said(corpus):
+    lines = (corpus / "transcripts.txt").read_text().splitlines()
+    lines[1] = f"4-1-0000 {'BUY MY BIG BROWN PIE ' * 5}"
+    (corpus / "transcripts.txt").write_text("\n".join(lines[:2]))
+    done = lipservo("align", corpus, "-o", corpus / "a.jsonl", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["utterances"] == 2
+    assert [*told["not_said"], *told["failed"]] == ["4-1-0000"]
 
 
 def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):

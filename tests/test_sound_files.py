@@ -1,4 +1,7 @@
 import math
+import os
+import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,7 +9,7 @@ import soundfile
 
 from lipsync.audio.block import samples_before
 from lipsync.audio.file import FileSource, read_sound
-from lipsync.audio.silence import SilentSource
+from lipsync.audio.silence import SilenceAfter, SilentSource
 from lipsync.audio.source import AudioSource, SoundError
 
 TONE_HZ = 440.0
@@ -148,6 +151,22 @@ def make_directory(path):
     path.mkdir()
 
 
+def make_pipe(path):
+    os.mkfifo(path)
+
+
+def write_one_hertz(path):
+    soundfile.write(path, tone(16_000), 1)
+
+
+def write_a_megahertz(path):
+    soundfile.write(path, tone(16_000), 1_000_000)
+
+
+def write_33_channels(path):
+    soundfile.write(path, np.tile(tone(16_000)[:, None], 33), 16_000)
+
+
 BAD_FILES = [
     (lambda _: None, "no such file"),
     (make_directory, "is a directory"),
@@ -157,6 +176,10 @@ BAD_FILES = [
     (write_zeros, "only digital silence"),
     (write_too_little, "20.0 ms of sound is too short; at least 25 ms"),
     (write_not_a_number, "2 samples are not numbers (NaN or infinite), the first at 0.5000 s"),
+    (make_pipe, "is a pipe or a device, not a file"),
+    (write_one_hertz, "a sample rate of 1 Hz is not possible here (4000 to 192000 Hz are)"),
+    (write_a_megahertz, "a sample rate of 1000000 Hz is not possible here"),
+    (write_33_channels, "33 channels are not possible here (up to 32 are)"),
     (write_infinity, "1 samples are not numbers (NaN or infinite), the first at 0.0010 s"),
 ]
 
@@ -177,12 +200,136 @@ def test_a_bad_file_is_refused_in_one_line_that_names_it(tmp_path, read, write, 
     assert "\n" not in message
 
 
-def test_a_file_cut_short_is_read_as_far_as_it_goes(tmp_path):
-    soundfile.write(tmp_path / "cut.wav", tone(16_000), 16_000)
-    whole = (tmp_path / "cut.wav").read_bytes()
-    (tmp_path / "cut.wav").write_bytes(whole[: len(whole) // 2])
+def cut(path, share):
+    whole = path.read_bytes()
+    path.write_bytes(whole[: round(len(whole) * share)])
 
-    assert FileSource(tmp_path / "cut.wav").duration_s == pytest.approx(0.25, abs=0.01)
+
+@pytest.mark.parametrize("container", ["WAV", "AIFF"])
+@pytest.mark.parametrize("read", [FileSource, read_sound])
+def test_a_file_cut_short_is_read_as_far_as_it_goes_and_says_so_once(tmp_path, container, read):
+    path = tmp_path / "cut.sound"
+    soundfile.write(path, tone(16_000, 4.0), 16_000, format=container)
+    cut(path, 0.35)
+    said = []
+
+    read(path, warn=said.append)
+
+    assert FileSource(path).duration_s == pytest.approx(1.4, abs=0.01)
+    assert len(said) == 1
+    assert said[0].startswith(f"{path}: cut short: its header promises 4.00 s, the file holds 1.40")
+
+
+def test_nothing_is_said_of_a_whole_file_or_of_a_size_that_was_not_known(tmp_path):
+    path = tmp_path / "piped.wav"
+    soundfile.write(path, tone(16_000), 16_000)
+    whole = bytearray(path.read_bytes())
+    said = []
+    FileSource(path, warn=said.append)
+    whole[4:8] = whole[40:44] = b"\xff" * 4  # as ffmpeg writes it into a pipe
+    path.write_bytes(whole)
+
+    assert FileSource(path, warn=said.append).duration_s == 0.5
+    assert said == []
+
+
+def test_a_header_that_does_not_say_how_long_a_long_file_is_is_refused(tmp_path):
+    path = tmp_path / "streamed.flac"
+    soundfile.write(path, np.tile(tone(8_000, 1.0), 61), 8_000)
+    content = bytearray(path.read_bytes())
+    content[21] &= 0xF0  # STREAMINFO: 36 bits that count the samples; 0 is "unknown"
+    content[22:26] = bytes(4)
+    path.write_bytes(content)
+
+    with pytest.raises(SoundError, match="does not say how long it is"):
+        FileSource(path)
+
+
+def bytes_read() -> int:
+    """By this process so far, from anywhere."""
+    counts = Path("/proc/self/io").read_text().split()
+    return int(counts[counts.index("rchar:") + 1])
+
+
+@pytest.mark.skipif(not Path("/proc/self/io").exists(), reason="needs /proc/self/io (Linux)")
+def test_the_first_block_of_two_gigabytes_comes_without_reading_them(tmp_path):
+    path = tmp_path / "long.wav"
+    n_bytes = 2_000_000_000  # of silence, in a file that takes no room on the disk
+    with path.open("wb") as file:
+        file.write(b"RIFF" + struct.pack("<I", n_bytes + 36) + b"WAVEfmt ")
+        file.write(struct.pack("<IHHIIHH", 16, 1, 1, 16_000, 32_000, 2, 16))
+        file.write(b"data" + struct.pack("<I", n_bytes))
+        file.truncate(n_bytes + 44)
+    before = bytes_read()
+
+    source = FileSource(path)
+    first = source.blocks(0.01)
+    late = FileSource(path, start_s=50_000.0).blocks(50_000.015)
+
+    assert (first[0].start_s, late[0].start_s) == (0.0, 50_000.0)
+    assert source.duration_s == 62_500.0
+    assert bytes_read() - before < 10_000_000
+
+
+@pytest.mark.parametrize("start_s", [0.07, 0.754, 1.99, 2.5])
+@pytest.mark.parametrize(
+    ("name", "rate_hz"),
+    [("x.wav", 16_000), ("x.wav", 44_100), ("x.flac", 22_051), ("x.wav", 8_000), ("x.ogg", 48_000)],
+)
+def test_a_file_taken_up_in_the_middle_goes_on_as_if_it_had_begun(tmp_path, name, rate_hz, start_s):
+    noise = 0.3 * np.random.default_rng(0).standard_normal(round(2.7 * rate_hz))
+    soundfile.write(tmp_path / name, np.clip(noise, -1, 1), rate_hz)
+    whole = FileSource(tmp_path / name).blocks(math.inf)
+
+    taken_up = FileSource(tmp_path / name, start_s=start_s).blocks(math.inf)
+
+    expected = whole[math.floor(start_s * 100 + 1e-6) :]
+    assert [b.start_s for b in taken_up] == [b.start_s for b in expected]
+    for block, undisturbed in zip(taken_up, expected, strict=True):
+        np.testing.assert_allclose(block.samples, undisturbed.samples, atol=1e-5)
+
+
+def test_a_file_taken_up_after_its_end_is_silence_from_there_on(tmp_path):
+    soundfile.write(tmp_path / "x.wav", tone(16_000), 16_000)
+    source = SilenceAfter(FileSource(tmp_path / "x.wav", start_s=3_600.0), start_s=3_600.0)
+
+    blocks = source.blocks(3_600.1)
+
+    assert [round(b.start_s, 6) for b in blocks[:2]] == [3_600.0, 3_600.01]
+    assert not np.any([b.samples for b in blocks])
+
+
+def test_what_is_no_number_after_the_first_minute_is_silence_and_told_at_the_end(tmp_path):
+    path = tmp_path / "long.wav"
+    samples = np.tile(tone(4_000, 1.0), 63)
+    samples[61 * 4_000 : 61 * 4_000 + 400] = np.nan
+    soundfile.write(path, samples, 4_000, subtype="FLOAT")
+    said = []
+
+    with FileSource(path, start_s=60.0, warn=said.append) as source:
+        heard = all_samples(source)
+
+    assert len(heard) == 3 * 16_000
+    assert np.isfinite(heard).all()
+    assert np.abs(heard[16_300:17_300]).max() < 0.1 < np.abs(heard[18_000:]).max()
+    assert source.lost_blocks == 10
+    assert said == [f"{path}: samples that are no numbers; played as silence"]
+
+
+def test_damage_after_the_first_minute_is_silence_to_the_end_that_was_promised(tmp_path):
+    path = tmp_path / "long.flac"
+    noise = np.random.default_rng(0).uniform(-0.5, 0.5, 70 * 4_000)
+    soundfile.write(path, noise, 4_000)
+    cut(path, 0.9)
+    said = []
+
+    with FileSource(path, warn=said.append) as source:
+        blocks = source.blocks(math.inf)
+
+    assert source.duration_s == 70.0 == pytest.approx(blocks[-1].end_s)
+    assert not np.any(blocks[-1].samples)
+    assert 600 <= source.lost_blocks <= 900
+    assert "damaged after 6" in said[0]
 
 
 def test_silence_goes_on_for_ever_in_blocks_of_10_ms():

@@ -71,6 +71,39 @@ def test_a_sentence_without_sound_or_words_is_named(labelled, spoil):
         read_transcribed(labelled)
 
 
+@pytest.fixture
+def librispeech(tmp_path):
+    """As it is downloaded: SPEAKER/CHAPTER/ with sounds and one list of transcripts each."""
+    folder = tmp_path / "LibriSpeech" / "test-clean"
+    for speaker, chapter in (("84", "121123"), ("84", "121550"), ("61", "70968")):
+        place = folder / speaker / chapter
+        place.mkdir(parents=True)
+        names = [f"{speaker}-{chapter}-{number:04d}" for number in range(2)]
+        for name in names:
+            soundfile.write(place / f"{name}.flac", np.zeros(1_600), 16_000)
+        lines = "".join(f"{name} GO DO YOU HEAR\n" for name in names)
+        (place / f"{speaker}-{chapter}.trans.txt").write_text(lines)
+    return folder
+
+
+@pytest.mark.parametrize("above", [0, 1])
+def test_librispeech_is_read_as_it_is_downloaded(librispeech, above):
+    folder = librispeech.parents[above - 1] if above else librispeech
+    utterances = read_transcribed(folder)
+
+    assert len(utterances) == 6
+    assert {u.speaker for u in utterances} == {"61", "84"}
+    first = utterances[0]
+    assert (first.name, first.text) == ("61-70968-0000", "GO DO YOU HEAR")
+    assert first.sound == librispeech / "61" / "70968" / "61-70968-0000.flac"
+
+
+def test_a_sound_that_librispeech_lists_and_lacks_is_named(librispeech):
+    (librispeech / "84" / "121550" / "84-121550-0001.flac").unlink()
+    with pytest.raises(TranscriptError, match=r"84-121550\.trans\.txt, line 2: no sound"):
+        read_transcribed(librispeech)
+
+
 def test_names_are_listed_line_by_line_or_under_a_key(tmp_path):
     (tmp_path / "names.txt").write_text("one\n\ntwo\n")
     (tmp_path / "splits.json").write_text(json.dumps({"test": ["two"], "n": 3}))

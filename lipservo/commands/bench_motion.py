@@ -52,6 +52,14 @@ def motion(
     strategy: Annotated[str | None, typer.Option(help="Score one method only.")] = None,
     lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
     phonemes: Annotated[str, typer.Option(help="true, or recognized live.")] = "true",
+    published_derivatives: Annotated[
+        bool,
+        typer.Option(
+            "--published-derivatives",
+            help="The paper's two strategies with equation (5) as printed: a derivative for each "
+            "sample, so that the speed jumps between phones of other lengths.",
+        ),
+    ] = False,
     plots: Annotated[
         Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
     ] = None,
@@ -69,13 +77,16 @@ def motion(
     began_s = time.perf_counter()
     if plots is not None:
         check_folder(plots, PICTURES)
-    asked = measure.question(strategy, lookahead_ms, phonemes, words)
+    asked = measure.question(
+        strategy, lookahead_ms, phonemes, words, published_derivatives=published_derivatives
+    )
     given = None
     if model is not None:
         given = load_shipped_model() if str(model) == "shipped" else load_model(model)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         answer = _answer(corpus, given, asked, plots, progress, skip_bad=skip_bad)
     seconds = time.perf_counter() - began_s
+    answer["published_derivatives"] = published_derivatives
     answer |= {"default_strategy": LIVE_STRATEGY, "machine": machine_class(), "seconds": seconds}
     if as_json:
         print_json(answer)

@@ -1,4 +1,4 @@
-"""`align`, `recognize` and `train-recognizer`: what has to do with hearing phonemes."""
+"""`recognize`, `train-recognizer`, `plot-training`: what has to do with hearing phonemes."""
 
 import json
 import os
@@ -12,63 +12,11 @@ import typer
 from rich.progress import Progress, TimeRemainingColumn
 
 from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
-from lipservo.output import MESSAGES, RESULTS, print_json
+from lipservo.output import MESSAGES
+from lipsync.audio.source import AudioSource
 from lipsync.extras import check_extra
 from lipsync.output_file import check_output
-from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights_name
-
-Jobs = Annotated[
-    int | None,
-    typer.Option(min=1, help="Processes; default: one a core.", show_default=False),
-]
-
-
-def align(
-    sound: Annotated[Path, typer.Argument(help="Sound file, or folder laid out like LibriSpeech.")],
-    text: Annotated[
-        str | None, typer.Argument(help="What is said, or a text file that holds it.")
-    ] = None,
-    output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="TextGrid to write; of a folder: JSON lines."),
-    ] = None,
-    jobs: Jobs = None,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Find when each phone of a known text is spoken; of a folder, all its transcripts."""
-    if sound.is_dir():
-        _align_corpus(sound, output, jobs or os.cpu_count() or 1, as_json=as_json, quiet=quiet)
-        return
-    if text is None:
-        raise typer.BadParameter("say what is said in the sound", param_hint="TEXT")
-    from lipsync.recognition.alignment import align as force_align
-    from lipsync.recognition.sound import read_speech
-    from lipsync.textgrid import is_textgrid, write_tiers
-
-    if output is not None:
-        check_output(output, replaces=is_textgrid, kind="TextGrid", inputs=[sound])
-    said = Path(text).read_text(encoding="utf-8") if _is_file(text) else text
-    alignment = force_align(read_speech(sound), said)
-    phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in alignment.phones)
-    if alignment.beams != "default":
-        MESSAGES.print("found only with tight beams: no yardstick for accuracy")
-    if alignment.guessed:
-        MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}")
-    if output is not None:
-        write_tiers(output, {"words": alignment.words, "phones": phones})
-    if as_json:
-        print_json(
-            {
-                "phones": phones,
-                "words": alignment.words,
-                "beams": alignment.beams,
-                "guessed": alignment.guessed,
-            }
-        )
-    elif output is None:
-        for phoneme, start_s, end_s in phones:
-            RESULTS.print(f"{start_s:8.2f} {end_s:8.2f}  {phoneme}")
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights
 
 
 def recognize(
@@ -78,7 +26,8 @@ def recognize(
         typer.Option(metavar="[DEVICE]", help="Listen to a microphone.", show_default=False),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="TextGrid to write at the end.")
+        Path | None,
+        typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end."),
     ] = None,
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,
@@ -91,14 +40,19 @@ def recognize(
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
     from lipservo.listening import heard_events
+    from lipservo.phone_file import check_phone_file, write_phone_file
     from lipservo.sources import DEFAULT_MICROPHONE, open_microphone
+    from lipservo.sources import warn as warn_of_sound
     from lipsync.audio.file import FileSource
-    from lipsync.textgrid import is_textgrid, write_tiers
 
-    check_weights_name(weights)
+    check_weights(weights)
     if output is not None:
-        check_output(output, replaces=is_textgrid, kind="TextGrid", inputs=[sound])
-    source = FileSource(sound) if sound is not None else open_microphone(mic or DEFAULT_MICROPHONE)
+        check_phone_file(output, inputs=[sound])
+    source: AudioSource = (
+        open_microphone(mic or DEFAULT_MICROPHONE)
+        if sound is None
+        else FileSource(sound, warn=warn_of_sound)
+    )
     events = []
 
     def warn(reason: str) -> None:
@@ -119,7 +73,7 @@ def recognize(
         MESSAGES.print("stopped")
     if output is not None:
         phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in events)
-        write_tiers(output, {"phones": phones})
+        write_phone_file(output, {"phones": phones})
 
 
 def train_recognizer(
@@ -222,44 +176,6 @@ def progress_bar(*, quiet: bool) -> Iterator[Advance]:
             progress.update(tasks[what], completed=n_done, total=n_all)
 
         yield advance
-
-
-def _align_corpus(
-    folder: Path, output: Path | None, n_processes: int, *, as_json: bool, quiet: bool
-) -> None:
-    from lipsync.corpus.transcribed import read_transcribed
-    from lipsync.recognition.alignment_cache import align_corpus
-
-    if output is None:
-        raise typer.BadParameter("name the file for the alignments", param_hint="--output")
-    utterances = read_transcribed(folder)
-    with progress_bar(quiet=quiet) as advance:
-        done: list[str] = []
-
-        def count(name: str) -> None:
-            done.append(name)
-            advance("aligning", len(done), len(utterances))
-
-        aligned = align_corpus(utterances, output, n_processes=n_processes, progress=count)
-    failed = {a.name: a.error for a in aligned.values() if a.error}
-    tight = sum(a.beams == "tight" for a in aligned.values())
-    if as_json:
-        print_json({"utterances": len(aligned), "tight": tight, "failed": failed})
-        return
-    for name, error in failed.items():
-        MESSAGES.print(f"not aligned: {name}: {error}", soft_wrap=True)
-    RESULTS.print(
-        f"{output}: {len(aligned) - len(failed)} of {len(aligned)} utterances aligned, "
-        f"{tight} of them only with tight beams",
-        soft_wrap=True,
-    )
-
-
-def _is_file(text: str) -> bool:
-    try:
-        return Path(text).is_file()
-    except OSError:  # a text too long for a file's name
-        return False
 
 
 def _names(listed: str) -> frozenset[str]:

@@ -17,7 +17,9 @@ Phonemes = Literal["both", "true"]
 
 
 def train(
-    corpus: Annotated[Path, typer.Argument(help="Folder laid out like grid_s1.")],
+    corpus: Annotated[
+        Path, typer.Argument(help="Folder of recordings: sounds, landmarks, labels.")
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
     seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
     animphos: Annotated[
@@ -37,7 +39,11 @@ def train(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Learn a face model from recorded speech with mouth motion."""
+    """Learn a face model from recorded speech with mouth motion.
+
+    CORPUS holds audio/NAME.flac, landmarks/NAME.npz and labels/NAME.TextGrid of each sentence, and
+    landmarks.json: docs/motion.md, "A corpus of your own", says what is in them.
+    """
     from lipsync.animpho.model import is_model, save_model
     from lipsync.animpho.training import train as train_model
     from lipsync.corpus.grid import read_grid

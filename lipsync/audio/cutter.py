@@ -11,9 +11,10 @@ BLOCK_SAMPLES = round(BLOCK_S * SAMPLE_RATE_HZ)
 class BlockCutter:
     """Samples in, `AudioBlock`s of 10 ms out; time is the count of samples that went out before."""
 
-    def __init__(self) -> None:
+    def __init__(self, n_before: int = 0) -> None:
+        """n_before: samples of the stream that are left out; the first block starts after them."""
         self._waiting: NDArray[np.float32] = np.zeros(0, dtype=np.float32)
-        self._n_out = 0
+        self._n_out = n_before
 
     @property
     def held_until_s(self) -> float:

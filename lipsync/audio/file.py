@@ -1,12 +1,16 @@
-"""Sound files: WAV, FLAC, OGG, Opus and whatever else libsndfile reads, at any rate.
+"""Sound files: WAV, FLAC, OGG, Opus and whatever else libsndfile reads, at 4 to 192 kHz.
 
 Samples are mixed to mono by averaging the channels. Float files may hold samples outside [-1, 1];
 they are clipped there, as any converter to a loudspeaker would.
+
+What is checked when: the header and the first minute of sound before anything moves, the rest as
+it is played. So the first block of a file of hours comes as soon as that of a file of a minute,
+and a file of up to a minute, which most are, is refused before it plays if anything is wrong.
 """
 
 import math
-import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 
@@ -16,45 +20,77 @@ import soxr
 from numpy.typing import NDArray
 
 from lipsync.audio.block import SAMPLE_RATE_HZ, AudioBlock
-from lipsync.audio.cutter import BlockCutter
+from lipsync.audio.cutter import BLOCK_SAMPLES, BlockCutter
+from lipsync.audio.header import LONGEST_S, SHORTEST_S, open_sound, promised_s, reason_of
 from lipsync.audio.source import SoundError
+
+Samples = NDArray[np.float32]
+Warn = Callable[[str], None]
 
 #: Files are decoded in pieces this long, so that hours of sound need no more memory than seconds.
 CHUNK_S = 1.0
-#: One analysis window of a recogniser; nothing can be heard in less.
-SHORTEST_S = 0.025
+#: So much is decoded before anything moves.
+CHECKED_S = 60.0
+#: Pieces after the first broken one in which more of the same is counted, for the message.
+_COUNTED = 60
+#: Formats in which libsndfile 1.2 finds a sample exactly (measured: Vorbis and MP3 are off).
+_SEEKS_EXACTLY = {"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF", "FLAC"}
+#: A resampler that starts in the middle of a file is right after so much; soxr's filter is shorter.
+_RUN_IN_S = 0.25
 
 
-def read_sound(path: str | PathLike[str]) -> tuple[NDArray[np.float32], int]:
+def ignore(_line: str) -> None:
+    """For whoever need not know."""
+
+
+def read_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[Samples, int]:
     """The whole file as samples (n,) float32 mono in [-1, 1], and its own sample rate in hertz.
 
-    Raises SoundError for what `FileSource` refuses.
+    `warn` hears in one line that the file is shorter than its header says. Raises SoundError for
+    what `FileSource` refuses, here wherever in the file it is.
     """
     path = Path(path)
-    with _open(path) as sound:
+    with open_sound(path) as sound:
         samples = np.concatenate([np.zeros(0, np.float32), *_mono_chunks(path, sound)])
         sample_rate_hz = int(sound.samplerate)
-    _refuse_nothing(path, len(samples) / sample_rate_hz, bool(np.any(samples)))
+        _refuse_nothing(path, len(samples) / sample_rate_hz, bool(np.any(samples)))
+        _tell_cut_short(path, sound, len(samples), warn)
     return samples, sample_rate_hz
 
 
 class FileSource:
     """A sound file as an `AudioSource`; the last block may be shorter than the others.
 
-    The whole file is decoded once at construction, piece by piece, so that a file that cannot be
-    used is refused before anything moves, and a second time while it plays; it is never whole in
-    memory. Raises SoundError for a file that is missing, a directory, empty, not sound, damaged,
-    shorter than 25 ms, nothing but zeros, or holding NaN or infinite samples.
+    Raises SoundError for a file that is missing, a directory, a pipe, a device, empty, not sound,
+    of impossible settings, shorter than 25 ms or longer than 1,000 hours; and, within its first
+    minute, for damage, samples that are no numbers, and a whole file of nothing but zeros. What is
+    no number later is played as silence, as is all that follows later damage, so that a face at
+    work goes on; it counts as lost blocks.
     """
 
     is_live = False
-    lost_blocks = 0
 
-    def __init__(self, path: str | PathLike[str]) -> None:
+    def __init__(
+        self, path: str | PathLike[str], *, start_s: float = 0.0, warn: Warn = ignore
+    ) -> None:
+        """Begin at the block that holds sound time `start_s`; times stay those of the file.
+
+        The samples are those of a source that began at 0 (to rounding, where it is resampled); what
+        lies before is passed over without decoding, but for Ogg and MP3, which have to be decoded.
+        warn: hears in one line that the file is shorter than its header says, now, and what was
+        wrong with the sound that was played, when the source is left.
+        """
         self._path = Path(path)
-        self._duration_s = _checked_duration_s(self._path)
-        self._chunks: Iterator[NDArray[np.float32]] | None = _speech_chunks(self._path)
-        self._cutter = BlockCutter()
+        self._warn = warn
+        self._duration_s = _checked_duration_s(self._path, warn)
+        self._n_left = round(self._duration_s * SAMPLE_RATE_HZ)
+        first = math.floor(max(0.0, start_s) * SAMPLE_RATE_HZ + 1e-3)
+        first = min(first // BLOCK_SAMPLES * BLOCK_SAMPLES, self._n_left)
+        self._n_left -= first
+        self._cutter = BlockCutter(first)
+        self._chunks: Iterator[Samples] | None = self._speech_chunks(first)
+        self._n_lost = 0
+        self._trouble = ""
 
     @property
     def name(self) -> str:
@@ -66,13 +102,20 @@ class FileSource:
         """Length of the sound in seconds, to the nearest sample at 16 kHz."""
         return self._duration_s
 
+    @property
+    def lost_blocks(self) -> int:
+        """Blocks' worth of sound that could not be decoded so far, rounded up."""
+        return -(-self._n_lost // BLOCK_SAMPLES)
+
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """The blocks not handed out before that end at or before sound time `until_s`."""
         while self._chunks is not None and self._cutter.held_until_s < until_s:
-            chunk = next(self._chunks, None)
-            if chunk is None:
+            if self._n_left == 0:
                 self._chunks = None
             else:
+                # Never more than was promised: others count on when the sound ends.
+                chunk = next(self._chunks)[: self._n_left]
+                self._n_left -= len(chunk)
                 self._cutter.push(chunk)
         ended = self._chunks is None
         return self._cutter.take_rest(until_s) if ended else self._cutter.take(until_s)
@@ -82,46 +125,103 @@ class FileSource:
 
     def __exit__(self, *exc: object) -> None:
         self._chunks = None
+        if self._trouble:
+            self._warn(f"{self._path}: {self._trouble}")
+
+    def _speech_chunks(self, first: int) -> Iterator[Samples]:
+        """From sample `first` at 16 kHz on, in pieces (n,) of any length, and silence for ever."""
+        with open_sound(self._path) as sound:
+            yield from _resampled(self._played_chunks(sound, first), sound.samplerate, first)
+        while True:
+            yield np.zeros(SAMPLE_RATE_HZ, np.float32)
+
+    def _played_chunks(self, sound: soundfile.SoundFile, first: int) -> Iterator[Samples]:
+        """The file mono at its own rate; what cannot be decoded is counted and left out."""
+        try:
+            _go_to(self._path, sound, _first_frame(sound.samplerate, first))
+            for chunk in _chunks(self._path, sound):
+                broken = ~np.isfinite(chunk)
+                if broken.any():
+                    lost = broken.any(axis=1)
+                    self._lose(int(lost.sum()) / sound.samplerate, "samples that are no numbers")
+                    chunk = np.where(broken, np.float32(0.0), chunk)
+                yield _mono(chunk)
+        except SoundError as error:
+            missing_s = max(0.0, self._duration_s - sound.tell() / sound.samplerate)
+            self._lose(missing_s, str(error).removeprefix(f"{self._path}: "))
+
+    def _lose(self, lost_s: float, trouble: str) -> None:
+        self._n_lost += round(lost_s * SAMPLE_RATE_HZ)
+        self._trouble = self._trouble or f"{trouble}; played as silence"
 
 
-def _open(path: Path) -> soundfile.SoundFile:
+def _resampled(chunks: Iterator[Samples], rate_hz: int, first: int) -> Iterator[Samples]:
+    """Chunks that begin at `_first_frame`, at 16 kHz from sample `first` on."""
+    if rate_hz == SAMPLE_RATE_HZ:
+        yield from chunks
+        return
+    resampler = soxr.ResampleStream(rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32")
+    n_early = first - _first_frame(rate_hz, first) * SAMPLE_RATE_HZ // rate_hz
+
+    def later(samples: Samples) -> Samples:
+        nonlocal n_early
+        n_dropped = min(n_early, len(samples))
+        n_early -= n_dropped
+        return np.clip(samples[n_dropped:], -1.0, 1.0)
+
+    for chunk in chunks:
+        yield later(resampler.resample_chunk(chunk))
+    yield later(resampler.resample_chunk(np.zeros(0, np.float32), last=True))
+
+
+def _first_frame(rate_hz: int, first: int) -> int:
+    """Where in a file to begin for sample `first` at 16 kHz.
+
+    Early enough for the resampler, and where a frame and a sample at 16 kHz fall together.
+    """
+    if rate_hz == SAMPLE_RATE_HZ:
+        return first
+    common = math.gcd(rate_hz, SAMPLE_RATE_HZ)
+    early = max(0, first - round(_RUN_IN_S * SAMPLE_RATE_HZ))
+    return early // (SAMPLE_RATE_HZ // common) * (rate_hz // common)
+
+
+def _go_to(path: Path, sound: soundfile.SoundFile, frame: int) -> None:
+    """Let the next sample decoded be number `frame`."""
     try:
-        with path.open("rb") as file:
-            is_empty = not file.read(1)
-    except FileNotFoundError as error:
-        raise SoundError(f"{path}: no such file; check the path") from error
-    except IsADirectoryError as error:
-        raise SoundError(f"{path}: is a directory; give the path of a sound file") from error
-    except OSError as error:
-        raise SoundError(f"{path}: cannot be read ({error.strerror}); check its rights") from error
-    if is_empty:
-        raise SoundError(f"{path}: the file is empty (0 bytes); record or copy it again")
-    try:
-        return soundfile.SoundFile(os.fsencode(path))  # names need not be UTF-8
+        if sound.format in _SEEKS_EXACTLY:
+            sound.seek(frame)
+            return
+        n_chunk = round(CHUNK_S * sound.samplerate)
+        while frame > 0 and (n_read := len(sound.read(min(frame, n_chunk), dtype="float32"))):
+            frame -= n_read
     except soundfile.LibsndfileError as error:
-        raise SoundError(
-            f"{path}: not a sound file that can be read ({error.error_string.rstrip('.')}); "
-            "use WAV, FLAC, OGG or Opus"
-        ) from error
+        raise _damaged(path, sound, error) from error
 
 
-def _chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[NDArray[np.float32]]:
+def _chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
     """The rest of `sound` as it is, in pieces (n, n_channels) of `CHUNK_S`."""
     n_chunk = round(CHUNK_S * sound.samplerate)
     while True:
         try:
-            chunk: NDArray[np.float32] = sound.read(n_chunk, dtype="float32", always_2d=True)
+            chunk: Samples = sound.read(n_chunk, dtype="float32", always_2d=True)
         except soundfile.LibsndfileError as error:
-            raise SoundError(
-                f"{path}: damaged after {sound.tell() / sound.samplerate:.2f} s "
-                f"({error.error_string.rstrip('.')}); copy or convert it again"
-            ) from error
+            raise _damaged(path, sound, error) from error
         if len(chunk) == 0:
             return
         yield chunk
 
 
-def _mono_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[NDArray[np.float32]]:
+def _damaged(
+    path: Path, sound: soundfile.SoundFile, error: soundfile.LibsndfileError
+) -> SoundError:
+    return SoundError(
+        f"{path}: damaged after {sound.tell() / sound.samplerate:.2f} s "
+        f"({reason_of(error)}); copy or convert it again"
+    )
+
+
+def _mono_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[Samples]:
     """`_chunks` mixed to mono (n,) in [-1, 1]; SoundError when one holds what is no number."""
     n_read = 0
     chunks = _chunks(path, sound)
@@ -129,39 +229,53 @@ def _mono_chunks(path: Path, sound: soundfile.SoundFile) -> Iterator[NDArray[np.
         broken = ~np.isfinite(chunk)
         if broken.any():
             first_s = (n_read + int(np.argmax(broken.any(axis=1)))) / sound.samplerate
-            n_broken = int(broken.sum()) + sum(int((~np.isfinite(c)).sum()) for c in chunks)
+            n_broken = int(broken.sum())
+            n_broken += sum(int((~np.isfinite(c)).sum()) for c in islice(chunks, _COUNTED))
             raise SoundError(
                 f"{path}: {n_broken} samples are not numbers (NaN or infinite), "
                 f"the first at {first_s:.4f} s; export the file again"
             )
         n_read += len(chunk)
-        yield np.clip(chunk, -1.0, 1.0).mean(axis=1, dtype=np.float32)
+        yield _mono(chunk)
 
 
-def _speech_chunks(path: Path) -> Iterator[NDArray[np.float32]]:
-    """The file in pieces of any length, (n,) each, mono in [-1, 1] at 16 kHz."""
-    with _open(path) as sound:
-        if sound.samplerate == SAMPLE_RATE_HZ:
-            yield from _mono_chunks(path, sound)
-            return
-        resampler = soxr.ResampleStream(sound.samplerate, SAMPLE_RATE_HZ, 1, dtype="float32")
+def _mono(chunk: Samples) -> Samples:
+    mono: Samples = np.clip(chunk, -1.0, 1.0).mean(axis=1, dtype=np.float32)
+    return mono
+
+
+def _checked_duration_s(path: Path, warn: Warn) -> float:
+    """Decode the file's beginning; its length in whole samples at 16 kHz, in s, or SoundError."""
+    n_frames, heard = 0, False
+    with open_sound(path) as sound:
         for chunk in _mono_chunks(path, sound):
-            yield np.clip(resampler.resample_chunk(chunk), -1.0, 1.0)
-        tail = resampler.resample_chunk(np.zeros(0, np.float32), last=True)
-        yield np.clip(tail, -1.0, 1.0)
-
-
-def _checked_duration_s(path: Path) -> float:
-    """Decode the file once; its length in whole samples at 16 kHz, in seconds, or SoundError."""
-    n_samples, heard = 0, False
-    with _open(path) as sound:
-        for chunk in _mono_chunks(path, sound):
-            n_samples += len(chunk)
+            n_frames += len(chunk)
             heard = heard or bool(np.any(chunk))
-        duration_s = n_samples / float(sound.samplerate)
-    _refuse_nothing(path, duration_s, heard)
+            if n_frames >= CHECKED_S * sound.samplerate:
+                n_frames = sound.frames
+                heard = True  # or not yet: who waits a minute to speak is no mistake
+                break
+        duration_s = n_frames / float(sound.samplerate)
+        _refuse_nothing(path, duration_s, heard)
+        _tell_cut_short(path, sound, n_frames, warn)
+    if duration_s > LONGEST_S:
+        raise SoundError(
+            f"{path}: its header does not say how long it is, or more than "
+            f"{LONGEST_S / 3600:.0f} hours; convert it, with `ffmpeg -i IN OUT.wav` for one"
+        )
     # The resampler rounds a half up; `round` would round it to even.
     return math.floor(duration_s * SAMPLE_RATE_HZ + 0.5) / SAMPLE_RATE_HZ
+
+
+def _tell_cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int, warn: Warn) -> None:
+    holds_s = n_frames / sound.samplerate
+    says_s = promised_s(sound) or sound.frames / sound.samplerate
+    # A compressed file's header counts in frames of up to a tenth of a second.
+    if holds_s + 0.1 < says_s < LONGEST_S:
+        warn(
+            f"{path}: cut short: its header promises {says_s:.2f} s, the file holds "
+            f"{holds_s:.2f} s; what is there is used"
+        )
 
 
 def _refuse_nothing(path: Path, duration_s: float, heard: bool) -> None:

@@ -18,8 +18,9 @@ class SilentSource:
     is_live = False
     lost_blocks = 0
 
-    def __init__(self) -> None:
-        self._n_blocks = 0
+    def __init__(self, start_s: float = 0.0) -> None:
+        """start_s: the first block is the one that holds this sound time."""
+        self._n_blocks = int(samples_before(start_s)) // BLOCK_SAMPLES
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """The blocks not handed out before that end at or before sound time `until_s`."""
@@ -42,12 +43,13 @@ class SilenceAfter:
 
     is_live = False
 
-    def __init__(self, source: AudioSource) -> None:
+    def __init__(self, source: AudioSource, start_s: float = 0.0) -> None:
+        """start_s: where `source` begins; without more, a source that is over begins in silence."""
         if source.duration_s is None:
             raise ValueError(f"{source.name} has no end to put silence after")
         self._source = source
         self._end_s = source.duration_s
-        self._silence = SilentSource()
+        self._silence = SilentSource(max(0.0, start_s - self._end_s))
 
     @property
     def name(self) -> str:

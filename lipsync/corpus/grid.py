@@ -73,7 +73,9 @@ def read_grid(
                 raise CorpusError(f"{error} (--skip-bad goes on without it)") from error
             skipped.append(str(error))
     if not sentences:
-        raise CorpusError(f"{folder}: no usable sentence")
+        raise CorpusError(
+            f"{folder}: no usable sentence; docs/motion.md, A corpus of your own, says what one is"
+        )
     rigid = np.concatenate([s.landmarks_px[:, layout.rigid] for s in sentences])
     if head_reference_mm is None:
         head_reference_mm = refine_mean(rigid, (*layout.eyes, _EYE_DISTANCE_MM))
@@ -119,10 +121,13 @@ def _read_layout(folder: Path) -> _Layout:
     except FileNotFoundError:
         raise CorpusError(
             f"{path}: no such file; a corpus folder holds audio/, landmarks/, labels/ and "
-            "landmarks.json"
+            "landmarks.json (docs/motion.md, A corpus of your own)"
         ) from None
     except (KeyError, TypeError, ValueError) as error:
-        raise CorpusError(f"{path}: not a usable landmark list ({error})") from error
+        raise CorpusError(
+            f"{path}: not a usable landmark list ({error}); docs/motion.md, A corpus of your own, "
+            "says what it holds"
+        ) from error
 
 
 def _sentence_names(folder: Path) -> list[str]:

@@ -1,9 +1,10 @@
-"""Corpora of speech whose words are known, in one of two layouts.
+"""Corpora of speech whose words are known, in one of three layouts (docs/recognition.md).
 
-LibriSpeech's: `transcripts.txt` holds one utterance a line, its name first: SPEAKER-CHAPTER-NUMBER
-WORDS...; grid_s1's: `labels/NAME.TextGrid` with a tier `words` and maybe one `phones`, all of one
-speaker, who is called as the folder. The sound is `audio/NAME` with any ending that libsndfile
-reads.
+LibriSpeech's own: anywhere below the folder `*.trans.txt` with one utterance a line, its name
+first, SPEAKER-CHAPTER-NUMBER WORDS..., and the sounds beside it, NAME.flac. The same in two places:
+`transcripts.txt` and `audio/NAME.*`. grid_s1's: `labels/NAME.TextGrid` with a tier `words` and
+maybe one `phones`, all of one speaker, who is called as the folder, and `audio/NAME.*`. The sounds
+may have any ending that libsndfile reads.
 """
 
 import json
@@ -44,15 +45,35 @@ def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
     read.
     """
     path = folder / "transcripts.txt"
-    if not path.is_file() and (folder / "labels").is_dir():
+    if path.is_file():
+        listed = [(path, folder / "audio")]
+    elif (folder / "labels").is_dir():
         return _read_labelled(folder)
-    if not path.is_file():
+    else:
+        listed = [(each, each.parent) for each in sorted(folder.rglob("*.trans.txt"))]
+    if not listed:
         raise TranscriptError(
-            f"{path}: no such file; give a folder laid out like LibriSpeech or grid_s1"
+            f"{path}: no such file, and no *.trans.txt or labels/ either; give a folder laid out "
+            "like LibriSpeech or grid_s1 (docs/recognition.md, Corpora)"
         )
-    sounds = {sound.stem: sound for sound in sorted((folder / "audio").glob("*"))}
     utterances: dict[str, TranscribedUtterance] = {}
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for transcripts, sound_folder in listed:
+        _add_listed(utterances, transcripts, sound_folder)
+    if not utterances:
+        raise TranscriptError(f"{listed[0][0]}: holds no utterance")
+    return tuple(utterances.values())
+
+
+def _add_listed(
+    utterances: dict[str, TranscribedUtterance], path: Path, sound_folder: Path
+) -> None:
+    """The utterances of one list of transcripts, whose sounds lie in a folder."""
+    sounds = {sound.stem: sound for sound in sorted(sound_folder.glob("*"))}
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise TranscriptError(f"{path}: cannot be read as text (UTF-8): {error}") from error
+    for number, line in enumerate(lines, start=1):
         name, _, text = line.strip().partition(" ")
         if not name:
             continue
@@ -61,12 +82,9 @@ def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
         if name in utterances:
             raise TranscriptError(f"{path}, line {number}: {name!r} is there twice")
         if name not in sounds:
-            raise TranscriptError(f"{path}, line {number}: no sound audio/{name}.*")
+            raise TranscriptError(f"{path}, line {number}: no sound {sound_folder / name}.*")
         speaker = name.split("-")[0]
         utterances[name] = TranscribedUtterance(name, speaker, text.strip(), sounds[name])
-    if not utterances:
-        raise TranscriptError(f"{path}: holds no utterance")
-    return tuple(utterances.values())
 
 
 def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lipsync.animpho.closures import CLOSED_GAP_MM, lip_gaps_mm
 from lipsync.corpus.utterance import Utterance
 from lipsync.markers import LIP_MARKERS
-from lipsync.phonemes import SILENCE
+from lipsync.phonemes import SILENCE, PhonemeEvent
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -22,6 +22,9 @@ Mask = NDArray[np.bool_]
 LABIODENTAL_GAP_MM = 4.6
 #: A closure counts when it comes within this of the phone.
 _CLOSURE_WINDOW_S = 0.04
+_BILABIALS = ("P", "B", "M")
+#: The phones for which the mouth closes: the lips, or lip and teeth.
+CLOSING = (*_BILABIALS, "F", "V")
 #: A closed mouth further than this from any P B M and from silence is a false closure.
 _FALSE_WINDOW_S = 0.08
 _ROUNDING_S = 1e-9
@@ -79,23 +82,34 @@ def _closure_hits(
     """P B M asked for and met, F V asked for and met; only phones with a scored frame count."""
     found = [0, 0, 0, 0]
     for phone in utterance.phones:
-        labial = phone.phoneme in ("P", "B", "M")
-        if phone.end_s is None or not (labial or phone.phoneme in ("F", "V")):
+        labial = is_bilabial(phone.phoneme)
+        if phone.end_s is None or phone.phoneme not in CLOSING:
             continue
         if not scored[(times_s >= phone.start_s) & (times_s < phone.end_s)].any():
             continue
-        window = times_s >= phone.start_s - _CLOSURE_WINDOW_S - _ROUNDING_S
-        window &= times_s <= phone.end_s + _CLOSURE_WINDOW_S + _ROUNDING_S
-        limit_mm = CLOSED_GAP_MM if labial else LABIODENTAL_GAP_MM
         found[0 if labial else 2] += 1
-        found[1 if labial else 3] += bool(gap_mm[window].min() <= limit_mm)
+        found[1 if labial else 3] += closes(phone, times_s, gap_mm)
     return found[0], found[1], found[2], found[3]
+
+
+def is_bilabial(phoneme: str) -> bool:
+    """Whether the lips must touch for it: P, B, M."""
+    return phoneme in _BILABIALS
+
+
+def closes(phone: PhonemeEvent, times_s: Array, gap_mm: Array) -> bool:
+    """Whether the lip gap (n,) at times (n,) is small enough around a phone of `CLOSING`."""
+    end_s = phone.start_s if phone.end_s is None else phone.end_s
+    window = times_s >= phone.start_s - _CLOSURE_WINDOW_S - _ROUNDING_S
+    window &= times_s <= end_s + _CLOSURE_WINDOW_S + _ROUNDING_S
+    limit_mm = CLOSED_GAP_MM if is_bilabial(phone.phoneme) else LABIODENTAL_GAP_MM
+    return bool(window.any() and gap_mm[window].min() <= limit_mm)
 
 
 def _far_from_closure(utterance: Utterance, times_s: Array) -> Mask:
     far = np.ones(len(times_s), dtype=bool)
     for phone in utterance.phones:
-        if phone.phoneme in ("P", "B", "M", SILENCE) and phone.end_s is not None:
+        if phone.phoneme in (*_BILABIALS, SILENCE) and phone.end_s is not None:
             near = times_s >= phone.start_s - _FALSE_WINDOW_S
             far &= ~(near & (times_s <= phone.end_s + _FALSE_WINDOW_S))
     labelled_until_s = max((p.end_s or 0.0 for p in utterance.phones), default=0.0)

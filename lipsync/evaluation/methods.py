@@ -96,10 +96,14 @@ class MeanFaceMethod:
 
 @dataclass(frozen=True, slots=True)
 class PublishedMethod:
-    """Wei and Deng's selection and blending; sees a phoneme's own end."""
+    """Wei and Deng's selection and blending; sees a phoneme's own end.
+
+    published_derivatives: as `PublishedSynthesizer` has it.
+    """
 
     strategy: SelectionStrategy
     looks_ahead: bool = False
+    published_derivatives: bool = False
 
     @property
     def name(self) -> str:
@@ -108,9 +112,15 @@ class PublishedMethod:
 
     def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
         """Faces with every phone known when it begins."""
-        synthesizer = PublishedSynthesizer(model, self.strategy)
+        synthesizer = self.synthesizer(model)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
         return np.array([synthesizer.coefficients_at(float(t)) for t in times_s])
+
+    def synthesizer(self, model: FaceModel) -> PublishedSynthesizer:
+        """A fresh one."""
+        return PublishedSynthesizer(
+            model, self.strategy, published_derivatives=self.published_derivatives
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +149,7 @@ class LiveMethod:
         """Faces decided at t from what is known of the sound up to t + L."""
         style = Style(lookahead_s, self.strength, self.smoothness)
         synthesizer = LiveSynthesizer(model, style)
-        source = _source(heard, lookahead_s)
+        source = script_of(heard, lookahead_s)
         faces, n_ticks = [], 0
         for time_s in times_s:
             while n_ticks * TICK_S < time_s - _BORDER_S:
@@ -184,7 +194,8 @@ class _Replayed:
         return told
 
 
-def _source(heard: Heard, lookahead_s: float) -> PhonemeScript:
+def script_of(heard: Heard, lookahead_s: float) -> PhonemeScript:
+    """The sentence told as time goes on, as far as a look-ahead allows."""
     if heard.updates:
         return _Replayed(heard.updates, lookahead_s + heard.latency_s)
     return ScriptedPhonemes(heard.events, lookahead_s)

@@ -10,7 +10,15 @@ from lipsync.phonemes import SILENCE, PhonemeEvent, stand_in
 def miss_rate(
     model: FaceModel, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
 ) -> float:
-    """Misses over all phonemes that follow another; 0 when there is none.
+    """Misses over all phonemes that follow another; 0 when there is none. See `count_misses`."""
+    misses, total = count_misses(model, strategy, sentences)
+    return misses / total if total else 0.0
+
+
+def count_misses(
+    model: FaceModel, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
+) -> tuple[int, int]:
+    """(misses, phonemes that follow another).
 
     A miss: the chosen AnimPho is not in L(p_t) and T(a_{t-1}) both (Wei and Deng, Figure 6). A
     silence begins a new chain, whose first phoneme cannot miss and is not counted.
@@ -29,4 +37,4 @@ def miss_rate(
                 choice = strategy.following(model, phoneme, choice)
                 misses += choice.missed
                 total += 1
-    return misses / total if total else 0.0
+    return misses, total

@@ -1,16 +1,19 @@
-"""How long a method takes for a phoneme and for a frame."""
+"""How long a method takes for a phoneme and for a frame, on the phonemes that it is scored on."""
 
+import math
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lipsync.animpho.live import TICK_S, LiveSynthesizer, Style
 from lipsync.animpho.model import FaceModel
-from lipsync.animpho.selection import SelectionStrategy
 from lipsync.animpho.synthesizer import PublishedSynthesizer
-from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.evaluation.methods import Heard, LiveMethod, Method, PublishedMethod, script_of
+from lipsync.phonemes import PhonemeScript, PhonemeUpdate
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,42 +24,65 @@ class Times:
     frame_p95_ms: float
 
 
-def live_times(model: FaceModel, sentences: Iterable[Sequence[PhonemeEvent]]) -> Times:
-    """Ours: a phoneme costs hearing of it and the first frame it moves."""
+class _Synthesizer(Protocol):
+    phonemes_planned: int
+
+    def push(self, update: PhonemeUpdate) -> None: ...
+
+    def coefficients_at(self, time_s: float) -> NDArray[np.float64]: ...
+
+
+def method_times(
+    method: Method, model: FaceModel, sentences: Iterable[Heard], lookahead_s: float
+) -> Times | None:
+    """Frame by frame at 100 Hz, as live; None for methods that only exist a sentence at a time.
+
+    A frame in which a phoneme begins to move the mouth, and what was learned in it, is that
+    phoneme's cost; all others are frames. The published method learns a sentence beforehand, as it
+    does where it is scored, and its look-ahead is the phone's own length.
+    """
     phoneme_ms: list[float] = []
     frame_ms: list[float] = []
-    for events in sentences:
-        synthesizer = LiveSynthesizer(model, Style(lookahead_s=0.0))
-        n_told = 0
-        for tick in range(int((events[-1].end_s or 0.0) / TICK_S)):
-            time_s, began = tick * TICK_S, time.perf_counter()
-            is_new = n_told < len(events) and events[n_told].start_s <= time_s
-            if is_new:
-                event = events[n_told]
-                n_told += 1
-                going_on = PhonemeEvent(event.phoneme, event.start_s, None)
-                synthesizer.push(PhonemeUpdate(event.start_s, time_s, event.start_s, (going_on,)))
-            synthesizer.coefficients_at(time_s)
-            (phoneme_ms if is_new else frame_ms).append((time.perf_counter() - began) * 1e3)
+    for heard in sentences:
+        synthesizer: _Synthesizer
+        if isinstance(method, LiveMethod):
+            style = Style(lookahead_s, method.strength, method.smoothness)
+            synthesizer, script = LiveSynthesizer(model, style), script_of(heard, lookahead_s)
+        elif isinstance(method, PublishedMethod):
+            synthesizer, script = method.synthesizer(model), _Known(heard)
+        else:
+            return None
+        _add_times(synthesizer, script, heard, phoneme_ms, frame_ms)
     return Times(_p95(phoneme_ms), _p95(frame_ms))
 
 
-def published_times(
-    model: FaceModel, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
-) -> Times:
-    """The paper's: a phoneme costs selection and blending, at its first frame."""
-    phoneme_ms: list[float] = []
-    frame_ms: list[float] = []
-    for events in sentences:
-        synthesizer = PublishedSynthesizer(model, strategy)
-        synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, tuple(events)))
-        begins = {round(e.start_s / TICK_S) for e in events}
-        for tick in range(int((events[-1].end_s or 0.0) / TICK_S)):
-            began = time.perf_counter()
-            synthesizer.coefficients_at(tick * TICK_S)
-            took_ms = (time.perf_counter() - began) * 1e3
-            (phoneme_ms if tick in begins else frame_ms).append(took_ms)
-    return Times(_p95(phoneme_ms), _p95(frame_ms))
+class _Known:
+    """A sentence that is known as a whole from the beginning."""
+
+    def __init__(self, heard: Heard) -> None:
+        self._updates = [PhonemeUpdate(0.0, math.inf, math.inf, heard.events)]
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - all at once
+        told, self._updates = self._updates, []
+        return told
+
+
+def _add_times(
+    synthesizer: LiveSynthesizer | PublishedSynthesizer | _Synthesizer,
+    script: PhonemeScript,
+    heard: Heard,
+    phoneme_ms: list[float],
+    frame_ms: list[float],
+) -> None:
+    for tick in range(int((heard.events[-1].end_s or 0.0) / TICK_S)):
+        time_s = tick * TICK_S
+        updates, n_planned = script.updates(time_s), synthesizer.phonemes_planned
+        began = time.perf_counter()
+        for update in updates:
+            synthesizer.push(update)
+        synthesizer.coefficients_at(time_s)
+        took_ms = (time.perf_counter() - began) * 1e3
+        (phoneme_ms if synthesizer.phonemes_planned > n_planned else frame_ms).append(took_ms)
 
 
 def _p95(values: Sequence[float]) -> float:

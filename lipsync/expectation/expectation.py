@@ -1,8 +1,8 @@
 """The learned expectation of the mouth given context: a few small networks, averaged.
 
 Inference only, NumPy only. Every network has two hidden layers of rectifiers. Phonemes enter by
-table look-up (a row for each phoneme in each slot or window, the first layer already applied to
-what the phoneme is), so a frame costs a few matrix-vector products.
+table look-up (a row for each slot and phoneme, the first layer already applied to what the phoneme
+is), so a frame costs a few matrix-vector products.
 """
 
 import math
@@ -19,8 +19,8 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Times are capped here, s: since the starts of the phone before last, the last, this one; until
-#: the ends of this one, the next, the one after. 98 % of the phones of grid_s1 (silence apart, one
-#: sentence in six counted) are shorter than the least; a longer memory only tells sentences apart.
+#: the ends of this one, the next, the one after. Of the phones of grid_s1 95 % last at most 0.16 s
+#: and 99 % at most 0.23 s; a longer memory only tells sentences apart.
 _LONGEST_EACH_S = (0.5, 0.4, 0.3, 0.25, 0.3, 0.3)
 _LONGEST_S = np.array(_LONGEST_EACH_S)
 #: How fast an end that comes near makes itself felt, s: the last frame, and the last few.
@@ -149,7 +149,7 @@ class Expectation:
     windows: Stack
 
     def at(self, phonemes: list[int], times_s: list[float], lookahead_s: float) -> Array:
-        """The expected face (n_components,) in one context: `faces` in half of its time."""
+        """The expected face (n_components,) in one context: `faces` in two thirds of its time."""
         timing = np.array([timing_features_at(times_s, lookahead_s)])
         by_slot = self.slot_tables[_SLOT_NUMBERS, phonemes].sum(axis=0)[None]
         filled = window_shares(np.array([times_s]), np.array([lookahead_s]))[0]

@@ -33,7 +33,6 @@ TRAINED_LOOKAHEADS_S = (0.0, 0.1, 0.2)
 _NEAR_SPEECH_S = 0.3
 
 
-#: Chosen on an inner split of fold 0's training part and on inner new words (docs/motion.md).
 @dataclass(frozen=True, slots=True)
 class Family:
     """Networks that read the context in one way."""
@@ -43,6 +42,8 @@ class Family:
     hidden: tuple[int, int]
 
 
+#: Chosen on an inner split of the first fold's training part and on inner new words
+#: (docs/motion.md).
 _SLOT_FAMILY = Family("slots", 3, (256, 64))
 _WINDOW_FAMILY = Family("windows", 1, (192, 48))
 _N_NETWORKS = _SLOT_FAMILY.n_networks + _WINDOW_FAMILY.n_networks

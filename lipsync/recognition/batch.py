@@ -47,14 +47,19 @@ def settled_phonemes(
     for first in range(0, len(recordings), TOGETHER):
         together = recordings[first : first + TOGETHER]
         n_frames = max(len(samples) for samples in together) // HOP + round(_TAIL_S * FRAMES_PER_S)
-        posteriors = np.stack([_posteriors(weights, s, n_frames + delay) for s in together])
+        posteriors = np.stack(
+            [recording_posteriors(weights, s, n_frames + delay) for s in together]
+        )
         labels = _settled(posteriors, weights.delays, delay)
         for samples, settled in zip(together, labels, strict=True):
             yield _events(settled[: max(1, -(-len(samples) // HOP))])
 
 
-def _posteriors(weights: NetworkWeights, samples: Array, n_frames: int) -> Array:
-    """(n_frames, n_heads, n_phonemes), the sound filled up with silence."""
+def recording_posteriors(weights: NetworkWeights, samples: Array, n_frames: int) -> Array:
+    """(n_frames, n_heads, n_phonemes) of samples (n,) at 16 kHz, filled up with silence.
+
+    In frame k the head that waits d frames speaks about frame k - d.
+    """
     padded = np.zeros((n_frames - 1) * HOP + WINDOW, np.float32)
     padded[: len(samples)] = samples
     frames = LogMelStream().push(padded)

@@ -7,12 +7,12 @@ import soxr
 from numpy.typing import NDArray
 
 from lipsync.audio.block import SAMPLE_RATE_HZ
-from lipsync.audio.file import read_sound
+from lipsync.audio.file import Warn, ignore, read_sound
 
 
-def read_speech(path: Path) -> NDArray[np.float32]:
-    """The file as samples (n,) float32 mono in [-1, 1] at 16 kHz; SoundError as `read_sound`."""
-    samples, rate_hz = read_sound(path)
+def read_speech(path: Path, warn: Warn = ignore) -> NDArray[np.float32]:
+    """The file as samples (n,) float32 mono in [-1, 1] at 16 kHz; else as `read_sound`."""
+    samples, rate_hz = read_sound(path, warn)
     if rate_hz == SAMPLE_RATE_HZ:
         return samples
     resampled: NDArray[np.float32] = soxr.resample(samples, rate_hz, SAMPLE_RATE_HZ)

@@ -92,14 +92,23 @@ def load_shipped_weights(name: str = DEFAULT_WEIGHTS) -> NetworkWeights:
 
 def find_weights(name_or_path: str) -> NetworkWeights:
     """Shipped weights by name, or those of a file; WeightsError for neither."""
-    check_weights_name(name_or_path)
+    _check_name(name_or_path)
     if name_or_path in SHIPPED:
         return load_shipped_weights(name_or_path)
     return load_weights(name_or_path)
 
 
-def check_weights_name(name_or_path: str) -> None:
-    """Raises WeightsError for what is neither shipped nor a file; opens nothing."""
+def check_weights(name_or_path: str) -> None:
+    """Raises WeightsError for what is neither shipped nor a file of weights that can be used.
+
+    Of the default ones nothing is read: where they are damaged a lesser recogniser takes over. What
+    somebody asked for by name is used, or refused.
+    """
+    if name_or_path != DEFAULT_WEIGHTS:
+        find_weights(name_or_path)
+
+
+def _check_name(name_or_path: str) -> None:
     if name_or_path not in SHIPPED and not Path(name_or_path).is_file():
         raise WeightsError(
             f"{name_or_path}: no such file; give one, or shipped weights: {', '.join(SHIPPED)}"
