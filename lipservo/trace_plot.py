@@ -29,7 +29,11 @@ def check_plot(path: Path) -> None:
     if path.suffix not in _SUFFIXES:
         raise UserError(f"{path}: --plot draws {' or '.join(_SUFFIXES)}")
     check_extra("matplotlib", "--plot")
-    check_output(path, replaces=is_picture, kind="picture")
+    check_output(path, replaces=_is_drawing, kind="PNG or SVG picture")
+
+
+def _is_drawing(head: bytes) -> bool:
+    return is_picture(head) or (head.startswith(b"<?xml") and b"svg" in head)
 
 
 def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> None:
