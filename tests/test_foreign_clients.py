@@ -85,6 +85,7 @@ def test_dynamixel_sdk_registers_writes_and_lets_them_act(sdk):
 
     assert packets.action(handler, 254) == 0
     assert [packets.read4ByteTxRx(handler, n, GOAL)[0] for n in IDS] == [1901, 1902, 1903]
+    assert until(lambda: packets.read1ByteTxRx(handler, 1, 122)[0] == 0)  # at rest
     assert packets.clearMultiTurn(handler, 1) == (0, 0)
 
 
