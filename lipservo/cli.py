@@ -5,6 +5,7 @@ import sys
 import typer
 
 from firmware_bridge.bus import BusError
+from firmware_bridge.runtime_folder import ControlError
 from lipservo.commands import (
     bench,
     bench_recognition,
@@ -13,6 +14,7 @@ from lipservo.commands import (
     processes,
     recognition,
     sim_bus,
+    stop,
     street,
     training,
 )
@@ -50,7 +52,9 @@ app.command("setup-servos")(builder.setup_servos)
 app.command("new-face")(builder.new_face)
 app.command("bridge-process", hidden=True)(processes.bridge_process)
 app.command("speech-process", hidden=True)(processes.speech_process)
-app.command("stop")(processes.stop)
+app.command("stop")(stop.stop)
+app.command("status")(stop.status)
+app.command("limp")(stop.limp)
 app.add_typer(bench.app, name="bench")
 
 
@@ -58,7 +62,7 @@ def main() -> None:
     """Run the command line. What the user can mend ends in clear lines and status 1."""
     try:
         app(_with_default_microphone(sys.argv[1:]))
-    except (UserError, BusError) as error:
+    except (UserError, BusError, ControlError) as error:
         for line in str(error).splitlines():
             sys.stderr.write(f"lipservo: {line}\n")
         sys.exit(1)
