@@ -14,6 +14,9 @@ from typing import Final
 
 _PROC: Final = Path("/proc")
 _OF_PROGRAM: Final = "lipservo"
+#: Ends what hangs: nobody here handles it, and the unit tells systemd that it is a person's stop,
+#: after which nothing is started again.
+END_OF_HUNG: Final = signal.SIGUSR2
 #: A process dies in some milliseconds, unless a driver holds it.
 _DEATH_S: Final = 0.5
 _LOOK_S: Final = 0.01
@@ -64,10 +67,9 @@ def with_children(pids: Iterable[int]) -> list[int]:
 def end_hung(pids: list[int]) -> list[int]:
     """End processes that hear nothing any more; those that are still there afterwards.
 
-    By SIGUSR2, which nobody here handles, and SIGKILL for what is left. systemd is told in the unit
-    that SIGUSR2 is a person's stop, after which nothing is started again.
+    By `END_OF_HUNG`, and SIGKILL for what is left.
     """
-    for number in (signal.SIGUSR2, signal.SIGKILL):
+    for number in (END_OF_HUNG, signal.SIGKILL):
         for pid in pids:
             with contextlib.suppress(OSError):
                 os.kill(pid, number)

@@ -259,11 +259,15 @@ class Supervisor:
 
     def _give_up_s(self) -> float:
         """How long a port that is gone is waited for."""
-        if not self._bridge.ever_beaten and (self._is_ending or not self._may_restart()):
+        if not self._is_ending and self._may_restart():
+            return float("inf")
+        if not self._ran_well:
             return self._release_s + _START_PATIENCE_S
-        if self._is_ending and self._signal_s is not None:
-            return self._signal_s + (_PORT_PATIENCE_S if self._n_signals == 1 else 0.0)
-        return float("inf")  # who stopped it by the socket can ask how it is, and signal
+        if not self._is_ending:
+            return self._release_s + _PORT_PATIENCE_S
+        if self._signal_s is None:
+            return float("inf")  # who stopped it by the socket can ask how it is, and signal
+        return self._signal_s + (_PORT_PATIENCE_S if self._n_signals == 1 else 0.0)
 
     def _released(self, release: TorqueRelease) -> None:
         self._port_error = ""
