@@ -4,14 +4,13 @@ import contextlib
 import errno
 import json
 import socket
-import struct
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_bridge.control_socket import StopLevel, held_folder, is_dead_socket, knock
+from firmware_bridge.control_socket import StopLevel, held_folder, is_dead_socket, knock, peer
 from firmware_bridge.runtime_folder import (
     SOCKET_SUFFIX,
     ControlError,
@@ -25,7 +24,6 @@ _LONGEST_ANSWER: Final = 1 << 18
 _PATIENCE_S: Final = 2.0
 #: A face whose process was replaced in between is spoken to again after this.
 _RETRY_S: Final = 0.05
-_CREDENTIALS: Final = struct.Struct("3i")
 
 Answer = dict[str, Any]
 
@@ -52,15 +50,15 @@ def running_faces() -> list[RunningFace]:
 
 def face_at(path: Path) -> RunningFace:
     """The face that listens at `path`. Raises ControlError when none does, or we may not ask."""
+    path = path.parent.resolve() / path.name
     try:
         with _connected(path, time.monotonic() + _PATIENCE_S) as client:
-            size = _CREDENTIALS.size
-            raw = client.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+            pid, _ = peer(client)
     except OSError as error:
         why = error.strerror or str(error)
         raise ControlError(f"{path}: nobody answers there: {why}; is a face running?") from error
     named = read_socket_name(path)
-    return RunningFace(path.stem if named is None else named[0], _CREDENTIALS.unpack(raw)[0], path)
+    return RunningFace(path.stem if named is None else named[0], pid, path)
 
 
 def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:

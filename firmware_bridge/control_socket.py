@@ -84,6 +84,7 @@ class ControlSocket:
         Raises ControlError where a face listens already, where something else lies that is no dead
         socket of ours, and where no socket can be.
         """
+        path = path.parent.resolve() / path.name  # the kernel lists it as it is bound
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             with held_folder(path.parent):
@@ -183,7 +184,7 @@ class ControlSocket:
             return None
         client.asked_to_stop = True
         client.send({"accepted": word, **status(), **self._about})
-        self.asked_by = _peer(client.end)
+        self.asked_by = _named_peer(client.end)
         return StopLevel(word)
 
     def _drop(self, client: _Client) -> None:
@@ -257,10 +258,15 @@ def _inode(path: Path) -> tuple[int, int] | None:
     return found.st_dev, found.st_ino
 
 
-def _peer(end: socket.socket) -> str:
+def peer(end: socket.socket) -> tuple[int, int]:
     """Process and user at the other end, as the kernel knows them."""
-    size = _CREDENTIALS.size
-    pid, uid, _ = _CREDENTIALS.unpack(end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size))
+    raw = end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    pid, uid, _ = _CREDENTIALS.unpack(raw)
+    return pid, uid
+
+
+def _named_peer(end: socket.socket) -> str:
+    pid, uid = peer(end)
     try:
         user = pwd.getpwuid(uid).pw_name
     except KeyError:

@@ -31,5 +31,13 @@ class EndReport:
         """In one line."""
         if not self.unconfirmed:
             return f"torque off confirmed by all {len(self.confirmed)} servos"
-        left = "; ".join(f"{name} {why}" for name, why in self.unconfirmed.items())
-        return f"torque off confirmed by {len(self.confirmed)} servos, not by: {left}"
+        n, left = len(self.confirmed), named_by_reason(self.unconfirmed)
+        return f"torque off confirmed by {n} servos, NOT by {left}"
+
+
+def named_by_reason(unconfirmed: Mapping[str, str]) -> str:
+    """Servos and reasons in words, each reason once: `jaw, left: did not answer` for one."""
+    servos: dict[str, list[str]] = {}
+    for name, why in unconfirmed.items():
+        servos.setdefault(why, []).append(name)
+    return "; ".join(f"{', '.join(names)}: {why}" for why, names in servos.items())

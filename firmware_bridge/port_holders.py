@@ -43,7 +43,9 @@ def holders_of_socket(path: Path) -> list[int]:
 
 
 def is_ours(pid: int) -> bool:
-    """Whether it is a lipservo that we may end: our own user's, or anybody's for root."""
+    """Whether it is another lipservo that we may end: our own user's, or anybody's for root."""
+    if pid == os.getpid():
+        return False
     try:
         owner = (_PROC / str(pid)).stat().st_uid
         command = (_PROC / str(pid) / "cmdline").read_bytes()
@@ -83,7 +85,7 @@ def end_hung(pids: list[int]) -> list[int]:
 
 def _processes() -> Iterator[int]:
     for entry in _PROC.iterdir():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
+        if entry.name.isdigit():
             yield int(entry.name)
 
 

@@ -254,17 +254,15 @@ class Supervisor:
                 self._say(f"torque cannot be switched off yet: {self._port_error}")
             if now_s >= self._give_up_s():
                 why = dict.fromkeys(self._servo_names.values(), self._port_error)
-                status = UNCONFIRMED if self._is_ending else self._last_status
+                status = UNCONFIRMED if self._is_ending else max(self._last_status, 1)
                 self._finish(EndReport(status, (), why))
 
     def _give_up_s(self) -> float:
         """How long a port that is gone is waited for."""
-        if not self._is_ending and self._may_restart():
-            return float("inf")
         if not self._ran_well:
             return self._release_s + _START_PATIENCE_S
         if not self._is_ending:
-            return self._release_s + _PORT_PATIENCE_S
+            return float("inf") if self._may_restart() else self._release_s + _PORT_PATIENCE_S
         if self._signal_s is None:
             return float("inf")  # who stopped it by the socket can ask how it is, and signal
         return self._signal_s + (_PORT_PATIENCE_S if self._n_signals == 1 else 0.0)

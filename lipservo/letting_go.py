@@ -13,6 +13,7 @@ from firmware_bridge.control_client import RunningFace, ask, stop_and_wait
 from firmware_bridge.control_socket import StopLevel, knock
 from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
 from firmware_bridge.dynamixel.serial_transport import open_port
+from firmware_bridge.end_report import named_by_reason
 from firmware_bridge.last_resort import release_port
 from firmware_bridge.port_holders import (
     end_hung,
@@ -63,8 +64,8 @@ class Outcome:
         if not self.unconfirmed:
             by = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
             return f"{self.name}: {done}{by}"
-        left = "; ".join(f"{servo} {why}" for servo, why in self.unconfirmed.items())
-        return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by: {left}"
+        left = named_by_reason(self.unconfirmed)
+        return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {left}"
 
 
 def stop_face(face: RunningFace, level: StopLevel, say: Say) -> Outcome:

@@ -102,7 +102,7 @@ def test_a_servo_that_did_not_confirm_is_named_and_the_exit_status_says_it():
         done = invoke("stop")
 
     assert done.exit_code == 1
-    assert "NOT by: left did not answer" in done.stdout
+    assert "NOT by left: did not answer" in done.stdout
 
 
 def test_status_shows_servos_and_no_dead_faces(own_folder):
@@ -153,6 +153,18 @@ def test_limp_leaves_the_faces_at_other_ports_alone(port):
         invoke("limp", "--port", port)
 
     assert heard == []
+
+
+def test_a_service_that_has_ended_leaves_a_port_that_somebody_holds_alone(port):
+    transport = open_port(port, 2_000_000)
+    line = Line(transport)
+    line.write(5, 64, b"\1")
+    done = invoke("limp", "--unless-held", "--port", os.path.relpath(port))
+    held = line.read(5, 64, 1).data
+    transport.close()
+
+    assert done.exit_code == 0
+    assert held == b"\1"
 
 
 def test_limp_at_a_port_that_is_not_there_is_one_line():

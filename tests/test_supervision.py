@@ -10,11 +10,14 @@ import sys
 import time
 
 import pytest
+from typer.testing import CliRunner
 
 from firmware_bridge.control_client import ask
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.serial_transport import open_port
+from lipservo.cli import app
 from lipservo.sim_process import simulated_port
+from lipsync.errors import UserError
 
 BAUD_RATE = 1_000_000
 IDS = range(11, 21)
@@ -29,14 +32,12 @@ def port():
         yield port
 
 
-@pytest.fixture(autouse=True)
-def own_folder(tmp_path, monkeypatch):
+def own_folder(folder, monkeypatch):
     """Faces of this test only."""
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    session = tmp_path / "session"
+    session = folder / "session"
     session.mkdir(mode=0o700)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
-    return session / "lipservo"
 
 
 @contextlib.contextmanager
@@ -69,9 +70,25 @@ def running(port, folder, *arguments, errors=None):
                     process.kill()
 
 
+@pytest.fixture(scope="module")
+def enduring(port, tmp_path_factory):
+    """One daemon for all that it survives."""
+    folder = tmp_path_factory.mktemp("enduring")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        own_folder(folder, monkeypatch)
+        with running(port, folder) as process:
+            yield process
+
+
 @pytest.fixture
-def daemon(port, tmp_path):
-    with running(port, tmp_path) as process:
+def daemon(tmp_path, monkeypatch):
+    """A daemon of its own, at servos of its own."""
+    own_folder(tmp_path, monkeypatch)
+    with (
+        simulated_port(["--config", "face_sim", "--on-time"]) as port,
+        running(port, tmp_path) as process,
+    ):
+        process.port = port
         yield process
 
 
@@ -128,53 +145,67 @@ def all_driven(process):
     ("number", "said"),
     [(signal.SIGKILL, "bridge died (signal 9)"), (signal.SIGSTOP, "bridge hangs")],
 )
-def test_a_bridge_that_is_shot_or_hangs_leaves_a_limp_face_and_is_replaced(daemon, number, said):
-    first = child(daemon, "bridge")
+def test_a_bridge_that_is_shot_or_hangs_leaves_a_limp_face_and_is_replaced(enduring, number, said):
+    first = child(enduring, "bridge")
     os.kill(first, number)
-    wait_for(lambda: child(daemon, "bridge") != first)
-    wait_for(lambda: all_driven(daemon))
+    wait_for(lambda: child(enduring, "bridge") != first)
+    wait_for(lambda: all_driven(enduring))
 
-    assert said in log(daemon)
-    assert "torque off confirmed by all 10 servos" in log(daemon)
+    assert said in log(enduring)
+    assert "torque off confirmed by all 10 servos" in log(enduring)
     assert not alive(first)
 
 
-def test_a_supervisor_shot_dead_takes_both_children_with_it_and_torque_off(daemon, port):
-    """Its socket is left behind, and cleared away by whoever comes next."""
-    children = [child(daemon, "bridge"), child(daemon, "speech")]
-    daemon.kill()
-    daemon.wait(PATIENCE_S)
-    wait_for(lambda: not any(alive(pid) for pid in children))
-
-    assert torque(port) == [0] * 10
-    assert json.loads(run("status", "--json").stdout) == {"faces": []}
-    assert not daemon.control.exists()
-
-
-def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(daemon):
-    first, bridge = child(daemon, "speech"), child(daemon, "bridge")
+def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(enduring):
+    first, bridge = child(enduring, "speech"), child(enduring, "bridge")
     os.kill(first, signal.SIGKILL)
-    wait_for(lambda: child(daemon, "speech") != first)
+    wait_for(lambda: child(enduring, "speech") != first)
 
-    assert child(daemon, "bridge") == bridge
-    assert all_driven(daemon)
+    assert child(enduring, "bridge") == bridge
+    assert all_driven(enduring)
 
 
-@pytest.mark.parametrize("level", [[], ["--limp"]])
-def test_stop_ends_the_face_limp_and_says_who_confirmed_it(port, tmp_path, level):
+@pytest.mark.parametrize("same_socket", [False, True])
+def test_a_second_face_is_refused_and_the_first_goes_on(enduring, port, same_socket):
+    control = ["--control", str(enduring.control)] if same_socket else []
+    done = run("daemon", "--port", port, *control)
+
+    assert done.returncode == 1
+    assert ("a face listens there" if same_socket else "used by another program") in done.stderr
+    assert "Traceback" not in done.stderr
+    assert all_driven(enduring)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["--wav", "no_such.wav"], "no_such.wav"), (["--trace", "t.jsonl"], "run --port PORT")],
+)
+def test_what_a_daemon_cannot_do_is_refused_before_a_servo_is_spoken_to(arguments, said):
+    done = CliRunner().invoke(app, ["daemon", "--port", "/dev/no_such_port", *arguments])
+
+    assert isinstance(done.exception, UserError)
+    assert said in str(done.exception)
+
+
+def test_stop_ends_the_face_limp_and_says_who_confirmed_it(tmp_path, monkeypatch):
     """Nobody reads what the daemon says: its log is a full pipe, as after Ctrl-S."""
+    own_folder(tmp_path, monkeypatch)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     with contextlib.suppress(BlockingIOError):
         while True:
             os.write(writing, b"x" * 1000)
     os.set_blocking(writing, True)
-    with running(port, tmp_path, "--json", errors=writing) as daemon:
+    with (
+        simulated_port(["--config", "face_sim", "--on-time"]) as port,
+        running(port, tmp_path, "--json", errors=writing) as daemon,
+    ):
         (face,) = json.loads(run("status", "--json").stdout)["faces"]
         assert (face["port"], face["pid"]) == (port, daemon.pid)
-        done = run("stop", *level, "--json")
+        done = run("stop", "--json")
         (stopped,) = json.loads(done.stdout)["faces"]
         assert daemon.wait(PATIENCE_S) == 0
+        assert torque(port) == [0] * 10
     os.close(reading)
     os.close(writing)
 
@@ -182,51 +213,40 @@ def test_stop_ends_the_face_limp_and_says_who_confirmed_it(port, tmp_path, level
     assert len(stopped["confirmed"]) == 10
     assert (stopped["unconfirmed"], stopped["problem"]) == ({}, "")
     assert len(json.loads(daemon.out.read_text())["confirmed"]) == 10
-    assert torque(port) == [0] * 10
 
 
-def test_a_second_face_at_the_same_socket_is_refused_and_the_first_goes_on(daemon, port):
-    done = run("daemon", "--port", port, "--control", str(daemon.control))
+def test_a_supervisor_shot_dead_takes_both_children_with_it_and_torque_off(daemon):
+    """Its socket is left behind, and cleared away by whoever comes next."""
+    children = [child(daemon, "bridge"), child(daemon, "speech")]
+    daemon.kill()
+    daemon.wait(PATIENCE_S)
+    wait_for(lambda: not any(alive(pid) for pid in children))
 
-    assert done.returncode == 1
-    assert "a face listens there already" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert all_driven(daemon)
+    assert torque(daemon.port) == [0] * 10
+    assert json.loads(run("status", "--json").stdout) == {"faces": []}
+    assert not daemon.control.exists()
 
 
-def test_ctrl_c_and_a_closed_terminal_bring_the_face_to_rest(daemon, port):
+def test_a_closed_terminal_brings_the_face_to_rest(daemon):
     """The children are in groups of their own: the terminal's signal is the supervisor's alone."""
     assert os.getpgid(child(daemon, "bridge")) != os.getpgid(daemon.pid)
     daemon.send_signal(signal.SIGHUP)
 
     assert daemon.wait(PATIENCE_S) == 0
-    assert torque(port) == [0] * 10
+    assert torque(daemon.port) == [0] * 10
     assert "ended; torque off confirmed by all 10 servos" in log(daemon)
 
 
-@pytest.mark.parametrize("command", [["stop"], ["limp"], ["limp", "--port"]])
-def test_a_face_that_hears_nothing_at_all_is_let_go_by_force(daemon, port, command):
+@pytest.mark.parametrize("command", [["stop"], ["limp", "--port"]])
+def test_a_face_that_hears_nothing_at_all_is_let_go_by_force(daemon, command):
     """Supervisor and bridge are both stopped, as by a debugger: only somebody else can help."""
     bridge = child(daemon, "bridge")
     for pid in (daemon.pid, bridge):
         os.kill(pid, signal.SIGSTOP)
-    done = run(*command, *([port] if command[-1] == "--port" else []), "--json")
+    done = run(*command, *([daemon.port] if command[-1] == "--port" else []), "--json")
 
     assert done.returncode == 0, done
     assert len(json.loads(done.stdout)["faces"][-1]["confirmed"]) == 10
-    assert torque(port) == [0] * 10
+    assert torque(daemon.port) == [0] * 10
     assert daemon.wait(PATIENCE_S) != 0
     wait_for(lambda: not alive(bridge))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [(["--wav", "no_such.wav"], "no_such.wav"), (["--trace", "t.jsonl"], "run --port PORT")],
-)
-def test_what_a_daemon_cannot_do_is_refused_before_a_servo_is_spoken_to(port, arguments, said):
-    done = run("daemon", "--port", port, *arguments)
-
-    assert done.returncode == 1
-    assert said in done.stderr
-    assert len(done.stderr.splitlines()) == 1
-    assert torque(port) == [0] * 10

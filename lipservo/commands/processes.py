@@ -92,7 +92,7 @@ def supervise(
         speech += [] if wav is None else ["--wav", str(wav)]
         speech += [] if mic is None else ["--mic", mic]
         report = Supervisor(
-            Child("bridge", bridge, inherited, Patience(start_s=15.0, run_s=1.0)),
+            Child("bridge", bridge, inherited, Patience(start_s=30.0, run_s=1.0)),
             Child("speech", speech, {"{channel}": writer.fileno()}, Patience(60.0, 3.0)),
             listener,
             lambda patience_s: TorqueRelease(opener, list(servo_names), patience_s=patience_s),
@@ -133,7 +133,7 @@ def bridge_process(
     rate = rate_hz or settings.rate_hz
     about = {"name": settings.name, "port": port}
     with ExitStack() as stack:
-        say = _no_log if quiet else stack.enter_context(LogLines())
+        say = _no_log if quiet else stack.enter_context(LogLines(prefix="bridge: "))
         end = stack.enter_context(socket.socket(fileno=channel))
         listener = stack.enter_context(ControlSocket.adopt(control, control_path, about))
         bus = bus_for(settings, MonotonicClock(), strict=False)
@@ -183,7 +183,7 @@ def speech_process(
     face = assemble_face(config, model)
     with ExitStack() as stack:
         signals = stack.enter_context(StopSignals())
-        say = _no_log if quiet else stack.enter_context(LogLines())
+        say = _no_log if quiet else stack.enter_context(LogLines(prefix="speech: "))
         end = stack.enter_context(socket.socket(fileno=channel))
         source = stack.enter_context(open_source_or_silence(wav, mic))
         recognizer = make_recognizer(manner.engine, time.perf_counter, manner.weights)

@@ -8,6 +8,7 @@ import typer
 
 from firmware_bridge.control_client import RunningFace, ask, face_at, running_faces
 from firmware_bridge.control_socket import StopLevel
+from firmware_bridge.port_holders import holders_of
 from firmware_bridge.runtime_folder import name_in_path
 from lipservo.commands.options import Json
 from lipservo.letting_go import Outcome, port_of, release, stop_face
@@ -79,6 +80,12 @@ def limp(
             show_default=False,
         ),
     ] = None,
+    unless_held: Annotated[
+        bool,
+        typer.Option(
+            "--unless-held", help="Leave the port alone while a program holds it; for services."
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Let everything go, whatever held it: asks the face, then switches torque off at its port.
@@ -95,6 +102,9 @@ def limp(
         port = port or (settings.bus.port if settings.bus.kind == "dynamixel" else None)
         if port is None:
             raise UserError(f"{config}: names no port; add --port PORT")
+    if unless_held and port is not None and (held_by := holders_of(port)):
+        _say(f"{port}: held by process {held_by[0]}, and left alone")
+        return
     real = None if port is None else os.path.realpath(port)
     faces = [each for each in running_faces() if port is None or port_of(each) == real]
     outcomes = [stop_face(each, StopLevel.LIMP, _say) for each in faces]
