@@ -1,6 +1,10 @@
 """The bridge process: owns the port, runs the loop on the grid, ends in a defined state."""
 
+import os
 from collections.abc import Callable
+from dataclasses import asdict
+
+import numpy as np
 
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus, ServoError
@@ -10,6 +14,7 @@ from firmware_bridge.end_report import ENDED_WELL, NOT_AGAIN, UNCONFIRMED
 from firmware_bridge.life_cycle import LifeCycle
 from firmware_bridge.lifeline import Lifeline
 from firmware_bridge.process import run_on_time
+from firmware_bridge.report import TickReport
 
 
 def run_bridge(
@@ -35,10 +40,11 @@ def run_bridge(
         rate_hz=rate_hz,
         control=control,
         lifeline=lifeline,
-        say=say,
+        log=say,
+        status=lambda: _status(bridge, report),
         stopped=stopped,
     )
-    began = False
+    began, report = False, None
     try:
         with bus, life:
             life.start()
@@ -53,5 +59,27 @@ def run_bridge(
             raise
         say(str(error))
         return NOT_AGAIN
-    say(life.report.text())
-    return UNCONFIRMED if life.report.unconfirmed else ENDED_WELL
+    confirmed = life.report is not None and not life.report.unconfirmed
+    return ENDED_WELL if confirmed else UNCONFIRMED
+
+
+def _status(bridge: Bridge, report: TickReport | None) -> dict[str, object]:
+    """What `status` answers: plain values, names with units; report: of the newest tick."""
+    status = asdict(bridge.status)
+    gate = status.pop("gate")
+    ticked = {}
+    if report is not None:
+        ticked = {
+            "torque_on": report.torque_on,
+            "stale": report.stale.name.lower(),
+            "target_age_s": round(min(report.target_age_s, 1e9), 3),
+            "sent_deg": [round(float(each), 2) for each in report.sent_deg],
+        }
+    return {
+        **status,
+        **{f"{name}_total": int(np.sum(each)) for name, each in gate.items()},
+        "servo_states": [state.name.lower() for state in bridge.status.servo_states],
+        "troubles": list(bridge.troubles),
+        "bridge_pid": os.getpid(),
+        **ticked,
+    }

@@ -73,7 +73,7 @@ class Child:
 
     @property
     def has_beaten(self) -> bool:
-        """Whether the running process has given a sign of life."""
+        """Whether the newest process has given a sign of life."""
         return self._watch is not None and self._watch.beat_s is not None
 
     def filenos(self) -> list[int]:

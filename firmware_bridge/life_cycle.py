@@ -3,7 +3,7 @@
 import signal
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Self
 
@@ -41,14 +41,16 @@ class LifeCycle:
         rate_hz: float,
         control: ControlSocket | None = None,
         lifeline: Lifeline | None = None,
-        say: Callable[[str], None],
+        log: Callable[[str], None] = lambda _line: None,
+        status: Callable[[], Mapping[str, object]] = dict,
         stopped: StopLevel | None = None,
     ) -> None:
         self._bridge, self._clock, self._rate_hz = bridge, clock, rate_hz
-        self._control, self._lifeline, self._say = control, lifeline, say
+        self._control, self._lifeline, self._log = control, lifeline, log
+        self._status = status
         self._stopped = stopped
         self._n_signals = 0
-        self.report = StopReport((), {}, False)
+        self.report: StopReport | None = None
 
     def __enter__(self) -> Self:
         def note(_number: int, _frame: FrameType | None) -> None:
@@ -64,6 +66,7 @@ class LifeCycle:
         self.report = StopReport(names, {}, True)
         if self._control is not None:
             self._control.report_end(self.report.as_dict())
+        self._log(self.report.text())
 
     def start(self) -> None:
         """Stand-in."""
@@ -94,11 +97,3 @@ class LifeCycle:
                 time.sleep(0.01)
                 continue
             yield time_s, late
-
-    def _status(self) -> dict[str, object]:
-        status = asdict(self._bridge.status)
-        return {
-            "servo_states": [state.name.lower() for state in self._bridge.status.servo_states],
-            "troubles": list(self._bridge.troubles),
-            "n_ticks": status["n_ticks"],
-        }

@@ -22,7 +22,7 @@ class WatchedChild(Protocol):
 
     @property
     def has_beaten(self) -> bool:
-        """Whether the running process has given a sign of life."""
+        """Whether the newest process has given a sign of life."""
 
     def filenos(self) -> list[int]:
         """What becomes readable when it says something or ends."""

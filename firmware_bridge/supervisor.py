@@ -221,7 +221,9 @@ class Supervisor:
         if status == ENDED_WELL:
             self.report = EndReport(ENDED_WELL, tuple(self._servo_names.values()))
             return
-        self._ran_well |= self._bridge.mourn(status, now_s) > WELL_S
+        ran_s = self._bridge.mourn(status, now_s)
+        # A busy machine needs long to load a program that then fails.
+        self._ran_well |= self._bridge.child.has_beaten and ran_s > WELL_S
         if self._stop is StopLevel.FREEZE and status != NOT_AGAIN:
             self._phase = _Phase.WAITING  # what is held stays held
         else:

@@ -32,7 +32,7 @@ class PlayedChild:
 
     @property
     def has_beaten(self):
-        return self.pid is not None and self.beat_s is not None
+        return self.beat_s is not None
 
     def filenos(self):
         return []
@@ -314,6 +314,16 @@ def test_a_bridge_that_fails_at_its_first_start_ends_the_face(starting_face, sta
 
     assert report.status == 1
     assert bool(report.unconfirmed) == unplugged
+
+
+def test_a_bridge_that_took_long_to_load_and_then_failed_has_not_run_well(starting_face):
+    face = starting_face
+    face.unplugged = True
+    face.bridge.beats = False
+    face.play(20.0)
+    face.bridge.status = 1
+
+    assert face.play(5.0).status == 1
 
 
 def test_the_first_signal_asks_both_the_second_again(face):
