@@ -87,6 +87,11 @@ class Bridge:
         return self._state
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """The joints, in the order of everything else."""
+        return tuple(joint.name for joint in self._joints)
+
+    @property
     def plugged(self) -> bool:
         """Whether the port is there."""
         return self._plugged

@@ -4,50 +4,53 @@ import os
 import socket
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
-
-from firmware_bridge.control_socket import ask
 
 #: systemd waits for 20 s (`WatchdogSec` of the unit).
 _ALIVE_S: Final = 1.0
-#: A bridge that is still waking its servos does not answer; it is asked again soon.
-_PATIENCE_S: Final = 0.05
 
 
 class ServiceNotice:
-    """Call it often: it says READY=1 once, and WATCHDOG=1 every second."""
+    """Says READY=1 once and WATCHDOG=1 every second; nothing when systemd did not start us.
 
-    def __init__(self, control: Path, now_s: Callable[[], float] = time.monotonic) -> None:
-        """control: the bridge's control socket; it answers once the servos are awake."""
-        self._control = control
+    A socket that is no longer there is said once and otherwise ignored.
+    """
+
+    def __init__(
+        self, say: Callable[[str], None], now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._say = say
         self._now_s = now_s
+        self._address = os.environ.get("NOTIFY_SOCKET", "")
         self._ready = False
-        self._alive_s = -_ALIVE_S
-        self._wanted = bool(os.environ.get("NOTIFY_SOCKET"))
+        self._complained = False
+        self._alive_s = float("-inf")
 
-    def __call__(self) -> None:
-        """Say what there is to say; nothing when systemd did not start us."""
-        if not self._wanted:
-            return
+    def ready(self) -> None:
+        """The servos are driven."""
         if not self._ready:
-            try:
-                ask(self._control, "status", _PATIENCE_S)
-            except OSError:
-                return
             self._ready = True
-            notify("READY=1")
-        if self._now_s() - self._alive_s >= _ALIVE_S:
-            self._alive_s = self._now_s()
-            notify("WATCHDOG=1")
+            self._notify("READY=1")
 
+    def alive(self) -> None:
+        """The loop that moves the face is alive; call it often."""
+        now_s = self._now_s()
+        if self._ready and now_s - self._alive_s >= _ALIVE_S:
+            self._alive_s = now_s
+            self._notify("WATCHDOG=1")
 
-def notify(state: str) -> None:
-    """Tell systemd, if it started us: `READY=1`, `WATCHDOG=1`; see sd_notify(3)."""
-    address = os.environ.get("NOTIFY_SOCKET")
-    if not address:
-        return
-    if address.startswith("@"):
-        address = "\0" + address[1:]
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifier:
-        notifier.sendto(state.encode(), address)
+    def _notify(self, state: str) -> None:
+        """See sd_notify(3)."""
+        if not self._address:
+            return
+        address = self._address
+        if address.startswith("@"):
+            address = "\0" + address[1:]
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifier:
+                notifier.setblocking(False)
+                notifier.sendto(state.encode(), address)
+        except (OSError, ValueError) as error:
+            if not self._complained:
+                self._complained = True
+                self._say(f"systemd is not told: NOTIFY_SOCKET={self._address}: {error}")

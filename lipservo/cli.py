@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from firmware_bridge.bus import BusError
+from firmware_bridge.runtime_folder import ControlError
 from lipservo.commands import (
     alignment,
     bench,
@@ -22,6 +23,7 @@ from lipservo.commands import (
     recognition,
     setup_servos,
     sim_bus,
+    stop,
     street,
     trace,
     training,
@@ -59,7 +61,9 @@ app.command("setup-servos")(setup_servos.setup_servos)
 app.command("new-face")(builder.new_face)
 app.command("bridge-process", hidden=True)(processes.bridge_process)
 app.command("speech-process", hidden=True)(processes.speech_process)
-app.command("stop")(processes.stop)
+app.command("stop")(stop.stop)
+app.command("status")(stop.status)
+app.command("limp")(stop.limp)
 app.command()(health.health)
 app.add_typer(bench.app, name="bench")
 app.add_typer(trace.app, name="trace")
@@ -104,7 +108,7 @@ def main() -> None:
     except typer.TyperException as error:
         complain(_usage_line(error))
         status = error.exit_code
-    except (UserError, BusError) as error:
+    except (UserError, BusError, ControlError) as error:
         # Notes say what became of the servos.
         complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
         status = 1

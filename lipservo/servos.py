@@ -1,6 +1,6 @@
 """The servos of a face's YAML as the bus knows them, their bus, and the bridge that drives them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 
 import numpy as np
@@ -58,6 +58,7 @@ def bridge_for(
     rate_hz: float | None = None,
     tolerant: bool = False,
     dry_run: bool = False,
+    given_up: Mapping[int, str] | None = None,
 ) -> Bridge:
     """The bridge with all rules of the face's YAML. rate_hz: default the face's."""
     return Bridge(
@@ -70,6 +71,7 @@ def bridge_for(
         prevent=prevent_rules(face),
         tolerant=tolerant,
         dry_run=dry_run,
+        given_up=given_up,
     )
 
 

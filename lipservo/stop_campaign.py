@@ -20,14 +20,14 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from firmware_bridge.control_client import ask, stop_and_wait
 from numpy.typing import NDArray
 
-from firmware_bridge.control_socket import StopLevel
+from firmware_bridge.control_client import ask, stop_and_wait
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.pty_host import PtyHost
+from firmware_bridge.stopping import StopLevel
 from lipservo.servos import mounted_servos
 from lipservo.settings import load_shipped_face
 

@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 import typer
 
+from firmware_bridge.end_report import NOT_AGAIN, UNCONFIRMED
+from firmware_bridge.port_holders import END_OF_HUNG
+from firmware_bridge.runtime_folder import SERVICE_FOLDER
 from lipservo.cli import app
 
 CONFIG = resources.files("lipservo.config")
@@ -20,12 +23,12 @@ RULES = (CONFIG / "60-lipservo-dynamixel.rules").read_text()
 def command_of(key):
     """The arguments after the program in a line of the unit, `ExecStart` for one."""
     (line,) = re.findall(rf"^{key}=(.*)$", UNIT, re.MULTILINE)
-    program, *arguments = line.split()
+    program, *arguments = line.removeprefix("-").split()
     assert Path(program).name == "lipservo"
     return arguments
 
 
-@pytest.mark.parametrize("key", ["ExecStart", "ExecStop"])
+@pytest.mark.parametrize("key", ["ExecStart", "ExecStopPost"])
 def test_the_command_lines_of_the_unit_are_understood(key):
     """Parsed, not run; an unknown option or a bad value raises."""
     name, *arguments = command_of(key)
@@ -46,13 +49,30 @@ def test_systemd_has_nothing_to_say_against_the_unit(tmp_path):
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_the_unit_gives_the_face_time_to_come_to_rest_and_restarts_it():
-    settings = dict(re.findall(r"^(\w+)=(.*)$", UNIT, re.MULTILINE))
+SETTINGS = dict(re.findall(r"^(\w+)=(.*)$", UNIT, re.MULTILINE))
 
-    assert settings["Type"] == "notify"
-    assert settings["Restart"] == "on-failure"
-    assert float(settings["WatchdogSec"]) >= 10.0  # a bridge may need 5 s to be shot and limp
-    assert float(settings["TimeoutStopSec"]) > 2 * 5.0  # the supervisor waits 5 s for each child
+
+def test_the_unit_gives_the_face_time_to_come_to_rest_and_restarts_it():
+    assert SETTINGS["Type"] == "notify"
+    assert SETTINGS["Restart"] == "on-failure"
+    assert float(SETTINGS["WatchdogSec"]) >= 10.0
+    # 5 s for the bridge, and 30 s for a port that is gone: firmware_bridge/supervisor.py
+    assert float(SETTINGS["TimeoutStopSec"]) > 5.0 + 30.0
+
+
+def test_a_stop_by_a_person_is_not_undone_by_systemd():
+    prevented = SETTINGS["RestartPreventExitStatus"].split()
+
+    assert {str(UNCONFIRMED), str(NOT_AGAIN), END_OF_HUNG.name} == set(prevented)
+
+
+def test_a_login_user_who_may_open_the_port_finds_the_face_and_nobody_else_does():
+    """The folder is the service's, for its group; the socket in it is for owner and group."""
+    assert Path("/run") / SETTINGS["RuntimeDirectory"] == SERVICE_FOLDER
+    assert SETTINGS["Group"] == "dialout"
+    assert SETTINGS["RuntimeDirectoryMode"] == "0750"
+    assert int(SETTINGS["UMask"], 8) & 0o070 == 0
+    assert 'GROUP="dialout"' in RULES
 
 
 MATCH_OR_SET = re.compile(r'([A-Z]+)(?:\{([A-Za-z_]+)\})?(==|!=|=|\+=|:=)"([^"]*)"')

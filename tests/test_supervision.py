@@ -1,5 +1,7 @@
-"""Processes of one face, and what happens when one is shot: kill -9, each in turn."""
+"""The processes of one face at simulated servos, shot, hung, and stopped, each in turn."""
 
+import contextlib
+import json
 import os
 import signal
 import socket
@@ -8,46 +10,57 @@ import sys
 import time
 
 import pytest
+from typer.testing import CliRunner
 
-from firmware_bridge.control_socket import ask
+from firmware_bridge.control_client import ask
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.serial_transport import open_port
+from lipservo.cli import app
 from lipservo.sim_process import simulated_port
+from lipsync.errors import UserError
 
 BAUD_RATE = 1_000_000
 IDS = range(11, 21)
 #: Far more than anything here takes, even on a busy machine.
 PATIENCE_S = 120.0
+LIPSERVO = [sys.executable, "-m", "lipservo"]
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def port():
     with simulated_port(["--config", "face_sim", "--on-time"]) as port:
         yield port
 
 
-@pytest.fixture
-def daemon(port, tmp_path):
-    """A running `lipservo daemon` at simulated servos, armed."""
-    control = tmp_path / "control.sock"
-    command = [sys.executable, "-m", "lipservo", "daemon", "--port", port]
-    said = tmp_path / "said.txt"
+def own_folder(folder, monkeypatch):
+    """Faces of this test only."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    session = folder / "session"
+    session.mkdir(mode=0o700)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
+
+
+@contextlib.contextmanager
+def running(port, folder, *arguments, errors=None):
+    """A `lipservo daemon` whose servos are driven."""
+    notify, said = folder / "notify.sock", folder / "said.txt"
     with (
         socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd,
-        said.open("w") as errors,
+        said.open("w") as log,
+        (folder / "out.txt").open("w") as out,
     ):
-        systemd.bind(str(tmp_path / "notify.sock"))
+        systemd.bind(str(notify))
         systemd.settimeout(PATIENCE_S)
         with subprocess.Popen(
-            [*command, "--control", str(control)],
-            stderr=errors,
-            env={**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify.sock")},
+            [*LIPSERVO, "daemon", "--port", port, *arguments],
+            stdout=out,
+            stderr=log if errors is None else errors,
+            env={**os.environ, "NOTIFY_SOCKET": str(notify)},
         ) as process:
-            process.systemd = systemd
-            process.control = control
-            process.said = said
+            process.said, process.out = said, folder / "out.txt"
             try:
-                wait_for(lambda: status(process).get("stale") == "fresh")
+                assert systemd.recv(100) == b"READY=1"
+                (process.control,) = (folder / "session" / "lipservo").glob("*.sock")
                 yield process
             finally:
                 process.terminate()
@@ -57,6 +70,28 @@ def daemon(port, tmp_path):
                     process.kill()
 
 
+@pytest.fixture(scope="module")
+def enduring(port, tmp_path_factory):
+    """One daemon for all that it survives."""
+    folder = tmp_path_factory.mktemp("enduring")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        own_folder(folder, monkeypatch)
+        with running(port, folder) as process:
+            yield process
+
+
+@pytest.fixture
+def daemon(tmp_path, monkeypatch):
+    """A daemon of its own, at servos of its own."""
+    own_folder(tmp_path, monkeypatch)
+    with (
+        simulated_port(["--config", "face_sim", "--on-time"]) as port,
+        running(port, tmp_path) as process,
+    ):
+        process.port = port
+        yield process
+
+
 def wait_for(condition):
     give_up_s = time.monotonic() + PATIENCE_S
     while not condition():
@@ -64,11 +99,10 @@ def wait_for(condition):
         time.sleep(0.05)
 
 
-def status(process):
-    try:
-        return ask(process.control, "status")
-    except OSError:
-        return {}
+def run(*arguments):
+    return subprocess.run(
+        [*LIPSERVO, *arguments], timeout=PATIENCE_S, check=False, capture_output=True, text=True
+    )
 
 
 def log(process):
@@ -99,57 +133,120 @@ def alive(pid):
     return True
 
 
-def test_a_bridge_shot_dead_leaves_a_limp_face_and_is_replaced(daemon):
-    shot = status(daemon)["pid"]
-    os.kill(shot, signal.SIGKILL)
-    wait_for(lambda: status(daemon).get("stale") == "fresh" and status(daemon)["pid"] != shot)
-
-    assert "bridge died (signal 9)" in log(daemon)
-    assert "torque off confirmed by all 10 servos" in log(daemon)
-    assert status(daemon)["torque_on"]
+def all_driven(process):
+    try:
+        states = ask(process.control, "status", PATIENCE_S).get("servo_states", ["none"])
+    except OSError:
+        return False
+    return set(states) == {"driven"}
 
 
-def test_a_supervisor_shot_dead_takes_both_children_with_it_and_torque_off(daemon, port):
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(signal.SIGKILL, "bridge died (signal 9)"), (signal.SIGSTOP, "bridge hangs")],
+)
+def test_a_bridge_that_is_shot_or_hangs_leaves_a_limp_face_and_is_replaced(enduring, number, said):
+    first = child(enduring, "bridge")
+    os.kill(first, number)
+    wait_for(lambda: child(enduring, "bridge") != first)
+    wait_for(lambda: all_driven(enduring))
+
+    assert said in log(enduring)
+    assert "torque off confirmed by all 10 servos" in log(enduring)
+    assert not alive(first)
+
+
+def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(enduring):
+    first, bridge = child(enduring, "speech"), child(enduring, "bridge")
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: child(enduring, "speech") != first)
+
+    assert child(enduring, "bridge") == bridge
+    assert all_driven(enduring)
+
+
+@pytest.mark.parametrize("same_socket", [False, True])
+def test_a_second_face_is_refused_and_the_first_goes_on(enduring, port, same_socket):
+    control = ["--control", str(enduring.control)] if same_socket else []
+    done = run("daemon", "--port", port, *control)
+
+    assert done.returncode == 1
+    assert ("a face listens there" if same_socket else "used by another program") in done.stderr
+    assert "Traceback" not in done.stderr
+    assert all_driven(enduring)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["--wav", "no_such.wav"], "no_such.wav"), (["--trace", "t.jsonl"], "run --port PORT")],
+)
+def test_what_a_daemon_cannot_do_is_refused_before_a_servo_is_spoken_to(arguments, said):
+    done = CliRunner().invoke(app, ["daemon", "--port", "/dev/no_such_port", *arguments])
+
+    assert isinstance(done.exception, UserError)
+    assert said in str(done.exception)
+
+
+def test_stop_ends_the_face_limp_and_says_who_confirmed_it(tmp_path, monkeypatch):
+    """Nobody reads what the daemon says: its log is a full pipe, as after Ctrl-S."""
+    own_folder(tmp_path, monkeypatch)
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, b"x" * 1000)
+    os.set_blocking(writing, True)
+    with (
+        simulated_port(["--config", "face_sim", "--on-time"]) as port,
+        running(port, tmp_path, "--json", errors=writing) as daemon,
+    ):
+        (face,) = json.loads(run("status", "--json").stdout)["faces"]
+        assert (face["port"], face["pid"]) == (port, daemon.pid)
+        done = run("stop", "--json")
+        (stopped,) = json.loads(done.stdout)["faces"]
+        assert daemon.wait(PATIENCE_S) == 0
+        assert torque(port) == [0] * 10
+    os.close(reading)
+    os.close(writing)
+
+    assert done.returncode == 0, done
+    assert len(stopped["confirmed"]) == 10
+    assert (stopped["unconfirmed"], stopped["problem"]) == ({}, "")
+    assert len(json.loads(daemon.out.read_text())["confirmed"]) == 10
+
+
+def test_a_supervisor_shot_dead_takes_both_children_with_it_and_torque_off(daemon):
+    """Its socket is left behind, and cleared away by whoever comes next."""
     children = [child(daemon, "bridge"), child(daemon, "speech")]
     daemon.kill()
     daemon.wait(PATIENCE_S)
     wait_for(lambda: not any(alive(pid) for pid in children))
 
-    assert torque(port) == [0] * 10
+    assert torque(daemon.port) == [0] * 10
+    assert json.loads(run("status", "--json").stdout) == {"faces": []}
+    assert not daemon.control.exists()
 
 
-def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(daemon):
-    before = status(daemon)
-    os.kill(child(daemon, "speech"), signal.SIGKILL)
-    wait_for(lambda: "speech died (signal 9)" in log(daemon))
-    assert status(daemon)["pid"] == before["pid"]
-    wait_for(lambda: status(daemon).get("stale") == "fresh" and "process" in log(daemon))
+def test_a_closed_terminal_brings_the_face_to_rest(daemon):
+    """The children are in groups of their own: the terminal's signal is the supervisor's alone."""
+    assert os.getpgid(child(daemon, "bridge")) != os.getpgid(daemon.pid)
+    daemon.send_signal(signal.SIGHUP)
 
-    assert status(daemon)["pid"] == before["pid"]
-
-
-@pytest.mark.parametrize("level", [[], ["--limp"]])
-def test_stop_ends_the_face_limp_and_the_program_well(daemon, port, level):
-    command = [sys.executable, "-m", "lipservo", "stop", *level, "--control", str(daemon.control)]
-    done = subprocess.run(command, timeout=PATIENCE_S, check=False, capture_output=True)
-
-    assert done.returncode == 0
     assert daemon.wait(PATIENCE_S) == 0
-    assert torque(port) == [0] * 10
+    assert torque(daemon.port) == [0] * 10
+    assert "ended; torque off confirmed by all 10 servos" in log(daemon)
 
 
-def test_systemd_hears_that_the_face_is_ready_and_lives_and_its_sigterm_ends_it_limp(daemon, port):
-    said = [daemon.systemd.recv(100) for _ in range(3)]
-    daemon.terminate()
-    daemon.wait(PATIENCE_S)
+@pytest.mark.parametrize("command", [["stop"], ["limp", "--port"]])
+def test_a_face_that_hears_nothing_at_all_is_let_go_by_force(daemon, command):
+    """Supervisor and bridge are both stopped, as by a debugger: only somebody else can help."""
+    bridge = child(daemon, "bridge")
+    for pid in (daemon.pid, bridge):
+        os.kill(pid, signal.SIGSTOP)
+    done = run(*command, *([daemon.port] if command[-1] == "--port" else []), "--json")
 
-    assert said == [b"READY=1", b"WATCHDOG=1", b"WATCHDOG=1"]
-    assert torque(port) == [0] * 10
-
-
-def test_stop_without_a_running_face_says_so(tmp_path):
-    command = [sys.executable, "-m", "lipservo", "stop", "--control", str(tmp_path / "none.sock")]
-    done = subprocess.run(command, timeout=PATIENCE_S, check=False, capture_output=True, text=True)
-
-    assert done.returncode == 1
-    assert "is a face running?" in done.stderr
+    assert done.returncode == 0, done
+    assert len(json.loads(done.stdout)["faces"][-1]["confirmed"]) == 10
+    assert torque(daemon.port) == [0] * 10
+    assert daemon.wait(PATIENCE_S) != 0
+    wait_for(lambda: not alive(bridge))

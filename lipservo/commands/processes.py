@@ -1,24 +1,28 @@
-"""`bridge-process`, `speech-process`, `stop`: a face in several processes."""
+"""`bridge-process`, `speech-process`, and the supervisor of both: a face in several processes."""
 
 import os
 import signal
 import socket
 import sys
 import time
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from firmware_bridge.bus import BusError
-from firmware_bridge.control_socket import StopLevel, ask, default_path
-from firmware_bridge.process import die_with_parent
+from firmware_bridge.control_socket import ControlSocket
+from firmware_bridge.lifeline import inherited_lifeline
+from firmware_bridge.log_lines import LogLines
+from firmware_bridge.process import StopSignals, die_with_parent, write_from_background
+from firmware_bridge.stopping import StopLevel
 from lipservo.commands.manner_options import manner_arguments, takes_manner
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
-    Json,
     Model,
+    Quiet,
 )
 from lipservo.manner import Manner
 from lipservo.output import MESSAGES, print_json
@@ -27,7 +31,7 @@ from lipsync.errors import UserError
 Fd = Annotated[int, typer.Option(hidden=True)]
 Port = Annotated[str, typer.Option(help="Serial port of the servos.")]
 Control = Annotated[
-    Path | None, typer.Option(help="Socket the bridge listens on.", show_default=False)
+    Path | None, typer.Option(help="Socket that the face listens on.", show_default=False)
 ]
 
 #: Targets are published at 100 Hz: firmware_bridge's reader interpolates.
@@ -43,146 +47,182 @@ def supervise(
     rate_hz: float | None,
     manner: Manner,
     control: Path | None,
+    *,
+    as_json: bool = False,
+    quiet: bool = False,
 ) -> int:
-    """Run bridge and speech as processes until stopped; the exit status."""
-    from firmware_bridge.last_resort import make_limp
+    """Run bridge and speech as processes until stopped; the exit status.
+
+    What cannot be used, sound and servos included, is refused before anything is armed.
+    """
+    from firmware_bridge.child import Child, Patience
+    from firmware_bridge.last_resort import TorqueRelease
+    from firmware_bridge.runtime_folder import socket_path
     from firmware_bridge.service_notice import ServiceNotice
     from firmware_bridge.socket_channel import channel_pair
     from firmware_bridge.supervisor import Supervisor
     from lipservo.assembly import assemble_face, at_port, check_servos
-    from lipservo.daemon import stopped_by_signals
     from lipservo.servos import port_opener
+    from lipservo.sources import open_source
 
     face = at_port(assemble_face(config, model), port)
+    if wav is not None:
+        open_source(wav, None)
     check_servos(face)
     settings = face.settings
     opener = port_opener(port, settings.bus.baud_rate)
-    ids = [joint.servo_id for joint in settings.joints()]
-
-    def limp_by_force() -> str:
-        try:
-            stiff = make_limp(opener, ids)
-        except BusError as error:
-            return f"torque state unknown: {error}"
-        if stiff:
-            return f"torque off was not confirmed by ids {stiff}"
-        return f"torque off confirmed by all {len(ids)} servos"
-
-    common = [sys.executable, "-m", "lipservo"]
-    bridge = [*common, "bridge-process", "--config", config, "--port", port, "--fd", "{fd}"]
-    control = control or default_path()
-    bridge += ["--control", str(control)]
-    bridge += [] if rate_hz is None else ["--rate-hz", str(rate_hz)]
-    speech = [*common, "speech-process", "--config", config, "--fd", "{fd}"]
-    speech += manner_arguments(manner)
-    speech += [] if model is None else ["--model", str(model)]
-    speech += [] if wav is None else ["--wav", str(wav)]
-    speech += [] if mic is None else ["--mic", mic]
-    with stopped_by_signals() as stop:
-        return Supervisor(
-            bridge,
-            speech,
-            channel_pair(),
-            after_bridge_death=limp_by_force,
-            say=_say,
-            alive=ServiceNotice(control),
-        ).run(stop.is_set)
-
-
-def _say(line: str) -> None:
-    MESSAGES.print(line, soft_wrap=True, highlight=False)
+    servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
+    about = {"name": settings.name, "port": port}
+    with ExitStack() as stack:
+        signals = stack.enter_context(StopSignals())
+        say = _no_log if quiet else stack.enter_context(LogLines())
+        listener = ControlSocket.bind(control or socket_path(settings.name), about)
+        stack.enter_context(listener)
+        writer, reader = channel_pair()
+        inherited = {"{channel}": reader.fileno(), "{control}": listener.fileno()}
+        common = [sys.executable, "-m", "lipservo"]
+        shared = ["--config", config, "--lifeline", "{lifeline}", *(["--quiet"] if quiet else [])]
+        bridge = [*common, "bridge-process", *shared, "--port", port, "--channel", "{channel}"]
+        bridge += ["--control", "{control}", "--control-path", str(listener.path)]
+        bridge += [] if rate_hz is None else ["--rate-hz", str(rate_hz)]
+        speech = [*common, "speech-process", *shared, "--channel", "{channel}"]
+        speech += manner_arguments(manner)
+        speech += [] if model is None else ["--model", str(model)]
+        speech += [] if wav is None else ["--wav", str(wav)]
+        speech += [] if mic is None else ["--mic", mic]
+        report = Supervisor(
+            Child("bridge", bridge, inherited, Patience(start_s=30.0, run_s=1.0)),
+            Child("speech", speech, {"{channel}": writer.fileno()}, Patience(60.0, 3.0)),
+            listener,
+            lambda patience_s: TorqueRelease(opener, list(servo_names), patience_s=patience_s),
+            servo_names=servo_names,
+            say=say,
+            notice=ServiceNotice(say),
+        ).run(signals)
+    if as_json:
+        print_json(report.as_dict())
+    elif not quiet or report.unconfirmed:
+        MESSAGES.print(f"ended; {report.text()}", soft_wrap=True, highlight=False)
+    return report.status
 
 
 def bridge_process(
-    fd: Fd,
+    channel: Fd,
+    lifeline: Fd,
+    control: Fd,
+    control_path: Annotated[Path, typer.Option(hidden=True)],
     port: Port,
     config: Config = DEFAULT_FACE,
-    control: Control = None,
     rate_hz: float | None = None,
+    stopped: StopLevel | None = None,
+    failed: Annotated[list[str] | None, typer.Option(metavar="INDEX=REASON")] = None,
+    quiet: Quiet = False,
 ) -> None:
     """Own the port and drive the servos; targets come through a socket. Started by `daemon`."""
-    parent = os.getppid()
     die_with_parent(signal.SIGTERM)
+    write_from_background()
+    alive = inherited_lifeline(lifeline)
     from firmware_bridge.bridge_process import run_bridge
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.socket_channel import SocketTargetChannel
     from lipservo.assembly import load_settings, settings_at_port
-    from lipservo.daemon import stopped_by_signals
+    from lipservo.health_log import health_log
     from lipservo.servos import bridge_for, bus_for
 
     settings = settings_at_port(load_settings(config)[0], port)
-    with stopped_by_signals() as stop, socket.socket(fileno=fd) as end:
-        rate = rate_hz or settings.rate_hz
+    rate = rate_hz or settings.rate_hz
+    about = {"name": settings.name, "port": port}
+    with ExitStack() as stack:
+        say = _no_log if quiet else stack.enter_context(LogLines(prefix="bridge: "))
+        end = stack.enter_context(socket.socket(fileno=channel))
+        listener = stack.enter_context(ControlSocket.adopt(control, control_path, about))
         bus = bus_for(settings, MonotonicClock(), strict=False)
-        channel = SocketTargetChannel(end)
-        bridge = bridge_for(settings, bus, channel, rate_hz=rate, tolerant=True)
-        run_bridge(
+        targets = SocketTargetChannel(end)
+        given_up = dict(_failed_servos(failed or ()))
+        bridge = bridge_for(settings, bus, targets, rate_hz=rate, tolerant=True, given_up=given_up)
+        for index, reason in given_up.items():
+            say(f"stays limp: {settings.joints()[index].name}: {reason}")
+        healths = health_log(settings.name, port, say, os.environ)
+        if healths is not None:
+            stack.enter_context(healths)
+        status = run_bridge(
             bus,
             bridge,
             rate_hz=rate,
-            control=control or default_path(),
-            stopped=stop.is_set,
-            parent=parent,
-            say=_say,
+            control=listener,
+            lifeline=alive,
+            stopped=stopped,
+            log=say,
+            on_health=None if healths is None else healths.offer,
         )
+    raise typer.Exit(status)
 
 
 @takes_manner
 def speech_process(
     *,
-    fd: Fd,
+    channel: Fd,
+    lifeline: Fd,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     wav: Path | None = None,
     mic: str | None = None,
+    zero_s: float | None = None,
     manner: Manner,
+    quiet: Quiet = False,
 ) -> None:
-    """Hear, recognise, and publish targets through a socket. Started by `daemon`."""
-    parent = os.getppid()
+    """Hear, recognise, and publish targets through a socket. Started by `daemon`.
+
+    zero_s: monotonic time at which the sound began; a file is taken up where it is by now.
+    """
     die_with_parent(signal.SIGTERM)
+    write_from_background()
+    alive = inherited_lifeline(lifeline)
     from firmware_bridge.clock import MonotonicClock, ticks
-    from firmware_bridge.process import parent_is_alive
     from firmware_bridge.socket_channel import SocketTargetChannel
     from lipservo.assembly import assemble_face
-    from lipservo.daemon import stopped_by_signals
     from lipservo.manner import make_recognizer, make_synthesizer
     from lipservo.pipeline import Speech
     from lipservo.sources import open_source_or_silence
 
     face = assemble_face(config, model)
-    with (
-        stopped_by_signals() as stop,
-        socket.socket(fileno=fd) as end,
-        open_source_or_silence(wav, mic) as source,
-    ):
-        recognizer = make_recognizer(manner.engine, time.perf_counter)
-        synthesizer = make_synthesizer(face.model, manner)
-        channel = SocketTargetChannel(end)
-        speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
+    with ExitStack() as stack:
+        signals = stack.enter_context(StopSignals())
+        say = _no_log if quiet else stack.enter_context(LogLines(prefix="speech: "))
+        end = stack.enter_context(socket.socket(fileno=channel))
         clock = MonotonicClock()
-        zero_s = clock.now()
+        start_s = 0.0 if zero_s is None or wav is None else max(0.0, clock.now() - zero_s)
+        source = stack.enter_context(open_source_or_silence(wav, mic, start_s))
+        recognizer = make_recognizer(manner.engine, time.perf_counter, manner.weights)
+        synthesizer = make_synthesizer(face.model, manner)
+        targets = SocketTargetChannel(end)
+        speech = Speech(source, recognizer, synthesizer, face.calibration, targets)
+        if zero_s is None or not start_s:
+            zero_s = clock.now()
+        else:
+            say(f"{source.name} goes on at {start_s:.1f} s")
+        alive.began(zero_s)
+        n_said = 0
         for time_s, _ in ticks(clock, 1.0 / _PUBLISH_S):
-            if stop.is_set() or not parent_is_alive(parent):
+            alive.beat()
+            if signals.count or alive.closed:
                 return
             speech.advance(time_s, zero_s)
+            for reason in recognizer.reasons[n_said:]:
+                say(f"recogniser left: {reason}")
+            n_said = len(recognizer.reasons)
 
 
-def stop(
-    limp: Annotated[bool, typer.Option("--limp", help="Let go at once, wherever it is.")] = False,
-    freeze: Annotated[
-        bool, typer.Option("--freeze", help="Stay where it is, held, until the next stop.")
-    ] = False,
-    control: Control = None,
-    as_json: Json = False,
-) -> None:
-    """Stop a running face: to rest and limp. Works although the speech side is dead."""
-    level = StopLevel.LIMP if limp else StopLevel.FREEZE if freeze else StopLevel.SOFT
-    path = control or default_path()
-    try:
-        status = ask(path, level.value)
-    except OSError as error:
-        raise UserError(f"{path}: no bridge answers there; is a face running?") from error
-    if as_json:
-        print_json(status)
-    else:
-        MESSAGES.print(f"stopping: {level.value}")
+def _failed_servos(given: Sequence[str]) -> list[tuple[int, str]]:
+    """`INDEX=REASON` as the supervisor gives it. Raises UserError for anything else."""
+    found = []
+    for each in given:
+        index, mark, reason = each.partition("=")
+        if not mark or not index.isdigit():
+            raise UserError(f"--failed {each}: give INDEX=REASON")
+        found.append((int(index), reason))
+    return found
+
+
+def _no_log(_line: str) -> None:
+    """What --quiet asks for."""

@@ -24,6 +24,7 @@ from lipservo.performance import Performance, Played
 from lipservo.sim_process import servo_port
 from lipservo.sources import open_source, open_source_or_silence
 from lipservo.summary import print_summary
+from lipsync.errors import UserError
 
 Trace = Annotated[
     Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
@@ -119,7 +120,24 @@ def daemon(
             bus = load_settings(config)[0].bus
             at_port = bus.port if bus.kind == "dynamixel" else None
         if at_port is not None:
-            raise typer.Exit(supervise(config, model, at_port, wav, mic, rate_hz, manner, control))
+            if trace is not None:
+                raise UserError(
+                    "--trace: a face in processes of its own writes none; "
+                    "`lipservo run --port PORT --trace FILE` does"
+                )
+            status = supervise(
+                config,
+                model,
+                at_port,
+                wav,
+                mic,
+                rate_hz,
+                manner,
+                control,
+                as_json=as_json,
+                quiet=quiet,
+            )
+            raise typer.Exit(status)
     performance = Performance(
         config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, manner=manner
     )

@@ -1,0 +1,187 @@
+"""Signs of life of a process, and the few things its supervisor must know even when it dies.
+
+A socket pair, one end each. Nothing here waits: a supervisor that does not read loses beats, which
+say nothing new, and no more than that.
+"""
+
+import contextlib
+import os
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from firmware_bridge.stopping import StopLevel
+
+#: Often enough to be missed within a second, rarely enough to cost nothing.
+_BEAT_S: Final = 0.05
+_TIME: Final = struct.Struct("<d")
+_INDEX: Final = struct.Struct("<H")
+#: As many servos as a chain can have, and a stop or two.
+_MOST_UNSENT: Final = 256
+_LONGEST_REASON: Final = 400
+_LONGEST: Final = 512
+#: More than a second of everything a process says; bounds the time of one reading.
+_MOST_AT_ONCE: Final = 400
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """A person asked this process to stop."""
+
+    level: StopLevel
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """A servo was given up for good."""
+
+    index: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Began:
+    """Sound time 0 was at this monotonic time."""
+
+    zero_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """The servos are driven."""
+
+
+Message = Stopped | Failed | Began | Ready
+
+
+class Lifeline:
+    """The child's end; none of it ever waits or raises. closed: the supervisor is gone.
+
+    What must not be lost is said again at the next beat while the other end has no room for it.
+    """
+
+    def __init__(
+        self, end: socket.socket | int, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        """end: the socket, or the number it was inherited by."""
+        self._end = socket.socket(fileno=end) if isinstance(end, int) else end
+        self._end.setblocking(False)
+        self._now_s = now_s
+        self._beat_s = float("-inf")
+        self._unsent: deque[bytes] = deque(maxlen=_MOST_UNSENT)
+        self.closed = False
+
+    def beat(self) -> None:
+        """Be alive; call it in every round of the loop that matters."""
+        now_s = self._now_s()
+        if now_s - self._beat_s < _BEAT_S:
+            return
+        self._beat_s = now_s
+        if self._unsent:
+            self._flush()
+        self._send(b"B" + _TIME.pack(now_s))
+
+    def stopped(self, level: StopLevel) -> None:
+        """A person asked for a stop: it holds although this process may die the next moment."""
+        self._say(b"S" + level.value.encode())
+
+    def failed(self, index: int, reason: str) -> None:
+        """A servo, by its place in the face, is given up for good."""
+        self._say(b"F" + _INDEX.pack(index) + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
+
+    def began(self, zero_s: float) -> None:
+        """Sound time 0 was at monotonic `zero_s`."""
+        self._say(b"Z" + _TIME.pack(zero_s))
+
+    def ready(self) -> None:
+        """The servos are driven now."""
+        self._say(b"R")
+
+    def close(self) -> None:
+        """Hang up."""
+        self._end.close()
+
+    def _say(self, message: bytes) -> None:
+        self._unsent.append(message)
+        self._flush()
+
+    def _flush(self) -> None:
+        while self._unsent and self._send(self._unsent[0]):
+            self._unsent.popleft()
+
+    def _send(self, message: bytes) -> bool:
+        try:
+            self._end.send(message, socket.MSG_NOSIGNAL)
+        except BlockingIOError:
+            return False
+        except OSError:
+            self.closed = True  # nobody is there any more who could be told
+        return True
+
+
+class LifelineWatch:
+    """The supervisor's end. beat_s: time of the newest sign of life; None before the first."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
+        self._end.setblocking(False)
+        self.beat_s: float | None = None
+        self.closed = False
+
+    def fileno(self) -> int:
+        """Readable when something was said, and when the other end is closed."""
+        return self._end.fileno()
+
+    def read(self) -> list[Message]:
+        """What was said since the last call, in its order, beats aside; never waits."""
+        messages: list[Message] = []
+        for _ in range(_MOST_AT_ONCE):
+            try:
+                raw = self._end.recv(_LONGEST)
+            except BlockingIOError:
+                break
+            except OSError:
+                raw = b""
+            if not raw:
+                self.closed = True
+                break
+            if raw[:1] == b"B" and len(raw) == 1 + _TIME.size:
+                self.beat_s = max(_TIME.unpack_from(raw, 1)[0], self.beat_s or 0.0)
+                continue
+            with contextlib.suppress(ValueError, struct.error):
+                messages.append(_understood(raw))
+        return messages
+
+    def close(self) -> None:
+        """Hang up."""
+        self._end.close()
+
+
+def lifeline_pair() -> tuple[socket.socket, LifelineWatch]:
+    """(the child's end, to be inherited; the supervisor's)."""
+    child, supervisor = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    return child, LifelineWatch(supervisor)
+
+
+def inherited_lifeline(fd: int) -> Lifeline:
+    """The lifeline that a supervisor handed over as `fd`."""
+    os.set_inheritable(fd, False)
+    return Lifeline(fd)
+
+
+def _understood(raw: bytes) -> Message:
+    """Raises ValueError or struct.error for what no lifeline says."""
+    kind, rest = raw[:1], raw[1:]
+    if kind == b"S":
+        return Stopped(StopLevel(rest.decode()))
+    if kind == b"F":
+        return Failed(_INDEX.unpack_from(rest)[0], rest[_INDEX.size :].decode("utf-8", "replace"))
+    if kind == b"Z":
+        return Began(_TIME.unpack(rest)[0])
+    if kind == b"R":
+        return Ready()
+    raise ValueError(f"{raw[:20]!r} is not known")
