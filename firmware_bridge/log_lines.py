@@ -5,6 +5,7 @@ import os
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import Final, Self
 
 #: Lines that may wait: some minutes of a face in trouble.
@@ -18,10 +19,16 @@ class LogLines:
     What finds no room is dropped and counted, and the count is written as soon as there is room.
     """
 
-    def __init__(self, fd: int = _STDERR, prefix: str = "") -> None:
-        """prefix: what every line begins with, such as the name of the process."""
+    def __init__(
+        self, fd: int = _STDERR, prefix: str = "", write: Callable[[str], None] | None = None
+    ) -> None:
+        """prefix: what every line begins with, such as the name of the process.
+
+        write: takes each line in place of `fd`, where something else draws on the terminal, too.
+        """
         self._fd = fd
         self._prefix = prefix
+        self._write_line = write or self._write
         self._waiting: deque[str] = deque()
         self._is_new = threading.Condition()
         self._n_dropped = 0
@@ -62,9 +69,10 @@ class LogLines:
                 self._busy = True
             if dropped:
                 line = f"({dropped} lines were lost: nobody read them) {line}"
-            self._write(f"{self._prefix}{line}\n".encode("utf-8", "replace"))
+            self._write_line(f"{self._prefix}{line}")
 
-    def _write(self, data: bytes) -> None:
+    def _write(self, line: str) -> None:
+        data = f"{line}\n".encode("utf-8", "replace")
         # Not through sys.stderr: its lock, held by a thread that waits, would stop the exit.
         with contextlib.suppress(OSError):
             while data:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: So often everybody is asked where they stand before a start; a lost answer is no reason to fail.
 _READS = 5
+#: A shaft at top speed is so far behind its goal, in time, and stops there without turning back.
+_BRAKES_S = 0.02
 
 
 class ServoGroup:
@@ -42,6 +44,7 @@ class ServoGroup:
         self.gate = TorqueGate(bus, joints, dry_run=dry_run, given_up=given_up)
         self.care = ServoCare(self._joints, tracking, given_up)
         self.torque_off = TorqueOff(self._joints, self.gate)
+        self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         self._scale = np.ones(len(self._joints))
         self._health: Health | None = None
 
@@ -95,11 +98,19 @@ class ServoGroup:
         for index in range(len(self._joints)):
             kept = self.gate.keep(index)
             self.care.tried(index, "" if kept else "lost its torque; not again", time_s)
-        self.stay(time_s)
+        self.limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
 
     def stay(self, time_s: float) -> None:
-        """The goals become the places where the servos stand now."""
-        self.limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
+        """The goals become the places where the servos stand now, or as near as they can stop.
+
+        A moving shaft is behind its goal: it may go on to it, but no farther than it moves while it
+        brakes. Who was not heard just now keeps its goal, for where it stands is not known.
+        """
+        feedback = self._bus.feedback()
+        sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
+        near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
+        heard = (feedback.age_s == 0.0) & np.isfinite(places_deg)
+        self.limiter.start_from(np.where(heard, near_deg, sent_deg), time_s)
 
     def send(self, limited: Limited, time_s: float) -> None:
         """Goals to those that are driven; then hear how all are, and help one of them."""

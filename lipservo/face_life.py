@@ -1,15 +1,21 @@
 """The life cycle of one face as every command starts it, and how a command ends after it."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
 
 from firmware_bridge.bridge import Bridge
-from firmware_bridge.clock import Clock
+from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.control_socket import ControlSocket
+from firmware_bridge.end_report import UNCONFIRMED
 from firmware_bridge.life_cycle import LifeCycle
+from firmware_bridge.log_lines import LogLines
+from firmware_bridge.runtime_folder import socket_path
+from firmware_bridge.status import face_status
 from firmware_bridge.stopping import StopReport
+from lipservo.health_log import health_log
 from lipservo.output import MESSAGES
-
-#: Exit status of a stop that not every servo confirmed; a service is not started again after it.
-UNCONFIRMED = 3
 
 
 class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no error
@@ -21,15 +27,43 @@ class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no erro
         self.signal_number = signal_number
 
 
+@contextmanager
 def face_life(
+    name: str,
+    port: str | None,
     bridge: Bridge,
     clock: Clock,
     rate_hz: float,
     *,
-    log: Callable[[str], None] = lambda _line: None,
-) -> LifeCycle:
-    """The life cycle of a face that this process drives."""
-    return LifeCycle(bridge, clock, rate_hz=rate_hz, log=log)
+    quiet: bool = False,
+) -> Iterator[LifeCycle]:
+    """The life cycle of a face that this process drives: `lipservo stop` finds it.
+
+    port: of its servos, None: simulated in memory. On a clock of its own it is nobody's to stop.
+    Raises ControlError where no socket can be made.
+    """
+    if isinstance(clock, ManualClock):
+        with LifeCycle(bridge, clock, rate_hz=rate_hz) as life:
+            yield life
+        return
+    with ExitStack() as stack:
+        log = stack.enter_context(LogLines(write=_nowhere if quiet else say))
+        about = {"name": name, "port": port}
+        control = stack.enter_context(ControlSocket.bind(socket_path(name), about))
+        healths = health_log(name, port, log, os.environ)
+        if healths is not None:
+            stack.enter_context(healths)
+        yield stack.enter_context(
+            LifeCycle(
+                bridge,
+                clock,
+                rate_hz=rate_hz,
+                control=control,
+                log=log,
+                status=partial(face_status, bridge),
+                on_health=None if healths is None else healths.offer,
+            )
+        )
 
 
 def exit_status(report: StopReport, signal_number: int | None) -> int:
@@ -41,4 +75,8 @@ def exit_status(report: StopReport, signal_number: int | None) -> int:
 
 def say(line: str) -> None:
     """Print one line for people on stderr."""
-    MESSAGES.print(line, soft_wrap=True, highlight=False, markup=False)
+    MESSAGES.print(line, soft_wrap=True)
+
+
+def _nowhere(_line: str) -> None:
+    """What --quiet asks for."""

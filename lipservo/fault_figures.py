@@ -1,31 +1,66 @@
-"""The fault campaign in numbers."""
+"""The campaigns in numbers: faults on a virtual clock, stops on real processes."""
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 
-from firmware_bridge.simulator.campaign import cases, play
+from firmware_bridge.simulator.campaign import Outcome, cases, play
 from firmware_bridge.simulator.faults import KINDS
+from lipservo.stop_campaign import play_stop, stop_cases, stop_figures
+
+#: Counts of `Outcome` that must all be 0.
+_MUST_NOT = (
+    "goals_outside_limits",
+    "steps_above_clamp",
+    "motion_too_fast",
+    "moved_outside",
+    "moved_frozen",
+    "armed_wrongly",
+    "undone",
+    "contention",
+    "torque_unknown",
+    "torque_left_on",
+)
 
 
-def campaign_figures(every: int, progress: Callable[[int, int], None]) -> dict[str, float]:
-    """Play one case in `every`; what was survived, and how long recovery took."""
-    chosen = list(cases())[::every]
-    outcomes = []
+def campaign_figures(
+    every: int, progress: Callable[[int, int], None], *, whole: bool = False
+) -> tuple[dict[str, float], list[str]]:
+    """Play one case in `every`; what was survived, and a line for each case that was not."""
+    chosen = list(cases(whole=whole))[::every]
+    outcomes: list[Outcome] = []
     with ProcessPoolExecutor(max_workers=2) as pool:
         for outcome in pool.map(play, chosen, chunksize=4):
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))
     recovered_s = [o.recovery_s for o in outcomes if o.recovery_s is not None]
-    return {
+    unstopped = [o for o in outcomes if o.case.stop is None]
+    figures: dict[str, float] = {
         "kinds": len(KINDS),
         "cases": len(outcomes),
         "survived": sum(outcome.survived for outcome in outcomes),
-        "goals_outside_limits": sum(outcome.goals_outside_limits for outcome in outcomes),
-        "steps_above_clamp": sum(outcome.steps_above_clamp for outcome in outcomes),
-        "contention": sum(outcome.contention for outcome in outcomes),
-        "torque_unknown": sum(outcome.torque_unknown for outcome in outcomes),
+        **{name: sum(getattr(o, name) for o in outcomes) for name in _MUST_NOT},
         "recovery_p95_s": float(np.percentile(recovered_s, 95)) if recovered_s else 0.0,
-        "never_recovered": len(outcomes) - len(recovered_s),
+        "never_recovered": len(unstopped) - len(recovered_s),
     }
+    return figures, [_told(o) for o in outcomes if not o.survived]
+
+
+def stop_campaign_figures(
+    every: int, progress: Callable[[int, int], None]
+) -> tuple[dict[str, float], list[str]]:
+    """Play one stop in `every`, two at a time; the figures, and a line for each that failed."""
+    chosen = list(stop_cases())[::every]
+    outcomes = []
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        for outcome in pool.map(play_stop, chosen):
+            outcomes.append(outcome)
+            progress(len(outcomes), len(chosen))
+    return stop_figures(outcomes), [str(o) for o in outcomes if not o.kept]
+
+
+def _told(outcome: Outcome) -> str:
+    wrong = {name: getattr(outcome, name) for name in ("error", *_MUST_NOT)}
+    found = ", ".join(f"{name} {value}" for name, value in wrong.items() if value)
+    return f"{outcome.case}: {found}"

@@ -5,7 +5,7 @@ tracker does so in `hold`, or in `hold_while`, so that the servos hear something
 """
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from typing import Any, Self, TypeVar
 
@@ -19,7 +19,7 @@ from firmware_bridge.dynamixel.budget import budget
 from firmware_bridge.life_cycle import LetGo, LifeCycle
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
-from lipservo.face_life import FaceStopped, face_life, say
+from lipservo.face_life import FaceStopped, face_life
 from lipservo.servos import bridge_for
 from lipservo.settings import FaceSettings
 
@@ -74,19 +74,22 @@ class HeldFace:
         self._bus, self._clock = bus, clock
         self._channel = MemoryTargetChannel()
         self._bridge = bridge_for(settings, bus, self._channel, rate_hz=self.rate_hz)
-        self._life = face_life(self._bridge, clock, self.rate_hz, log=say)
+        self._name, self._port = settings.name, settings.servo_port
+        self._life: LifeCycle | None = None
         self._speed_deg_s = speed_deg_s
         names = list(settings.servos)
         self._posed = [names.index(name) for name in joints or settings.mouth_servos]
         self._goal_deg = np.zeros(len(names))
         self._from_neutral = from_neutral
         self._end = end
-        self._ticks = self._life.ticks()
+        self._ticks: Iterator[tuple[float, int]] = iter(())
         self._leaving = ExitStack()
 
     @property
     def life(self) -> LifeCycle:
-        """What is known of its end."""
+        """What is known of its end. Raises RuntimeError before it was entered."""
+        if self._life is None:
+            raise RuntimeError("the face is used outside its `with` block")
         return self._life
 
     @property
@@ -159,25 +162,28 @@ class HeldFace:
 
     def __enter__(self) -> Self:
         with ExitStack() as leaving:
-            leaving.enter_context(self._life)
+            self._life = leaving.enter_context(
+                face_life(self._name, self._port, self._bridge, self._clock, self.rate_hz)
+            )
+            self._ticks = self._life.ticks()
             self._life.start()
             self._goal_deg = np.nan_to_num(self._bus.read().positions_deg)
             if self._from_neutral:
                 self._lead_all(np.zeros_like(self._goal_deg))
                 self._settle()
             self._leaving = leaving.pop_all()
-        if self._life.report is not None:  # let go by a second signal
-            raise FaceStopped(self._life.report, self._life.signal_number)
+        if self.life.report is not None:  # let go by a second signal
+            raise FaceStopped(self.life.report, self.life.signal_number)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: Any
     ) -> None:
-        if kind is None and not self._life.stopping:
-            self._life.stop(self._end)
+        if kind is None and not self.life.stopping:
+            self.life.stop(self._end)
         self._leaving.__exit__(kind, error, trace)
-        if kind is LetGo and self._life.report is not None:
-            raise FaceStopped(self._life.report, self._life.signal_number)
+        if kind is LetGo and self.life.report is not None:
+            raise FaceStopped(self.life.report, self.life.signal_number)
 
     def _lead_all(self, whole_deg: Array) -> None:
         start_deg = self._goal_deg
@@ -217,7 +223,7 @@ class HeldFace:
         """Raises FaceStopped when a person stopped the face, once it has come to its end."""
         for time_s, late in self._ticks:
             return time_s, late
-        raise FaceStopped(self._bridge.stop_report(), self._life.signal_number)
+        raise FaceStopped(self._bridge.stop_report(), self.life.signal_number)
 
     def _send(self, time_s: float, late: int) -> None:
         self._channel.publish(ServoTargets(time_s, self._goal_deg))

@@ -103,7 +103,7 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     with DynamixelBus([servo], port_opener(port, rate)) as bus:
         bridge = Bridge(bus, [joint], channel, rate_hz=_NUDGE_RATE_HZ)
-        with face_life(bridge, clock, _NUDGE_RATE_HZ) as life:
+        with face_life("new-face", port, bridge, clock, _NUDGE_RATE_HZ, quiet=True) as life:
             life.start()
             start_s = clock.now()
             for time_s, late in life.ticks():

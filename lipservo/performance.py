@@ -11,7 +11,7 @@ from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.stopping import StopReport
 from lipservo.assembly import Face, assemble_face, at_port, check_servos, make_bus, make_street
 from lipservo.daemon import play
-from lipservo.face_life import face_life, say
+from lipservo.face_life import face_life
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
 from lipservo.output import MESSAGES, say_simulated
 from lipservo.pipeline import Street, TickObserver
@@ -74,9 +74,18 @@ class Performance:
                     say_simulated()
                 MESSAGES.print(f"delay from sound to face: {delay}")
             tally = Tally(clock, street)
-            life = face_life(street.bridge, clock, rate_hz, log=self._log)
             zero_s = clock.now()
-            with life, self._observers(face, street, source, clock, rate_hz) as observers:
+            with (
+                face_life(
+                    face.settings.name,
+                    face.settings.servo_port,
+                    street.bridge,
+                    clock,
+                    rate_hz,
+                    quiet=self.quiet,
+                ) as life,
+                self._observers(face, street, source, clock, rate_hz) as observers,
+            ):
                 life.start()
                 zero_s = clock.now()
                 street.begin(zero_s)
@@ -91,10 +100,6 @@ class Performance:
         return Played(
             replace(summary, recognizer=recognizer.level), life.report, life.signal_number
         )
-
-    def _log(self, line: str) -> None:
-        if not self.quiet:
-            say(line)
 
     @contextmanager
     def _observers(

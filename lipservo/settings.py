@@ -186,6 +186,11 @@ class FaceSettings(Strict):
         return servos
 
     @property
+    def servo_port(self) -> str | None:
+        """Where the servos are; None: simulated in memory."""
+        return self.bus.port if self.bus.kind == "dynamixel" else None
+
+    @property
     def mouth_servos(self) -> Mapping[str, ServoSettings]:
         """Those that speech moves, in the order of the YAML."""
         return {name: servo for name, servo in self.servos.items() if servo.part == "mouth"}

@@ -161,7 +161,7 @@ class Auditor:
         error = np.abs(motors.trajectory - position)
         self._in_hand |= (np.abs(speed) >= self._pushed) | (error > self._lag)
         self._in_hand &= error > _MARGIN_PULSES
-        own = motors.torque_on & ~self._in_hand
+        own = motors.torque_on & ~self._in_hand & (np.abs(speed) < self._pushed)
         fast = np.abs(speed) / self._speed
         self.fastest = max(self.fastest, float(np.where(own, fast, 0.0).max()))
         self.too_fast += int((own & (fast > _SPEED_MARGIN)).sum())

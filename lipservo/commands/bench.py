@@ -126,21 +126,41 @@ def loop(
 @app.command()
 def faults(
     every: Annotated[int, typer.Option(min=1, help="Play only one case in so many.")] = 1,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Every arming and stop for every fault: 8 times more.")
+    ] = False,
+    stops: Annotated[
+        bool,
+        typer.Option(
+            "--stops",
+            help="Stops by a person instead, on real processes, 15 s each.",
+        ),
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Play every kind of fault against bridge and bus, on a virtual clock."""
-    from lipservo.fault_figures import campaign_figures
+    """Play every kind of fault against bridge and bus, on a virtual clock.
+
+    Exit status 1 when anything happened that must not.
+    """
+    from lipservo.fault_figures import campaign_figures, stop_campaign_figures
 
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("faults", total=None)
+        steps = progress.add_task("stops" if stops else "faults", total=None)
 
         def advance(n_done: int, n_cases: int) -> None:
             progress.update(steps, completed=n_done, total=n_cases)
 
-        figures = campaign_figures(every, advance)
+        if stops:
+            figures, broken = stop_campaign_figures(every, advance)
+        else:
+            figures, broken = campaign_figures(every, advance, whole=whole)
+    for line in broken:
+        MESSAGES.print(line, soft_wrap=True)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    if broken:
+        raise typer.Exit(1)
 
 
 @app.command()
