@@ -157,7 +157,8 @@ class LifeCycle:
         finally:
             self._letting_go = True  # from here on a signal has nothing left to hurry
             self.report = self._bridge.stop_report()
-            if self._control is not None:
+            # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
+            if self._control is not None and (self.report.complete or self._lifeline is None):
                 self._control.report_end(self.report.as_dict())
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
