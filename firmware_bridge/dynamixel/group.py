@@ -38,6 +38,7 @@ class SpanGroup:
         self._proven = False
         self._ever_proven = False
         self._n_refused = 0
+        self._asked_again: set[int] = set()
         self._silent = dict.fromkeys(self._ids, 0)
         self.answers: list[Status] = []
         self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
@@ -96,6 +97,7 @@ class SpanGroup:
             ids = ids[:n_fit]
         if not ids:
             return []
+        self._asked_again = {*ids}
         again = line.sync_read(SpanRead(ids, self._address, self._size, fast=False))
         self._n_refused += bool(on_trial and not statuses and again)
         return again
@@ -124,8 +126,9 @@ class SpanGroup:
             self._silent[servo_id] += 1
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
         if span.fast and cut_off:
-            self._count_bad_fast(cut_off)
             changed = True
+            if not (late and self._asked_again - late <= {cut_off[0]} and cut_off[0] in missing):
+                self._count_bad_fast(cut_off)  # else it is one servo that is silent
         if changed:
             self._prepare()
 
