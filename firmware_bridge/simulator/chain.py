@@ -179,8 +179,9 @@ class SimulatedChain:
         if instruction in _GROUP_WRITES:
             blocks = _GROUP_WRITES[instruction](parameters)
             for servo in awake:
-                if servo.servo_id in blocks:
-                    servo.write(blocks[servo.servo_id])
+                block = blocks.get(servo.servo_id)
+                if block is not None:
+                    servo.write(block)
         elif instruction in _GROUP_READS:
             take_apart, fast = _GROUP_READS[instruction]
             wanted = take_apart(parameters)

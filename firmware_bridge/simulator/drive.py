@@ -53,6 +53,7 @@ class Drive:
         self._sign, self._zero = 1.0, 0.0
         self._profile = Profile(False, 0, 0)
         self._profile_is_new = True
+        self._depends_on_distance = False
 
     @property
     def torque_on(self) -> bool:
@@ -74,7 +75,7 @@ class Drive:
         motors, i = self.motors, self.index
         motors.position[i] = motors.trajectory[i] = motors.goal[i] = self._shaft(place)
         self.table["goal_position"] = round(place)
-        motors.forget_shown()
+        motors.shown_at_s = -1.0
 
     def settle(self) -> None:
         """Let the motor be as the registers say now. A new profile counts from the next goal on."""
@@ -91,12 +92,13 @@ class Drive:
         profile = Profile(timed, table["profile_velocity"], table["profile_acceleration"])
         self._profile_is_new |= profile != self._profile
         self._profile = profile
+        self._depends_on_distance = profile.depends_on_distance
         pwm = min(abs(table["goal_pwm"]), table["pwm_limit"]) / FULL_PWM
         motors.strength[i] = min(pwm, self._share_of_stall())
         motors.free_speed[i] = pwm * motors.no_load[i]
         motors.moving_speed[i] = table["moving_threshold"] * VELOCITY_UNIT
         self.set_patience()
-        motors.forget_shown()
+        motors.shown_at_s = -1.0
 
     def _share_of_stall(self) -> float:
         """What goal_current lets the motor do, as a share of its stall torque."""
@@ -113,22 +115,22 @@ class Drive:
 
     def pursue(self, goal: int) -> None:
         """Start a profile to `goal`, pulses of goal_position."""
-        if not self.torque_on:
+        if not self._memory[_TORQUE]:
             if self._memory[_DRIVE_MODE] & TORQUE_BY_GOAL and not self.broken:
                 self.set_torque(on=True)
             return
         motors, i = self.motors, self.index
         shaft = (goal - self._zero) * self._sign
-        profile = self._profile
-        if profile.depends_on_distance:
+        if self._depends_on_distance:
             way = shaft - float(motors.trajectory[i])
             speed = float(motors.trajectory_velocity[i])
-            motors.set_course(i, profile.course(abs(way), math.copysign(speed, speed * way)))
+            course = self._profile.course(abs(way), math.copysign(speed, speed * way))
+            motors.set_course(i, course)
         elif self._profile_is_new:
-            motors.set_course(i, profile.course(0.0))
+            motors.set_course(i, self._profile.course(0.0))
         self._profile_is_new = False
         motors.goal[i] = shaft
-        motors.forget_shown()
+        motors.shown_at_s = -1.0
 
     def set_torque(self, *, on: bool) -> None:
         """Switch torque; on, the motor runs to the goal that was left in the register."""
@@ -137,7 +139,7 @@ class Drive:
         self._memory[_TORQUE] = on
         self.set_patience()
         motors.torque_on[i] = on
-        motors.forget_shown()
+        motors.shown_at_s = -1.0
         if on and not was_on:
             if self.table["operating_mode"] == POSITION:
                 self.count_one_turn()

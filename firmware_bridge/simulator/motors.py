@@ -101,15 +101,16 @@ class Motors:
         self._effort_scale = np.array([stall / unit if unit else 1e3 for unit, stall in units])
         self._values = np.zeros((10, n))
         self._shown: list[list[int]] = []
-        self._shown_at_s = -1.0
+        #: Of when `register_values` are; -1 makes them anew although no time has passed.
+        self.shown_at_s = -1.0
 
     def register_values(self) -> list[list[int]]:
         """The registers of the present, from `moving` to present_temperature, a list a servo.
 
         In the units of the registers, of the time that was advanced to.
         """
-        if self._shown_at_s != self.now_s:
-            self._shown_at_s = self.now_s
+        if self.shown_at_s != self.now_s:
+            self.shown_at_s = self.now_s
             values, sign = self._values, self.sign
             ongoing = self.torque_on & (self.goal != self.trajectory)
             speed = np.abs(self.velocity)
@@ -135,10 +136,6 @@ class Motors:
         status += _IN_POSITION * (np.abs(self.goal - self.position) <= _IN_POSITION_PULSES)
         late = np.abs(self.trajectory - self.position) > _FOLLOWING_PULSES
         return np.asarray(status + _NOT_FOLLOWING * late)
-
-    def forget_shown(self) -> None:
-        """What registers show has changed although no time has passed."""
-        self._shown_at_s = -1.0
 
     def set_course(self, index: int, course: Course) -> None:
         """What bounds the way to the next goal."""

@@ -50,6 +50,7 @@ class SimulatedServo:
         self._registers = model.registers
         self._table = self._drive.table
         self._memory = self._table.bytes
+        self._rates = baud_rates()
         self._registered = b""
         self.holds_at_start = False
         self.deaf_until_s = 0.0
@@ -77,7 +78,7 @@ class SimulatedServo:
     @property
     def baud_rate(self) -> int:
         """The rate it listens at."""
-        return baud_rates()[self._memory[8]]
+        return self._rates[self._memory[8]]
 
     @property
     def return_delay_s(self) -> float:
