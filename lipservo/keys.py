@@ -49,7 +49,7 @@ def _terminal_key(terminal: int) -> str:
     """One key without Enter, unseen; "" when the terminal is gone. Ctrl-C stays a signal."""
     before = termios.tcgetattr(terminal)
     try:
-        tty.setcbreak(terminal)
+        tty.setcbreak(terminal, termios.TCSANOW)  # the default forgets keys typed ahead
         key = os.read(terminal, 1)
         if key == b"\x1b" and select.select([terminal], [], [], _ARROW_S)[0]:
             key += os.read(terminal, 2)

@@ -158,3 +158,14 @@ def test_what_servos_keep_is_in_the_file_and_compared_by_name():
             check_servo_memories(read, (other, read.origin.servo_memories[1]))
     without = with_memories()
     check_servo_memories(without, (MEMORY, MEMORY))
+
+
+def test_a_capture_that_ends_before_its_first_pose_leaves_no_pose_file(tmp_path):
+    """A stop by a person strikes while the robot waits in neutral for a tracker."""
+
+    def stopped(_seconds: float) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        FileTracker(tmp_path / "m.csv", SERVOS, stopped, [].append)
+    assert list(tmp_path.iterdir()) == []
