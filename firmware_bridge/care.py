@@ -178,7 +178,11 @@ class ServoCare:
             self._until_s[i] = time_s + _RETRY_S
             port.disable(i)
             return True, False
-        if state == ServoState.FAILED or port.refusal(i):
+        if state == ServoState.FAILED:
+            return False, False
+        if port.refusal(i):
+            if health.hardware_errors[i]:  # told although nothing is done about it now
+                self._explain(i, describe_errors(int(health.hardware_errors[i])))
             return False, False
         if state == ServoState.COOLING:
             return self._revive(i, health, time_s, port), False

@@ -183,6 +183,12 @@ def test_nobody_gets_torque_whom_the_gate_refuses():
     assert ward.done == []
     assert "lost its torque" in ward.care.reasons[1]
 
+    ward.values["hardware_errors"][1] = 0x10
+    ward.look(11.0)
+
+    assert ward.done == []
+    assert ward.care.reasons[1] == "electrical shock"
+
 
 def test_a_silent_servo_gets_no_goals_until_it_answers():
     ward = Ward()
