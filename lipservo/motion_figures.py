@@ -131,6 +131,12 @@ def cross_validate(
     labelled = corpus.labelled()
     if asked.words is not None:
         parts = [words_part("words", labelled, asked.words)]
+        if not parts[0].train:
+            named = " or ".join(map(repr, sorted(asked.words)))
+            raise BenchError(
+                f"{corpus.name}: every labelled sentence holds {named}, so none is left to train "
+                "on; name rarer words, or give a model with --model"
+            )
     else:
         parts = read_parts(folder, labelled)
     rows: list[Row] = []

@@ -54,9 +54,4 @@ def words_part(split: str, corpus: Corpus, words: frozenset[str]) -> Part:
     missing = sorted(words - set().union(*said.values()))
     if missing:
         raise CorpusError(f"{corpus.name}: no sentence holds {', '.join(map(repr, missing))}")
-    if len(test) == len(said):
-        raise CorpusError(
-            f"{corpus.name}: every labelled sentence holds {' or '.join(map(repr, sorted(words)))},"
-            " so none is left to train on; name rarer words, or give a model with --model"
-        )
     return Part(split, frozenset(said) - test, test, words)
