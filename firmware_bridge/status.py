@@ -11,8 +11,8 @@ from firmware_bridge.care import ServoState
 def face_status(bridge: Bridge) -> dict[str, object]:
     """One object for JSON. Made when somebody asks, not in every tick.
 
-    state: a `FaceState`; plugged: whether the port is there; servos: a `ServoState` in words for
-    each joint; troubles: a line for each servo that is not driven; *_total: how often the gate
+    state: a `FaceState`; plugged: whether the port is there; servo_states: a `ServoState` in words
+    for each of `joints`; troubles: a line for each servo that is not driven; *_total: how often the gate
     stepped in, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
@@ -24,9 +24,8 @@ def face_status(bridge: Bridge) -> dict[str, object]:
         "state": status.state.value,
         "plugged": bridge.plugged,
         "torque_on": ServoState.DRIVEN in status.servo_states,
-        "servos": dict(
-            zip(bridge.names, (s.name.lower() for s in status.servo_states), strict=True)
-        ),
+        "joints": list(bridge.names),
+        "servo_states": [state.name.lower() for state in status.servo_states],
         "troubles": list(bridge.troubles),
         "n_ticks": status.n_ticks,
         "n_late": status.n_late,
