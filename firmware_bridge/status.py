@@ -12,8 +12,8 @@ def face_status(bridge: Bridge) -> dict[str, object]:
     """One object for JSON. Made when somebody asks, not in every tick.
 
     state: a `FaceState`; plugged: whether the port is there; servo_states: a `ServoState` in words
-    for each of `joints`; troubles: a line for each servo that is not driven; *_total: how often the gate
-    stepped in, over all joints; the counts are those of `BridgeStatus`.
+    for each of `joints`; troubles: a line for each servo that is not driven; *_total: how often
+    the gate stepped in, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
     gate = {

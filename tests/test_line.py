@@ -230,6 +230,31 @@ def test_what_is_in_no_hurry_hears_a_late_answer_itself():
     assert chain.line.ping(2).data == b"\xb0\x04\x34"
 
 
+@pytest.mark.parametrize("first_is_dead", [False, True])
+@pytest.mark.parametrize("fast", [False, True])
+def test_when_everybody_was_silent_for_a_while_all_are_heard_again_at_once(fast, first_is_dead):
+    """A computer that stood still for a quarter of a second, in the middle of anything."""
+    dead = [Fault("silence", servos=(0,), at_s=(0.0,))] if first_is_dead else []
+    face = MemoryFace(10, faults=dead)
+    transport = face.open()
+    line, group = Line(transport), SpanGroup(range(1, 11), 126, 10)
+    write, outage = transport.write, (1.0, 1.25)
+
+    def send(data):
+        if not outage[0] <= face.clock.now() < outage[1] and (fast or data[7] != 0x8A):
+            write(data)
+
+    transport.write = send
+    heard = {}
+    for tick in range(200):
+        face.clock.sleep_until(tick / 100.0)
+        heard[tick] = {status.servo_id for status in group.ask(line)}
+
+    living = set(range(2 if first_is_dead else 1, 11))
+    assert all(living <= heard[tick] for tick in range(90, 99))
+    assert all(living <= heard[tick] for tick in range(130, 200))
+
+
 def test_one_silent_servo_costs_the_others_nothing_and_little_time():
     """Of twenty at 1 Mbaud, as the issue has it; the wire itself takes 3.6 ms."""
     face = MemoryFace(20, faults=[Fault("silence", servos=(7,), at_s=(0.0,))])

@@ -120,12 +120,17 @@ class SpanGroup:
         for servo_id in answered:
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
             self._silent[servo_id] = 0
-        # Those behind the first silent one may only have been cut off.
-        blamed = [each for each in cut_off[:1] if each in missing] if span.fast else missing
+        # Those behind the first silent one may only have been cut off. Nor are all to blame where
+        # nobody answers at all: line or computer stood still, and come back with everybody.
+        first_only = span.fast or not answered
+        blamed = [each for each in cut_off[:1] if each in missing] if first_only else missing
+        most = _ABSENT_AFTER if answered else _SUSPECT_AFTER
         for servo_id in blamed:
-            self._silent[servo_id] += 1
+            self._silent[servo_id] = max(
+                self._silent[servo_id], min(self._silent[servo_id] + 1, most)
+            )
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
-        if span.fast and cut_off:
+        if span.fast and cut_off and answered:
             changed = True
             if not (late and self._asked_again - late <= {cut_off[0]} and cut_off[0] in missing):
                 self._count_bad_fast(cut_off)  # else it is one servo that is silent
