@@ -12,7 +12,7 @@ run: $(VENV)/.installed
 	$(BIN)/lipservo run
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/make_reference_traces.py
