@@ -12,6 +12,8 @@ from lipsync.errors import UserError
 _ARROWS = {"\x1b[A": "w", "\x1b[B": "s", "\x1b[C": "d", "\x1b[D": "a"}
 _END = "q"
 _CTRL_D = "\x04"
+#: What becomes of it in a line discipline that still collects lines when it is typed.
+_CTRL_D_TYPED_AHEAD = "\x00"
 #: The rest of an arrow comes at once; a person who presses Escape alone sends no more.
 _ARROW_S = 0.05
 
@@ -28,7 +30,7 @@ def read_key() -> str:
         key = sys.stdin.read(1)
         if key == "\x1b":
             key += sys.stdin.read(2)
-    if key in ("", _CTRL_D):
+    if key in ("", _CTRL_D, _CTRL_D_TYPED_AHEAD):
         return _END
     # In application mode terminals send O in place of the bracket.
     return _ARROWS.get(key.replace("\x1bO", "\x1b["), key)

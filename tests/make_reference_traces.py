@@ -3,7 +3,6 @@
 import gzip
 import json
 import tempfile
-import threading
 from pathlib import Path
 
 from reference_sounds import SOUNDS, write_sound
@@ -23,7 +22,7 @@ def replay(name: str, folder: Path) -> Path:
     write_sound(name, sound)
     performance = Performance("face_sim", None, trace, SOUNDS[name], live=False, quiet=True)
     with open_source(sound, None) as source:
-        performance.play(source, ManualClock(), threading.Event())
+        performance.play(source, ManualClock())
     return trace
 
 

@@ -264,7 +264,7 @@ def test_the_previous_file_is_kept_and_a_power_cut_leaves_the_old_one(fit, tmp_p
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr("calibration.calibration_file.os.fsync", power_cut)
+        patched.setattr("lipsync.output_file.os.fsync", power_cut)
         with pytest.raises(KeyboardInterrupt):
             save_calibration(newer, path)
     assert path.read_text() == first

@@ -54,9 +54,9 @@ def measured(source_of, recognizer_of):
     face, clock = assemble_face("face_sim", None), ManualClock()
     with make_bus(face, clock) as bus, source_of(clock) as source:
         synthesizer = make_synthesizer(face.model, Manner())
-        street = make_street(face, source, bus, RATE_HZ, 0.0, recognizer_of(clock), synthesizer)
+        street = make_street(face, source, bus, RATE_HZ, recognizer_of(clock), synthesizer)
         tally = Tally(clock, street)
-        street.bridge.arm()
+        street.bridge.start()
         for time_s, late in ticks(clock, RATE_HZ):
             if time_s > 6.0:
                 break

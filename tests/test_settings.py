@@ -299,7 +299,7 @@ def test_the_rules_of_the_gate_come_from_the_yaml(tmp_path):
     clock = ManualClock()
     with SimulatedBus(face.joints(), clock) as bus:
         bridge = bridge_for(face, bus, MemoryTargetChannel())
-        bridge.arm()
+        bridge.start()
         levels = [bridge.tick(n / 50.0).stale.name for n in range(110)]
 
     assert [levels.index(name) for name in ("EASING", "NEUTRAL", "LIMP")] == [11, 50, 100]

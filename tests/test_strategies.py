@@ -14,6 +14,7 @@ import soundfile
 from speech import CLIP_PATH
 from typer.testing import CliRunner
 
+from firmware_bridge.lifeline import Began, lifeline_pair
 from firmware_bridge.socket_channel import SocketTargetChannel, channel_pair
 from lipservo.assembly import assemble_face
 from lipservo.cli import app
@@ -72,10 +73,12 @@ def test_run_plays_a_strategy_live(sound, tmp_path):
 def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(sound, strategy):
     """How far the mouth moves is not judged: a busy machine does not hear in time."""
     ours, its = channel_pair()
-    command = [sys.executable, "-m", "lipservo", "speech-process", "--fd", str(its.fileno())]
+    line, watch = lifeline_pair()
+    command = [sys.executable, "-m", "lipservo", "speech-process"]
+    command += ["--channel", str(its.fileno()), "--lifeline", str(line.fileno())]
     process = subprocess.Popen(
         [*command, "--wav", str(sound), "--strategy", strategy],
-        pass_fds=[its.fileno()],
+        pass_fds=[its.fileno(), line.fileno()],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -88,6 +91,9 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
     process.send_signal(signal.SIGTERM)
     _, said = process.communicate(timeout=60)
     os.close(its.detach())
+    assert any(isinstance(message, Began) for message in watch.read())
+    watch.close()
+    line.close()
     ours.close()
     assert len(jaw_deg) >= 180, said
     assert process.returncode == 0, said
