@@ -1,7 +1,6 @@
 """The parts of `lipservo new-face`: find servos, nudge one, write the YAML."""
 
 import re
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,10 +13,15 @@ from firmware_bridge.bridge import Bridge
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
-from firmware_bridge.dynamixel.control_table import model_by_number, register, servo_models
+from firmware_bridge.dynamixel.control_table import model_by_number, servo_models
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import CENTER_PULSE, PULSES_PER_TURN, MountedServo
-from firmware_bridge.dynamixel.provisioning import SCANNED_RATES, scan
+from firmware_bridge.dynamixel.provisioning import (
+    SCANNED_RATES,
+    UNHURRIED_S,
+    read_settings,
+    scan,
+)
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.stopping import StopLevel
@@ -39,7 +43,9 @@ def find_servos(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     """The first rate at which anybody answers, and the model of every id there."""
     transport = open_port(port, first_rate)
     try:
-        scanned = scan(Line(transport), [first_rate, *SCANNED_RATES])
+        line = Line(transport)
+        line.patience_s = UNHURRIED_S
+        scanned = scan(line, [first_rate, *SCANNED_RATES])
         rate, found = next((each for each in scanned if each[1]), (0, {}))
         if not found:
             raise UserError(f"{port}: no servo answers at any rate; check power and cable")
@@ -68,16 +74,21 @@ class FoundJoint:
     def within(self, recorded: RecordedRange, neutral_tick: int) -> "FoundJoint":
         """With the recorded range as limits, and 0 where the servo stands now.
 
-        Raises UserError where it stands outside of that range.
+        neutral_tick: without homing offset. Raises UserError where it is outside of that range.
         """
-        if not recorded.least_tick <= neutral_tick <= recorded.most_tick:
+        # A homed servo shows its place plus the homing offset, and so it was recorded.
+        least, most = (
+            tick - recorded.homing_offset_ticks
+            for tick in (recorded.least_tick, recorded.most_tick)
+        )
+        if not least <= neutral_tick <= most:
             raise UserError(
                 f"{self.name} (id {self.servo_id}) stands at {neutral_tick}, outside its recorded "
-                f"range {recorded.least_tick}..{recorded.most_tick}; put the face into its neutral"
+                f"range {least}..{most}; put the face into its neutral"
             )
         ends_deg = sorted(
             round(self.sign * (tick - neutral_tick) * 360.0 / PULSES_PER_TURN, 2)
-            for tick in (recorded.least_tick, recorded.most_tick)
+            for tick in (least, most)
         )
         offset_deg = self.sign * (neutral_tick - CENTER_PULSE) * 360.0 / PULSES_PER_TURN
         return replace(
@@ -90,13 +101,11 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     model = servo_models()[model_name]
     transport = open_port(port, rate)
     try:
-        entry = register("present_position")
-        answer = Line(transport).read(servo_id, entry.address, entry.size)
+        line = Line(transport)
+        line.patience_s = UNHURRIED_S
+        place = read_settings(line, servo_id, model, ["present_position"])["present_position"]
     finally:
         transport.close()
-    if answer is None or len(answer.data) != entry.size:
-        raise UserError(f"id {servo_id} does not answer any more; check its cable")
-    (place,) = struct.unpack("<i", answer.data)
     here_deg = (place - CENTER_PULSE) * 360.0 / PULSES_PER_TURN
     joint = Joint(f"id_{servo_id}", servo_id, -NUDGE_DEG - 1.0, NUDGE_DEG + 1.0, 60.0)
     servo = MountedServo(joint, model, 1, here_deg)
@@ -116,7 +125,7 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     assert life.report is not None
     if life.signal_number is not None or not life.report.complete:
         raise FaceStopped(life.report, life.signal_number)
-    return int(place)
+    return place
 
 
 def check_face_file(path: Path) -> None:

@@ -8,6 +8,8 @@ from importlib import resources
 import pytest
 import soundfile
 
+from firmware_bridge.dynamixel.line import Line
+from firmware_bridge.dynamixel.serial_transport import open_port
 from lipservo.settings import load_face
 from lipservo.sim_process import simulated_port
 
@@ -159,6 +161,35 @@ def test_new_face_takes_names_and_limits_from_a_range_file_of_lerobot(tmp_path):
         assert "jaw (id 1) stands at 20" in done.stderr
         assert "outside its recorded range 2100..2332" in done.stderr
         assert not path.exists()
+
+
+def test_new_face_takes_over_servos_that_lerobot_has_homed(tmp_path):
+    """Homed by -1024 ticks, driven in mode 4: shown at 1024, recorded there, standing at 2048."""
+    path, ranges = tmp_path / "mine.yaml", tmp_path / "ranges.json"
+    entry = {"id": 1, "drive_mode": 0, "homing_offset": -1024, "range_min": 996, "range_max": 1308}
+    ranges.write_text(json.dumps({"jaw": entry}))
+    with simulated_port(["--servos", "1", "--baud-rate", "1000000"]) as port:
+
+        def ask(act):
+            transport = open_port(port, 1_000_000)
+            try:
+                return act(Line(transport))
+            finally:
+                transport.close()
+
+        ask(lambda line: line.write(1, 20, (-1024).to_bytes(4, "little", signed=True)))
+        ask(lambda line: line.write(1, 11, b"\4"))
+        how = ("new-face", "-o", path, "--port", port, "--ranges", ranges)
+        done = lipservo(*how, input="n\n")
+        assert done.returncode == 1
+        assert "homing_offset is -1024, should be 0" in done.stderr
+        assert not path.exists()
+        done = lipservo(*how, input="y\n\nopens\ny\n")
+        assert done.returncode == 0, done.stderr
+        jaw = load_face(path).servos["jaw"]
+        assert (jaw.min_deg, jaw.max_deg) == (-2.46, 24.96)
+        assert ask(lambda line: line.read(1, 20, 4)).data == bytes(4)
+        assert ask(lambda line: line.read(1, 11, 1)).data == b"\3"
 
 
 def test_a_dry_run_reads_but_never_switches_torque_on(port, tmp_path):

@@ -1,6 +1,6 @@
 """`jog`, `neutral`, `new-face`: a builder's first hour."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -72,6 +72,7 @@ def new_face(
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     rate, found = find_servos(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
+    _clear_foreign(port, rate, found)
     joints: list[FoundJoint] = []
     for servo_id, model in found.items():
         tick = nudge(port, rate, servo_id, model)
@@ -93,6 +94,21 @@ def new_face(
         f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`",
         soft_wrap=True,
     )
+
+
+def _clear_foreign(port: str, rate: int, found: Mapping[int, str]) -> None:
+    """Ask before what another program has written into the servos is taken back."""
+    from lipservo.foreign_settings import clear_foreign_settings, foreign_settings
+
+    foreign = foreign_settings(port, rate, found)
+    if not foreign:
+        return
+    for servo_id, changes in foreign.items():
+        MESSAGES.print(f"id {servo_id}: {'; '.join(map(str, changes))}", soft_wrap=True)
+    question = "Another program has set these up. Write what they should be"
+    if not typer.confirm(question, default=True, err=True):
+        raise UserError("nothing was written; servos set up like this cannot be moved here")
+    clear_foreign_settings(port, rate, found, foreign)
 
 
 def _finish(moved: "Moved") -> None:
