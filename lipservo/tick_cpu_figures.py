@@ -5,7 +5,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from typing import Final, Protocol
 
@@ -16,8 +16,10 @@ from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
+from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.joints import Joint
 from firmware_bridge.targets import ServoTargets
 
@@ -28,8 +30,12 @@ _GOAL, _MOTION, _MOTION_SIZE, _WARMTH, _WARMTH_SIZE = 116, 126, 10, 144, 3
 _MOTION_TYPE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 _WARMTH_TYPE = np.dtype([("voltage", "<u2"), ("temperature", "u1")])
 _BAUD_RATE: Final = 4_000_000
+#: What the ratios over each of them are called: cpu_tick*_ratio.
+_KEYS: Final = {"sdk": "", "sdk_all_fast": "_all_fast", "rustypot": "_rustypot"}
 _RATE_HZ: Final = 100.0
 #: Until every servo has its full strength, which takes a second; the others get as many calls.
+_SETTLES_S: Final = 0.1
+_START_PATIENCE_S: Final = 1.0
 _WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 80, 10
 
 
@@ -48,35 +54,33 @@ class Client(Protocol):
 
 
 def tick_ratios() -> dict[str, float]:
-    """CPU of `Bridge.tick` over that of dynamixel-sdk's three calls: least and median blocks.
+    """CPU of `Bridge.tick` over that of dynamixel-sdk's three calls: least and median calls.
 
     Ours: targets, gate, goals written, places read, one servo's health read, supervision, tracking.
-    dynamixel-sdk: goals written, places read (fast), voltage and temperature of all read; each
-    value fetched as its examples do; no gate, and no hardware errors, which lie elsewhere. Over
-    rustypot the same, when it is installed; its medians are reported as well. Thread CPU time of
-    interleaved blocks of ten calls, beside a peer that answers at once: wire time, during which
-    dynamixel-sdk polls and we sleep, is left out. Its LATENCY_TIMER only says when it gives up,
-    so it is left as it comes.
+    dynamixel-sdk: goals written, places read (fast sync read), voltage and temperature of all read
+    (sync read; `all_fast`: fast, too); each value fetched as its examples do; no gate, and no
+    hardware errors, which lie elsewhere. rustypot, where installed: the same, all fast.
+    Thread CPU time of every call, in interleaved blocks of ten, beside peers that answer at once:
+    wire time, during which dynamixel-sdk polls and we sleep, is left out. It polls while it waits
+    for a peer, too: least calls have the least of that, medians the usual. Its LATENCY_TIMER only
+    says when it gives up, so it is left as it comes; calls whose answer was lost do not count.
     """
     with ExitStack() as stack:
         clients: dict[str, Client] = {
             "own": stack.enter_context(own_tick()),
             "sdk": SdkTick(stack.enter_context(canned_peer())),
+            "sdk_all_fast": SdkTick(stack.enter_context(canned_peer()), all_fast=True),
         }
         if find_spec("rustypot") is not None:
             clients["rustypot"] = RustypotTick(stack.enter_context(canned_peer()))
         spent_us = _calls_us(clients)
     least = {name: min(each) for name, each in spent_us.items()}
     middle = {name: statistics.median(each) for name, each in spent_us.items()}
-    figures = {
-        "cpu_tick_ratio": least["own"] / least["sdk"],
-        "cpu_tick_ratio_median": middle["own"] / middle["sdk"],
-        "cpu_tick_us": least["own"],
-        "cpu_tick_median_us": middle["own"],
-    }
-    if "rustypot" in clients:
-        figures["cpu_tick_rustypot_ratio"] = least["own"] / least["rustypot"]
-        figures["cpu_tick_rustypot_ratio_median"] = middle["own"] / middle["rustypot"]
+    figures = {"cpu_tick_us": least["own"], "cpu_tick_median_us": middle["own"]}
+    for name in [name for name in clients if name != "own"]:
+        key = f"cpu_tick{_KEYS[name]}_ratio"
+        figures[key] = least["own"] / least[name]
+        figures[f"{key}_median"] = middle["own"] / middle[name]
     return figures
 
 
@@ -89,16 +93,20 @@ def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
             for call in range(n, n + _CALLS):
                 client.prepare(call)
                 begun_ns = time.thread_time_ns()
-                with suppress(AnswerLost):
+                try:
                     client.work()
-                    if block >= _WARM_UP_BLOCKS:
-                        spent_us[name].append((time.thread_time_ns() - begun_ns) * 1e-3)
+                except AnswerLost:
+                    time.sleep(_SETTLES_S)  # or the next question would get the late answer
+                    continue
+                spent_ns = time.thread_time_ns() - begun_ns
+                if block >= _WARM_UP_BLOCKS:
+                    spent_us[name].append(spent_ns * 1e-3)
         n += _CALLS
     return spent_us
 
 
 def moving_deg(n: int) -> np.ndarray:
-    """Where the joints are wanted in call n: 4 degrees to and fro, 2 times a second, (n_servos,)."""
+    """Where the joints are wanted in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
     return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + 0.3 * np.arange(N_SERVOS)))
 
 
@@ -109,7 +117,15 @@ def own_tick() -> Iterator["OwnTick"]:
         tick = OwnTick(port)
         with tick.bus:
             tick.bridge.start()
+            tick.bus.line.patience_s = 0.0
             yield tick
+
+
+def _patient_line(transport: Transport) -> Line:
+    """A start is in no hurry, and other work of this computer must not spoil it."""
+    line = Line(transport)
+    line.patience_s = _START_PATIENCE_S
+    return line
 
 
 class OwnTick:
@@ -122,7 +138,11 @@ class OwnTick:
         self._clock = ManualClock()
         self._channel = MemoryTargetChannel()
         self._time_s = 0.0
-        self.bus = DynamixelBus(servos, lambda: open_port(port, _BAUD_RATE, self._clock))
+        self.bus = DynamixelBus(
+            servos,
+            lambda: open_port(port, _BAUD_RATE, self._clock),
+            make_line=_patient_line,
+        )
         self.bridge = Bridge(self.bus, joints, self._channel, rate_hz=_RATE_HZ)
 
     def prepare(self, n: int) -> None:
@@ -149,7 +169,8 @@ class _Goals:
 class SdkTick(_Goals):
     """dynamixel-sdk, as its own examples use it."""
 
-    def __init__(self, port: str) -> None:
+    def __init__(self, port: str, *, all_fast: bool = False) -> None:
+        """all_fast: voltage and temperature by a fast read, too, and not by a plain one."""
         import dynamixel_sdk as sdk
 
         self._success = sdk.COMM_SUCCESS
@@ -164,15 +185,18 @@ class SdkTick(_Goals):
             self._write.addParam(servo_id, [0, 8, 0, 0])
             self._motion.addParam(servo_id)
             self._warmth.addParam(servo_id)
+        self._ask_warmth = self._warmth.fastSyncRead if all_fast else self._warmth.txRxPacket
 
     def work(self) -> list[list[int]]:
         """Currents, positions, voltages, temperatures; raises AnswerLost."""
         for servo_id, goal in zip(_IDS, self.goals, strict=True):
             self._write.changeParam(servo_id, list(goal.to_bytes(4, "little")))
         self._write.txPacket()
-        if self._motion.fastSyncRead() != self._success:
-            raise AnswerLost
-        if self._warmth.txRxPacket() != self._success:
+        try:
+            asked = self._motion.fastSyncRead(), self._ask_warmth()
+        except IndexError as error:  # it took a late answer for that to another question
+            raise AnswerLost from error
+        if asked != (self._success, self._success):
             raise AnswerLost
         found = []
         for group, address, size in (

@@ -70,7 +70,7 @@ def test_any_span_of_any_servo_is_answered(line):
 def test_a_bus_arms_these_servos_and_drives_them(port):
     servos = face(len(IDS))
     with DynamixelBus(servos, lambda: open_port(port, BAUD_RATE), strict=False) as bus:
-        assert all(any(bus.wake(n) for _ in range(5)) for n in range(len(IDS)))
+        assert all(any(not bus.enable_torque(n) for _ in range(5)) for n in range(len(IDS)))
         places = set()
         for tick in range(20):
             bus.write_positions(np.full(len(IDS), tick / 10))
