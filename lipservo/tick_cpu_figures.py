@@ -16,7 +16,6 @@ from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
-from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.dynamixel.transport import Transport
@@ -35,7 +34,6 @@ _KEYS: Final = {"sdk": "", "sdk_all_fast": "_all_fast", "rustypot": "_rustypot"}
 _RATE_HZ: Final = 100.0
 #: Until every servo has its full strength, which takes a second; the others get as many calls.
 _SETTLES_S: Final = 0.1
-_START_PATIENCE_S: Final = 1.0
 _WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 80, 10
 
 
@@ -117,15 +115,24 @@ def own_tick() -> Iterator["OwnTick"]:
         tick = OwnTick(port)
         with tick.bus:
             tick.bridge.start()
-            tick.bus.line.patience_s = 0.0
             yield tick
 
 
-def _patient_line(transport: Transport) -> Line:
-    """A start is in no hurry, and other work of this computer must not spoil it."""
-    line = Line(transport)
-    line.patience_s = _START_PATIENCE_S
-    return line
+class _Unhurried:
+    """A port whose answers may be late: other work of this computer is no fault of the servos."""
+
+    baud_rate = _BAUD_RATE
+
+    def __init__(self, transport: Transport) -> None:
+        self.clock = transport.clock
+        self.write = transport.write
+        self.discard_input = transport.discard_input
+        self.close = transport.close
+        self._read = transport.read
+
+    def read(self, deadline_s: float) -> bytes:
+        """As that of the port, a second later."""
+        return self._read(deadline_s + 1.0)
 
 
 class OwnTick:
@@ -139,9 +146,7 @@ class OwnTick:
         self._channel = MemoryTargetChannel()
         self._time_s = 0.0
         self.bus = DynamixelBus(
-            servos,
-            lambda: open_port(port, _BAUD_RATE, self._clock),
-            make_line=_patient_line,
+            servos, lambda: _Unhurried(open_port(port, _BAUD_RATE, self._clock))
         )
         self.bridge = Bridge(self.bus, joints, self._channel, rate_hz=_RATE_HZ)
 
