@@ -21,6 +21,8 @@ from firmware_bridge.way_to_rest import WayToRest
 
 Array = NDArray[np.float64]
 
+#: Looking a member up in its enumeration costs as much as comparing ten; a tick does it often.
+_DRIVEN, _SILENT, _FRESH = FaceState.DRIVEN, FaceState.SILENT, StaleLevel.FRESH
 #: First wait before a lost port is tried again, and the longest; it doubles in between.
 _RETRY_S, _LONGEST_RETRY_S = 0.1, 0.5
 
@@ -174,12 +176,13 @@ class Bridge:
         if not self._plugged:
             self._try_port(time_s)
         self._listen(time_s)
-        wanted_deg, limited = self._held_deg, self._nothing_sent()
+        acted = None
         if self._plugged:
             try:
-                wanted_deg, limited = self._act(time_s)
+                acted = self._act(time_s)
             except PortError:
                 self._unplug(time_s)
+        wanted_deg, limited = acted or (self._held_deg, self._nothing_sent())
         return self._report(time_s, late, wanted_deg, limited)
 
     def stop(self, level: StopLevel) -> None:
@@ -204,7 +207,7 @@ class Bridge:
 
     def _can_ease(self) -> bool:
         on_its_way = self._state in (FaceState.DRIVEN, FaceState.EASING)
-        return on_its_way and self._plugged and bool(self._servos.care.driven.any())
+        return on_its_way and self._plugged and self._servos.care.any_driven
 
     def _begin(self, present_deg: Array, time_s: float) -> None:
         self._servos.limiter.start_from(present_deg, time_s)
@@ -215,9 +218,9 @@ class Bridge:
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
         """What this state sends: (wanted, sent)."""
-        limited = self._nothing_sent()
-        if self._state is FaceState.DRIVEN:
+        if self._state is _DRIVEN:
             return self._drive(time_s)
+        limited = self._nothing_sent()
         if self._state is FaceState.EASING:
             return self._ease(time_s)
         if self._state is FaceState.FROZEN:
@@ -238,7 +241,7 @@ class Bridge:
             self._servos.let_go(time_s)
             self._state = FaceState.SILENT
             return wanted_deg, self._nothing_sent()
-        self._n_stale += self._was_spoken_to and level is not StaleLevel.FRESH
+        self._n_stale += self._was_spoken_to and level is not _FRESH
         limited = self._servos.limiter.apply(wanted_deg * self._servos.scale, time_s)
         self._servos.send(limited, time_s)
         lost = self._servos.lost_critical
@@ -310,12 +313,12 @@ class Bridge:
         """Take what the speech side sent; a face limp in a silence wakes at fresh targets."""
         self._track.push(self._channel.drain())
         target_deg, age_s = self._track.at(time_s)
-        if target_deg is None or self._stale.level(age_s) is not StaleLevel.FRESH:
+        if target_deg is None or self._stale.level(age_s) is not _FRESH:
             return
-        if self._state is FaceState.SILENT:
-            self._state = FaceState.DRIVEN
+        if self._state is _SILENT:
+            self._state = _DRIVEN
             self._n_armed += 1
-        if self._state is FaceState.DRIVEN:
+        if self._state is _DRIVEN:
             self._heard_s = max(self._heard_s, time_s - age_s)
             self._held_deg = target_deg
             self._was_spoken_to = True
@@ -329,7 +332,7 @@ class Bridge:
             sent_deg=limited.positions_deg,
             target_age_s=silence_s,
             stale=self._stale.level(silence_s),
-            torque_on=bool(self._servos.care.driven.any()),
+            torque_on=self._servos.care.any_driven,
             range_hits=limited.range_hits,
             rate_hits=limited.rate_hits,
             rejected=limited.rejected,

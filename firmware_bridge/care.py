@@ -36,6 +36,9 @@ _DERATE_FROM_DEGC: Final = 10.0
 _DUTY_S: Final = 60.0
 _DUTY_FULL: Final = 0.25
 _LEAST_SCALE: Final = 0.3
+#: Heat is looked at so often: a winding knows nothing faster, and every tick would pay for it. A
+#: little less than the 50 ms meant, so that rounding makes no sixth tick of the fifth.
+_HEAT_EVERY_S: Final = 0.049
 #: A woken servo is slow for a second, then has to catch up.
 _CATCH_UP_S: Final = 2.0
 
@@ -48,6 +51,10 @@ class ServoState(IntEnum):
     COOLING = 2
     REBOOTING = 3
     FAILED = 4
+
+
+#: An array is compared with an int five times as quickly as with a member of an enumeration.
+_DRIVEN: Final = int(ServoState.DRIVEN)
 
 
 class TorquePort(Protocol):
@@ -96,6 +103,7 @@ class ServoCare:
         self._reboots: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
         self._duty = np.zeros(n)
         self._duty_at_s: float | None = None
+        self._scale = np.ones(n)
         self._next = 0
         for index, why in (given_up or {}).items():
             self.states[index] = ServoState.FAILED
@@ -104,7 +112,17 @@ class ServoCare:
     @property
     def driven(self) -> NDArray[np.bool_]:
         """Which servos get goals."""
-        return np.asarray(self.states == ServoState.DRIVEN)
+        return np.asarray(self.states == _DRIVEN)
+
+    @property
+    def all_driven(self) -> bool:
+        """Whether all of them do."""
+        return not np.count_nonzero(self.states != _DRIVEN)
+
+    @property
+    def any_driven(self) -> bool:
+        """Whether any of them does."""
+        return bool(np.count_nonzero(self.states == _DRIVEN))
 
     @property
     def lost_critical(self) -> int | None:
@@ -139,12 +157,17 @@ class ServoCare:
     def scale(self, feedback: Feedback, health: Health) -> NDArray[np.float64]:
         """By how much each joint's amplitude shrinks, 0.3..1: heat now, and heat to come."""
         if self._duty_at_s is not None:
+            if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
+                return self._scale
             share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
-            self._duty += share * (feedback.effort**2 - self._duty)
+            self._duty += share * (feedback.effort * feedback.effort - self._duty)
         self._duty_at_s = feedback.time_s
         warm = health.room_degc / _DERATE_FROM_DEGC
         worked = 2.0 - self._duty / _DUTY_FULL
-        return np.clip(np.minimum(warm, worked), _LEAST_SCALE, 1.0)
+        scale = np.minimum(warm, worked)
+        np.maximum(scale, _LEAST_SCALE, out=scale)
+        self._scale = np.minimum(scale, 1.0, out=scale)
+        return self._scale
 
     def look(self, health: Health, time_s: float, port: TorquePort) -> int | None:
         """Act on one servo at most; the index of one that was enabled just now."""
@@ -160,11 +183,20 @@ class ServoCare:
         return None
 
     def _all_well(self, health: Health) -> bool:
-        """Whether every servo is driven and none needs anything, which is nearly always so."""
-        ill = (self.states != ServoState.DRIVEN) | (health.silent_s >= SILENT_S)
-        ill |= (health.hardware_errors != 0) | (health.room_degc <= 0.0)
-        ill |= health.watchdog_tripped | ~health.torque_on | self._behind
-        return not ill.any()
+        """Whether every servo is driven and none needs anything, which is nearly always so.
+
+        Counted, which is three times as quick as any().
+        """
+        count = np.count_nonzero
+        return not (
+            count(self._behind)
+            or count(health.hardware_errors)
+            or count(health.watchdog_tripped)
+            or count(health.torque_on) < len(self.states)
+            or count(health.silent_s >= SILENT_S)
+            or count(health.room_degc <= 0.0)
+            or not self.all_driven
+        )
 
     def _treat(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
         """Whether anything was done, and whether the servo holds now."""

@@ -1,5 +1,6 @@
 """Targets on their way to the bridge, and what the bridge makes of them."""
 
+import math
 from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Iterable
@@ -94,8 +95,8 @@ class TargetTrack:
     def _makes_sense(self, record: ServoTargets) -> bool:
         return (
             record.positions_deg.shape == self._shape
-            and bool(np.isfinite(record.time_s))
-            and bool(np.isfinite(record.positions_deg).all())
+            and math.isfinite(record.time_s)
+            and np.count_nonzero(np.isfinite(record.positions_deg)) == self._shape[0]
         )
 
     def _keep(self, record: ServoTargets) -> None:

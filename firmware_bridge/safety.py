@@ -66,6 +66,8 @@ class Limiter:
         self._rate_hits = np.zeros(n_joints, dtype=np.int64)
         self._rejected = np.zeros(n_joints, dtype=np.int64)
         self._prevented = np.zeros(n_joints, dtype=np.int64)
+        self._nobody = np.zeros(n_joints, dtype=np.bool_)
+        self._nobody.flags.writeable = False  # handed out again and again
         accelerations = np.array([joint.max_acceleration_deg_s2 for joint in joints])
         self._acceleration = AccelerationLimit(accelerations, self._max_speed_deg_s)
         self._prevention = Prevention(prevent, n_joints)
@@ -129,40 +131,62 @@ class Limiter:
         which a step is cut short, whatever that does to its acceleration.
         Never raises: on the live path a held mouth is better than a stopped loop.
         """
-        if positions_deg.shape == self._sent_deg.shape:
-            finite = np.isfinite(positions_deg)
-        else:
-            finite = np.zeros(self._sent_deg.shape, dtype=np.bool_)
-            positions_deg = self._sent_deg
-        wanted_deg = np.where(finite, positions_deg, self._sent_deg)
-        in_range_deg = np.clip(wanted_deg, self._min_deg, self._max_deg)
+        before_deg, nobody = self._sent_deg, self._nobody
+        wanted_deg, rejected = positions_deg, nobody
+        if positions_deg.shape != before_deg.shape:
+            wanted_deg, rejected = before_deg, ~nobody
+        elif np.count_nonzero(finite := np.isfinite(positions_deg)) < len(finite):
+            wanted_deg, rejected = np.where(finite, positions_deg, before_deg), ~finite
+        in_range_deg = _clip(wanted_deg, self._min_deg, self._max_deg)
         since_s = max(0.0, time_s - self._sent_at_s)
         if since_s > _STALL_PERIODS * self._longest_step_s:
-            self._acceleration.rest_at(self._sent_deg)
+            self._acceleration.rest_at(before_deg)
         elapsed_s = min(since_s, self._longest_step_s)
         step_deg = self._max_speed_deg_s * elapsed_s
         reached_deg = self._acceleration.step(
-            self._sent_deg, in_range_deg, self._min_deg, self._max_deg, elapsed_s
+            before_deg, in_range_deg, self._min_deg, self._max_deg, elapsed_s
         )
-        reached_deg = np.clip(reached_deg, self._sent_deg - step_deg, self._sent_deg + step_deg)
-        sent_deg = self._prevention.cut(self._sent_deg, reached_deg)
-        self._acceleration.sent(self._sent_deg, sent_deg, elapsed_s)
+        reached_deg = _clip(reached_deg, before_deg - step_deg, before_deg + step_deg)
+        sent_deg = self._prevention.cut(before_deg, reached_deg)
+        self._acceleration.sent(before_deg, sent_deg, elapsed_s)
 
         limited = Limited(
             positions_deg=sent_deg,
-            range_hits=np.abs(in_range_deg - wanted_deg) > _SAME_DEG,
-            rate_hits=np.abs(reached_deg - in_range_deg) > _SAME_DEG,
-            rejected=~finite,
-            prevented=np.abs(sent_deg - reached_deg) > _SAME_DEG,
+            range_hits=_differ(in_range_deg, wanted_deg),
+            rate_hits=_differ(reached_deg, in_range_deg),
+            rejected=rejected,
+            prevented=nobody if sent_deg is reached_deg else _differ(sent_deg, reached_deg),
         )
-        self._range_hits += limited.range_hits
-        self._rate_hits += limited.rate_hits
-        self._rejected += limited.rejected
-        self._prevented += limited.prevented
+        self._count(limited)
         self._sent_deg = sent_deg
         # Never back in time: arming takes longer than the tick it happens in.
         self._sent_at_s = max(self._sent_at_s, time_s)
         return limited
+
+    def _count(self, limited: Limited) -> None:
+        """Nearly always there is nothing to count, and looking costs less than adding."""
+        for hits, total in (
+            (limited.range_hits, self._range_hits),
+            (limited.rate_hits, self._rate_hits),
+            (limited.rejected, self._rejected),
+            (limited.prevented, self._prevented),
+        ):
+            if hits is not self._nobody and np.count_nonzero(hits):
+                total += hits
+
+
+def _clip(
+    values: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """As np.clip, in a quarter of its time for a face full of joints."""
+    clipped = np.maximum(values, low)
+    return np.minimum(clipped, high, out=clipped)
+
+
+def _differ(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Where two goals are not the same."""
+    difference = a - b
+    return np.abs(difference, out=difference) > _SAME_DEG
 
 
 class StaleLevel(IntEnum):

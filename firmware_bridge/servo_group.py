@@ -114,18 +114,17 @@ class ServoGroup:
 
     def send(self, limited: Limited, time_s: float) -> None:
         """Goals to those that are driven; then hear how all are, and help one of them."""
-        driven = self.care.driven
-        all_driven = bool(driven.all())
         goals_deg = limited.positions_deg
-        if all_driven:
+        limp = None if self.care.all_driven else ~self.care.driven
+        if limp is None:
             self._bus.write_positions(goals_deg)
-        elif driven.any():
-            self._bus.write_positions(np.where(driven, goals_deg, np.nan))
+        elif not limp.all():
+            self._bus.write_positions(np.where(limp, np.nan, goals_deg))
         feedback, health = self.hear()
         self._scale = self.care.scale(feedback, health)
         self.care.follow(goals_deg, feedback)
-        if not all_driven:
-            self.limiter.follow(~driven, feedback.positions_deg)
+        if limp is not None:
+            self.limiter.follow(limp, feedback.positions_deg)
         enabled = self.care.look(health, time_s, self.gate)
         if enabled is not None:
             self.limiter.start_one(enabled, float(self._bus.feedback().positions_deg[enabled]))

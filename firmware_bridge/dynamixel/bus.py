@@ -97,18 +97,20 @@ class DynamixelBus:
         line = self.line
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._known.low <= pulses) & (pulses <= self._known.high)
+        n_taken = np.count_nonzero(taken)
+        if n_taken == len(taken):
+            self._known.errors = self._known.no_errors
+            self._watchdogs.keep(line)
+            self._known.goals = pulses
+            line.tell(self._goal_write.request(pulses))
+            return
         self._known.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
-        if not taken.any():
+        if not n_taken:
             return
         self._watchdogs.keep(line)
         self._known.goals = np.where(taken, pulses, self._known.goals)
-        if taken.all():
-            line.tell(self._goal_write.request(pulses.astype(np.int64).tolist()))
-        else:
-            blocks = [
-                (self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)
-            ]
-            line.tell(codec.sync_write(_GOAL, 4, blocks))
+        blocks = [(self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)]
+        line.tell(codec.sync_write(_GOAL, 4, blocks))
 
     def read(self) -> Readings:
         """Two questions to all: goals and places, then torque."""
@@ -146,8 +148,8 @@ class DynamixelBus:
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._known.pulses),
-            effort=self._known.effort.copy(),
-            errors=self._known.errors.copy(),
+            effort=self._known.effort,
+            errors=self._known.errors,
             age_s=ages_s,
         )
 
@@ -262,7 +264,7 @@ class DynamixelBus:
             self._line.transport.close()
             self._line = None
 
-    def _note(self, statuses: list[Status]) -> list[Status]:
+    def _note(self, statuses: Sequence[Status]) -> Sequence[Status]:
         """Remember who answered, and with what error."""
         now_s = self.line.transport.clock.now()
         self._watchdogs.spoke(now_s)

@@ -40,7 +40,7 @@ class SpanGroup:
         self._n_refused = 0
         self._asked_again: set[int] = set()
         self._silent = dict.fromkeys(self._ids, 0)
-        self.answers: list[Status] = []
+        self.answers: Sequence[Status] = []
         self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
         self._n_asked = self._n_bad = self._slow_until = 0
         self._slow_for = _SLOW_FOR
@@ -56,7 +56,7 @@ class SpanGroup:
         """Whether fast questions are met with silence, always, and plain ones are not."""
         return self._n_refused >= _BAD_FAST_READS and not self._ever_proven
 
-    def ask(self, line: Line) -> list[Status]:
+    def ask(self, line: Line) -> Sequence[Status]:
         """Ask; the answers that came, whole ones only, in no particular order."""
         if self._n_asked == self._slow_until or self._n_asked % _RETRY_EVERY == 0:
             self._prepare(retry=self._n_asked % _RETRY_EVERY == 0)
@@ -71,11 +71,11 @@ class SpanGroup:
         else:
             again = self._ask_again(line, statuses)
             self._judge(span, statuses, again)
-            statuses = statuses + again
+            statuses = [*statuses, *again]
         self.answers = statuses
         return statuses
 
-    def _ask_again(self, line: Line, statuses: list[Status]) -> list[Status]:
+    def _ask_again(self, line: Line, statuses: Sequence[Status]) -> Sequence[Status]:
         """The rest of the same question, one frame a servo, as far as there is time for it.
 
         Not when nobody was heard, for then it is not single packets that are lost; and not those
@@ -108,7 +108,7 @@ class SpanGroup:
             self._silent[servo_id] = 0
             self._prepare()
 
-    def _judge(self, span: SpanRead, statuses: list[Status], again: list[Status]) -> None:
+    def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
         """Who is to blame for what is missing; `again` answered only when asked a second time."""
         at_once = {status.servo_id for status in statuses}
         late = {status.servo_id for status in again}

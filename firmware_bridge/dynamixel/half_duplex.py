@@ -1,6 +1,6 @@
 """Sending and hearing on one half-duplex line: who may speak when, and how long to listen."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
 from firmware_bridge.dynamixel.codec import Instruction, Status
@@ -67,7 +67,7 @@ class HalfDuplex:
         *,
         n_turns: int = 1,
         patience_s: float = 0.0,
-    ) -> list[Status]:
+    ) -> Sequence[Status]:
         """Send, then read until `take` is content or the time of the reply is over."""
         transport, clock = self.transport, self._clock
         if self.patience_s > patience_s:
@@ -132,5 +132,5 @@ class HalfDuplex:
 class Take(Protocol):
     """Makes statuses of a stream; None while it wants more, never when `last`."""
 
-    def __call__(self, stream: bytes, *, last: bool) -> list[Status] | None:
+    def __call__(self, stream: bytes, *, last: bool) -> Sequence[Status] | None:
         """Take what can be taken."""

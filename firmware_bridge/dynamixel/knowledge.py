@@ -9,10 +9,14 @@ from firmware_bridge.dynamixel.codec import Status
 from firmware_bridge.dynamixel.handshake import ServoIdentity
 from firmware_bridge.dynamixel.line import FACTORY_RETURN_DELAY_S
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.prepared import CommonFrame
 from firmware_bridge.health import Health
 
 #: present_current .. present_position, as they lie in the control table.
 _MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+#: The same in a common frame.
+_MOTION_BLOCK = np.dtype([("error", "u1"), ("id", "u1"), *_MOTION.descr, ("crc", "<u2")])
+_BLOCKS_AT = 8
 #: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.
 _ROOM_DEGC = 45.0
 
@@ -22,11 +26,13 @@ class Knowledge:
 
     pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
     low, high: the servo's own limits in pulses; heard_s: when it answered last;
-    enabled: torque was switched on by us and not confirmed off since.
+    enabled: torque was switched on by us and not confirmed off since. errors and effort are given
+    away without a copy, so they are replaced and never written into.
     """
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         n = len(servos)
+        self._ids = tuple(servo.joint.servo_id for servo in servos)
         self._index = {servo.joint.servo_id: k for k, servo in enumerate(servos)}
         self.low = np.zeros(n)
         self.high = np.full(n, PULSES_PER_TURN - 1.0)
@@ -44,7 +50,10 @@ class Knowledge:
         self.pulses = np.full(n, np.nan)
         self.goals = np.full(n, np.nan)
         self.effort = np.zeros(n)
-        self.errors = np.zeros(n, dtype=np.uint8)
+        self.no_errors = np.zeros(n, dtype=np.uint8)
+        self.no_errors.flags.writeable = False
+        self.errors = self.no_errors
+        self._no_error_bytes = bytes(n)
         self.heard_s = np.full(n, -np.inf)
         self.torque = np.zeros(n, dtype=np.bool_)
         self.enabled = np.zeros(n, dtype=np.bool_)
@@ -65,23 +74,36 @@ class Knowledge:
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
         """Remember who answered, and with what error."""
+        if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
+            self.heard_s.fill(now_s)
+            if statuses.errors == self._no_error_bytes:  # nearly always so
+                return
         for status in statuses:
             n = self._index[status.servo_id]
             self.heard_s[n] = now_s
             if status.error:
+                self.errors = self.errors.copy()
                 self.errors[n] = status.error
 
     def take_motion(self, statuses: Sequence[Status]) -> None:
         """Ten bytes each from present_current on."""
+        if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
+            values = np.frombuffer(statuses.stream, dtype=_MOTION_BLOCK, offset=_BLOCKS_AT)
+            self.pulses[:] = values["position"]
+            self.effort = np.abs(values["current"]) * self._effort_unit
+            return
         if not statuses:
             return
         at = [self._index[status.servo_id] for status in statuses]
         values = np.frombuffer(b"".join([status.data for status in statuses]), dtype=_MOTION)
         self.pulses[at] = values["position"]
+        self.effort = self.effort.copy()
         self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
 
     def ages(self, found: Sequence[Status], now_s: float) -> NDArray[np.float64]:
         """How old each servo's part of a reading is; 0 for those just found."""
+        if isinstance(found, CommonFrame) and found.ids == self._ids:
+            return np.zeros(len(self._ids))
         ages = np.maximum(now_s - self.heard_s, 1e-9)
         ages[[self._index[status.servo_id] for status in found]] = 0.0
         return ages
@@ -96,7 +118,7 @@ class Knowledge:
             temperature_degc=self.temperature_degc.copy(),
             room_degc=self.room_degc.copy(),
             voltage_v=self.voltage_v.copy(),
-            effort=self.effort.copy(),
+            effort=self.effort,
             current_ma=self.effort * self._milliamperes,
             n_unanswered=self.unanswered.copy(),
         )

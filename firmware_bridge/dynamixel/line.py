@@ -1,5 +1,6 @@
 """Questions to servos, and their answers, on one half-duplex line."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from firmware_bridge.dynamixel import codec
@@ -107,7 +108,7 @@ class Line(HalfDuplex):
         """Send what nobody answers: a sync write, or anything to everybody but a ping."""
         self._send(request)
 
-    def sync_read(self, span: SpanRead) -> list[Status]:
+    def sync_read(self, span: SpanRead) -> Sequence[Status]:
         """The statuses that came, in the order asked; none is waited for beyond its time."""
         if not self._owes():
             return self._ask_span(span)
@@ -120,10 +121,10 @@ class Line(HalfDuplex):
         statuses = self._ask_span(wide)
         return statuses if wide.size == span.size else span.cut(statuses, wide.address)
 
-    def _ask_span(self, span: SpanRead) -> list[Status]:
+    def _ask_span(self, span: SpanRead) -> Sequence[Status]:
         n = len(span.ids)
 
-        def take(stream: bytes, *, last: bool) -> list[Status] | None:
+        def take(stream: bytes, *, last: bool) -> Sequence[Status] | None:
             statuses = span.take_undisturbed(stream)
             if statuses is None:
                 statuses = self._salvage(span, stream)
@@ -143,7 +144,7 @@ class Line(HalfDuplex):
         by_id = {s.servo_id: s for s in self._statuses(stream) if len(s.data) == span.size}
         return [by_id[each] for each in span.ids if each in by_id]
 
-    def _note_missing(self, span: SpanRead, statuses: list[Status]) -> None:
+    def _note_missing(self, span: SpanRead, statuses: Sequence[Status]) -> None:
         """Who of those asked may answer yet; a common frame comes as a whole."""
         now_s = self._clock.now()
         if span.fast:

@@ -1,37 +1,73 @@
 """Packets prepared once and used in every tick: one question to many servos, goals for all."""
 
 import struct
-from collections.abc import Sequence
-from typing import Final
+from collections.abc import Iterator, Sequence
+from typing import Final, overload
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction, Status, crc16
 
 #: An int: looking a member up in its enumeration costs as much as comparing three.
 _STATUS: Final = int(Instruction.STATUS)
+#: Where the first servo's block begins in a common frame.
+_BLOCKS_AT: Final = 8
 
 
 class GoalWrite:
     """A prepared sync write of one four-byte register of several servos."""
 
     def __init__(self, ids: Sequence[int], address: int) -> None:
-        self._flat = [each for servo_id in ids for each in (servo_id, 0)]
-        self._pack = struct.Struct("<" + "Bi" * len(ids)).pack
+        self._blocks = np.zeros(len(ids), dtype=[("id", "u1"), ("value", "<i4")])
+        self._blocks["id"] = ids
+        self._values = self._blocks["value"]
         parameters = struct.pack("<HH", address, 4)
         length = len(parameters) + 5 * len(ids) + 3
         head = struct.pack("<BHB", BROADCAST_ID, length, Instruction.SYNC_WRITE)
         self._head = codec.HEADER + head + parameters
-        self._address = address
 
-    def request(self, values: Sequence[int]) -> bytes:
-        """The packet that sets these values, one a servo, in the order of the ids."""
-        self._flat[1::2] = values
-        blocks = self._pack(*self._flat)
+    def request(self, values: ArrayLike) -> bytes:
+        """The packet that sets these whole numbers, one a servo, in the order of the ids."""
+        self._values[:] = values
+        blocks = self._blocks.tobytes()
         if b"\xff\xff\xfd" in blocks:
             parameters = self._head[8:] + blocks
             return codec.packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
         raw = self._head + blocks
         return raw + crc16(raw).to_bytes(2, "little")
+
+
+class CommonFrame(Sequence[Status]):
+    """An undisturbed answer of all who were asked, in one frame.
+
+    Statuses are made when somebody wants them one by one; whoever wants all values reads `stream`:
+    8 bytes, then of each servo error, id, `size` bytes, CRC. errors: of each servo, in turn.
+    """
+
+    def __init__(self, ids: tuple[int, ...], size: int, stream: bytes) -> None:
+        """stream: checked by the caller."""
+        self.ids = ids
+        self.stream = stream
+        self.errors = stream[_BLOCKS_AT :: size + 4]
+        self._size = size
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @overload
+    def __getitem__(self, at: int) -> Status: ...
+    @overload
+    def __getitem__(self, at: slice) -> list[Status]: ...
+    def __getitem__(self, at: int | slice) -> Status | list[Status]:
+        return [*self][at]
+
+    def __iter__(self) -> Iterator[Status]:
+        start = _BLOCKS_AT + 2
+        for servo_id, error in zip(self.ids, self.errors, strict=True):
+            yield Status(servo_id, error, self.stream[start : start + self._size])
+            start += self._size + 4
 
 
 class SpanRead:
@@ -51,7 +87,6 @@ class SpanRead:
         n = len(self.ids)
         length = 1 + n * (size + 4)
         self._fast_head = codec.HEADER + struct.pack("<BHB", BROADCAST_ID, length, _STATUS)
-        self._blocks = struct.Struct(f"<BB{size}s2x")  # error, id, data, inner CRC
         self._id_bytes = bytes(self.ids)
         self.reply_size = codec.EMPTY_PACKET_SIZE - 2 + n * (size + 4) if fast else n * self._step
         #: Bytes in the status packet that answers: of one servo, or the common frame of all.
@@ -85,7 +120,7 @@ class SpanRead:
             return len(stream) >= self.reply_size and stream.startswith(self._fast_head)
         return stream[-self._step : 8 - self._step] == self._heads[-1]
 
-    def take_undisturbed(self, stream: bytes) -> list[Status] | None:
+    def take_undisturbed(self, stream: bytes) -> Sequence[Status] | None:
         """All statuses when `stream` is exactly what was asked for; None when anything differs."""
         if len(stream) != self.reply_size:
             return None
@@ -118,11 +153,10 @@ class SpanRead:
             if status.servo_id == asked
         ]
 
-    def _take_fast(self, stream: bytes) -> list[Status] | None:
+    def _take_fast(self, stream: bytes) -> CommonFrame | None:
         """The common frame in one go, when its head, ids and last CRC are as they should be."""
         if stream[:8] != self._fast_head or stream[9 :: self.size + 4] != self._id_bytes:
             return None
         if crc16(stream[:-2]) != stream[-2] | stream[-1] << 8:
             return None
-        blocks = self._blocks.iter_unpack(memoryview(stream)[8:])
-        return [Status(servo_id, error, data) for error, servo_id, data in blocks]
+        return CommonFrame(self.ids, self.size, stream)

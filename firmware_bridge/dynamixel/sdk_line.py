@@ -6,7 +6,7 @@ It polls, and gives no partial reads: one silent servo costs a group all its sam
 
 import struct
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
@@ -144,7 +144,7 @@ class SdkLine(Line):
             group.addParam(block[0], list(block[1:]))
         self._sdk.call(group.txPacket)
 
-    def sync_read(self, span: SpanRead) -> list[Status]:
+    def sync_read(self, span: SpanRead) -> Sequence[Status]:
         """All or nothing, and without error bytes: the SDK throws them away."""
         group = GroupSyncRead(self._sdk.handler, self._packets, span.address, span.size)
         for servo_id in span.ids:

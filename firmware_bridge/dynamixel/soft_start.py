@@ -62,7 +62,7 @@ class SoftStart:
 
     def harden(self, line: Line) -> None:
         """Full speed and strength for those woken a while ago; called again and again."""
-        if not self._n_left.any():
+        if not np.count_nonzero(self._n_left):
             return
         now_s = line.transport.clock.now()
         due = np.flatnonzero(self._due_s <= now_s).tolist()

@@ -1,6 +1,7 @@
 """A face driven for days on a virtual clock: what grows, and what the wire saw in the meantime."""
 
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,15 +28,22 @@ FAULTS: Final = (
 )
 #: Once so many cycles are over, everything is loaded and warm: memory is first looked at.
 _WARM_SHARE: Final = 0.1
-_REPORTS: Final = 200
+_REPORTS: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
 class Endurance:
-    """What a long run showed. Memory is resident, in MB (10^6 bytes), of this process."""
+    """What a run has shown so far. Memory is resident, in MB (10^6 bytes), of this process.
+
+    cycles: ticks that were asked for and done; bringing the face to rest afterwards is watched,
+    too, and not counted. *_at_tenth: once a tenth of them was over and all was warm; 0 = not yet.
+    cpu_s: processor time. goals_outside_limits .. armed_wrongly: see `Auditor`; contention: two
+    voices on the wire at once. None of these may happen.
+    """
 
     cycles: int
     virtual_hours: float
+    cpu_s: float
     rss_mb_at_tenth: float
     rss_mb_at_end: float
     descriptors_at_tenth: int
@@ -43,13 +51,27 @@ class Endurance:
     goals: int
     goals_outside_limits: int
     steps_above_clamp: int
+    motion_too_fast: int
+    moved_outside: int
+    armed_wrongly: int
     contention: int
     replugs: int
 
 
+#: Counts of `Endurance` that must all be 0.
+MUST_NOT: Final = (
+    "goals_outside_limits",
+    "steps_above_clamp",
+    "motion_too_fast",
+    "moved_outside",
+    "armed_wrongly",
+    "contention",
+)
+
+
 def endure(
     n_cycles: int,
-    progress: Callable[[int], None],
+    progress: Callable[[Endurance], None],
     *,
     n_servos: int = 5,
     rate_hz: float = 100.0,
@@ -58,14 +80,15 @@ def endure(
 ) -> Endurance:
     """Drive simulated servos for `n_cycles` ticks, byte by byte, through bus, bridge and gate.
 
-    Ends early, with what was seen so far, when `stopped` says so.
+    Ends early, with what was seen so far, when `stopped` says so or at Ctrl-C.
 
-    progress: called now and then with the cycles done so far.
+    progress: called a hundred times with what was seen so far.
     """
     servos = face(n_servos)
     clock = ManualClock()
     chain = chain_for(servos, BAUD_RATE, faults=FAULTS, seed=seed)
     auditor = Auditor(servos, 1.0 / rate_hz)
+    auditor.watch(chain)
     bus = DynamixelBus(
         servos, lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see), strict=False
     )
@@ -73,32 +96,40 @@ def endure(
     joints = [servo.joint for servo in servos]
     bridge = Bridge(bus, joints, channel, rate_hz=rate_hz, tolerant=True)
     warm_at, report_every = int(n_cycles * _WARM_SHARE), max(1, n_cycles // _REPORTS)
-    warm = (0.0, 0)
+    warm, begun_s, n_done = (0.0, 0), time.process_time(), 0
+
+    def so_far() -> Endurance:
+        return Endurance(
+            cycles=n_done,
+            virtual_hours=clock.now() / 3600.0,
+            cpu_s=time.process_time() - begun_s,
+            rss_mb_at_tenth=warm[0],
+            rss_mb_at_end=resident_mb(),
+            descriptors_at_tenth=warm[1],
+            descriptors_at_end=open_descriptors(),
+            goals=auditor.goals,
+            goals_outside_limits=auditor.goals_outside,
+            steps_above_clamp=auditor.steps_too_long,
+            motion_too_fast=auditor.too_fast,
+            moved_outside=auditor.moved_outside,
+            armed_wrongly=auditor.armed_wrongly,
+            contention=chain.counts.contention,
+            replugs=bridge.status.n_unplugged,
+        )
+
     with bus, LifeCycle(bridge, clock, rate_hz=rate_hz) as life:
         life.start()
-        for n, (time_s, late) in enumerate(life.ticks()):
-            if n == warm_at:
+        for time_s, late in life.ticks():
+            if n_done == warm_at:
                 warm = resident_mb(), open_descriptors()
-            if n % report_every == 0:
-                progress(n)
-            if n >= n_cycles or stopped():
+            if n_done % report_every == 0:
+                progress(so_far())
+            if n_done >= n_cycles or stopped():
                 break
             channel.publish(ServoTargets(time_s, wanted_deg(time_s, n_servos)))
             bridge.tick(time_s, late)
-        end = resident_mb(), open_descriptors()
-    return Endurance(
-        cycles=n,
-        virtual_hours=clock.now() / 3600.0,
-        rss_mb_at_tenth=warm[0],
-        rss_mb_at_end=end[0],
-        descriptors_at_tenth=warm[1],
-        descriptors_at_end=end[1],
-        goals=auditor.goals,
-        goals_outside_limits=auditor.goals_outside,
-        steps_above_clamp=auditor.steps_too_long,
-        contention=chain.counts.contention,
-        replugs=bridge.status.n_unplugged,
-    )
+            n_done += 1
+    return so_far()
 
 
 def resident_mb() -> float:

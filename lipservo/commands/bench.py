@@ -166,15 +166,24 @@ def faults(
 @app.command()
 def endurance(
     cycles: Annotated[int, typer.Option(min=1_000, help="How many ticks of the bridge.")] = 100_000,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Keep what was seen in this file, and go on from what is there.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Drive simulated servos for hours on a virtual clock: memory, descriptors, wrong goals.
 
-    Ctrl-C ends it with the figures so far. Exit status 1 when anything happened that must not.
+    Ctrl-C ends it with the figures so far; with --resume the same command goes on from there.
+    Exit status 1 when anything happened that must not.
     """
     from lipservo.daemon import stopped_by_signals
-    from lipservo.endurance_figures import endurance_figures
+    from lipservo.endurance_figures import endurance_figures, what_went_wrong
 
     began_s = time.perf_counter()
     with (
@@ -186,9 +195,12 @@ def endurance(
         def advance(n_done: int) -> None:
             progress.update(steps, completed=n_done)
 
-        figures = endurance_figures(cycles, advance, stop.is_set)
+        figures = endurance_figures(cycles, advance, stop.is_set, resume)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
-    if figures["goals_outside_limits"] or figures["steps_above_clamp"] or figures["contention"]:
+    wrong = what_went_wrong(figures)
+    for line in wrong:
+        MESSAGES.print(line)
+    if wrong:
         raise typer.Exit(1)
 
 
