@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from firmware_bridge.bus import BusError
+from firmware_bridge.errors import BusError
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Port, port_of
 from lipservo.output import RESULTS, complain, print_json
 from lipsync.errors import UserError
