@@ -4,6 +4,7 @@ What a single servo reports in passing (a refused goal, a lost answer) is data i
 exception: nine servos go on when the tenth has trouble.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
@@ -61,6 +62,9 @@ class ServoBus(Protocol):
 
     def feedback(self) -> Feedback:
         """Ask every servo where it stands: the short question of every tick."""
+
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about adapter and servos, in sentences for a log; they become more."""
 
     def look_after(self) -> Health:
         """Ask one servo, the next in turn, how it is; what is known of all."""
