@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
-from firmware_bridge.process import on_time
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.pty_host import PtyHost
@@ -34,6 +33,8 @@ CLIP: Final = Path(__file__).with_name("clips") / "welcome.flac"
 _BAUD_RATE: Final = 1_000_000
 _LOOK_S: Final = 0.005
 _TAIL: Final = 2000
+#: Of first-in-first-out scheduling; above everything ordinary.
+_PRIORITY: Final = 50
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,15 +169,11 @@ def robot_at_port(face: str = FACE) -> Iterator[RobotAtPort]:
         robot.log.touch()
         host = PtyHost(robot.chain, robot.port)
         over = threading.Event()
-
-        def serve() -> None:
-            with on_time():  # this thread alone: servos do not wait for a busy computer
-                host.serve(over.is_set)
-
-        serving = threading.Thread(target=serve, daemon=True)
+        serving = threading.Thread(target=_serve, args=(host, over), daemon=True)
         serving.start()
         try:
-            yield robot
+            with _on_time():
+                yield robot
         finally:
             for process in robot.processes:
                 kill_all(process)
@@ -185,3 +182,25 @@ def robot_at_port(face: str = FACE) -> Iterator[RobotAtPort]:
             over.set()
             serving.join()
             host.close()
+
+
+def _serve(host: PtyHost, over: threading.Event) -> None:
+    with _on_time():
+        host.serve(over.is_set)
+
+
+@contextlib.contextmanager
+def _on_time() -> Iterator[None]:
+    """Let a thread run before all others, where permitted, but not the processes it starts.
+
+    Servos do not wait for a busy computer; and whoever looks at them holds Python's lock meanwhile.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with contextlib.suppress(OSError):
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(_PRIORITY))
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, *before)

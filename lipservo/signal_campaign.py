@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -18,6 +18,7 @@ import numpy as np
 import soundfile
 
 from firmware_bridge.end_report import UNCONFIRMED
+from firmware_bridge.process import STOP_SIGNALS
 from lipservo.robot_at_port import FACE, RobotAtPort, kill_all, robot_at_port
 from lipservo.signal_cases import (
     COMMANDS,
@@ -74,11 +75,24 @@ def play_signal(case: SignalCase) -> SignalOutcome:
     """Play one case to its end; takes some five seconds."""
     outcome = SignalOutcome(case)
     try:
-        with robot_at_port() as robot:
+        with _signals_heard(), robot_at_port() as robot:
             _play(case, robot, outcome)
     except (OSError, RuntimeError, subprocess.TimeoutExpired) as error:
         outcome.error = f"{type(error).__name__}: {error}"
     return outcome
+
+
+@contextlib.contextmanager
+def _signals_heard() -> Iterator[None]:
+    """What we start hears all signals, also where a shell that runs us ignores some for us."""
+    ignored = [each for each in STOP_SIGNALS if signal.getsignal(each) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        for number in ignored:
+            signal.signal(number, signal.SIG_IGN)
 
 
 def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
