@@ -134,6 +134,10 @@ class Bridge:
         reasons = zip(self._joints, self._servos.care.reasons, strict=True)
         return tuple(f"{named(joint)} {why}" for joint, why in reasons if why)
 
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about the bus, in sentences for a log; they stay and become more."""
+        return self._servos.remarks()
+
     def servo_health(self) -> tuple[ServoHealth, ...]:
         """How every servo was when it was asked last; for a log, not for a tick."""
         return self._servos.health()

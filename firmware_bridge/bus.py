@@ -1,44 +1,20 @@
-"""What every servo bus answers to, what it reports, and what can go wrong.
-
-The exceptions::
-
-    BusError
-    ├── PortError       nobody can be talked to
-    │   └── PortGone    the port was there and is not any more; it may come back
-    └── ServoError      one servo cannot do what is asked of it
-
-Example scenarios: the adapter is unplugged, its port is held by another program or not permitted,
-or the bus is used outside its `with` block (PortError); the plug is pulled in mid-sentence
-(PortGone); a servo stands outside its own range and
-refuses the goal that would hold it there (ServoError).
+"""What every servo bus answers to, and what it reports; what can go wrong: `errors`.
 
 What a single servo reports in passing (a refused goal, a lost answer) is data in `Readings`, not an
 exception: nine servos go on when the tenth has trouble.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.errors import BusError, PortError, PortGone, ServoError
 from firmware_bridge.health import Feedback, Health
 
-
-class BusError(Exception):
-    """The servos cannot be moved or read."""
-
-
-class PortError(BusError):
-    """The way to all servos is closed: absent, busy, not permitted, gone, or not yet opened."""
-
-
-class PortGone(PortError):  # noqa: N818 - a state of the port, as PortError's other cases are
-    """The port was open and has failed: unplugged, or reset by the computer."""
-
-
-class ServoError(BusError):
-    """One servo does not do what is asked of it."""
+__all__ = ["BusError", "PortError", "PortGone", "Readings", "ServoBus", "ServoError"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +62,9 @@ class ServoBus(Protocol):
 
     def feedback(self) -> Feedback:
         """Ask every servo where it stands: the short question of every tick."""
+
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about adapter and servos, in sentences for a log; they become more."""
 
     def look_after(self) -> Health:
         """Ask one servo, the next in turn, how it is; what is known of all."""

@@ -5,12 +5,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from firmware_bridge.bus import BusError, PortError
 from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.codec import BROADCAST_ID, MAX_ID
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.errors import BusError, PortError
 
 _TORQUE, _WATCHDOG = register("torque_enable").address, register("bus_watchdog").address
 _LEVEL = register("status_return_level").address

@@ -23,6 +23,7 @@ _LAST_TRIES_S: Final = 0.5
 #: A trouble is told when it has lasted so long; a servo that misses one answer is none.
 _TROUBLE_LASTS_S: Final = 1.0
 _HEALTH_EVERY_S: Final = 10.0
+_REMARKS_EVERY_S: Final = 1.0
 
 
 class LetGo(BaseException):
@@ -108,6 +109,8 @@ class LifeCycle:
         self._was_plugged = True
         self._n_given_up = len(bridge.given_up)
         self._health_due_s = clock.now() + _HEALTH_EVERY_S
+        self._n_remarks = 0
+        self._remarks_due_s = clock.now() + _REMARKS_EVERY_S
         #: The first signal that came, if any.
         self.signal_number: int | None = None
         #: What is known of the servos; after the block.
@@ -160,9 +163,9 @@ class LifeCycle:
             # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
             if self._control is not None and (self.report.complete or self._lifeline is None):
                 self._control.report_end(self.report.as_dict())
+            self._log(self.report.text())
             for number, handler in self._handlers.items():
                 signal.signal(number, handler)
-        self._log(self.report.text())
         if error is not None and not self.report.complete:
             error.add_note(self.report.text())
         if kind is None and self._bridge.failure:
@@ -222,6 +225,11 @@ class LifeCycle:
         if self._on_health is not None and time_s >= self._health_due_s:
             self._health_due_s = time_s + _HEALTH_EVERY_S
             self._on_health(self._bridge.servo_health())
+        if time_s >= self._remarks_due_s:
+            self._remarks_due_s = time_s + _REMARKS_EVERY_S
+            for remark in self._bridge.remarks()[self._n_remarks :]:
+                self._n_remarks += 1
+                self._log(remark)
 
     def _hear_control(self) -> None:
         level = None if self._control is None else self._control.poll(self._status)

@@ -8,7 +8,7 @@ from firmware_bridge.lifeline import Message
 
 _RESTART_S, _LONGEST_RESTART_S = 0.2, 5.0
 #: A process that ran for so long had started well: the next failure is a new one.
-WELL_S: Final = 10.0
+_WELL_S: Final = 10.0
 
 
 class WatchedChild(Protocol):
@@ -54,7 +54,7 @@ class RestartDelay:
 
     def after(self, ran_s: float) -> float:
         """The wait after a process that ran for `ran_s`."""
-        wait_s = _RESTART_S if ran_s > WELL_S else self._wait_s
+        wait_s = _RESTART_S if ran_s > _WELL_S else self._wait_s
         self._wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
         return wait_s
 
@@ -98,13 +98,11 @@ class RestartedChild:
             self._say(f"{self.child.name} {why}; it is killed")
             self.child.send(signal.SIGKILL)
 
-    def mourn(self, status: int, now_s: float) -> float:
-        """It ended with this status: note when it may start again; how long it ran, seconds."""
+    def mourn(self, status: int, now_s: float) -> None:
+        """It ended with this status: note when it may start again."""
         how = f"signal {-status}" if status < 0 else f"status {status}"
         self._say(f"{self.child.name} died ({how})")
-        ran_s = now_s - self._started_s
-        self.due_s = now_s + self._delay.after(ran_s)
-        return ran_s
+        self.due_s = now_s + self._delay.after(now_s - self._started_s)
 
     def next_s(self, now_s: float) -> float:
         """When there is something to decide although nothing comes."""

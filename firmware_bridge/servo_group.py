@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 #: So often everybody is asked where they stand before a start; a lost answer is no reason to fail.
 _READS = 5
+#: So often a servo may refuse to hold before a start fails; a busy computer misses answers.
+_ASKED = 3
 #: A shaft at top speed is so far behind its goal, in time, and stops there without turning back.
 _BRAKES_S = 0.02
 
@@ -79,7 +81,7 @@ class ServoGroup:
 
     def check(self, indices: Sequence[int], goes_on: Callable[[], bool]) -> None:
         """Raise ServoError that names those who could not hold now, with the reason."""
-        self._refuse([(i, self.gate.obstacle(i)) for i in indices if goes_on()])
+        self._refuse([(i, _asked_often(self.gate.obstacle, i)) for i in indices if goes_on()])
 
     def enable(self, indices: Sequence[int], time_s: float, goes_on: Callable[[], bool]) -> None:
         """Let these hold where they stand; with an error, or told to stop, nobody does."""
@@ -88,7 +90,7 @@ class ServoGroup:
             if not goes_on():
                 self.let_go(time_s)
                 return
-            why_not = self.gate.enable(index)
+            why_not = _asked_often(self.gate.enable, index)
             self.care.tried(index, why_not, time_s)
             found.append((index, why_not))
         self._refuse(found)
@@ -135,6 +137,10 @@ class ServoGroup:
         self._health = self._bus.look_after()
         return feedback, self._health
 
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about the bus, in sentences for a log."""
+        return self._bus.remarks()
+
     def health(self) -> tuple[ServoHealth, ...]:
         """How every servo was when it was asked last; for a log, not for a tick."""
         known = self._health
@@ -162,3 +168,13 @@ class ServoGroup:
         if lines:
             self.let_go()
             raise ServoError("\n".join([*lines, "`lipservo doctor` examines every servo"]))
+
+
+def _asked_often(ask: Callable[[int], str], index: int) -> str:
+    """Empty as soon as the servo agrees; else its last refusal."""
+    refusal = ""
+    for _ in range(_ASKED):
+        refusal = ask(index)
+        if not refusal:
+            break
+    return refusal

@@ -19,7 +19,7 @@ from firmware_bridge.end_report import ENDED_WELL, NOT_AGAIN, UNCONFIRMED, EndRe
 from firmware_bridge.last_resort import TorqueRelease
 from firmware_bridge.lifeline import Began, Failed, Ready, Stopped
 from firmware_bridge.process import StopSignals
-from firmware_bridge.restarted_child import WELL_S, RestartedChild, WatchedChild
+from firmware_bridge.restarted_child import RestartedChild, WatchedChild
 from firmware_bridge.service_notice import ServiceNotice
 from firmware_bridge.stopping import StopLevel
 
@@ -222,9 +222,7 @@ class Supervisor:
         if status == ENDED_WELL:
             self.report = EndReport(ENDED_WELL, tuple(self._servo_names.values()))
             return
-        ran_s = self._bridge.mourn(status, now_s)
-        # A busy machine needs long to load a program that then fails.
-        self._ran_well |= self._bridge.child.has_beaten and ran_s > WELL_S
+        self._bridge.mourn(status, now_s)
         if self._stop is StopLevel.FREEZE and status != NOT_AGAIN:
             self._phase = _Phase.WAITING  # what is held stays held
         else:

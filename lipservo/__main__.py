@@ -14,12 +14,12 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # Nothing moves yet and nothing is open: leave at once, without a traceback of imports.
         signal.signal(signal.SIGINT, _leave)
-    from lipservo import cli
+    from lipservo import command_line
 
     if signal.getsignal(signal.SIGINT) is _leave:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        cli.main()
+        command_line.main()
     except KeyboardInterrupt:
         sys.exit(INTERRUPTED)
 

@@ -1,14 +1,11 @@
-"""The command `lipservo`."""
+"""All commands of `lipservo`, for its command line and its help."""
 
-import io
 import sys
 from importlib.metadata import version
 from typing import Annotated
 
 import typer
 
-from firmware_bridge.bus import BusError
-from firmware_bridge.runtime_folder import ControlError
 from lipservo.commands import (
     alignment,
     bench,
@@ -28,9 +25,6 @@ from lipservo.commands import (
     trace,
     training,
 )
-from lipservo.face_life import FaceStopped, exit_status
-from lipservo.output import complain
-from lipsync.errors import UserError
 
 app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (
@@ -69,15 +63,6 @@ app.add_typer(bench.app, name="bench")
 app.add_typer(trace.app, name="trace")
 
 
-#: What pydantic says of a value, and what we say.
-_IN_OUR_WORDS = {
-    "Input should be a valid number, unable to parse string as a number": "not a number",
-    "Input should be a valid integer, unable to parse string as an integer": "not a whole number",
-    "Input should be ": "should be ",
-    "Value error, ": "",
-}
-
-
 @app.callback(invoke_without_command=True)
 def lipservo(
     context: typer.Context,
@@ -91,59 +76,3 @@ def lipservo(
         raise typer.Exit
     if context.invoked_subcommand is None:
         raise typer.BadParameter("say which command")
-
-
-def main() -> None:
-    """Run the command line: status 0, 1 for what the user can mend, 2 for wrong usage.
-
-    Every mistake is told in clear lines on stderr that begin with `lipservo:`.
-    """
-    for stream in (sys.stdin, sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            # Names of files need not be UTF-8, and neither need a terminal be.
-            stream.reconfigure(errors="backslashreplace")
-    arguments = _with_default_microphone(sys.argv[1:] or ["--help"])
-    try:
-        status = app(arguments, prog_name="lipservo", standalone_mode=False)
-    except typer.TyperException as error:
-        complain(_usage_line(error))
-        status = error.exit_code
-    except (UserError, BusError, ControlError) as error:
-        # Notes say what became of the servos.
-        complain("\n".join([str(error), *getattr(error, "__notes__", [])]))
-        status = 1
-    except typer.Abort:
-        complain("the input ended before all questions were answered; no file was written")
-        status = 1
-    except UnicodeDecodeError as error:
-        complain(f"a file that should be text is none: byte {error.start} is no UTF-8")
-        status = 1
-    except OSError as error:
-        where = "" if error.filename is None else f"{error.filename}: "
-        complain(f"{where}{error.strerror or error}")
-        status = 1
-    except FaceStopped as stop:
-        complain(str(stop))
-        status = exit_status(stop.report, stop.signal_number)
-    sys.exit(status or 0)
-
-
-def _usage_line(error: typer.TyperException) -> str:
-    """What is wrong with a command line, in one line, and where to read on."""
-    told = " ".join(error.format_message().split())
-    for pydantics, ours in _IN_OUR_WORDS.items():
-        told = told.replace(pydantics, ours)
-    context = getattr(error, "ctx", None)
-    command = "lipservo" if context is None else context.command_path
-    return f"{told.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
-
-
-def _with_default_microphone(arguments: list[str]) -> list[str]:
-    """`--mic` alone means the default device; typer options cannot leave out their value."""
-    completed: list[str] = []
-    following = [*arguments[1:], "-"]
-    for argument, after in zip(arguments, following, strict=True):
-        completed.append(argument)
-        if argument == "--mic" and after.startswith("-"):
-            completed.append("default")
-    return completed

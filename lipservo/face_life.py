@@ -1,4 +1,4 @@
-"""The life cycle of one face as every command starts it, and how a command ends after it."""
+"""The life cycle of one face as every command starts it."""
 
 import os
 from collections.abc import Iterator
@@ -8,23 +8,12 @@ from functools import partial
 from firmware_bridge.bridge import Bridge
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.control_socket import ControlSocket
-from firmware_bridge.end_report import UNCONFIRMED
 from firmware_bridge.life_cycle import LifeCycle
 from firmware_bridge.log_lines import LogLines
 from firmware_bridge.runtime_folder import socket_path
 from firmware_bridge.status import face_status
-from firmware_bridge.stopping import StopReport
 from lipservo.health_log import health_log
 from lipservo.output import MESSAGES
-
-
-class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no error
-    """Somebody stopped the face before the command was done; carries what the servos said."""
-
-    def __init__(self, report: StopReport, signal_number: int | None) -> None:
-        super().__init__(report.text())
-        self.report = report
-        self.signal_number = signal_number
 
 
 @contextmanager
@@ -64,13 +53,6 @@ def face_life(
                 on_health=None if healths is None else healths.offer,
             )
         )
-
-
-def exit_status(report: StopReport, signal_number: int | None) -> int:
-    """0; after a signal 128 + its number, as shells count; 3 when a servo did not confirm."""
-    if not report.complete:
-        return UNCONFIRMED
-    return 0 if signal_number is None else 128 + signal_number
 
 
 def say(line: str) -> None:

@@ -1,12 +1,14 @@
-"""The campaigns in numbers: faults on a virtual clock, stops on real processes."""
+"""The campaigns in numbers: faults on a virtual clock, stops and signals on real processes."""
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
 from firmware_bridge.simulator.campaign import Outcome, cases, play
 from firmware_bridge.simulator.faults import KINDS
+from lipservo.signal_campaign import play_signal, signal_figures
+from lipservo.signal_cases import signal_cases
 from lipservo.stop_campaign import play_stop, stop_cases, stop_figures
 
 #: Counts of `Outcome` that must all be 0.
@@ -53,11 +55,27 @@ def stop_campaign_figures(
     """Play one stop in `every`, two at a time; the figures, and a line for each that failed."""
     chosen = list(stop_cases())[::every]
     outcomes = []
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with ProcessPoolExecutor(max_workers=2) as pool:
         for outcome in pool.map(play_stop, chosen):
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))
     return stop_figures(outcomes), [str(o) for o in outcomes if not o.kept]
+
+
+def signal_campaign_figures(
+    every: int, progress: Callable[[int, int], None]
+) -> tuple[dict[str, float], list[str]]:
+    """Play one signal in `every`, two at a time; the figures, and a line for each that failed.
+
+    Each in a process of its own, so that simulated servos answer in time.
+    """
+    chosen = list(signal_cases())[::every]
+    outcomes = []
+    with ProcessPoolExecutor(max_workers=2) as pool:
+        for outcome in pool.map(play_signal, chosen):
+            outcomes.append(outcome)
+            progress(len(outcomes), len(chosen))
+    return signal_figures(outcomes), [str(o) for o in outcomes if not o.kept]
 
 
 def _told(outcome: Outcome) -> str:

@@ -19,7 +19,8 @@ from firmware_bridge.dynamixel.budget import budget
 from firmware_bridge.life_cycle import LetGo, LifeCycle
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
-from lipservo.face_life import FaceStopped, face_life
+from lipservo.face_life import face_life
+from lipservo.face_stopped import FaceStopped
 from lipservo.servos import bridge_for
 from lipservo.settings import FaceSettings
 

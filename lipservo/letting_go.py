@@ -8,13 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from firmware_bridge.bus import BusError
 from firmware_bridge.control_client import RunningFace, ask, stop_and_wait
 from firmware_bridge.control_socket import knock
-from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
-from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.end_report import named_by_reason
-from firmware_bridge.last_resort import release_port
+from firmware_bridge.errors import BusError
 from firmware_bridge.port_holders import (
     end_hung,
     holders_of,
@@ -106,6 +103,11 @@ def release(port: str, rate: int | None = None, ids: Sequence[int] = (), *, say:
 
     rate: the servos' baud rate; None: all usual ones are tried. ids: must confirm too.
     """
+    # Loaded only here: whoever stops a face that hears waits for none of it.
+    from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
+    from firmware_bridge.dynamixel.serial_transport import open_port
+    from firmware_bridge.last_resort import release_port
+
     outcome = Outcome(port, port)
     _free(port, say)
     rates = SCANNED_RATES if rate is None else (rate,)

@@ -26,7 +26,8 @@ from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
-from lipservo.face_life import FaceStopped, face_life
+from lipservo.face_life import face_life
+from lipservo.face_stopped import FaceStopped
 from lipservo.servos import port_opener
 from lipservo.setting_types import JOINT_NAME
 from lipsync.errors import UserError, shown

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import fields
+from functools import partial
 
 import numpy as np
 
@@ -11,11 +12,12 @@ from firmware_bridge.bridge import Bridge
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.coupling import PreventRule
+from firmware_bridge.dynamixel.budget import slow_adapter
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.handshake import read_identities
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.serial_transport import open_port
+from firmware_bridge.dynamixel.serial_transport import latency_timer_ms, open_port
 from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.safety import StaleRule
 from firmware_bridge.simulator.bus import SimulatedBus
@@ -116,8 +118,11 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
     opener = port_opener(face.bus.port, face.bus.baud_rate)
     watchdog_s = max(3.0 / face.rate_hz, 0.1)
     servos = mounted_servos(face)
+    remark = partial(_slow_adapter, face, face.bus.port)
     if face.bus.backend == "own":
-        return DynamixelBus(servos, opener, watchdog_s=watchdog_s, strict=strict)
+        return DynamixelBus(
+            servos, opener, watchdog_s=watchdog_s, strict=strict, adapter_remark=remark
+        )
     from firmware_bridge.dynamixel.sdk_line import SdkLine, SdkTransport
 
     port, rate = face.bus.port, face.bus.baud_rate
@@ -127,7 +132,14 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
         watchdog_s=watchdog_s,
         strict=strict,
         make_line=SdkLine,
+        adapter_remark=remark,
     )
+
+
+def _slow_adapter(face: FaceSettings, port: str) -> str | None:
+    """Why the adapter at an open port cannot do the face's rate; None when it can."""
+    timer_ms = latency_timer_ms(port)
+    return slow_adapter(len(face.servos), face.bus.baud_rate, face.rate_hz, timer_ms)
 
 
 def simulated_wire(face: FaceSettings) -> tuple[DynamixelBus, ManualClock]:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lipservo import cli
+from lipservo import command_line
 
 TABLE = Path(__file__).parent / "data" / "bad_inputs.txt"
 
@@ -110,7 +110,7 @@ def run(line: str, folder: Path) -> Outcome:
         old_arguments, sys.argv = sys.argv, ["lipservo", *arguments]
         try:
             with contextlib.chdir(folder):
-                cli.main()
+                command_line.main()
         except SystemExit as end:
             status = end.code or 0
         except BaseException:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lipservo import cli
+from lipservo import cli, command_line
 from lipservo.output import RESULTS
 from lipsync.errors import UserError
 
@@ -17,7 +17,7 @@ def told(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> object:
     """The exit status of `lipservo` with these arguments."""
     monkeypatch.setattr(sys, "argv", ["lipservo", *arguments])
     with pytest.raises(SystemExit) as end:
-        cli.main()
+        command_line.main()
     return end.value.code
 
 

@@ -1,10 +1,16 @@
+import random
+
 import numpy as np
 import pytest
-from dynamixel_chain import MemoryFace, mounted
+from disturbed_transport import DisturbedTransport
+from dynamixel_chain import BAUD_RATE, MemoryFace, mounted
 
 from firmware_bridge.bus import PortError, PortGone, ServoError
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.codec import StatusError
 from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import Fault
 
 
@@ -298,3 +304,25 @@ def test_a_model_without_a_current_sensor_has_no_cap():
     (servo,) = mounted(1, "XL430-W250")
     with pytest.raises(ValueError, match="does not measure current"):
         MountedServo(servo.joint, servo.model, max_current_ma=100.0)
+
+
+def test_a_slow_adapter_is_remarked_once_its_port_is_open():
+    face = MemoryFace(2)
+    bus = DynamixelBus(face.servos, face.open, adapter_remark=lambda: "too slow")
+
+    assert bus.remarks() == ()
+    with bus:
+        assert bus.remarks() == ("too slow",)
+
+
+def test_servos_that_do_not_know_fast_reads_are_remarked():
+    clock = ManualClock()
+    servos = mounted(3)
+    chain = chain_for(servos, BAUD_RATE)
+    with DynamixelBus(
+        servos, lambda: DisturbedTransport(chain, clock, random.Random(0), fast=False)
+    ) as bus:
+        assert bus.remarks() == ()
+        for _ in range(10):
+            bus.feedback()
+        assert ["Fast Sync Read" in each for each in bus.remarks()] == [True]

@@ -89,6 +89,30 @@ def test_a_whole_replay_loads_no_training_library():
     assert answer.stdout.split() == []
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["stop", "--control", "/none.sock"],
+        ["status", "--control", "/none.sock"],
+        ["limp", "--help"],
+    ],
+    ids=["stop", "status", "limp"],
+)
+def test_whoever_stands_beside_the_robot_waits_for_no_numpy(arguments):
+    script = (
+        f"import sys; sys.argv[1:] = {arguments}\n"
+        "from lipservo.__main__ import main\n"
+        "try:\n    main()\n"
+        "except SystemExit:\n    pass\n"
+        "print('numpy' in sys.modules)"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+
+    assert answer.stdout.splitlines()[-1] == "False"
+
+
 def test_reading_settings_does_not_load_numpy():
     script = "import sys, lipservo.settings; print('numpy' in sys.modules)"
     answer = subprocess.run(

@@ -280,6 +280,34 @@ def test_a_dry_run_cannot_arm_even_after_a_pulled_plug_and_a_stall():
     assert not any(any(torque) for _, torque, _ in robot.seen)
 
 
+def test_a_start_does_not_fail_for_answers_that_a_busy_computer_misses():
+    """A servo is silent for longer than two questions last, in the middle of the start."""
+    robot = Robot(tolerant=False, stops=[(2.0, "soft")])
+    servo, ask = robot.face.chain.servos[1], robot.face.bus.obstacle
+    asked = []
+
+    def silent_at_first(index):
+        if index == 1 and not asked:
+            asked.append(index)
+            servo.deaf_until_s = robot.face.clock.now() + 0.05
+        return ask(index)
+
+    robot.face.bus.obstacle = silent_at_first
+    report = robot.live(60.0)
+
+    assert asked
+    assert report.complete
+    assert any(all(torque) for _, torque, _ in robot.seen)
+
+
+def test_what_is_unusual_about_the_line_is_said_once():
+    robot = Robot(stops=[(5.0, "soft")])
+    robot.face.bus.remarks = lambda: ("the adapter echoes",)
+    robot.live(60.0)
+
+    assert robot.log.count("the adapter echoes") == 1
+
+
 def test_a_watchdog_that_was_lost_is_set_again():
     robot = Robot(stops=[(6.0, "soft")])
     found = []

@@ -10,7 +10,7 @@ import small_corpus
 from small_corpus import text_grid, write_corpus
 from test_synthesizer import spoken
 
-from lipservo import cli
+from lipservo import command_line
 from lipsync.animpho.live import LIVE_STRATEGY, LiveSynthesizer
 from lipsync.animpho.model import load_model
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
@@ -26,7 +26,7 @@ def lipservo(monkeypatch, capsys):
     def run(*arguments: object) -> tuple[int, str, str]:
         monkeypatch.setattr("sys.argv", ["lipservo", *map(str, arguments)])
         with pytest.raises(SystemExit) as ended:
-            cli.main()
+            command_line.main()
         printed = capsys.readouterr()
         return int(ended.value.code or 0), printed.out, printed.err.replace("\n", " ")
 

@@ -57,6 +57,18 @@ def test_setting_up_twice_writes_nothing_the_second_time():
     assert lacking(line, servo.model, wanted) == []
 
 
+@pytest.mark.parametrize("found", [(3000, 3500), (0, 500), (1200, 1800), (900, 2200)])
+def test_a_range_is_moved_up_or_down_without_ever_being_out_of_order(found):
+    """Servos refuse a lower limit above the upper one, and the other way round."""
+    chain, line = fresh_servo()
+    servo = chain.servos[0]
+    servo["min_position_limit"], servo["max_position_limit"] = found
+    wanted = {"max_position_limit": 2000, "min_position_limit": 1000}
+    list(set_up(line, 1, servo.model, lacking(line, servo.model, wanted)))
+
+    assert (servo["min_position_limit"], servo["max_position_limit"]) == (1000, 2000)
+
+
 def test_settings_survive_a_power_cycle():
     chain, line = fresh_servo()
     (servo,) = mounted(1)

@@ -327,6 +327,16 @@ def test_a_bridge_that_took_long_to_load_and_then_failed_has_not_run_well(starti
     assert face.play(5.0).status == 1
 
 
+def test_a_bridge_that_beat_for_long_but_never_drove_its_servos_has_not_run_well(starting_face):
+    """On a busy machine refusing servos may take longer than any start should."""
+    face = starting_face
+    face.play(20.0)
+    face.bridge.status = 1
+
+    assert face.play(5.0).status == 1
+    assert len(face.bridge.starts) == 1
+
+
 def test_the_first_signal_asks_both_the_second_again(face):
     face.n_signals = 1
     face.play()

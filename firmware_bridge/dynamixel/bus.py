@@ -33,6 +33,11 @@ _PRESENT = register("present_current").address
 _MOTION_SIZE: Final = register("present_position").end - _GOAL
 #: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
 _LIMP_REPEATS: Final = 3
+_ECHO: Final = "the adapter gives back what is sent to the servos; that is swallowed"
+_NO_FAST: Final = (
+    "a servo does not know Fast Sync Read (`lipservo doctor` names it); all are asked in the plain "
+    "way, which takes longer"
+)
 
 
 class DynamixelBus:
@@ -50,13 +55,17 @@ class DynamixelBus:
         watchdog_s: float = 0.1,
         strict: bool = True,
         make_line: Callable[[Any], Line] = Line,
+        adapter_remark: Callable[[], str | None] = lambda: None,
     ) -> None:
         """watchdog_s: how long servos go on without hearing anything; 0 = for ever.
 
         strict: every servo must answer before the first goal; else one critical or none at all
         missing is enough to go on. make_line: `SdkLine` leaves the packets to dynamixel-sdk.
+        adapter_remark: what there is to say of the adapter, asked once its port is open.
         """
         self._make_line = make_line
+        self._adapter_remark = adapter_remark
+        self._remarks: tuple[str, ...] = ()
         self._servos = tuple(servos)
         self._ids = [servo.joint.servo_id for servo in servos]
         self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
@@ -215,6 +224,15 @@ class DynamixelBus:
         self._known.enabled &= ~confirmed
         return confirmed
 
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about adapter and servos, in sentences for a log."""
+        if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
+            self._remarks += (_ECHO,)
+        groups = (self._motion, self._whole, self._holding)
+        if any(each.fast_unsupported for each in groups) and _NO_FAST not in self._remarks:
+            self._remarks += (_NO_FAST,)
+        return self._remarks
+
     def reboot(self, index: int) -> None:
         """Restart one servo and forget what was known of it."""
         self.line.reboot(self._ids[index])
@@ -237,6 +255,8 @@ class DynamixelBus:
             if answer is not None:
                 self._known.take_identity(n, answer, line.transport.clock.now())
         self._begin(line)
+        slow = self._adapter_remark()
+        self._remarks = () if slow is None else (slow,)
         return self
 
     def __exit__(self, *exc: object) -> None:

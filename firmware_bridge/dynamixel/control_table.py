@@ -121,7 +121,8 @@ def register(name: str) -> Register:
 @cache
 def _tables() -> Any:
     text = (files(__package__) / "control_tables.yaml").read_text(encoding="utf-8")
-    return yaml.safe_load(text)
+    # The loader in C where PyYAML has it: ten times as fast, and every process starts with this.
+    return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
 
 
 def _model(name: str, raw: Mapping[str, Any]) -> ServoModel:

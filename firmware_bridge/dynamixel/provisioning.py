@@ -24,6 +24,7 @@ _TRIES: Final = 3
 UNHURRIED_S: Final = 0.06
 #: What changes how a servo is spoken to is written last, in this order.
 _LAST: Final = {"id": 1, "baud_rate": 2}
+_LOW, _HIGH = "min_position_limit", "max_position_limit"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,13 +91,14 @@ def set_up(
 ) -> Iterator[Difference]:
     """Write `changes` to the servo at `servo_id`, and yield each once the servo holds it.
 
-    Torque goes off first and stays off. The id and then the baud rate come last, and the line
-    follows to the new rate. Whoever stops between two leaves nothing half-written. Raises
-    ServoError when the servo refuses or does not keep a value.
+    Torque goes off first and stays off. Of both position limits the one comes first that keeps them
+    in order: servos refuse a lower limit above the upper one. The id and then the baud rate come
+    last, and the line follows to the new rate. Whoever stops between two leaves nothing
+    half-written. Raises ServoError when the servo refuses or does not keep a value.
     """
     if changes:
         _write(line, servo_id, model, "torque_enable", 0)
-    for change in sorted(changes, key=lambda each: _LAST.get(each.name, 0)):
+    for change in sorted(_limits_in_order(changes), key=lambda each: _LAST.get(each.name, 0)):
         _write(line, servo_id, model, change.name, change.wanted)
         if change.name == "id":
             servo_id = change.wanted
@@ -109,6 +111,20 @@ def set_up(
                 f"{change.wanted} was written"
             )
         yield change
+
+
+def _limits_in_order(changes: Sequence[Difference]) -> list[Difference]:
+    """The same, the lower limit before the upper one where the range moves down.
+
+    Upwards the upper limit makes way, downwards the lower one.
+    """
+    by_name = {change.name: change for change in changes}
+    low, high = by_name.get(_LOW), by_name.get(_HIGH)
+    if low is None or high is None:
+        return list(changes)
+    first, second = (low, high) if high.wanted < low.found else (high, low)
+    others = [change for change in changes if change not in (low, high)]
+    return [*others, first, second]
 
 
 def scan(line: Line, rates: Iterable[int] = SCANNED_RATES) -> Iterator[tuple[int, dict[int, int]]]:

@@ -11,8 +11,8 @@ from typing import Final
 
 import serial
 
-from firmware_bridge.bus import PortError, PortGone
 from firmware_bridge.clock import Clock, MonotonicClock
+from firmware_bridge.errors import PortError, PortGone
 
 #: More than the longest reply of 252 servos.
 _CHUNK: Final = 16_384

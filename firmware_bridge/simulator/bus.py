@@ -105,6 +105,10 @@ class SimulatedBus:
         nothing = np.zeros(self._goals_deg.shape)
         return Feedback(self._moved_until_s, self._positions_deg, nothing, self._errors, nothing)
 
+    def remarks(self) -> Sequence[str]:
+        """Nothing is unusual here."""
+        return ()
+
     def look_after(self) -> Health:
         """Nothing ever ails these servos."""
         n_servos = len(self._goals_deg)

@@ -136,24 +136,40 @@ def faults(
             help="Stops by a person instead, on real processes, 15 s each.",
         ),
     ] = False,
+    signals: Annotated[
+        bool,
+        typer.Option(
+            "--signals",
+            help="Signals to every command that moves servos instead, on real processes, 8 s each.",
+        ),
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Play every kind of fault against bridge and bus, on a virtual clock.
 
+    With --stops or --signals: how faces and commands end, on real processes at simulated servos.
     Exit status 1 when anything happened that must not.
     """
-    from lipservo.fault_figures import campaign_figures, stop_campaign_figures
+    from lipservo.fault_figures import (
+        campaign_figures,
+        signal_campaign_figures,
+        stop_campaign_figures,
+    )
 
+    if stops + signals + whole > 1:
+        raise UserError("--stops, --signals and --whole: give one of them")
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        steps = progress.add_task("stops" if stops else "faults", total=None)
+        steps = progress.add_task("cases", total=None)
 
         def advance(n_done: int, n_cases: int) -> None:
             progress.update(steps, completed=n_done, total=n_cases)
 
         if stops:
             figures, broken = stop_campaign_figures(every, advance)
+        elif signals:
+            figures, broken = signal_campaign_figures(every, advance)
         else:
             figures, broken = campaign_figures(every, advance, whole=whole)
     for line in broken:

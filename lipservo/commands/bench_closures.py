@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lipservo.commands.bench_recognition import Cache, Limit, Speakers
-from lipservo.commands.options import Json, Model, Quiet, WeightsChoice
+from lipservo.commands.options import Json, Model, Quiet
 from lipservo.commands.recognition import progress_bar
+from lipservo.commands.recognizer_options import WeightsChoice
 from lipservo.output import RESULTS, machine_class, print_json
 from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights

@@ -7,8 +7,9 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from lipservo.commands.options import Json, Model, Quiet, WeightsChoice
+from lipservo.commands.options import Json, Model, Quiet
 from lipservo.commands.recognition import Advance, progress_bar
+from lipservo.commands.recognizer_options import WeightsChoice
 from lipservo.manner import Engine
 from lipservo.output import MESSAGES, RESULTS, machine_class, print_json
 from lipsync.phonemes import LiveRecognizer

@@ -6,8 +6,9 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.bench_recognition import Limit, Speakers
-from lipservo.commands.options import Json, Quiet, WeightsChoice
+from lipservo.commands.options import Json, Quiet
 from lipservo.commands.recognition import progress_bar
+from lipservo.commands.recognizer_options import WeightsChoice
 from lipservo.output import RESULTS, machine_class, print_json
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
 

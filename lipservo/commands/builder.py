@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Port
-from lipservo.face_life import exit_status
+from lipservo.face_stopped import exit_status
 from lipservo.output import MESSAGES, RESULTS, say_simulated
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole

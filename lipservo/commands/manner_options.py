@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from lipservo.commands.options import EngineChoice, WeightsChoice
+from lipservo.commands.recognizer_options import EngineChoice, WeightsChoice
 from lipservo.manner import Manner
 from lipsync.animpho.live import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY, STRONGEST, Style
 from lipsync.recognition.weights import DEFAULT_WEIGHTS

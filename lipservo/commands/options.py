@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from lipservo.manner import Engine
 from lipsync.errors import UserError
 
 Config = Annotated[
@@ -24,13 +23,6 @@ Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no mes
 SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out sentences with a bad file, and list them.")
 ]
-EngineChoice = Annotated[
-    Engine, typer.Option(help="Recogniser to begin with; a worse one takes over where it fails.")
-]
-WeightsChoice = Annotated[
-    str, typer.Option(help="What the network has learned: default, grid, or a file of weights.")
-]
-
 DEFAULT_FACE = "face_sim"
 
 

@@ -11,7 +11,8 @@ from typing import Annotated
 import typer
 from rich.progress import Progress, TimeRemainingColumn
 
-from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
+from lipservo.commands.options import Json, Quiet
+from lipservo.commands.recognizer_options import EngineChoice, WeightsChoice
 from lipservo.output import MESSAGES
 from lipsync.audio.source import AudioSource
 from lipsync.extras import check_extra

@@ -1,13 +1,13 @@
 """`setup-servos`: what each servo keeps in its memory, as the face's YAML wants it."""
 
+import contextlib
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from firmware_bridge.bus import BusError
+from firmware_bridge.errors import BusError
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Port, port_of
 from lipservo.output import RESULTS, complain, print_json
 from lipsync.errors import UserError
@@ -78,7 +78,8 @@ def setup_servos(
             status, error = 128 + stop.number, f"stopped by {stop}"
         except (UserError, BusError) as failure:
             status, error = 1, str(failure)
-    _report(work, error)
+        with contextlib.suppress(StopRequested), signals.finish_first():
+            _report(work, error)
     if status:
         raise typer.Exit(status)
 
@@ -171,7 +172,7 @@ def _report(work: _Work, error: str) -> None:
         complain(error)
 
 
-@contextmanager
+@contextlib.contextmanager
 def _line(work: _Work) -> Iterator["Line"]:
     """A line that waits for late answers."""
     from firmware_bridge.dynamixel.line import Line

@@ -1,4 +1,7 @@
-"""`stop`, `status`, `limp`: what a person beside the robot needs, whatever else is dead."""
+"""`stop`, `status`, `limp`: what a person beside the robot needs, whatever else is dead.
+
+Somebody waits for these: they load nothing that they do not use.
+"""
 
 import os
 from pathlib import Path
@@ -161,3 +164,9 @@ def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:
             RESULTS.print(outcome.text(done), soft_wrap=True, markup=False, highlight=False)
     if not all(outcome.is_confirmed for outcome in outcomes):
         raise typer.Exit(1)
+
+
+#: These commands alone.
+app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
+for command in (stop, status, limp):
+    app.command()(command)

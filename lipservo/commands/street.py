@@ -17,7 +17,8 @@ from lipservo.commands.options import (
     Quiet,
 )
 from lipservo.commands.processes import Control, supervise
-from lipservo.face_life import exit_status, say
+from lipservo.face_life import say
+from lipservo.face_stopped import exit_status
 from lipservo.manner import Manner
 from lipservo.output import MESSAGES, RESULTS, print_json
 from lipservo.performance import Performance, Played
