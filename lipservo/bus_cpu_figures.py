@@ -1,10 +1,11 @@
-"""Processor time of the servo bus: ours, dynamixel-sdk and rustypot side by side, in one run."""
+"""Processor time of the bare line with prepared packets, beside dynamixel-sdk and rustypot.
 
-import subprocess
-import sys
+What users run, a whole tick, is `tick_cpu_figures`.
+"""
+
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from importlib.util import find_spec
 
 import numpy as np
@@ -12,8 +13,8 @@ import numpy as np
 from firmware_bridge.dynamixel.line import GoalWrite, Line, SpanRead
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.dynamixel.transport import Transport
+from lipservo.tick_cpu_figures import N_SERVOS, canned_peer
 
-N_SERVOS = 20
 #: present_current, present_velocity, present_position
 _ADDRESS, _SIZE = 126, 10
 _IDS = list(range(1, N_SERVOS + 1))
@@ -22,17 +23,19 @@ _ROUNDS, _CALLS = 25, 40
 
 
 def cpu_ratios() -> dict[str, float]:
-    """CPU of the same work, ours over the SDK's; over rustypot's too, when that is installed.
+    """CPU of the same work, the bare line over the SDK; over rustypot, too, when it is installed.
 
-    No wire time. The least of interleaved rounds each: what a library cannot do without, whatever
-    else the computer does; the SDK, which polls, would look worse by medians.
+    Writes, reads of a frame each, and a cycle: a write and a fast read, on either side. No gate, no
+    supervision; our packets are prepared. No wire time. The least of interleaved rounds each: what
+    a library cannot do without, whatever else the computer does; the SDK, which polls, would look
+    worse by medians.
     """
     with ExitStack() as peers:
-        calls = _own_calls(peers.enter_context(_canned_peer()))
-        calls |= _sdk_calls(peers.enter_context(_canned_peer()))
+        calls = _own_calls(peers.enter_context(canned_peer()))
+        calls |= _sdk_calls(peers.enter_context(canned_peer()))
         others = {"": "sdk"}
         if find_spec("rustypot") is not None:
-            calls |= _rustypot_calls(peers.enter_context(_canned_peer()))
+            calls |= _rustypot_calls(peers.enter_context(canned_peer()))
             others["_rustypot"] = "rustypot"
         spent: dict[str, list[float]] = {name: [] for name in calls}
         for _ in range(_ROUNDS):
@@ -102,16 +105,16 @@ def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
             group_write.changeParam(servo_id, [0, 8, 0, 0])
         group_write.txPacket()
 
-    def read() -> list[list[int]]:
-        group_read.txRxPacket()
+    def read(ask: Callable[[], int] = group_read.txRxPacket) -> list[list[int]]:
+        ask()
         return [
             [group_read.getData(servo_id, address, size) for servo_id in _IDS]
             for address, size in ((126, 2), (128, 4), (132, 4))
         ]
 
-    def cycle() -> None:
+    def cycle() -> list[list[int]]:
         write()
-        read()
+        return read(group_read.fastSyncRead)
 
     return {"sdk write": write, "sdk read": read, "sdk cycle": cycle}
 
@@ -137,17 +140,6 @@ def _rustypot_calls(port: str) -> dict[str, Callable[[], object]]:
         read(fast=True)
 
     return {"rustypot write": write, "rustypot read": read, "rustypot cycle": cycle}
-
-
-@contextmanager
-def _canned_peer() -> Iterator[str]:
-    command = [sys.executable, "-m", "firmware_bridge.simulator.canned_peer", str(N_SERVOS)]
-    with subprocess.Popen(
-        [*command, str(_SIZE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as peer:
-        assert peer.stdout is not None
-        yield peer.stdout.readline().strip()
-        peer.terminate()
 
 
 def _cpu_us(call: Callable[[], object], n_calls: int = _CALLS) -> float:

@@ -75,18 +75,21 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
 @app.command()
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure the servo bus against the wire and dynamixel-sdk, on simulated servos.
+    """Measure a bridge's tick, and the bare line, on simulated servos.
 
-    Against rustypot too, when that is installed.
+    Against the wire and dynamixel-sdk; against rustypot too, when that is installed.
     """
     from lipservo import bus_figures as measure
     from lipservo.bus_cpu_figures import cpu_ratios
+    from lipservo.tick_cpu_figures import tick_ratios
 
     began_s = time.perf_counter()
     parts = (
+        tick_ratios,
         cpu_ratios,
         measure.wire_figures,
         measure.fault_figures,
+        measure.silent_cycle_figures,
         measure.replug_figures,
     )
     figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
@@ -109,7 +112,10 @@ def loop(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure how late the loop begins its ticks while every core is busy."""
+    """Measure how late an empty loop begins its ticks while every core is busy.
+
+    That is what the computer adds; how late a face is, --with-bus tells.
+    """
     from lipservo.loop_figures import lateness_figures
 
     began_s = time.perf_counter()
