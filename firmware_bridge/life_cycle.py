@@ -100,7 +100,7 @@ class LifeCycle:
         self._n_signals = 0
         self._letting_go = False
         self._asked: StopLevel | None = None
-        self._by_signal = False
+        self._by_signal = self._bounded = False
         self._give_up_s: float | None = None
         self._handlers: dict[int, Any] = {}
         self._told_up_to = bridge.n_trouble_changes
@@ -130,8 +130,8 @@ class LifeCycle:
 
     def stop(self, level: StopLevel = StopLevel.SOFT) -> None:
         """The program has come to its end: bring the face to rest; `ticks` goes on until it is."""
-        self._asked = level
-        self._bridge.stop(level)
+        self._bounded = True
+        self._stop(level)
 
     def ticks(self) -> Iterator[tuple[float, int]]:
         """(time, ticks missed before it) on the grid, until the face is limp after a stop."""
@@ -178,9 +178,11 @@ class LifeCycle:
             return
         if self._bridge.state is FaceState.STOPPED:
             return  # never started: nothing was switched on
-        self._by_signal = True  # nobody waits for a lost port for ever, unless a person asked
-        if self._asked is None or self._bridge.state is FaceState.FROZEN:
+        if self._bridge.state is FaceState.FROZEN:
+            self._log("frozen: held until the next stop")  # a program's end undoes no person's stop
+        elif self._asked is None:
             self.stop()
+        self._bounded = True
         for time_s, late in self.ticks():
             self._bridge.tick(time_s, late)
 
@@ -238,11 +240,18 @@ class LifeCycle:
         if self._lifeline is not None:
             self._lifeline.stopped(level)
         self._log(f"asked to stop: {level.value}")
-        self.stop(level)
+        self._stop(level)
+
+    def _stop(self, level: StopLevel) -> None:
+        self._asked = level
+        self._bridge.stop(level)
 
     def _port_is_lost(self, time_s: float) -> bool:
-        """Whether a stop has waited long enough for a port that does not come back."""
-        if self._bridge.plugged or not self._by_signal:
+        """Whether a stop has waited long enough for a port that does not come back.
+
+        One that a person asked for through the control socket waits as long as it takes.
+        """
+        if self._bridge.plugged or not self._bounded:
             self._give_up_s = None
             return False
         if self._bridge.state is not FaceState.LETTING_GO:

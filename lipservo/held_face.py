@@ -12,7 +12,7 @@ from typing import Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import PortError, PortGone, ServoBus
+from firmware_bridge.bus import BusError, PortError, PortGone, ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.budget import budget
@@ -183,8 +183,10 @@ class HeldFace:
         if kind is None and not self.life.stopping:
             self.life.stop(self._end)
         self._leaving.__exit__(kind, error, trace)
-        if kind is LetGo and self.life.report is not None:
-            raise FaceStopped(self.life.report, self.life.signal_number)
+        by_a_person = self.life.stopping or self.life.signal_number is not None
+        ended_by_it = kind is LetGo or (by_a_person and isinstance(error, BusError))
+        if ended_by_it and self.life.report is not None:
+            raise FaceStopped(self.life.report, self.life.signal_number) from error
 
     def _lead_all(self, whole_deg: Array) -> None:
         start_deg = self._goal_deg

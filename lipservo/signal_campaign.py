@@ -10,6 +10,7 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -17,8 +18,10 @@ from typing import Final
 import numpy as np
 import soundfile
 
+from firmware_bridge.control_client import stop_and_wait
 from firmware_bridge.end_report import UNCONFIRMED
 from firmware_bridge.process import STOP_SIGNALS
+from firmware_bridge.stopping import StopLevel
 from lipservo.robot_at_port import FACE, RobotAtPort, kill_all, robot_at_port
 from lipservo.signal_cases import (
     COMMANDS,
@@ -105,11 +108,12 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
         return
     ended_s = time.monotonic()
     if case.ending is Ending.STOP:
-        (control,) = robot.controls
-        asked = robot.start("stop", "--control", str(control))
-        robot.look_until(lambda: asked.poll() is not None, _GONE_S)
-        if asked.poll() != 0:
-            outcome.broken.append(f"`lipservo stop` ended with {asked.poll()}")
+        with ThreadPoolExecutor(1) as pool:
+            asking = pool.submit(stop_and_wait, robot.controls[0], StopLevel.SOFT, _GONE_S)
+            robot.look_until(asking.done, _GONE_S)
+        _, report = asking.result()
+        if report is None or report["unconfirmed"]:
+            outcome.broken.append(f"the stop was answered by {report}")
     else:
         number = signal.Signals[f"SIG{case.ending}"]
         process.send_signal(number)
@@ -200,8 +204,6 @@ def _judge_limp(
     if case.moment is Moment.STARTING and robot.switched_on(ended_s + SECOND_WITHIN_S):
         outcome.broken.append("torque came on after the signal")
     bar_s = SECOND_WITHIN_S if case.twice else LIMP_WITHIN_S
-    if case.ending is Ending.STOP:
-        bar_s += LIMP_WITHIN_S  # `lipservo stop` is loaded first
     if outcome.limp_s > bar_s:
         outcome.broken.append(f"limp only {outcome.limp_s:.2f} s after the signal")
 

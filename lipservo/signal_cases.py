@@ -28,7 +28,7 @@ class Ending(StrEnum):
     HUP = "HUP"
     QUIT = "QUIT"
     KILL = "KILL"  # of the process and its children at once
-    STOP = "stop"  # `lipservo stop`
+    STOP = "stop"  # asked for at its socket, as `lipservo stop` does
 
 
 SIGNALS: Final = (Ending.INT, Ending.TERM, Ending.HUP, Ending.QUIT)

@@ -1,5 +1,7 @@
 """A face held and led through bridge and gate, on servos simulated to the byte, in virtual time."""
 
+import os
+import signal
 import time
 
 import numpy as np
@@ -10,6 +12,7 @@ from calibration.joint_range import JointRange
 from calibration.servo_response import identify
 from firmware_bridge.bus import PortGone
 from firmware_bridge.simulator.faults import Fault
+from lipservo.face_stopped import FaceStopped
 from lipservo.held_face import HeldFace, held_rate_hz
 from lipservo.servos import mounted_servos
 from lipservo.settings import FaceSettings, load_shipped_face
@@ -113,6 +116,35 @@ def test_a_plug_that_is_pulled_ends_it():
 
     with pytest.raises(PortGone, match="plug it in and go on with what was kept"):
         hold()
+
+
+def test_a_signal_after_a_pulled_plug_is_a_stop_that_nobody_confirmed():
+    settings = settings_of()
+    pulled = Fault("unplug", at_s=(2.0,), lasts_s=60.0)
+    face = MemoryFace(servos=mounted_servos(settings), faults=(pulled,))
+
+    def hold():
+        with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
+            robot.hold(2.0)
+            os.kill(os.getpid(), signal.SIGTERM)
+            robot.move(np.ones(4))
+
+    with pytest.raises(FaceStopped) as stopped:
+        hold()
+    assert stopped.value.exit_status == 3
+    assert len(stopped.value.report.unconfirmed) == 4
+
+
+def test_a_lost_sample_at_the_start_neither_moves_a_joint_nor_keeps_it_for_ever():
+    settings = settings_of()
+    lost = Fault("drop_reply", probability=0.2)
+    face = MemoryFace(servos=mounted_servos(settings), faults=(lost,))
+    with face.bus, HeldFace(settings, face.bus, face.clock, from_neutral=False) as robot:
+        assert np.abs(robot.stands_deg).max() < 1.0
+        robot.lead(np.array([5.0, 0.0, 0.0, 0.0]))
+
+    assert robot.life.report.complete
+    assert face.clock.now() < 10.0
 
 
 def test_another_rate_than_its_own_is_refused():

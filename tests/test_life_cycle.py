@@ -138,6 +138,21 @@ def test_a_face_frozen_while_the_plug_is_out_is_held_where_it_is_found_and_looke
     assert robot.stiff == []
 
 
+def test_a_program_that_ends_undoes_no_freeze():
+    robot = Robot(stops=[(2.0, "freeze"), (9.0, "soft")])
+    robot.live(4.0)
+
+    assert robot.face.clock.now() > 9.0
+    assert robot.stiff == []
+
+
+def test_a_program_that_ends_with_the_plug_out_waits_half_a_minute_at_most():
+    robot = Robot(Fault("unplug", at_s=(2.0,), lasts_s=1000.0))
+    robot.live(1000.0, {2.5: robot.life.stop})
+
+    assert 30.0 < robot.face.clock.now() < 35.0
+
+
 def test_a_frozen_face_keeps_its_watchdogs_from_tripping():
     robot = Robot(stops=[(2.0, "freeze"), (6.0, "limp")])
     tripped = []
