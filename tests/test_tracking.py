@@ -56,7 +56,7 @@ def speak(rate_hz=30.0, strength=1.0, faults=(), capped=True):
     bus = DynamixelBus(servos, lambda: MemoryTransport(chain, clock, FACE.bus.baud_rate))
     with bus:
         for index in range(len(servos)):
-            assert bus.wake(index)
+            assert not bus.enable_torque(index)
             monitor.excuse(index, clock.now() + EXCUSED_S)
         times_s, goals_deg = clip_deg(rate_hz, strength)
         start_s = clock.now()
