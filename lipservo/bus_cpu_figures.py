@@ -4,13 +4,15 @@ What users run, a whole tick, is `tick_cpu_figures`.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from importlib.util import find_spec
 
 import numpy as np
 
+from firmware_bridge.dynamixel.codec import Status
 from firmware_bridge.dynamixel.line import GoalWrite, Line, SpanRead
+from firmware_bridge.dynamixel.prepared import CommonFrame
 from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.dynamixel.transport import Transport
 from lipservo.tick_cpu_figures import N_SERVOS, canned_peer
@@ -19,6 +21,7 @@ from lipservo.tick_cpu_figures import N_SERVOS, canned_peer
 _ADDRESS, _SIZE = 126, 10
 _IDS = list(range(1, N_SERVOS + 1))
 _MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+_MOTION_BLOCK = CommonFrame.block_of(_MOTION)
 _ROUNDS, _CALLS = 25, 40
 
 
@@ -60,17 +63,25 @@ def _own_calls(port: str) -> dict[str, Callable[[], object]]:
     goal_write = GoalWrite(_IDS, 116)
 
     def write() -> None:
-        line.tell(goal_write.request(goals.tolist()))
+        line.tell(goal_write.request(goals))
 
     def read(span: SpanRead = plain) -> list[list[int]]:
-        values = np.frombuffer(b"".join([s.data for s in line.sync_read(span)]), dtype=_MOTION)
-        return [values[name].tolist() for name in ("current", "velocity", "position")]
+        return decode(line.sync_read(span))
 
     def cycle() -> None:
         write()
         read(fast)
 
     return {"own write": write, "own read": read, "own cycle": cycle}
+
+
+def decode(answers: Sequence[Status]) -> list[list[int]]:
+    """Currents, velocities and positions of those who answered."""
+    if isinstance(answers, CommonFrame):
+        values = answers.values(_MOTION_BLOCK)
+    else:
+        values = np.frombuffer(b"".join([each.data for each in answers]), dtype=_MOTION)
+    return [values[name].tolist() for name in ("current", "velocity", "position")]
 
 
 class _NoWire:

@@ -23,6 +23,7 @@ from firmware_bridge.dynamixel.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.process import on_time
 from firmware_bridge.targets import ServoTargets
+from lipservo.bus_cpu_figures import decode
 from lipservo.sim_process import simulated_port
 
 N_SERVOS = 20
@@ -30,7 +31,6 @@ BAUD_RATE = 1_000_000
 #: present_current, present_velocity, present_position
 _ADDRESS, _SIZE = 126, 10
 _IDS = list(range(1, N_SERVOS + 1))
-_MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 #: torque_enable .. bus_watchdog: what a tick reads of one servo, the next in turn.
 _HEALTH_ADDRESS, _HEALTH_SIZE = 64, 35
 _SILENT = "faults: [{kind: silence, servos: [7], at_s: [0.0]}]"
@@ -65,7 +65,7 @@ def wire_figures(seconds: float = 4.0) -> dict[str, float]:
         start_s, cpu_s, n = time.monotonic(), time.process_time(), 0
         while time.monotonic() - start_s < seconds:
             line.tell(goals.request(2048.0 + np.rint(swing * np.sin(0.05 * n))))
-            np.frombuffer(b"".join([each.data for each in line.sync_read(span)]), dtype=_MOTION)
+            decode(line.sync_read(span))
             n += 1
         wall_s = time.monotonic() - start_s
         return {

@@ -15,8 +15,7 @@ from firmware_bridge.health import Health
 #: present_current .. present_position, as they lie in the control table.
 _MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
 #: The same in a common frame.
-_MOTION_BLOCK = np.dtype([("error", "u1"), ("id", "u1"), *_MOTION.descr, ("crc", "<u2")])
-_BLOCKS_AT = 8
+_MOTION_BLOCK = CommonFrame.block_of(_MOTION)
 #: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.
 _ROOM_DEGC = 45.0
 
@@ -88,7 +87,7 @@ class Knowledge:
     def take_motion(self, statuses: Sequence[Status]) -> None:
         """Ten bytes each from present_current on."""
         if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
-            values = np.frombuffer(statuses.stream, dtype=_MOTION_BLOCK, offset=_BLOCKS_AT)
+            values = statuses.values(_MOTION_BLOCK)
             self.pulses[:] = values["position"]
             self.effort = np.abs(values["current"]) * self._effort_unit
             return

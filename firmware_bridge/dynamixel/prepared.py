@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final, overload
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction, Status, crc16
@@ -42,16 +42,25 @@ class GoalWrite:
 class CommonFrame(Sequence[Status]):
     """An undisturbed answer of all who were asked, in one frame.
 
-    Statuses are made when somebody wants them one by one; whoever wants all values reads `stream`:
-    8 bytes, then of each servo error, id, `size` bytes, CRC. errors: of each servo, in turn.
+    Statuses are made when somebody wants them one by one; `values` has all of them at once.
+    errors: a byte of each servo, in turn.
     """
 
     def __init__(self, ids: tuple[int, ...], size: int, stream: bytes) -> None:
         """stream: checked by the caller."""
         self.ids = ids
-        self.stream = stream
+        self._stream = stream
         self.errors = stream[_BLOCKS_AT :: size + 4]
         self._size = size
+
+    @staticmethod
+    def block_of(data: np.dtype[np.void]) -> np.dtype[np.void]:
+        """What a servo's part of the frame looks like, when its bytes look like `data`."""
+        return np.dtype([("error", "u1"), ("id", "u1"), *data.descr, ("crc", "<u2")])
+
+    def values(self, block: np.dtype[np.void]) -> NDArray[np.void]:
+        """The fields of all servos, (n_servos,), in the order asked. block: of `block_of`."""
+        return np.frombuffer(self._stream, dtype=block, offset=_BLOCKS_AT)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -66,7 +75,7 @@ class CommonFrame(Sequence[Status]):
     def __iter__(self) -> Iterator[Status]:
         start = _BLOCKS_AT + 2
         for servo_id, error in zip(self.ids, self.errors, strict=True):
-            yield Status(servo_id, error, self.stream[start : start + self._size])
+            yield Status(servo_id, error, self._stream[start : start + self._size])
             start += self._size + 4
 
 

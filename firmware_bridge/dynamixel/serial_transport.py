@@ -64,11 +64,17 @@ class SerialTransport:
             raise self._gone(error) from error
 
     def read(self, deadline_s: float) -> bytes:
-        """Sleep in the kernel until bytes come or time is up."""
+        """Sleep in the kernel until bytes come or time is up.
+
+        The kernel counts whole milliseconds, rounded up; the last part of one is slept through, so
+        that a silent servo costs no more than was meant.
+        """
         try:
             left_ms = (deadline_s - self._clock.now()) * 1e3
-            if not self._poll.poll(max(0.0, left_ms)):
-                return b""
+            if not self._poll.poll(max(0, int(left_ms))):
+                self._clock.sleep_until(deadline_s)
+                if not self._poll.poll(0):
+                    return b""
             data = os.read(self._fd, _CHUNK)
         except BlockingIOError:
             return b""
