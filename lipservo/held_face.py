@@ -183,9 +183,8 @@ class HeldFace:
         if kind is None and not self.life.stopping:
             self.life.stop(self._end)
         self._leaving.__exit__(kind, error, trace)
-        by_a_person = self.life.stopping or self.life.signal_number is not None
-        ended_by_it = kind is LetGo or (by_a_person and isinstance(error, BusError))
-        if ended_by_it and self.life.report is not None:
+        overtaken = self.life.stopped_by_person and isinstance(error, BusError)
+        if (kind is LetGo or overtaken) and self.life.report is not None:
             raise FaceStopped(self.life.report, self.life.signal_number) from error
 
     def _lead_all(self, whole_deg: Array) -> None:

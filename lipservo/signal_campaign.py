@@ -268,8 +268,7 @@ def _judge_killed(
     else:
         after = robot.start("neutral", "--config", FACE, "--port", str(robot.port))
     robot.look_until(lambda: after.poll() is not None, _WORKS_S)
-    set_up = case.command != "setup-servos" or case.then == "limp"
-    if set_up and after.poll() != 0:
+    if after.poll() != 0:
         outcome.broken.append(f"`{case.then}` ended with {after.poll()}: {robot.last_said[-300:]}")
     outcome.limp_after_kill = not robot.torque.any()
     if not outcome.limp_after_kill:
