@@ -113,6 +113,8 @@ class LifeCycle:
         self._remarks_due_s = clock.now() + _REMARKS_EVERY_S
         #: The first signal that came, if any.
         self.signal_number: int | None = None
+        #: Whether a person asked for the end, by a signal or through the control socket.
+        self.stopped_by_person = False
         #: What is known of the servos; after the block.
         self.report: StopReport | None = None
 
@@ -200,6 +202,7 @@ class LifeCycle:
     def _on_signal(self, number: int, _frame: FrameType | None) -> None:
         """A note, which cannot leave a tick half done; the second one breaks into anything."""
         self._n_signals += 1
+        self.stopped_by_person = True
         if self.signal_number is None:
             self.signal_number = number
         if self._n_signals > 1 and not self._letting_go:
@@ -239,6 +242,7 @@ class LifeCycle:
             return
         if self._lifeline is not None:
             self._lifeline.stopped(level)
+        self.stopped_by_person = True
         self._log(f"asked to stop: {level.value}")
         self._stop(level)
 

@@ -162,6 +162,16 @@ class HeldFace:
         return _filled(seen_deg)
 
     def __enter__(self) -> Self:
+        try:
+            self._arm()
+        except BusError as error:
+            self._tell_stopped(error)
+            raise
+        if self.life.report is not None:  # let go by a second signal
+            raise FaceStopped(self.life.report, self.life.signal_number)
+        return self
+
+    def _arm(self) -> None:
         with ExitStack() as leaving:
             self._life = leaving.enter_context(
                 face_life(self._name, self._port, self._bridge, self._clock, self.rate_hz)
@@ -173,9 +183,6 @@ class HeldFace:
                 self._lead_all(np.zeros_like(self._goal_deg))
                 self._settle()
             self._leaving = leaving.pop_all()
-        if self.life.report is not None:  # let go by a second signal
-            raise FaceStopped(self.life.report, self.life.signal_number)
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: Any
@@ -183,10 +190,16 @@ class HeldFace:
         if kind is None and not self.life.stopping:
             self.life.stop(self._end)
         self._leaving.__exit__(kind, error, trace)
-        by_a_person = self.life.stopping or self.life.signal_number is not None
-        ended_by_it = kind is LetGo or (by_a_person and isinstance(error, BusError))
-        if ended_by_it and self.life.report is not None:
-            raise FaceStopped(self.life.report, self.life.signal_number) from error
+        self._tell_stopped(error)
+
+    def _tell_stopped(self, error: BaseException | None) -> None:
+        """Raises FaceStopped where a person stopped the face, whatever overtook the stop."""
+        life = self._life
+        if life is None or life.report is None:
+            return
+        overtaken = life.stopped_by_person and isinstance(error, BusError)
+        if isinstance(error, LetGo) or overtaken:
+            raise FaceStopped(life.report, life.signal_number) from error
 
     def _lead_all(self, whole_deg: Array) -> None:
         start_deg = self._goal_deg

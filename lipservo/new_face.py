@@ -124,7 +124,7 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
                 if share < 0.0 and not life.stopping:
                     life.stop(StopLevel.LIMP)
     assert life.report is not None
-    if life.signal_number is not None or not life.report.complete:
+    if life.stopped_by_person or not life.report.complete:
         raise FaceStopped(life.report, life.signal_number)
     return place
 

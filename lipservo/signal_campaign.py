@@ -244,7 +244,8 @@ def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
     # So they do after its servos are limp: shells show both as the same.
     early = case.moment in (Moment.STARTING, Moment.OPENING_SOUND)
     by_system = (-number,) if early or case.twice else ()
-    well = (0,) if command.ends_well else ()
+    # `neutral` takes a second: it may just have come to its own end.
+    well = (0,) if command.ends_well or command.name == "neutral" else ()
     by_signal = () if command.ends_well and not early else (128 + number,)
     return (*well, *by_signal, *by_system)
 
@@ -268,8 +269,7 @@ def _judge_killed(
     else:
         after = robot.start("neutral", "--config", FACE, "--port", str(robot.port))
     robot.look_until(lambda: after.poll() is not None, _WORKS_S)
-    set_up = case.command != "setup-servos" or case.then == "limp"
-    if set_up and after.poll() != 0:
+    if after.poll() != 0:
         outcome.broken.append(f"`{case.then}` ended with {after.poll()}: {robot.last_said[-300:]}")
     outcome.limp_after_kill = not robot.torque.any()
     if not outcome.limp_after_kill:

@@ -140,10 +140,13 @@ def signal_cases() -> Iterator[SignalCase]:
     for name, ending, twice in itertools.product(COMMANDS, SIGNALS, (False, True)):
         yield SignalCase(name, ending, twice=twice)
     for name, then in itertools.product(at_port, ("limp", "start")):
-        yield SignalCase(name, Ending.KILL, then=then)
+        # Servos that are not set up for a face are refused by its start, and left as they are.
+        if then == "limp" or name not in ("new-face", "setup-servos"):
+            yield SignalCase(name, Ending.KILL, then=then)
     for name in arming:
         yield SignalCase(name, Ending.STOP)
-    delays_s = itertools.cycle((0.1, 0.4, 0.8, 1.3))
+    # Before 0.3 s Python itself starts, which takes SIGINT for a mistake of its own.
+    delays_s = itertools.cycle((0.3, 0.5, 0.9, 1.4))
     for ending, name in itertools.product(SIGNALS, COMMANDS):
         yield SignalCase(name, ending, Moment.STARTING, delay_s=next(delays_s))
         next(delays_s) if name == "neutral" else None  # every command meets every delay

@@ -117,6 +117,7 @@ def test_a_stop_while_the_plug_is_out_or_just_in_again_is_never_undone(level, st
 
     assert robot.stiff == []
     assert report.complete
+    assert robot.life.stopped_by_person
     assert robot.torque_writes(stop_s + 0.05) == []
     assert robot.face.clock.now() < max(stop_s, 3.0) + 3.0
     assert robot.told.stops == [StopLevel(level)]

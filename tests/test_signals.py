@@ -15,7 +15,7 @@ from lipservo.signal_cases import COMMANDS, SIGNALS, Ending, Moment, SignalCase,
     "case",
     [
         SignalCase("jog", Ending.HUP),
-        SignalCase("calibrate-typed", Ending.QUIT, twice=True),
+        SignalCase("new-face", Ending.STOP),
         SignalCase("neutral", Ending.KILL, then="limp"),
     ],
     ids=str,
