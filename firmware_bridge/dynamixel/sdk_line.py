@@ -149,7 +149,10 @@ class SdkLine(Line):
         group = GroupSyncRead(self._sdk.handler, self._packets, span.address, span.size)
         for servo_id in span.ids:
             group.addParam(servo_id)
-        result = self._sdk.call(group.fastSyncRead if span.fast else group.txRxPacket)
+        try:
+            result = self._sdk.call(group.fastSyncRead if span.fast else group.txRxPacket)
+        except IndexError:  # a late answer of another length meets a fast read
+            return []
         if result != COMM_SUCCESS:
             return []
         return [Status(each, 0, bytes(group.data_dict[each])) for each in span.ids]
