@@ -113,7 +113,7 @@ def short_clip(alone: Environment) -> Path:
 
 _HELP_OF_EVERY_COMMAND = """
 import sys, typer
-from lipservo import command_line
+from lipservo import cli
 from lipservo.__main__ import main
 
 def names(group):
