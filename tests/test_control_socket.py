@@ -9,6 +9,7 @@ import threading
 from contextlib import contextmanager
 
 import pytest
+from short_folder import short_folder
 
 from firmware_bridge.control_client import ask, face_at, running_faces, stop_and_wait
 from firmware_bridge.control_socket import ControlSocket
@@ -20,11 +21,10 @@ SOME_USER = 65534
 
 
 @pytest.fixture(autouse=True)
-def own_folder(tmp_path, monkeypatch):
+def own_folder(monkeypatch):
     """Faces of this test only: nothing of the machine's is found or touched."""
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    session = tmp_path / "session"
-    session.mkdir(mode=0o700)
+    session = short_folder()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
     return session
 

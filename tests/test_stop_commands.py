@@ -7,6 +7,7 @@ import threading
 from contextlib import ExitStack, contextmanager
 
 import pytest
+from short_folder import short_folder
 from typer.testing import CliRunner
 
 from firmware_bridge.control_socket import ControlSocket
@@ -20,13 +21,12 @@ from lipsync.errors import UserError
 
 
 @pytest.fixture(autouse=True)
-def own_folder(tmp_path, monkeypatch):
+def own_folder(monkeypatch):
     """Faces of this test only."""
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    session = tmp_path / "session"
-    session.mkdir(mode=0o700)
+    session = short_folder()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
-    monkeypatch.setattr("firmware_bridge.runtime_folder.SERVICE_FOLDER", tmp_path / "none")
+    monkeypatch.setattr("firmware_bridge.runtime_folder.SERVICE_FOLDER", session / "none")
     monkeypatch.setattr("firmware_bridge.runtime_folder._folders_of_others", lambda: iter(()))
     return session
 

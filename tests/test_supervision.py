@@ -8,8 +8,10 @@ import socket
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
+from short_folder import short_folder
 from typer.testing import CliRunner
 
 from firmware_bridge.control_client import ask
@@ -32,11 +34,10 @@ def port():
         yield port
 
 
-def own_folder(folder, monkeypatch):
+def own_folder(monkeypatch):
     """Faces of this test only."""
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    session = folder / "session"
-    session.mkdir(mode=0o700)
+    session = short_folder()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
 
 
@@ -60,7 +61,7 @@ def running(port, folder, *arguments, errors=None):
             process.said, process.out = said, folder / "out.txt"
             try:
                 assert systemd.recv(100) == b"READY=1"
-                (process.control,) = (folder / "session" / "lipservo").glob("*.sock")
+                (process.control,) = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo").glob("*.sock")
                 yield process
             finally:
                 process.terminate()
@@ -75,7 +76,7 @@ def enduring(port, tmp_path_factory):
     """One daemon for all that it survives."""
     folder = tmp_path_factory.mktemp("enduring")
     with pytest.MonkeyPatch.context() as monkeypatch:
-        own_folder(folder, monkeypatch)
+        own_folder(monkeypatch)
         with running(port, folder) as process:
             yield process
 
@@ -83,7 +84,7 @@ def enduring(port, tmp_path_factory):
 @pytest.fixture
 def daemon(tmp_path, monkeypatch):
     """A daemon of its own, at servos of its own."""
-    own_folder(tmp_path, monkeypatch)
+    own_folder(monkeypatch)
     with (
         simulated_port(["--config", "face_sim", "--on-time"]) as port,
         running(port, tmp_path) as process,
@@ -189,7 +190,7 @@ def test_what_a_daemon_cannot_do_is_refused_before_a_servo_is_spoken_to(argument
 
 def test_stop_ends_the_face_limp_and_says_who_confirmed_it(tmp_path, monkeypatch):
     """Nobody reads what the daemon says: its log is a full pipe, as after Ctrl-S."""
-    own_folder(tmp_path, monkeypatch)
+    own_folder(monkeypatch)
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     with contextlib.suppress(BlockingIOError):
