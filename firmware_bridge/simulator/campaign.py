@@ -160,10 +160,14 @@ class _Stop:
     def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
         """The stop, at its moment."""
         del status
-        if self._level is None or self._clock.now() < STOP_S:
+        now_s = self._clock.now()
+        if self._auditor.frozen and now_s >= END_S:
+            self._auditor.frozen = False
+            return StopLevel.SOFT  # a frozen face ends only when a person says so
+        if self._level is None or now_s < STOP_S:
             return None
         level, self._level = self._level, None
-        self._auditor.stopped_s = self._clock.now()
+        self._auditor.stopped_s = now_s
         self._auditor.frozen = level is StopLevel.FREEZE
         return level
 
