@@ -30,6 +30,8 @@ _SPEED_MARGIN: Final = 1.10
 _BRAKES_S, _CREEP_DEG_S = 0.3, 5.0
 #: A shaft that is more than this behind its trajectory at top speed is held up.
 _LAG_S: Final = 0.020
+#: Longer than a step of moving motors, which is 5 ms.
+_STEP_S: Final = 0.0075
 #: No motor makes this without load: a hand pushed the shaft, or its encoder jumped.
 _PUSHED_DEG_S: Final = 700.0
 
@@ -159,9 +161,12 @@ class Auditor:
         # A servo that was pushed or held up comes back by itself as fast as it can: its position
         # loop does that, and nobody told it to.
         error = np.abs(motors.trajectory - position)
-        self._in_hand |= (np.abs(speed) >= self._pushed) | (error > self._lag)
+        pushed = np.abs(speed) >= self._pushed
+        if span_s > _STEP_S:  # the motors were at rest: whatever moved was moved by hand
+            pushed |= position != before
+        self._in_hand |= pushed | (error > self._lag)
         self._in_hand &= error > _MARGIN_PULSES
-        own = motors.torque_on & ~self._in_hand & (np.abs(speed) < self._pushed)
+        own = motors.torque_on & ~self._in_hand & ~pushed
         fast = np.abs(speed) / self._speed
         self.fastest = max(self.fastest, float(np.where(own, fast, 0.0).max()))
         self.too_fast += int((own & (fast > _SPEED_MARGIN)).sum())
