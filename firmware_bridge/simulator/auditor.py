@@ -162,6 +162,8 @@ class Auditor:
         # loop does that, and nobody told it to.
         error = np.abs(motors.trajectory - position)
         pushed = np.abs(speed) >= self._pushed
+        # No servo runs away from its own trajectory.
+        pushed |= ((motors.trajectory - position) * speed < 0.0) & (error > _MARGIN_PULSES)
         if span_s > _STEP_S:  # the motors were at rest: whatever moved was moved by hand
             pushed |= position != before
         self._in_hand |= pushed | (error > self._lag)
