@@ -65,7 +65,8 @@ class Auditor:
         self._last: dict[int, int] = {}
         self._parser = FrameParser()
         self._chain: SimulatedChain | None = None
-        self._before: NDArray[np.float64] | None = None
+        self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._held = np.zeros(len(servos), dtype=np.bool_)  # torque was on at the step before
         self._before_s = 0.0
         self._creep = _CREEP_DEG_S * per_deg
         self.stopped_s: float | None = None
@@ -152,12 +153,16 @@ class Auditor:
         self.armed_wrongly += not (as_set_up and at_place and servo["bus_watchdog"] > 0)
 
     def _see_motion(self, time_s: float, position: NDArray[np.float64]) -> None:
-        before, self._before = self._before, position.copy()
-        span_s, self._before_s = time_s - self._before_s, time_s
-        if before is None or self._chain is None or span_s <= 0.0:
-            return
-        speed = (position - before) / span_s
+        assert self._chain is not None  # it calls
         motors = self._chain.motors
+        seen, self._before = self._before, (position.copy(), motors.trajectory.copy())
+        held, self._held = self._held & motors.torque_on, motors.torque_on.copy()
+        span_s, self._before_s = time_s - self._before_s, time_s
+        if seen is None or span_s <= 0.0:
+            return
+        before, trajectory_before = seen
+        speed = (position - before) / span_s
+        told = np.abs(motors.trajectory - trajectory_before) / span_s
         # A servo that was pushed or held up comes back by itself as fast as it can: its position
         # loop does that, and nobody told it to.
         error = np.abs(motors.trajectory - position)
@@ -169,9 +174,11 @@ class Auditor:
         self._in_hand |= pushed | (error > self._lag)
         self._in_hand &= error > _MARGIN_PULSES
         own = motors.torque_on & ~self._in_hand & ~pushed
-        fast = np.abs(speed) / self._speed
-        self.fastest = max(self.fastest, float(np.where(own, fast, 0.0).max()))
-        self.too_fast += int((own & (fast > _SPEED_MARGIN)).sum())
+        # A jump of the encoder takes the trajectory with it.
+        told[~held | (np.abs(speed) >= self._pushed)] = 0.0
+        fast = np.maximum(np.where(own, np.abs(speed), 0.0), told) / self._speed
+        self.fastest = max(self.fastest, float(fast.max()))
+        self.too_fast += int((fast > _SPEED_MARGIN).sum())
         if self.frozen and self.stopped_s is not None and time_s > self.stopped_s + _BRAKES_S:
             self.moved_frozen += int((own & (np.abs(speed) > self._creep)).sum())
         outwards = (position > self._high + _MARGIN_PULSES) & (speed > 1.0)
