@@ -5,6 +5,7 @@ from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
+from firmware_bridge.process import die_with_parent
 from firmware_bridge.simulator.campaign import Outcome, cases, play
 from firmware_bridge.simulator.faults import KINDS
 from lipservo.signal_campaign import play_signal, signal_figures
@@ -32,7 +33,7 @@ def campaign_figures(
     """Play one case in `every`; what was survived, and a line for each case that was not."""
     chosen = list(cases(whole=whole))[::every]
     outcomes: list[Outcome] = []
-    with ProcessPoolExecutor(max_workers=2) as pool:
+    with ProcessPoolExecutor(max_workers=2, initializer=die_with_parent) as pool:
         for outcome in pool.map(play, chosen, chunksize=4):
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))
@@ -55,7 +56,7 @@ def stop_campaign_figures(
     """Play one stop in `every`, two at a time; the figures, and a line for each that failed."""
     chosen = list(stop_cases())[::every]
     outcomes = []
-    with ProcessPoolExecutor(max_workers=2) as pool:
+    with ProcessPoolExecutor(max_workers=2, initializer=die_with_parent) as pool:
         for outcome in pool.map(play_stop, chosen):
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))
@@ -71,7 +72,7 @@ def signal_campaign_figures(
     """
     chosen = list(signal_cases())[::every]
     outcomes = []
-    with ProcessPoolExecutor(max_workers=2) as pool:
+    with ProcessPoolExecutor(max_workers=2, initializer=die_with_parent) as pool:
         for outcome in pool.map(play_signal, chosen):
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))

@@ -1,15 +1,15 @@
-"""The auditor of the campaigns counts what it is there for, and nothing that nobody told a servo."""
+"""The auditor of the campaigns counts what it is there for, and nothing that nobody asked for."""
 
 import struct
 
 import numpy as np
 import pytest
+from dynamixel_chain import BAUD_RATE, mounted
 
 from firmware_bridge.dynamixel.codec import Instruction, packet
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.simulator.auditor import Auditor
 from firmware_bridge.simulator.face import chain_for
-from dynamixel_chain import BAUD_RATE, mounted
 
 PERIOD_S = 1.0 / 30.0
 
@@ -18,7 +18,7 @@ class AuditedServo:
     """One servo of at most 300 deg/s, spoken to past all gates."""
 
     def __init__(self):
-        (servo,) = servos = mounted(1)
+        servos = mounted(1)
         self.chain = chain_for(servos, BAUD_RATE)
         self.auditor = Auditor(servos, PERIOD_S)
         self.auditor.watch(self.chain)

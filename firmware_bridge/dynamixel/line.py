@@ -34,15 +34,15 @@ class Line(HalfDuplex):
         super().__init__(transport, return_delay_s)
         self._owed = OwedAnswers()
 
-    def ping(self, servo_id: int) -> Status | None:
+    def ping(self, servo_id: int, patience_s: float = 0.0) -> Status | None:
         """Model number (2 bytes) and firmware version (1)."""
         request = codec.ping(servo_id)
         if self._owes() and self._owed.looks_like(servo_id, _PONG_SIZE, request):
-            status = self.read(servo_id, 0, _IDENTITY_SIZE)
+            status = self.read(servo_id, 0, _IDENTITY_SIZE, patience_s)
             if status is None or len(status.data) != _IDENTITY_SIZE:
                 return None
             return status._replace(data=status.data[:2] + status.data[-1:])
-        return self._ask_one(servo_id, request, _PONG_SIZE)
+        return self._ask_one(servo_id, request, _PONG_SIZE, patience_s)
 
     def ping_each(self, servo_id: int) -> list[Status]:
         """Every answer to one ping: two servos of one id give two, unless they spoil each other."""
@@ -75,15 +75,17 @@ class Line(HalfDuplex):
         self._owed.note(ANYBODY, _PONG_SIZE, request, self._clock.now())
         return [status for status in statuses if len(status.data) == _PONG_SIZE]
 
-    def read(self, servo_id: int, address: int, size: int) -> Status | None:
-        """`size` bytes of one servo."""
+    def read(
+        self, servo_id: int, address: int, size: int, patience_s: float = 0.0
+    ) -> Status | None:
+        """`size` bytes of one servo. patience_s: waited for longer than an answer should take."""
         if self._owes():
             span = SpanRead((servo_id,), address, size, fast=False)
             wide = span.widened(self._owed.free_size(span.ids, size))
             request = codec.read(servo_id, wide.address, wide.size)
-            status = self._ask_one(servo_id, request, wide.size, exact=True)
+            status = self._ask_one(servo_id, request, wide.size, patience_s, exact=True)
             return None if status is None else span.cut([status], wide.address)[0]
-        return self._ask_one(servo_id, codec.read(servo_id, address, size), size)
+        return self._ask_one(servo_id, codec.read(servo_id, address, size), size, patience_s)
 
     def write(
         self, servo_id: int, address: int, data: bytes, patience_s: float = 0.0

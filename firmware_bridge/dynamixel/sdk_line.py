@@ -96,8 +96,9 @@ class SdkLine(Line):
         self._sdk = transport
         self._packets = PacketHandler(2.0)
 
-    def ping(self, servo_id: int) -> Status | None:
+    def ping(self, servo_id: int, patience_s: float = 0.0) -> Status | None:
         """Model number (2 bytes) and firmware version, which the SDK leaves out, as 0."""
+        del patience_s  # the SDK's own is 34 ms
         ask = self._packets.ping
         number, result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
         return Status(servo_id, error, struct.pack("<HB", number, 0)) if not result else None
@@ -107,8 +108,11 @@ class SdkLine(Line):
         found, _ = self._sdk.call(lambda: self._packets.broadcastPing(self._sdk.handler))
         return [Status(each, 0, struct.pack("<HB", *said)) for each, said in found.items()]
 
-    def read(self, servo_id: int, address: int, size: int) -> Status | None:
+    def read(
+        self, servo_id: int, address: int, size: int, patience_s: float = 0.0
+    ) -> Status | None:
         """`size` bytes of one servo."""
+        del patience_s
         ask = self._packets.readTxRx
         data, result, error = self._sdk.call(
             lambda: ask(self._sdk.handler, servo_id, address, size)
