@@ -14,12 +14,14 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
-from lipservo.pipeline import Speech, Street, Synthesizer
+from lipservo.pipeline import Street
 from lipservo.servos import bridge_for, bus_for, mouth_rules, servo_memories
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
+from lipservo.speech import Speech
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
 from lipsync.audio.source import AudioSource
 from lipsync.phonemes import LiveRecognizer
+from lipsync.synthesizer import Synthesizer
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,8 @@ from contextlib import contextmanager
 from types import FrameType
 
 from firmware_bridge.life_cycle import LifeCycle
-from lipservo.pipeline import Street, TickObserver
+from lipservo.pipeline import Street
+from lipservo.street_tick import TickObserver
 from lipservo.summary import Tally
 
 

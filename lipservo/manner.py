@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from lipservo.pipeline import Synthesizer
 from lipsync.animpho.live import LIVE_STRATEGY, LiveSynthesizer, Style, StyleError
 from lipsync.animpho.model import FaceModel
 from lipsync.animpho.selection import STRATEGIES
@@ -12,6 +11,7 @@ from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.ladder import RecognizerLadder, Rung
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights, find_weights
+from lipsync.synthesizer import Synthesizer
 
 #: Which recogniser is tried first.
 Engine = Literal["network", "pocketsphinx"]

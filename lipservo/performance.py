@@ -14,7 +14,8 @@ from lipservo.daemon import play
 from lipservo.face_life import face_life
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
 from lipservo.output import MESSAGES, say_simulated
-from lipservo.pipeline import Street, TickObserver
+from lipservo.pipeline import Street
+from lipservo.street_tick import TickObserver
 from lipservo.summary import Summary, Tally
 from lipservo.trace import BackgroundTrace, TraceFile
 from lipsync.audio.source import AudioSource

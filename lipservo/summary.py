@@ -11,7 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_bridge.clock import Clock
-from lipservo.pipeline import Street, StreetTick
+from lipservo.pipeline import Street
+from lipservo.street_tick import StreetTick
 
 #: Lateness is counted in bins of 0.1 ms up to one second; later than that counts as one second.
 _BIN_S = 1e-4

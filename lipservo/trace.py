@@ -13,7 +13,7 @@ from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 
-from lipservo.pipeline import StreetTick
+from lipservo.street_tick import StreetTick
 from lipsync.errors import UserError
 from lipsync.output_file import OutputError, check_output, written_whole
 

@@ -13,7 +13,7 @@ from rich.text import Text
 
 from firmware_bridge.joints import Joint
 from lipservo.mouth_drawing import MOUTH_COLUMNS, draw_mouth
-from lipservo.pipeline import StreetTick
+from lipservo.street_tick import StreetTick
 from lipsync.animpho.model import FaceModel
 from lipsync.phonemes import SILENCE
 

@@ -11,7 +11,7 @@ from firmware_bridge.channel import MemoryTargetChannel
 from lipservo.arrival import ArrivalLag
 from lipservo.assembly import assemble_face
 from lipservo.manner import Manner, make_synthesizer
-from lipservo.pipeline import Speech
+from lipservo.speech import Speech
 from lipsync.audio.block import SAMPLE_RATE_HZ, AudioBlock
 
 TICK_S = 1.0 / 30.0

@@ -12,7 +12,8 @@ from calibration.fitting import fit_calibration
 from calibration.joint_range import JointRange
 from firmware_bridge.channel import MemoryTargetChannel
 from lipservo.calibration_figures import calibration_figures
-from lipservo.pipeline import PUBLISH_PERIOD_S, Speech
+from lipservo.delay import PUBLISH_PERIOD_S
+from lipservo.speech import Speech
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.silence import SilentSource
 from lipsync.phonemes import PhonemeEvent

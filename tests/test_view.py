@@ -13,7 +13,7 @@ from firmware_bridge.bridge import TickReport
 from firmware_bridge.joints import Joint
 from firmware_bridge.safety import StaleLevel
 from lipservo.mouth_drawing import draw_mouth
-from lipservo.pipeline import StreetTick
+from lipservo.street_tick import StreetTick
 from lipservo.view import TerminalView
 from lipsync.animpho.model import load_shipped_model
 

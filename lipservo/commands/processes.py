@@ -182,8 +182,8 @@ def speech_process(
     from firmware_bridge.socket_channel import SocketTargetChannel
     from lipservo.assembly import assemble_face
     from lipservo.manner import make_recognizer, make_synthesizer
-    from lipservo.pipeline import Speech
     from lipservo.sources import open_source_or_silence
+    from lipservo.speech import Speech
 
     face = assemble_face(config, model)
     with ExitStack() as stack:
