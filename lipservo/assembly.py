@@ -1,4 +1,4 @@
-"""Puts a street together from files: face, model, calibration, recogniser, bus."""
+"""Puts a face together from files: settings, model, calibration, bus."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,17 +11,11 @@ from calibration.calibration import (
 )
 from calibration.calibration_file import parse_calibration
 from firmware_bridge.bus import ServoBus
-from firmware_bridge.channel import MemoryTargetChannel
 from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
-from lipservo.pipeline import Street
-from lipservo.servos import bridge_for, bus_for, mouth_rules, servo_memories
+from lipservo.servos import bus_for, mouth_rules, servo_memories
 from lipservo.settings import FaceSettings, calibration_file, load_face, load_shipped_face
-from lipservo.speech import Speech
 from lipsync.animpho.model import FaceModel, load_model, load_shipped_model
-from lipsync.audio.source import AudioSource
-from lipsync.phonemes import LiveRecognizer
-from lipsync.synthesizer import Synthesizer
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,20 +86,3 @@ def check_servos(face: Face) -> None:
 def make_bus(face: Face, clock: Clock) -> ServoBus:
     """The bus that the face's YAML asks for; use it as a context manager."""
     return bus_for(face.settings, clock)
-
-
-def make_street(
-    face: Face,
-    source: AudioSource,
-    bus: ServoBus,
-    rate_hz: float,
-    recognizer: LiveRecognizer,
-    synthesizer: Synthesizer,
-    *,
-    dry_run: bool = False,
-) -> Street:
-    """Everything between an entered source and an entered bus."""
-    channel = MemoryTargetChannel()
-    speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
-    bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
-    return Street(speech, bridge, face.model.rest)

@@ -9,12 +9,12 @@ from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.stopping import StopReport
-from lipservo.assembly import Face, assemble_face, at_port, check_servos, make_bus, make_street
+from lipservo.assembly import Face, assemble_face, at_port, check_servos, make_bus
 from lipservo.daemon import play
 from lipservo.face_life import face_life
 from lipservo.manner import Manner, make_recognizer, make_synthesizer
 from lipservo.output import MESSAGES, say_simulated
-from lipservo.pipeline import Street
+from lipservo.pipeline import Street, make_street
 from lipservo.street_tick import TickObserver
 from lipservo.summary import Summary, Tally
 from lipservo.trace import BackgroundTrace, TraceFile

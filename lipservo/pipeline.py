@@ -7,9 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bridge import Bridge
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.channel import MemoryTargetChannel
+from lipservo.assembly import Face
+from lipservo.servos import bridge_for
 from lipservo.speech import Speech
 from lipservo.street_tick import StreetTick
-from lipsync.phonemes import SILENCE
+from lipsync.audio.source import AudioSource
+from lipsync.phonemes import SILENCE, LiveRecognizer
+from lipsync.synthesizer import Synthesizer
 
 Array = NDArray[np.float64]
 
@@ -45,3 +51,20 @@ class Street:
         """The same once the face is stopped: nothing is heard any more, the mouth goes to rest."""
         report = self.bridge.tick(time_s, late)
         return StreetTick(self.sound_time_s(time_s), SILENCE, self._rest, report)
+
+
+def make_street(
+    face: Face,
+    source: AudioSource,
+    bus: ServoBus,
+    rate_hz: float,
+    recognizer: LiveRecognizer,
+    synthesizer: Synthesizer,
+    *,
+    dry_run: bool = False,
+) -> Street:
+    """Everything between an entered source and an entered bus."""
+    channel = MemoryTargetChannel()
+    speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
+    bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
+    return Street(speech, bridge, face.model.rest)

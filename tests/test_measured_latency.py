@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from firmware_bridge.clock import ManualClock, ticks
-from lipservo.assembly import assemble_face, make_bus, make_street
+from lipservo.assembly import assemble_face, make_bus
 from lipservo.manner import Manner, make_synthesizer
+from lipservo.pipeline import make_street
 from lipservo.summary import Tally
 from lipsync.audio.block import AudioBlock
 from lipsync.audio.silence import SilentSource
