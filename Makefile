@@ -1,6 +1,6 @@
 # make run    sees speech move a face; installs what it needs into .venv first
 # make test   the tests
-# make traces the motion that tests/test_reference_traces.py holds, anew: docs/traces.md
+# make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
 # make check  style, types, and the wheel: what it holds, and that it runs when installed alone
 PYTHON ?= python3
 VENV := .venv
@@ -15,7 +15,7 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 traces: $(VENV)/.installed-dev
-	$(BIN)/python tests/make_reference_traces.py
+	$(BIN)/python tests/support/make_reference_traces.py
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.backlash import BacklashCompensation
-from calibration.capture import capture_poses
-from calibration.capture_plan import plan_poses
+from calibration.capture.capture import capture_poses
+from calibration.capture.capture_plan import plan_poses
+from calibration.fit.measured import fit_measured
 from calibration.joint_range import JointRange
-from calibration.measured import fit_measured
-from calibration.simulated_robot import SimulatedRobot, draw_robot
-from lipservo.settings import load_shipped_face
-from lipsync.animpho.model import load_shipped_model
+from calibration.run.backlash import BacklashCompensation
+from calibration.simulated.robot import SimulatedRobot, draw_robot
+from lipservo.settings.settings import load_shipped_face
+from lipsync.face.model import load_shipped_model
 from lipsync.markers import MARKER_NAMES
 
 SEED = 100  # not among the seeds that are scored

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.hold_out import HoldOutErrors
-from lipsync.animpho.model import FaceModel
 from lipsync.errors import UserError
+from lipsync.face.model import FaceModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

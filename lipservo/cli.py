@@ -6,25 +6,14 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands import (
-    alignment,
-    bench,
-    bench_closures,
-    bench_recognition,
-    bench_texts,
-    builder,
-    calibration,
-    doctor,
-    health,
-    processes,
-    recognition,
-    setup_servos,
-    sim_bus,
-    stop,
-    street,
-    trace,
-    training,
-)
+from lipservo.commands.bench import bench
+from lipservo.commands.bench import closures as bench_closures
+from lipservo.commands.bench import recognition as bench_recognition
+from lipservo.commands.bench import texts as bench_texts
+from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
+from lipservo.commands.calibrate import calibration
+from lipservo.commands.learn import alignment, recognition, training
+from lipservo.commands.run import health, processes, stop, street, trace
 
 app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (

@@ -6,9 +6,9 @@ import sys
 import typer
 
 from firmware_bridge.errors import BusError
-from firmware_bridge.runtime_folder import ControlError
-from lipservo.face_stopped import FaceStopped
-from lipservo.output import complain
+from firmware_bridge.process.runtime_folder import ControlError
+from lipservo.face.face_stopped import FaceStopped
+from lipservo.terminal.output import complain
 from lipsync.errors import UserError
 
 #: A person beside the robot waits for these: nothing else is loaded then.
@@ -60,7 +60,7 @@ def main() -> None:
 def _commands(arguments: list[str]) -> typer.Typer:
     """All commands; the few alone that must be there at once."""
     if arguments[0] in _AT_ONCE:
-        from lipservo.commands import stop
+        from lipservo.commands.run import stop
 
         return stop.app
     from lipservo import cli

@@ -1,6 +1,6 @@
 """Libraries that only some commands need: which extra brings each, and one line where it is absent.
 
-pyproject.toml lists the same; tests/test_dependencies.py compares.
+pyproject.toml lists the same; tests/project/test_dependencies.py compares.
 """
 
 from importlib.util import find_spec

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
-from lipsync.audio.block import AudioBlock
+from lipsync.audio_block import AudioBlock
 
 SILENCE = "SIL"
 

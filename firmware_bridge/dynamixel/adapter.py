@@ -4,8 +4,8 @@ import statistics
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_bridge.dynamixel import codec
-from firmware_bridge.dynamixel.line import Line, SpanRead
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.line import Line, SpanRead
 
 _PINGS: Final = 7
 _TRIES: Final = 3

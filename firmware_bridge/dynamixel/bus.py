@@ -8,18 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import PortError, Readings
-from firmware_bridge.dynamixel import codec
-from firmware_bridge.dynamixel.codec import Status, StatusError
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.group import SpanGroup
 from firmware_bridge.dynamixel.handshake import identify_all
-from firmware_bridge.dynamixel.knowledge import Knowledge
-from firmware_bridge.dynamixel.line import GoalWrite, Line
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
 from firmware_bridge.dynamixel.soft_start import SoftStart
+from firmware_bridge.dynamixel.state_cache import Knowledge
 from firmware_bridge.dynamixel.torque import TorqueSwitch
-from firmware_bridge.dynamixel.transport import Transport
 from firmware_bridge.dynamixel.watchdog import Watchdogs
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.codec import Status, StatusError
+from firmware_bridge.dynamixel.wire.line import GoalWrite, Line
+from firmware_bridge.dynamixel.wire.span_group import SpanGroup
+from firmware_bridge.dynamixel.wire.transport import Transport
 from firmware_bridge.health import Feedback, Health
 
 _TORQUE, _GOAL = register("torque_enable").address, register("goal_position").address

@@ -6,7 +6,6 @@ from typing import Final
 
 from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.control_table import model_by_number
-from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
@@ -18,6 +17,7 @@ from firmware_bridge.dynamixel.provisioning import (
     wanted_settings,
 )
 from firmware_bridge.dynamixel.shared_id import shares_id
+from firmware_bridge.dynamixel.wire.line import Line
 
 #: A new servo answers here, whatever rate the chain has.
 _FACTORY_RATE: Final = 57_600

@@ -9,7 +9,6 @@ from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.adapter import measured_latency_s, without_fast_read
 from firmware_bridge.dynamixel.budget import budget, slow_adapter
 from firmware_bridge.dynamixel.control_table import model_by_number
-from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
@@ -21,6 +20,7 @@ from firmware_bridge.dynamixel.provisioning import (
     wanted_settings,
 )
 from firmware_bridge.dynamixel.shared_id import shares_id
+from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.health import describe_errors
 
 _SETUP: Final = "`lipservo setup-servos`"

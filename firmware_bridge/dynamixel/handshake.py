@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.control_table import model_by_number, register
-from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.transport import Transport
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.transport import Transport
 from firmware_bridge.joints import named
 
 #: The EEPROM from id to shutdown in one read.

@@ -9,8 +9,8 @@ from typing import Final
 
 from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
-from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.wire.line import Line
 
 #: The servo's own limits lie this far outside the joint's, so that a joint pushed past its limit by
 #: hand can be held where it is; as in `firmware_bridge.simulator.bus`.

@@ -9,7 +9,7 @@ Cannot be told: two servos of which one always drowns out the other.
 from typing import Final
 
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.line import Line
+from firmware_bridge.dynamixel.wire.line import Line
 
 #: realtime_tick .. present_temperature: what differs between two motors.
 _PRESENT: Final = register("realtime_tick").address

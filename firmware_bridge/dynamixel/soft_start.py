@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import VELOCITY_UNIT_DEG_S, MountedServo
-from firmware_bridge.dynamixel.verified_write import write_verified
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.verified_write import write_verified
 
 _PROFILE: Final = register("profile_acceleration").address
 _CURRENT: Final = register("goal_current").address

@@ -6,12 +6,12 @@ from typing import Final
 
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.handshake import identify, mismatches
-from firmware_bridge.dynamixel.knowledge import Knowledge
-from firmware_bridge.dynamixel.line import Line
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
 from firmware_bridge.dynamixel.soft_start import SoftStart
-from firmware_bridge.dynamixel.verified_write import write_verified
+from firmware_bridge.dynamixel.state_cache import Knowledge
 from firmware_bridge.dynamixel.watchdog import Watchdogs
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.verified_write import write_verified
 
 _TORQUE, _GOAL = register("torque_enable").address, register("goal_position").address
 _PLACE, _LEVEL = register("present_position").address, register("status_return_level").address

@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from firmware_bridge.dynamixel import codec
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.line import Line
-from firmware_bridge.dynamixel.verified_write import write_verified
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.verified_write import write_verified
 
 _ADDRESS: Final = register("bus_watchdog").address
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#bus-watchdog98

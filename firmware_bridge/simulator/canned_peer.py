@@ -17,10 +17,10 @@ import sys
 import tty
 from typing import Final
 
-from firmware_bridge.dynamixel import codec
-from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.control_table import register, servo_models
-from firmware_bridge.dynamixel.frames import Frame, FrameParser
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
+from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.group_instructions import sync_read, sync_write
 

@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.dynamixel.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
-from firmware_bridge.dynamixel.frames import Frame, FrameParser
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
+from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator import group_instructions
-from firmware_bridge.simulator.afflictions import Afflictions
+from firmware_bridge.simulator.fault_injector import Afflictions
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.group_instructions import SpanWanted
 from firmware_bridge.simulator.motors import Environment, Motors

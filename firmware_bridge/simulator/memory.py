@@ -2,8 +2,8 @@
 
 import struct
 
-from firmware_bridge.dynamixel.codec import StatusError
 from firmware_bridge.dynamixel.control_table import IndirectBlock, Register, ServoModel
+from firmware_bridge.dynamixel.wire.codec import StatusError
 
 
 class RegisterMemory:

@@ -4,8 +4,8 @@ import struct
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_bridge.dynamixel.codec import StatusError
 from firmware_bridge.dynamixel.control_table import Register, ServoModel, register
+from firmware_bridge.dynamixel.wire.codec import StatusError
 from firmware_bridge.simulator.drive import (
     CURRENT_BASED_POSITION,
     EXTENDED_POSITION,

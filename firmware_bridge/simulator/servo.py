@@ -4,8 +4,8 @@ import struct
 from collections.abc import Mapping
 from typing import Final
 
-from firmware_bridge.dynamixel.codec import ALERT_BIT, Instruction, StatusError
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates, register
+from firmware_bridge.dynamixel.wire.codec import ALERT_BIT, Instruction, StatusError
 from firmware_bridge.simulator.drive import SHAPING, Drive
 from firmware_bridge.simulator.motors import Motors
 from firmware_bridge.simulator.refusals import Refusals

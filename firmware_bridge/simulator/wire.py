@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
-from firmware_bridge.dynamixel.codec import fast_status, status
+from firmware_bridge.dynamixel.wire.codec import fast_status, status
 from firmware_bridge.simulator.faults import ON_INSTRUCTIONS, ON_REPLIES, Fault
 from firmware_bridge.simulator.servo import SimulatedServo
 

@@ -6,7 +6,7 @@ Samples are numbered 1..5 as in the paper in the formulas, 0..4 in the code.
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.animpho.model import SAMPLES_PER_ANIMPHO, FaceModel
+from lipsync.face.model import SAMPLES_PER_ANIMPHO, FaceModel
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.animpho.model import FaceModel
+from lipsync.face.model import FaceModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
-from lipsync.animpho.model import FaceModel
 from lipsync.animpho.selection import Choice, PrioritySelection, SelectionStrategy
 from lipsync.animpho.trajectory import Trajectory, ease
+from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate, stand_in
 from lipsync.timeline import PhonemeTimeline
 

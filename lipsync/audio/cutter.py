@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio.block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock, samples_before
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock, samples_before
 
 BLOCK_SAMPLES = round(BLOCK_S * SAMPLE_RATE_HZ)
 

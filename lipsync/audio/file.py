@@ -19,10 +19,10 @@ import soundfile
 import soxr
 from numpy.typing import NDArray
 
-from lipsync.audio.block import SAMPLE_RATE_HZ, AudioBlock
 from lipsync.audio.cutter import BLOCK_SAMPLES, BlockCutter
 from lipsync.audio.header import LONGEST_S, SHORTEST_S, open_sound, promised_s, reason_of
 from lipsync.audio.source import SoundError
+from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 
 Samples = NDArray[np.float32]
 Warn = Callable[[str], None]

@@ -13,9 +13,9 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
-from lipsync.audio.block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 from lipsync.audio.cutter import BLOCK_SAMPLES, BlockCutter
 from lipsync.audio.source import SoundError
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 
 #: Sound that waited longer than this is not worth showing any more; the oldest is dropped.
 QUEUE_S = 2.0

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from lipsync.audio.block import SAMPLE_RATE_HZ, AudioBlock, samples_before
 from lipsync.audio.cutter import BLOCK_SAMPLES
 from lipsync.audio.source import AudioSource
+from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock, samples_before
 
 _SILENCE = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
 _SILENCE.flags.writeable = False

@@ -2,7 +2,7 @@
 
 from typing import Protocol
 
-from lipsync.audio.block import AudioBlock
+from lipsync.audio_block import AudioBlock
 from lipsync.errors import UserError
 
 

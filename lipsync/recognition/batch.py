@@ -25,8 +25,8 @@ from lipsync.recognition.features import (
     LevelNormalizer,
     LogMelStream,
 )
-from lipsync.recognition.live import INAUDIBLE, LATENCY_S, frames_of_delay
 from lipsync.recognition.network import NetworkWeights, batch_posteriors
+from lipsync.recognition.network_recognizer import INAUDIBLE, LATENCY_S, frames_of_delay
 
 Array = NDArray[np.float32]
 

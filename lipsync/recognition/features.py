@@ -13,7 +13,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio.block import SAMPLE_RATE_HZ
+from lipsync.audio_block import SAMPLE_RATE_HZ
 
 Array = NDArray[np.float32]
 

@@ -4,7 +4,7 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
-from lipsync.audio.block import SAMPLE_RATE_HZ, AudioBlock
+from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 
 Array = NDArray[np.float32]
 

@@ -6,8 +6,8 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
-from lipsync.audio.block import SAMPLE_RATE_HZ
 from lipsync.audio.file import Warn, ignore, read_sound
+from lipsync.audio_block import SAMPLE_RATE_HZ
 
 
 def read_speech(path: Path, warn: Warn = ignore) -> NDArray[np.float32]:

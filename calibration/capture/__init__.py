@@ -1,0 +1,1 @@
+"""Plans of poses, and the trackers and files that bring marker positions."""

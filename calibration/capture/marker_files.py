@@ -1,0 +1,171 @@
+"""Pose plans and marker positions in files: what any tracker, or a person with callipers, writes.
+
+A plan is CSV: `pose`, then the goal of each joint as `<servo>_deg` and the side of the last step as
+`<servo>_from` (1 below, -1 above). Markers are CSV with the columns `pose, marker, x_mm, y_mm,
+z_mm`, or JSON as a list of objects with those keys; several readings of one marker in one pose
+count as their mean, and an empty or missing reading as lost.
+"""
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import CalibrationError
+from calibration.capture.c3d_markers import read_c3d_folder
+from calibration.capture.capture import Capture
+from calibration.capture.capture_plan import LEAD_IN_DEG, PosePlan
+from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
+from lipsync.errors import shown
+from lipsync.output_file import write_whole
+
+Array = NDArray[np.float64]
+
+_AXES = ("x_mm", "y_mm", "z_mm")
+_COLUMNS = ("pose", "marker", *_AXES)
+
+
+def write_plan(plan: PosePlan, path: Path) -> None:
+    """Write the plan whole or not at all; poses are counted from 1. Raises OutputError."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    degrees = [f"{name}_deg" for name in plan.servo_names]
+    writer.writerow(["pose", *degrees, *(f"{name}_from" for name in plan.servo_names)])
+    for pose, (goals, sides) in enumerate(zip(plan.goals_deg, plan.from_below, strict=True)):
+        writer.writerow([pose + 1, *(f"{g:.2f}" for g in goals), *(f"{s:.0f}" for s in sides)])
+    write_whole(path, text.getvalue())
+
+
+def is_plan(head: bytes) -> bool:
+    """Whether a file that begins so is a plan: its first line names a pose and degrees."""
+    columns = head.decode("utf-8-sig", errors="replace").split("\n", 1)[0].strip().split(",")
+    return columns[0] == "pose" and any(column.endswith("_deg") for column in columns[1:])
+
+
+def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
+    """A plan that was written before. Raises CalibrationError, with file and line."""
+    _, goals_deg, from_below = _read_plan(path, servo_names)
+    return PosePlan(servo_names, goals_deg, from_below, goals_deg - LEAD_IN_DEG * from_below)
+
+
+def read_capture(
+    plan_path: Path, markers_path: Path, servo_names: tuple[str, ...], *, axes: str = "x y z"
+) -> Capture:
+    """The poses of the plan that markers were recorded for.
+
+    markers_path: as of `read_readings`; axes of C3D files are named as in `c3d_markers`.
+    Raises CalibrationError, with file and line, for anything that is not as described above.
+    """
+    poses, goals_deg, from_below = _read_plan(plan_path, servo_names)
+    readings = read_readings(markers_path, axes)
+    unknown = sorted({pose for pose, _, _ in readings} - set(poses))
+    if unknown:
+        raise CalibrationError(f"{markers_path}: pose {unknown[0]} is not in {plan_path}")
+    names = tuple(dict.fromkeys(name for _, name, _ in readings))
+    seen: dict[tuple[int, str], list[Array]] = {}
+    for pose, name, place_mm in readings:
+        seen.setdefault((pose, name), []).append(place_mm)
+    recorded = {pose for pose, _ in seen}
+    used = [pose for pose in poses if pose in recorded]
+    markers_mm = np.full((len(used), len(names), 3), np.nan)
+    for row, pose in enumerate(used):
+        for column, name in enumerate(names):
+            if (pose, name) in seen:
+                markers_mm[row, column] = _mean(seen[pose, name])
+    rows = [poses.index(pose) for pose in used]
+    return Capture(servo_names, names, goals_deg[rows], from_below[rows], markers_mm)
+
+
+def _mean(places_mm: list[Array]) -> Array:
+    """(3,): of the readings that are whole; NaN where none is."""
+    whole = [place for place in places_mm if np.isfinite(place).all()]
+    return np.asarray(np.mean(whole, axis=0)) if whole else np.full(3, np.nan)
+
+
+def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Array, Array]:
+    rows = list(_csv_rows(path, ("pose", *(f"{name}_deg" for name in servo_names))))
+    poses = [_whole(row["pose"], place) for place, row in rows]
+    goals = [[_number(row[f"{n}_deg"], place) for n in servo_names] for place, row in rows]
+    sides = [
+        [_number(row.get(f"{n}_from", "1"), place) for n in servo_names] for place, row in rows
+    ]
+    if len(set(poses)) < len(poses):
+        raise CalibrationError(f"{path}: a pose has two lines")
+    shape = (len(poses), len(servo_names))
+    return poses, np.array(goals).reshape(shape), np.array(sides).reshape(shape)
+
+
+def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
+    """Pose, marker and place (3,) of every reading in a file or folder, NaN where lost.
+
+    A folder holds C3D files, or pictures of coloured dots with a `dots.csv`.
+    """
+    if path.is_dir():
+        return read_dots_folder(path) if is_dots_folder(path) else read_c3d_folder(path, axes)
+    rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path, _COLUMNS)
+    return [
+        (
+            _whole(row["pose"], place),
+            str(row["marker"]),
+            np.array([_number(row[axis], place, lost=True) for axis in _AXES]),
+        )
+        for place, row in rows
+    ]
+
+
+def _csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[str, object]]]:
+    """Every line with its place."""
+    reader = csv.DictReader(io.StringIO(_text(path)))
+    for column in needed:
+        if column not in (reader.fieldnames or ()):
+            raise CalibrationError(f"{path}: column {column!r} is missing in the first line")
+    for number, row in enumerate(reader):
+        yield f"{path}, line {number + 2}", row
+
+
+def _json_rows(path: Path) -> Iterable[tuple[str, Mapping[str, object]]]:
+    try:
+        content = json.loads(_text(path))
+    except (ValueError, RecursionError) as error:
+        raise CalibrationError(f"{path}: not readable as JSON") from error
+    if not isinstance(content, list):
+        raise CalibrationError(f"{path}: should be a list of readings")
+    for number, row in enumerate(content):
+        place = f"{path}, reading {number + 1}"
+        for key in _COLUMNS[:2]:
+            if not isinstance(row, dict) or key not in row:
+                raise CalibrationError(f"{place}: {key!r} is missing")
+        yield place, dict.fromkeys(_AXES) | row
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")  # as spreadsheets write it
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"{path}: not a text file") from error
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def _number(value: object, place: str, *, lost: bool = False) -> float:
+    if lost and (value is None or str(value).strip() == ""):
+        return math.nan
+    try:
+        number = float(str(value))
+    except ValueError:
+        number = math.inf
+    if not math.isfinite(number) and not (lost and math.isnan(number)):
+        raise CalibrationError(f"{place}: {shown(value)} is not a number")
+    return number
+
+
+def _whole(value: object, place: str) -> int:
+    number = _number(value, place)
+    if number != int(number):
+        raise CalibrationError(f"{place}: pose {shown(value)} is not a whole number")
+    return int(number)

@@ -1,0 +1,208 @@
+"""Where markers come from while a robot holds a pose: a file or folder somebody fills, or keys.
+
+A tracker is told of every pose (`arrived`) and then asked for its markers (`measure`). It waits by
+a function that it is given, so that the servos are held meanwhile.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import CalibrationError
+from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
+from calibration.capture.marker_files import read_readings
+from lipsync.output_file import write_whole
+
+Array = NDArray[np.float64]
+
+#: Seconds pass, servos held.
+Wait = Callable[[float], None]
+#: A line for a person.
+Say = Callable[[str], None]
+#: A question to a person, and the answer.
+Ask = Callable[[str], str]
+
+_LOOK_EVERY_S = 0.1
+#: Readings of a pose are whole when all markers are there, or nothing new came for so long.
+_QUIET_S = 0.5
+#: Longer than a person takes for a photograph.
+PATIENCE_S = 300.0
+#: What tells another program which pose stands, beside the file or in the folder.
+POSE_FILE = "pose.json"
+
+
+class Tracker(Protocol):
+    """What a capture asks of whoever sees the markers."""
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """In the order of `measure`."""
+
+    def arrived(self, pose: int, reached_deg: Array, /) -> None:
+        """A pose stands, counted from 0; where the encoders are."""
+
+    def measure(self) -> Array:
+        """(n_markers, 3) millimetres, NaN for lost points."""
+
+
+class FileTracker:
+    """Markers in a CSV or JSON file that another program adds to, or in a folder it fills.
+
+    Poses count from 1, as in a plan; pose 0 is the robot in neutral, a test before anything else:
+    it says which markers there are. `pose.json` (for a file `FILE.pose.json`) says which pose
+    stands now, so that a program needs nobody to tell it.
+    """
+
+    def __init__(
+        self, path: Path, servo_names: tuple[str, ...], wait: Wait, say: Say, *, axes: str = "x y z"
+    ) -> None:
+        """Ask for pose 0, the robot being in neutral."""
+        self._path = path
+        self._servo_names = servo_names
+        self._wait, self._say = wait, say
+        self._axes = axes
+        self._names: tuple[str, ...] = ()
+        self._pose = 0
+        try:
+            if not self._readings(0):
+                self._announce(0, np.zeros(len(servo_names)))
+            self._names = tuple(self._wait_for(0))
+        except BaseException:  # nobody can close what was never made
+            self.close()
+            raise
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """As seen in pose 0."""
+        return self._names
+
+    def arrived(self, pose: int, reached_deg: Array) -> None:
+        """Tell whoever records. Raises CalibrationError where the pose was recorded before."""
+        if self._readings(pose + 1):
+            raise CalibrationError(
+                f"{self._path}: pose {pose + 1} is there already, from an earlier capture; "
+                "name a new file, or go on with the --keep of that capture"
+            )
+        self._announce(pose + 1, reached_deg)
+
+    def measure(self) -> Array:
+        """Wait until the pose was recorded."""
+        found = self._wait_for(self._pose)
+        return np.array([found.get(name, np.full(3, np.nan)) for name in self._names])
+
+    def close(self) -> None:
+        """No pose stands any more."""
+        self._pose_file.unlink(missing_ok=True)
+
+    @property
+    def _pose_file(self) -> Path:
+        if self._path.is_dir():
+            return self._path / POSE_FILE
+        return self._path.with_name(f"{self._path.name}.{POSE_FILE}")
+
+    def _announce(self, pose: int, reached_deg: Array) -> None:
+        self._pose = pose
+        stands = dict(zip(self._servo_names, np.round(reached_deg, 3).tolist(), strict=True))
+        write_whole(self._pose_file, json.dumps({"pose": pose, "servos_deg": stands}))
+        self._say(f"pose {pose} stands: record it in {self._path}")
+
+    def _wait_for(self, pose: int) -> Mapping[str, Array]:
+        before: Mapping[str, Array] = {}
+        waited_s = quiet_s = 0.0
+        while waited_s < PATIENCE_S:
+            found = self._readings(pose)
+            quiet_s = quiet_s + _LOOK_EVERY_S if found.keys() == before.keys() else 0.0
+            if found and (quiet_s >= _QUIET_S or set(self._names) == set(found)):
+                return found
+            before = found
+            self._wait(_LOOK_EVERY_S)
+            waited_s += _LOOK_EVERY_S
+        raise CalibrationError(
+            f"{self._path}: nothing was recorded of pose {pose} in {PATIENCE_S:.0f} s; "
+            "is the tracker running? What was captured is in --keep"
+        )
+
+    def _readings(self, pose: int) -> Mapping[str, Array]:
+        """By marker, means; nothing while the file is not there or being written."""
+        if not self._path.exists() or self._is_in_mid_line():
+            return {}
+        try:
+            if self._path.is_dir() and is_dots_folder(self._path):
+                readings = read_dots_folder(self._path, only=pose)
+            else:
+                readings = read_readings(self._path, self._axes)
+        except CalibrationError:
+            if self._path.suffix.lower() == ".csv":
+                raise
+            return {}  # a folder or a JSON value of which a part is there
+        places: dict[str, list[Array]] = {}
+        for number, name, place_mm in readings:
+            if number == pose:
+                places.setdefault(name, []).append(place_mm)
+        return {name: np.mean(seen, axis=0) for name, seen in places.items()}
+
+    def _is_in_mid_line(self) -> bool:
+        """Whether somebody is writing a CSV file just now: its last line has no end."""
+        is_csv = self._path.suffix.lower() == ".csv"
+        return is_csv and not self._path.read_bytes().endswith(b"\n")
+
+
+class TypedTracker:
+    """Markers measured by hand and typed: three numbers a marker, or nothing where not seen."""
+
+    def __init__(self, marker_names: tuple[str, ...], ask: Ask) -> None:
+        self._names = marker_names
+        self._ask = ask
+        self._pose = 0
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """As given."""
+        return self._names
+
+    def arrived(self, pose: int, _reached_deg: Array) -> None:
+        """Remember which pose to ask for."""
+        self._pose = pose + 1
+
+    def measure(self) -> Array:
+        """Ask until every answer is three numbers or empty."""
+        return np.array([self._typed(name) for name in self._names])
+
+    def _typed(self, name: str) -> Array:
+        while True:
+            words = self._ask(f"pose {self._pose}, {name}: x y z in mm").replace(",", " ").split()
+            if not words:
+                return np.full(3, np.nan)
+            try:
+                place_mm = np.array([float(word) for word in words])
+            except ValueError:
+                continue
+            if place_mm.shape == (3,) and np.isfinite(place_mm).all():
+                return place_mm
+
+
+class SeenByComputation:
+    """Markers of a face that is computed from where the encoders say that its servos are."""
+
+    def __init__(self, marker_names: tuple[str, ...], look: Callable[[Array], Array]) -> None:
+        """look: (n_servos,) degrees -> (n_markers, 3)."""
+        self._names = marker_names
+        self._look = look
+        self._reached_deg = np.zeros(0)
+
+    @property
+    def marker_names(self) -> tuple[str, ...]:
+        """As given."""
+        return self._names
+
+    def arrived(self, _pose: int, reached_deg: Array) -> None:
+        """Remember where the encoders are."""
+        self._reached_deg = reached_deg
+
+    def measure(self) -> Array:
+        """One look."""
+        return self._look(self._reached_deg)

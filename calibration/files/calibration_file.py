@@ -1,0 +1,236 @@
+"""Calibrations on disk: YAML that a person can read, written whole or not at all."""
+
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    Following,
+    Origin,
+    ServoMemory,
+    Touch,
+    VisemeReach,
+    linear_calibration_parts,
+    pairs,
+)
+from calibration.files.calibration_text import CALIBRATION_VERSION, calibration_text
+from calibration.files.file_place import Place
+from calibration.hold_out import HoldOutErrors
+from lipsync.output_file import write_whole
+from lipsync.phonemes import VISEME_CLASSES
+from lipsync.yaml_depth import is_nested_deeper
+
+Array = NDArray[np.float64]
+
+#: Older ones lack what came with the next: calibration_text.py says what.
+READABLE_VERSIONS = (1, 2, 3)
+#: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
+_SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+#: A calibration needs five levels.
+_DEEPEST = 20
+#: What the previous file is kept as.
+PREVIOUS_SUFFIX = ".previous"
+
+
+def save_calibration(calibration: Calibration, path: Path) -> None:
+    """Write the file whole or not at all, and keep the file that was there as `.previous`.
+
+    The same calibration gives the same bytes. Raises OutputError where it cannot be written.
+    """
+    text = calibration_text(calibration)
+    if path.exists():
+        write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
+    write_whole(path, text)
+
+
+def is_calibration(head: bytes) -> bool:
+    """Whether a file that begins so is a calibration, damaged or not."""
+    return b"model_checksum:" in head
+
+
+def load_calibration(path: Path) -> Calibration:
+    """Read a calibration file. Raises CalibrationError for a missing, damaged or foreign one."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise CalibrationError(
+            f"{path}: no such calibration; run `lipservo calibrate --config FACE -o {path.name}`"
+        ) from None
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"{path}: not a text file") from error
+    except OSError as error:
+        raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
+    return parse_calibration(text, str(path))
+
+
+def parse_calibration(text: str, source: str) -> Calibration:
+    """The calibration that `text` holds; `source` names it in errors.
+
+    Raises CalibrationError, one line: where, what is wrong, what was expected.
+    """
+    try:
+        if is_nested_deeper(text, _DEEPEST):
+            raise CalibrationError(f"{source}: is nested too deep to be a calibration")
+        content = yaml.load(text, Loader=_SAFE_LOADER)
+    except CalibrationError:
+        raise
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2024-13-01
+        where = getattr(error, "problem_mark", None)
+        line = f", line {where.line + 1}" if where else ""
+        raise CalibrationError(f"{source}{line}: not readable as YAML") from error
+    try:
+        return _parse(Place(content, ""))
+    except CalibrationError as error:
+        raise CalibrationError(f"{source}: {error}; run `lipservo calibrate` again") from error
+
+
+def _parse(file: Place) -> Calibration:
+    version = file.at("version").count()
+    if version not in READABLE_VERSIONS:
+        raise CalibrationError(
+            f"version {version}, this lipservo reads version {CALIBRATION_VERSION}"
+        )
+    rest = file.at("rest").numbers()
+    names = file.at("servos").names
+    servos = [file.at("servos").at(name) for name in names]
+    for servo in servos:
+        if not servo.at("min_deg").number() <= 0.0 <= servo.at("max_deg").number():
+            raise CalibrationError(f"{servo.path}: needs min_deg <= 0 <= max_deg")
+    weights = np.array([servo.at("weights").numbers(len(rest)) for servo in servos])
+    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    if version > 1:
+        rest_deg = np.array([servo.at("rest_deg").number() for servo in servos])
+    if any(servo.has("bends") for servo in servos):
+        n_pairs = len(pairs(len(rest))[0])
+        bends = np.array([servo.at("bends").numbers(n_pairs) for servo in servos])
+        x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
+    return Calibration(
+        servo_names=names,
+        weights=weights,
+        bends=bends,
+        rest=rest,
+        rest_deg=rest_deg,
+        x_range=x_range,
+        min_deg=np.array([servo.at("min_deg").number() for servo in servos]),
+        max_deg=np.array([servo.at("max_deg").number() for servo in servos]),
+        errors=_parse_errors(file.at("hold_out"), servos, version),
+        model_checksum=file.at("model_checksum").text(),
+        face_checksum=file.at("face_checksum").text(),
+        origin=_parse_origin(file, servos) if version > 1 else Origin("simulated face"),
+        following=_parse_following(servos),
+        touch=_parse_touch(file, names),
+        coverage=_parse_coverage(file),
+        trim=_parse_trim(file, names),
+    )
+
+
+def _parse_origin(file: Place, servos: list[Place]) -> Origin:
+    named = any(servo.has("model") for servo in servos)
+    return Origin(
+        method=file.at("method").text(),
+        date=file.at("date").text(),
+        poses=file.at("poses").count(),
+        servo_models=tuple(s.at("model").text() for s in servos) if named else (),
+        servo_memories=_parse_memories(servos),
+    )
+
+
+def _parse_memories(servos: list[Place]) -> tuple[ServoMemory, ...]:
+    """None unless some servo was asked; then all were."""
+    if not any(servo.has("memory") for servo in servos):
+        return ()
+    keys = [field.name for field in fields(ServoMemory)]
+    return tuple(
+        ServoMemory(*(servo.at("memory").at(key).whole() for key in keys)) for servo in servos
+    )
+
+
+def _parse_following(servos: list[Place]) -> Following | None:
+    """None unless the file says how late some servo is; then it must say so of all."""
+    if not any(servo.has("lag_s") for servo in servos):
+        return None
+
+    def known(key: str) -> Array:
+        return np.array([s.at(key).number() if s.has(key) else np.inf for s in servos])
+
+    return Following(
+        lag_s=np.array([servo.at("lag_s").number() for servo in servos]),
+        backlash_deg=np.array([servo.at("backlash_deg").number() for servo in servos]),
+        top_speed_deg_s=known("top_speed_deg_s"),
+        bandwidth_hz=known("bandwidth_hz"),
+    )
+
+
+def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
+    if not file.has("touch"):
+        return None
+    degrees = file.at("touch").at("positions_deg")
+    return Touch(
+        np.array([degrees.at(name).number() for name in names]),
+        file.at("touch").at("current_cap_ma").number(),
+    )
+
+
+def _parse_coverage(file: Place) -> dict[str, VisemeReach]:
+    if not file.has("coverage"):
+        return {}
+    coverage = file.at("coverage")
+    return {
+        viseme: VisemeReach(
+            coverage.at(viseme).at("reachable").number(), coverage.at(viseme).at("off_mm").number()
+        )
+        for viseme in coverage.names
+    }
+
+
+def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
+    """A hand writes this part, so names are checked."""
+    if not file.has("trim"):
+        return {}
+    trim = file.at("trim")
+    classes = [viseme[0] for viseme in VISEME_CLASSES]
+    for viseme in trim.names:
+        if viseme not in classes:
+            raise CalibrationError(f"trim.{viseme}: no viseme class; known: {' '.join(classes)}")
+        for name in trim.at(viseme).names:
+            if name not in names:
+                raise CalibrationError(f"trim.{viseme}.{name}: no such servo in this file")
+    return {
+        viseme: np.array(
+            [trim.at(viseme).at(n).number() if trim.at(viseme).has(n) else 0.0 for n in names]
+        )
+        for viseme in trim.names
+    }
+
+
+def _parse_errors(hold_out: Place, servos: list[Place], version: int) -> HoldOutErrors:
+    return HoldOutErrors(
+        n_frames=hold_out.at("n_frames").count(),
+        marker_rms_mm=hold_out.at("marker_rms_mm").number(),
+        lip_rms_mm=hold_out.at("lip_rms_mm").number(),
+        nearest_lip_rms_mm=hold_out.at("nearest_lip_rms_mm").number(),
+        gap_rms_mm=hold_out.at("gap_rms_mm").number(),
+        gap_correlation=hold_out.at("gap_correlation").number(),
+        n_closures=hold_out.at("n_closures").count(),
+        closed_gap_mm=hold_out.at("closed_gap_mm").number(),
+        clipped_share=hold_out.at("clipped_share").number(),
+        joint_rms_deg=tuple(servo.at("hold_out_rms_deg").number() for servo in servos),
+        each_marker_rms_mm=_parse_each_marker(hold_out) if version > 2 else {},
+    )
+
+
+def _parse_each_marker(hold_out: Place) -> dict[str, float]:
+    """Counted, so that a line that is gone is noticed."""
+    n_markers = hold_out.at("n_markers").count()
+    if n_markers == 0:
+        return {}
+    each = hold_out.at("each_marker_rms_mm")
+    if len(each.names) != n_markers:
+        raise CalibrationError(f"{each.path} holds {len(each.names)} markers, expected {n_markers}")
+    return {name: each.at(name).number() for name in each.names}

@@ -1,0 +1,1 @@
+"""From captured poses to a calibration."""

@@ -1,0 +1,129 @@
+"""A calibration of a jaw alone, from markers on the jaw: the mouth of a talking skeleton.
+
+The talker's jaw blend (jaw_rotation.py) is linear in the model's coefficients. A sweep of the robot
+says which angle is which part of its own way from closed to open; the talker's widest jaw becomes
+the robot's. Lips are not looked at, so P, B and M close as far as the talker's jaw does.
+Loads scikit-learn; the live path never does.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    Origin,
+    linear_calibration_parts,
+)
+from calibration.capture.capture import Capture
+from calibration.capture.sanity import check_capture
+from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, talkers_jaw
+from calibration.fit.learnt_face import ridge_weights
+from calibration.fit.measured import play_only, split_frames
+from calibration.fit.robot_face import fit_robot_face
+from calibration.hold_out import HoldOutErrors, each_marker_rms_mm
+from calibration.joint_range import JointRange
+from lipsync.face.model import FaceModel
+from lipsync.markers import MARKER_NAMES
+
+Array = NDArray[np.float64]
+
+#: Enough for a curve that hardly bends.
+_SWEEP = 12
+#: Limits are met rarely, as in retargeting.
+_USED_SHARE = 0.9
+_LEAST_MARKERS = 3
+
+
+def jaw_markers(marker_names: Sequence[str]) -> tuple[int, ...]:
+    """Which of these ride on the jaw, by index."""
+    line = {MARKER_NAMES[i] for i in JAW_LINE}
+    return tuple(i for i, name in enumerate(marker_names) if name in line)
+
+
+def fit_jaw(
+    model: FaceModel,
+    capture: Capture,
+    joint: JointRange,
+    face_checksum: str,
+    *,
+    date: str = "",
+    servo_models: tuple[str, ...] = (),
+    positive: Sequence[str] = (),
+    seed: int = 0,
+) -> tuple[Calibration, tuple[str, ...]]:
+    """The calibration and warnings. Only markers of the jaw line count.
+
+    Raises CalibrationError for fewer than three of them, and for a capture that cannot be trusted.
+    """
+    line = list(jaw_markers(capture.marker_names))
+    if len(line) < _LEAST_MARKERS:
+        raise CalibrationError(
+            f"{len(line)} markers on the jaw, {_LEAST_MARKERS} are needed: names that begin with "
+            "`jaw` or `chin`"
+        )
+    warnings = check_capture(capture, model, positive)
+    face = fit_robot_face(capture)
+    sweep_deg = np.linspace(joint.min_deg, _USED_SHARE * joint.max_deg, _SWEEP)
+    swept_mm = face.markers_mm(sweep_deg[:, None])[:, line]
+    closed_mm = face.markers_mm(np.zeros((1, 1)))[0, line]
+    robot = jaw_blend(closed_mm, swept_mm[-1])
+    degrees = jaw_degrees(robot, sweep_deg, swept_mm)
+    talker = talkers_jaw(model)
+
+    def wanted_alpha(frames: Array) -> Array:
+        return talker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+
+    fit, held_out = split_frames(model, seed)
+    limits = (np.array([joint.min_deg]), np.array([joint.max_deg]))
+    # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
+    degrees_per_alpha = float(degrees.alphas @ degrees.degrees / (degrees.alphas @ degrees.alphas))
+    weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
+    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    free_deg = (held_out - model.rest) @ weights.T
+    mapped_deg = np.clip(free_deg, *limits)
+    wanted_deg = degrees.degrees_at(wanted_alpha(held_out))[:, None]
+    off_mm = (face.markers_mm(mapped_deg) - face.markers_mm(wanted_deg))[:, line]
+    off_deg = mapped_deg - wanted_deg
+    names = [capture.marker_names[i] for i in line]
+    errors = HoldOutErrors(
+        n_frames=len(held_out),
+        marker_rms_mm=float(np.sqrt(np.mean(np.sum(off_mm**2, axis=2)))),
+        lip_rms_mm=0.0,
+        nearest_lip_rms_mm=0.0,
+        gap_rms_mm=0.0,
+        gap_correlation=0.0,
+        n_closures=0,
+        closed_gap_mm=0.0,
+        clipped_share=float((free_deg != mapped_deg).mean()),
+        joint_rms_deg=(float(np.sqrt(np.mean(off_deg**2))),),
+        each_marker_rms_mm=each_marker_rms_mm(names, off_mm),
+    )
+    calibration = Calibration(
+        servo_names=capture.servo_names,
+        weights=weights,
+        bends=bends,
+        rest=model.rest,
+        rest_deg=rest_deg,
+        x_range=x_range,
+        min_deg=limits[0],
+        max_deg=limits[1],
+        errors=errors,
+        model_checksum=model.checksum,
+        face_checksum=face_checksum,
+        origin=Origin("jaw alone", date, len(capture), servo_models),
+        following=play_only(face.backlash_deg),
+    )
+    return calibration, warnings
+
+
+def jaw_agreement(model: FaceModel, calibration: Calibration, joint: int) -> float:
+    """Correlation of one joint with the talker's jaw, over the model's frames: a check."""
+    frames = model.animphos[:: max(1, len(model.animphos) // 200)].reshape(-1, model.n_components)
+    alpha = talkers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+    turned_deg = np.array([calibration.positions_deg(frame)[joint] for frame in frames])
+    if turned_deg.std() == 0.0 or alpha.std() == 0.0:
+        return 0.0
+    return float(np.corrcoef(alpha, turned_deg)[0, 1])

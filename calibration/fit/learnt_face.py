@@ -1,0 +1,107 @@
+"""Fit a calibration against the simulated face. Loads scikit-learn; the live path never does."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.linear_model import RidgeCV
+
+from calibration.calibration import Calibration, CalibrationError, linear_calibration_parts
+from calibration.coupling_rule import CouplingRule
+from calibration.fit.correspondence import RobotMouth, correspond
+from calibration.hold_out import HoldOutErrors, measure_hold_out
+from calibration.joint_range import JointRange
+from calibration.simulated.face import marker_positions_mm, simulated_face
+from lipsync.face.model import FaceModel
+from lipsync.markers import MARKER_NAMES
+
+Array = NDArray[np.float64]
+
+HOLD_OUT_SHARE = 0.2
+#: Half or twice as many changed the lip error on grid_s1 by less than 0.02 mm; 3 s to fit.
+MAX_ANIMPHOS = 1000
+#: From next to none (coefficients are millimetres, a fit has thousands of frames) to heavy.
+_RIDGE_STRENGTHS = np.logspace(-2, 6, 17)
+#: The file keeps this many digits, so the fit does as well and its errors are those of the file.
+SIGNIFICANT_DIGITS = 6
+
+
+def fit_calibration(
+    model: FaceModel,
+    joints: Sequence[JointRange],
+    face_checksum: str,
+    *,
+    rules: Sequence[CouplingRule] = (),
+    seed: int = 0,
+    max_animphos: int = MAX_ANIMPHOS,
+) -> Calibration:
+    """Ridge regression from coefficients to the angles that imitate them best.
+
+    Whole AnimPhos drawn by `seed` are held out and only measured. No intercept: the rest of the
+    model is 0 degrees exactly. One ridge strength serves all servos, so that what two servos do
+    together, such as the lip gap, is regressed as well as either.
+    Raises CalibrationError for a servo unknown to the simulated face, or fewer than 2 AnimPhos.
+    """
+    min_deg = np.array([joint.min_deg for joint in joints])
+    max_deg = np.array([joint.max_deg for joint in joints])
+    fit, held_out = _split(model, seed, max_animphos)
+    try:
+        neutral_mm = model.markers_mm(model.rest[None])[0]
+        face = simulated_face(neutral_mm, [joint.name for joint in joints])
+    except ValueError as error:
+        raise CalibrationError(str(error)) from error
+    names = correspond(MARKER_NAMES)
+    mouth = RobotMouth(partial(marker_positions_mm, face), names, (min_deg, max_deg), tuple(rules))
+    nearest_deg = mouth.nearest_deg(names.look.features(model.markers_mm(fit)))
+    weights = ridge_weights(fit - model.rest, nearest_deg)
+    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    return Calibration(
+        servo_names=face.servo_names,
+        weights=weights,
+        bends=bends,
+        rest=model.rest,
+        rest_deg=rest_deg,
+        x_range=x_range,
+        min_deg=min_deg,
+        max_deg=max_deg,
+        errors=_errors(model, mouth, weights, held_out),
+        model_checksum=model.checksum,
+        face_checksum=face_checksum,
+        rules=tuple(rules),
+    )
+
+
+def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
+    """(n, n_components), (n, n_servos) -> (n_servos, n_components), rounded as the file rounds.
+
+    The strength is chosen by leave-one-out errors within these frames.
+    """
+    ridge = RidgeCV(_RIDGE_STRENGTHS, fit_intercept=False).fit(from_rest, positions_deg)
+    coefficients = np.asarray(ridge.coef_, dtype=np.float64).reshape(positions_deg.shape[1], -1)
+    rounded = [float(f"{weight:.{SIGNIFICANT_DIGITS}g}") for weight in coefficients.ravel()]
+    return np.array(rounded).reshape(coefficients.shape)
+
+
+def _split(model: FaceModel, seed: int, max_animphos: int) -> tuple[Array, Array]:
+    """Frames (n, n_components) to fit and to hold out, of different AnimPhos."""
+    order = np.random.default_rng(seed).permutation(len(model.animphos))[:max_animphos]
+    if len(order) < 2:
+        raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
+    n_held_out = max(1, round(HOLD_OUT_SHARE * len(order)))
+    frames = model.animphos[order].reshape(len(order), -1, model.n_components)
+    return np.concatenate(frames[n_held_out:]), np.concatenate(frames[:n_held_out])
+
+
+def _errors(model: FaceModel, mouth: RobotMouth, weights: Array, held_out: Array) -> HoldOutErrors:
+    human_mm = model.markers_mm(held_out)
+    nearest_deg = mouth.nearest_deg(mouth.names.look.features(human_mm))
+    free_deg = (held_out - model.rest) @ weights.T
+    positions_deg = mouth.kept_deg(free_deg)
+    return measure_hold_out(
+        human_mm,
+        mouth.markers_of(positions_deg),
+        mouth.markers_of(nearest_deg),
+        positions_deg - nearest_deg,
+        (free_deg != positions_deg).any(axis=1),
+    )

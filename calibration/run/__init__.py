@@ -1,0 +1,1 @@
+"""What the live path uses of a calibration. NumPy only."""

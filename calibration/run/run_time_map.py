@@ -1,0 +1,96 @@
+"""The regression that runs: coefficients to servo angles, fitted to poses that were solved for.
+
+Angles are fitted where they show: errors are weighed by what they do to the lips at that pose, so
+that two servos that part the lips together err together. Loads NumPy only.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import pairs
+from calibration.run.inverse import Look, MarkersOf
+
+Array = NDArray[np.float64]
+
+#: Poses are noisy by a few tenths of a degree where the face hardly shows a joint; this keeps the
+#: quadratic terms from following that. In degrees per unit of a standardised feature, squared.
+_STRENGTH = 3.0
+#: Degrees that count as much as a weighted millimetre: also joints that show little stay tame.
+_ANGLE_WEIGHT_MM_PER_DEG = 0.05
+_DIFFERENCE_DEG = 0.5
+#: The file keeps this many digits, so the fit does as well and its errors are those of the file.
+SIGNIFICANT_DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class RunTimeMap:
+    """Parts of a `Calibration`, shaped as there."""
+
+    rest_deg: Array
+    weights: Array
+    bends: Array
+    x_range: Array
+
+    def free_deg(self, from_rest: Array) -> Array:
+        """(n, n_components) -> (n, n_servos), before the limits."""
+        x = np.clip(from_rest, *self.x_range)
+        first, second = pairs(x.shape[1])
+        products = x[:, first] * x[:, second] if self.bends.shape[1] else np.zeros((len(x), 0))
+        return np.asarray(self.rest_deg + x @ self.weights.T + products @ self.bends.T)
+
+
+def fit_run_time_map(
+    from_rest: Array, poses_deg: Array, markers_of: MarkersOf, look: Look
+) -> RunTimeMap:
+    """from_rest: (n, n_components); poses_deg: (n, n_servos), the pose wanted at each.
+
+    Generalised least squares: the metric of angle errors is the mean of J'J over the poses, J the
+    slope of the look's features. With one metric for all frames and one ridge for all features the
+    solution does not depend on the metric but for the ridge, so each principal direction of the
+    metric is regressed on its own, with a ridge in inverse proportion to how much it shows.
+    """
+    first, second = pairs(from_rest.shape[1])
+    features = np.hstack([from_rest, from_rest[:, first] * from_rest[:, second]])
+    centre, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
+    inputs = (features - centre) / spread
+    metric = _metric(poses_deg, markers_of, look)
+    shows, directions = np.linalg.eigh(metric)
+    outputs = poses_deg @ directions
+    middle = outputs.mean(axis=0)
+    solved = np.empty((inputs.shape[1], outputs.shape[1]))
+    for k, shown in enumerate(shows):
+        ridge = _STRENGTH * max(1.0, shows[-1] / shown / 100.0)
+        normal = inputs.T @ inputs + ridge * np.eye(inputs.shape[1])
+        solved[:, k] = np.linalg.solve(normal, inputs.T @ (outputs[:, k] - middle[k]))
+    slopes = (solved / spread[:, None]) @ directions.T
+    rest_deg = middle @ directions.T - centre @ slopes
+    n = from_rest.shape[1]
+    return RunTimeMap(
+        rest_deg=rounded(rest_deg),
+        weights=rounded(slopes[:n].T),
+        bends=rounded(slopes[n:].T),
+        x_range=rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)])),
+    )
+
+
+def rounded(values: Array) -> Array:
+    """As the file keeps them."""
+    kept = [float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in values.ravel()]
+    return np.array(kept).reshape(values.shape)
+
+
+def _metric(poses_deg: Array, markers_of: MarkersOf, look: Look) -> Array:
+    """(n_servos, n_servos): weighted square millimetres of a square degree, over all poses."""
+    n_servos = poses_deg.shape[1]
+    at = look.features(markers_of(poses_deg))
+    slopes = np.stack(
+        [
+            (look.features(markers_of(poses_deg + step)) - at) / _DIFFERENCE_DEG
+            for step in _DIFFERENCE_DEG * np.eye(n_servos)
+        ],
+        axis=2,
+    )
+    cost = np.einsum("nks,nkt->st", slopes, slopes) / len(poses_deg)
+    return np.asarray(cost + _ANGLE_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos))

@@ -1,0 +1,123 @@
+"""What has been heard of the servos of one face so far, servo by servo."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.dynamixel.handshake import ServoIdentity
+from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.wire.codec import Status
+from firmware_bridge.dynamixel.wire.line import FACTORY_RETURN_DELAY_S
+from firmware_bridge.dynamixel.wire.prepared_packets import CommonFrame
+from firmware_bridge.health import Health
+
+#: present_current .. present_position, as they lie in the control table.
+_MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+#: The same in a common frame.
+_MOTION_BLOCK = CommonFrame.block_of(_MOTION)
+#: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.
+_ROOM_DEGC = 45.0
+
+
+class Knowledge:
+    """The last word of every servo. Every array is (n_servos,), in the face's order.
+
+    pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
+    low, high: the servo's own limits in pulses; heard_s: when it answered last;
+    enabled: torque was switched on by us and not confirmed off since. errors and effort are given
+    away without a copy, so they are replaced and never written into.
+    """
+
+    def __init__(self, servos: Sequence[MountedServo]) -> None:
+        n = len(servos)
+        self._ids = tuple(servo.joint.servo_id for servo in servos)
+        self._index = {servo.joint.servo_id: k for k, servo in enumerate(servos)}
+        self.low = np.zeros(n)
+        self.high = np.full(n, PULSES_PER_TURN - 1.0)
+        self.return_delay_s = np.full(n, FACTORY_RETURN_DELAY_S)
+        self.hottest = np.array([float(s.model.defaults["temperature_limit"]) for s in servos])
+        units = [s.model.current_unit_ma for s in servos]
+        stalls = [s.model.stall_a * 1e3 for s in servos]
+        # Models without a current sensor count load in 0.1 %.
+        self._effort_unit = np.array(
+            [unit / stall if unit else 1e-3 for unit, stall in zip(units, stalls, strict=True)]
+        )
+        self._milliamperes = np.array(
+            [stall if unit else np.nan for unit, stall in zip(units, stalls, strict=True)]
+        )
+        self.pulses = np.full(n, np.nan)
+        self.goals = np.full(n, np.nan)
+        self.effort = np.zeros(n)
+        self.no_errors = np.zeros(n, dtype=np.uint8)
+        self.no_errors.flags.writeable = False
+        self.errors = self.no_errors
+        self._no_error_bytes = bytes(n)
+        self.heard_s = np.full(n, -np.inf)
+        self.torque = np.zeros(n, dtype=np.bool_)
+        self.enabled = np.zeros(n, dtype=np.bool_)
+        self.tripped = np.zeros(n, dtype=np.bool_)
+        self.hardware = np.zeros(n, dtype=np.uint8)
+        self.temperature_degc = np.full(n, np.nan)
+        self.room_degc = np.full(n, _ROOM_DEGC)
+        self.voltage_v = np.full(n, np.nan)
+        self.unanswered = np.zeros(n, dtype=np.int64)
+
+    def take_identity(self, index: int, said: ServoIdentity, now_s: float) -> None:
+        """Its own limits and manners, as its EEPROM says."""
+        self.low[index] = said.eeprom["min_position_limit"]
+        self.high[index] = said.eeprom["max_position_limit"]
+        self.hottest[index] = said.eeprom["temperature_limit"]
+        self.return_delay_s[index] = said.return_delay_s
+        self.heard_s[index] = now_s
+
+    def note(self, statuses: Sequence[Status], now_s: float) -> None:
+        """Remember who answered, and with what error."""
+        if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
+            self.heard_s.fill(now_s)
+            if statuses.errors == self._no_error_bytes:  # nearly always so
+                return
+        for status in statuses:
+            n = self._index[status.servo_id]
+            self.heard_s[n] = now_s
+            if status.error:
+                self.errors = self.errors.copy()
+                self.errors[n] = status.error
+
+    def take_motion(self, statuses: Sequence[Status]) -> None:
+        """Ten bytes each from present_current on."""
+        if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
+            values = statuses.values(_MOTION_BLOCK)
+            self.pulses[:] = values["position"]
+            self.effort = np.abs(values["current"]) * self._effort_unit
+            return
+        if not statuses:
+            return
+        at = [self._index[status.servo_id] for status in statuses]
+        values = np.frombuffer(b"".join([status.data for status in statuses]), dtype=_MOTION)
+        self.pulses[at] = values["position"]
+        self.effort = self.effort.copy()
+        self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
+
+    def ages(self, found: Sequence[Status], now_s: float) -> NDArray[np.float64]:
+        """How old each servo's part of a reading is; 0 for those just found."""
+        if isinstance(found, CommonFrame) and found.ids == self._ids:
+            return np.zeros(len(self._ids))
+        ages = np.maximum(now_s - self.heard_s, 1e-9)
+        ages[[self._index[status.servo_id] for status in found]] = 0.0
+        return ages
+
+    def health(self, now_s: float) -> Health:
+        """A copy for others to keep."""
+        return Health(
+            silent_s=np.maximum(0.0, now_s - self.heard_s),
+            torque_on=self.torque.copy(),
+            watchdog_tripped=self.tripped.copy(),
+            hardware_errors=self.hardware.copy(),
+            temperature_degc=self.temperature_degc.copy(),
+            room_degc=self.room_degc.copy(),
+            voltage_v=self.voltage_v.copy(),
+            effort=self.effort,
+            current_ma=self.effort * self._milliamperes,
+            n_unanswered=self.unanswered.copy(),
+        )

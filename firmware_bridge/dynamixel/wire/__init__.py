@@ -1,0 +1,1 @@
+"""DYNAMIXEL Protocol 2.0 on a half-duplex line: packets, questions, answers, deadlines."""

@@ -1,0 +1,221 @@
+"""Questions to servos, and their answers, on one half-duplex line."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, MAX_ID, Status
+from firmware_bridge.dynamixel.wire.half_duplex import HalfDuplex
+from firmware_bridge.dynamixel.wire.owed_answers import ANYBODY, OwedAnswers
+from firmware_bridge.dynamixel.wire.prepared_packets import GoalWrite, SpanRead
+from firmware_bridge.dynamixel.wire.transport import Transport
+
+__all__ = ["FACTORY_RETURN_DELAY_S", "GoalWrite", "Line", "SpanRead"]
+
+#: Return delay of a servo fresh from the factory: 250 x 2 us.
+FACTORY_RETURN_DELAY_S: Final = 0.0005
+#: What a ping is answered with: model number (2 bytes), firmware version (1). The same bytes lie at
+#: 0 and 6 of every control table.
+_PONG_SIZE: Final = 3
+_IDENTITY_SIZE: Final = 7
+
+
+class Line(HalfDuplex):
+    """Master of the line. No answer counts that could be the late one to another question.
+
+    Not thread-safe: one owner. Every method raises PortError when the port fails; a servo that
+    does not answer is no error but a missing status.
+    """
+
+    def __init__(
+        self, transport: Transport, return_delay_s: float = FACTORY_RETURN_DELAY_S
+    ) -> None:
+        """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
+        super().__init__(transport, return_delay_s)
+        self._owed = OwedAnswers()
+
+    def ping(self, servo_id: int, patience_s: float = 0.0) -> Status | None:
+        """Model number (2 bytes) and firmware version (1)."""
+        request = codec.ping(servo_id)
+        if self._owes() and self._owed.looks_like(servo_id, _PONG_SIZE, request):
+            status = self.read(servo_id, 0, _IDENTITY_SIZE, patience_s)
+            if status is None or len(status.data) != _IDENTITY_SIZE:
+                return None
+            return status._replace(data=status.data[:2] + status.data[-1:])
+        return self._ask_one(servo_id, request, _PONG_SIZE, patience_s)
+
+    def ping_each(self, servo_id: int) -> list[Status]:
+        """Every answer to one ping: two servos of one id give two, unless they spoil each other."""
+
+        def take(stream: bytes, *, last: bool) -> list[Status] | None:
+            return self._statuses(stream) if last else None
+
+        if self._owes() and self._owed.free_size((servo_id,), _PONG_SIZE) != _PONG_SIZE:
+            self._wait_for_owed()
+        request = codec.ping(servo_id)
+        n_bytes = 2 * (codec.EMPTY_STATUS_SIZE + _PONG_SIZE)
+        statuses = self._converse(request, n_bytes, take, patience_s=FACTORY_RETURN_DELAY_S)
+        if not statuses:
+            self._owed.note(servo_id, _PONG_SIZE, request, self._clock.now())
+        return [s for s in statuses if s.servo_id == servo_id and len(s.data) == _PONG_SIZE]
+
+    def ping_all(self) -> list[Status]:
+        """Everybody there is, by one broadcast; takes 253 turns of 14 bytes.
+
+        Two servos of one id spoil each other's answer: neither is in the list.
+        """
+
+        def take(stream: bytes, *, last: bool) -> list[Status] | None:
+            return self._statuses(stream) if last else None
+
+        self._wait_for_owed()
+        request = codec.ping(BROADCAST_ID)
+        n_bytes = (MAX_ID + 1) * (codec.EMPTY_STATUS_SIZE + _PONG_SIZE)
+        statuses = self._converse(request, n_bytes, take)
+        self._owed.note(ANYBODY, _PONG_SIZE, request, self._clock.now())
+        return [status for status in statuses if len(status.data) == _PONG_SIZE]
+
+    def read(
+        self, servo_id: int, address: int, size: int, patience_s: float = 0.0
+    ) -> Status | None:
+        """`size` bytes of one servo. patience_s: waited for longer than an answer should take."""
+        if self._owes():
+            span = SpanRead((servo_id,), address, size, fast=False)
+            wide = span.widened(self._owed.free_size(span.ids, size))
+            request = codec.read(servo_id, wide.address, wide.size)
+            status = self._ask_one(servo_id, request, wide.size, patience_s, exact=True)
+            return None if status is None else span.cut([status], wide.address)[0]
+        return self._ask_one(servo_id, codec.read(servo_id, address, size), size, patience_s)
+
+    def write(
+        self, servo_id: int, address: int, data: bytes, patience_s: float = 0.0
+    ) -> Status | None:
+        """Set bytes of one servo, and hear whether it took them; EEPROM may need patience."""
+        request = codec.write(servo_id, address, data)
+        if self._acknowledgement_is_ambiguous(servo_id, request):
+            self._tell_one(servo_id, request, patience_s)
+            status = self.read(servo_id, address, len(data))
+            return status._replace(data=b"") if status is not None and status.data == data else None
+        return self._ask_one(servo_id, request, 0, patience_s)
+
+    def reboot(self, servo_id: int) -> Status | None:
+        """Restart one servo. None also when its answer could not be told from another."""
+        request = codec.reboot(servo_id)
+        if self._acknowledgement_is_ambiguous(servo_id, request):
+            self._tell_one(servo_id, request, 0.0)
+            return None
+        return self._ask_one(servo_id, request, 0)
+
+    def tell(self, request: bytes) -> None:
+        """Send what nobody answers: a sync write, or anything to everybody but a ping."""
+        self._send(request)
+
+    def sync_read(self, span: SpanRead) -> Sequence[Status]:
+        """The statuses that came, in the order asked; none is waited for beyond its time."""
+        if not self._owes():
+            return self._ask_span(span)
+        if span.fast:
+            n, frame = len(span.ids), span.answer_size
+            wider = self._owed.free_size((BROADCAST_ID,), frame, step=n)
+            wide = span.widened(span.size + (wider - frame) // n)
+        else:
+            wide = span.widened(self._owed.free_size(span.ids, span.size))
+        statuses = self._ask_span(wide)
+        return statuses if wide.size == span.size else span.cut(statuses, wide.address)
+
+    def _ask_span(self, span: SpanRead) -> Sequence[Status]:
+        n = len(span.ids)
+
+        def take(stream: bytes, *, last: bool) -> Sequence[Status] | None:
+            statuses = span.take_undisturbed(stream)
+            if statuses is None:
+                statuses = self._salvage(span, stream)
+            return statuses if last or len(statuses) == n else None
+
+        statuses = self._converse(span.request, span.reply_size, take, span.is_over, n_turns=n)
+        if self._owed.any:
+            self._note_late(self._heard, asked_size=span.answer_size)
+        if len(statuses) != n:
+            self._note_missing(span, statuses)
+        return statuses
+
+    def _salvage(self, span: SpanRead, stream: bytes) -> list[Status]:
+        """Whatever is whole in a disturbed stream."""
+        if span.fast:
+            return span.salvage_fast(stream)
+        by_id = {s.servo_id: s for s in self._statuses(stream) if len(s.data) == span.size}
+        return [by_id[each] for each in span.ids if each in by_id]
+
+    def _note_missing(self, span: SpanRead, statuses: Sequence[Status]) -> None:
+        """Who of those asked may answer yet; a common frame comes as a whole."""
+        now_s = self._clock.now()
+        if span.fast:
+            self._owed.note(BROADCAST_ID, span.answer_size, span.request, now_s)
+            return
+        for servo_id in {*span.ids} - {status.servo_id for status in statuses}:
+            self._owed.note(servo_id, span.size, span.request, now_s)
+
+    def _ask_one(
+        self,
+        servo_id: int,
+        request: bytes,
+        n_data: int,
+        patience_s: float = 0.0,
+        *,
+        exact: bool = False,
+    ) -> Status | None:
+        """exact: a refusal does not count either, for it may be owed by an earlier question."""
+        size = codec.EMPTY_STATUS_SIZE + n_data
+
+        def take(stream: bytes, *, last: bool) -> list[Status] | None:
+            if len(stream) == size:
+                status = codec.undisturbed_status(stream)
+                if status is not None and status.servo_id == servo_id:
+                    return [status]
+            found = [
+                status
+                for status in self._statuses(stream)
+                if status.servo_id == servo_id
+                and (len(status.data) == n_data or (status.error & 0x7F and not exact))
+            ]
+            return found[:1] if found or last else None
+
+        found = self._converse(request, size, take, patience_s=patience_s)
+        if self._owed.any:
+            self._note_late(self._heard, asked_size=n_data)
+        if not found:
+            self._owed.note(servo_id, n_data, request, self._clock.now())
+            return None
+        return found[0]
+
+    def _owes(self) -> bool:
+        """Whether an answer to an earlier question may come yet; takes note of those that have."""
+        if not self._owed.any:
+            return False
+        self._note_late(self.transport.discard_input(), asked_size=None)
+        return self._owed.expire(self._clock.now())
+
+    def _note_late(self, stream: bytes, asked_size: int | None) -> None:
+        """Cross off what came for earlier questions; not what may answer the one just asked."""
+        for status in self._statuses(stream):
+            if len(status.data) != asked_size:
+                self._owed.came(status.servo_id, len(status.data))
+
+    def _acknowledgement_is_ambiguous(self, servo_id: int, request: bytes) -> bool:
+        """All acknowledgements look alike; one for the same bytes, written again, is as good."""
+        if self.patience_s:
+            self._wait_for_owed()
+        return self._owes() and self._owed.looks_like(servo_id, 0, request)
+
+    def _tell_one(self, servo_id: int, request: bytes, patience_s: float) -> None:
+        """Send, and leave the line to whatever it is answered with."""
+        sent_s = self._send(request)
+        answer_s = codec.EMPTY_STATUS_SIZE * self.byte_s + self.return_delay_s + patience_s
+        self._quiet_s = sent_s + answer_s
+        self._owed.note(servo_id, 0, request, sent_s)
+
+    def _wait_for_owed(self) -> None:
+        """Until nothing can come any more; for what is in no hurry."""
+        if self._owes():
+            self._clock.sleep_until(self._owed.until_s)
+            self._owed.expire(self._clock.now())

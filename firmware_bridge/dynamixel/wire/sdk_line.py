@@ -1,0 +1,162 @@
+"""The vendor's dynamixel-sdk in place of our own codec: for compatibility and for comparison.
+
+It polls, and gives no partial reads: one silent servo costs a group all its samples
+(docs/benchmarks.md). Its failures of the port, three kinds of exception, become PortGone here.
+"""
+
+import struct
+import termios
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
+
+from firmware_bridge.bus import PortError, PortGone
+from firmware_bridge.clock import Clock, MonotonicClock
+from firmware_bridge.dynamixel.wire.codec import Instruction, Status
+from firmware_bridge.dynamixel.wire.frames import FrameParser
+from firmware_bridge.dynamixel.wire.line import Line, SpanRead
+from firmware_bridge.dynamixel.wire.serial_transport import claim, explain, release
+
+_Result = TypeVar("_Result")
+
+
+class SdkTransport:
+    """The SDK's port, held open for one `SdkLine`."""
+
+    def __init__(self, port: str, baud_rate: int) -> None:
+        """Raises PortError when the SDK cannot open the port at this rate."""
+        self.port = port
+        self.clock: Clock = MonotonicClock()
+        self.handler = PortHandler(port)
+        try:
+            opened = self.handler.openPort() and self.handler.setBaudRate(baud_rate)
+            if opened:
+                claim(self.handler.ser.fileno())
+        except OSError as error:
+            self.close()
+            raise PortError(explain(port, error)) from error
+        except termios.error as error:
+            raise PortError(f"{port}: is not a serial port") from error
+        if not opened:
+            raise PortError(f"{port}: dynamixel-sdk cannot open it at {baud_rate:,} baud")
+        self._baud_rate = baud_rate
+
+    @property
+    def baud_rate(self) -> int:
+        """Bits a second on the wire."""
+        return self._baud_rate
+
+    @baud_rate.setter
+    def baud_rate(self, baud_rate: int) -> None:
+        self._baud_rate = baud_rate
+        self.call(lambda: self._reopen(baud_rate))
+
+    def _reopen(self, baud_rate: int) -> None:
+        """The SDK sets a rate by opening the port anew, which a claim would refuse even to us."""
+        release(self.handler.ser.fileno())
+        self.handler.setBaudRate(baud_rate)
+        claim(self.handler.ser.fileno())
+
+    def call(self, ask: Callable[[], _Result]) -> _Result:
+        """Let the SDK work; a port that fails in between is gone, and not left marked as used."""
+        try:
+            return ask()
+        except (OSError, termios.error) as error:  # OSError: pyserial's exceptions, too
+            raise PortGone(f"{self.port}: gone ({error}); plug the adapter in again") from error
+        finally:
+            self.handler.is_using = False
+
+    def write(self, data: bytes) -> None:
+        """Send bytes as they are."""
+        self.call(lambda: self.handler.writePort(data))
+
+    def read(self, deadline_s: float) -> bytes:
+        """Whatever the SDK's port holds; it does not wait."""
+        del deadline_s
+        return bytes(self.call(lambda: self.handler.readPort(4096)))
+
+    def discard_input(self) -> bytes:
+        """Throw away what has arrived."""
+        self.call(self.handler.clearPort)
+        return b""
+
+    def close(self) -> None:
+        """Give the port back."""
+        if self.handler.is_open:
+            release(self.handler.ser.fileno())
+            self.handler.closePort()
+
+
+class SdkLine(Line):
+    """A `Line` whose every packet is made and read by dynamixel-sdk."""
+
+    def __init__(self, transport: SdkTransport) -> None:
+        super().__init__(transport)
+        self._sdk = transport
+        self._packets = PacketHandler(2.0)
+
+    def ping(self, servo_id: int, patience_s: float = 0.0) -> Status | None:
+        """Model number (2 bytes) and firmware version, which the SDK leaves out, as 0."""
+        del patience_s  # the SDK's own is 34 ms
+        ask = self._packets.ping
+        number, result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
+        return Status(servo_id, error, struct.pack("<HB", number, 0)) if not result else None
+
+    def ping_all(self) -> list[Status]:
+        """Everybody there is."""
+        found, _ = self._sdk.call(lambda: self._packets.broadcastPing(self._sdk.handler))
+        return [Status(each, 0, struct.pack("<HB", *said)) for each, said in found.items()]
+
+    def read(
+        self, servo_id: int, address: int, size: int, patience_s: float = 0.0
+    ) -> Status | None:
+        """`size` bytes of one servo."""
+        del patience_s
+        ask = self._packets.readTxRx
+        data, result, error = self._sdk.call(
+            lambda: ask(self._sdk.handler, servo_id, address, size)
+        )
+        return Status(servo_id, error, bytes(data)) if result == COMM_SUCCESS else None
+
+    def write(
+        self, servo_id: int, address: int, data: bytes, patience_s: float = 0.0
+    ) -> Status | None:
+        """Set bytes of one servo; the SDK's own patience is 34 ms."""
+        del patience_s
+        ask = self._packets.writeTxRx
+        result, error = self._sdk.call(
+            lambda: ask(self._sdk.handler, servo_id, address, len(data), list(data))
+        )
+        return Status(servo_id, error, b"") if result == COMM_SUCCESS else None
+
+    def reboot(self, servo_id: int) -> Status | None:
+        """Restart one servo."""
+        ask = self._packets.reboot
+        result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
+        return Status(servo_id, error, b"") if result == COMM_SUCCESS else None
+
+    def tell(self, request: bytes) -> None:
+        """A sync write, made anew by the SDK."""
+        (frame,) = FrameParser().feed(request)
+        if frame.instruction != Instruction.SYNC_WRITE:
+            raise ValueError(f"dynamixel-sdk is not asked to send instruction {frame.instruction}")
+        address, size = struct.unpack_from("<HH", frame.parameters)
+        group = GroupSyncWrite(self._sdk.handler, self._packets, address, size)
+        for at in range(4, len(frame.parameters), size + 1):
+            block = frame.parameters[at : at + size + 1]
+            group.addParam(block[0], list(block[1:]))
+        self._sdk.call(group.txPacket)
+
+    def sync_read(self, span: SpanRead) -> Sequence[Status]:
+        """All or nothing, and without error bytes: the SDK throws them away."""
+        group = GroupSyncRead(self._sdk.handler, self._packets, span.address, span.size)
+        for servo_id in span.ids:
+            group.addParam(servo_id)
+        try:
+            result = self._sdk.call(group.fastSyncRead if span.fast else group.txRxPacket)
+        except IndexError:  # a late answer of another length meets a fast read
+            return []
+        if result != COMM_SUCCESS:
+            return []
+        return [Status(each, 0, bytes(group.data_dict[each])) for each in span.ids]

@@ -1,0 +1,164 @@
+"""One question to many servos, asked in the way that gets the most answers."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from firmware_bridge.dynamixel.wire.codec import EMPTY_STATUS_SIZE, Status
+from firmware_bridge.dynamixel.wire.line import Line, SpanRead
+
+#: Silent this often in a row: asked last from now on, since a silent servo may cut off the rest.
+_SUSPECT_AFTER: Final = 2
+#: Silent this often in a row: not asked at all, but for a try now and then.
+_ABSENT_AFTER: Final = 5
+_RETRY_EVERY: Final = 200
+#: Fast reads lose everything behind a lost part. So many bad ones among the last hundred, and each
+#: servo gets a frame of its own again. After a while the fast way is tried once more; after each
+#: relapse the while is twice as long, up to ten minutes at 100 Hz. Some servos do not know fast
+#: reads at all: until one has come whole, whoever it lacks is asked in the plain way, too.
+_BAD_FAST_READS: Final = 2
+_FAST_WINDOW: Final = 100
+_SLOW_FOR: Final = 2_000
+_SLOW_AT_MOST: Final = 64_000
+#: Time on the wire that asking again for lost parts may take within a cycle: six of ten bytes each
+#: at 1 Mbaud, none at 57,600 baud. With the wait for the first answers it stays below 6 ms.
+_AGAIN_S: Final = 0.0015
+
+
+class SpanGroup:
+    """The same bytes of all `ids`, fast while that works, with the unreliable ones asked last."""
+
+    def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
+        self._ids = tuple(ids)
+        self._address = address
+        self._size = size
+        self.reset()
+
+    def reset(self) -> None:
+        """Think well of everybody again."""
+        self._proven = False
+        self._ever_proven = False
+        self._n_refused = 0
+        self._asked_again: set[int] = set()
+        self._silent = dict.fromkeys(self._ids, 0)
+        self.answers: Sequence[Status] = []
+        self.asked = SpanRead(self._ids, self._address, self._size, fast=True)
+        self._n_asked = self._n_bad = self._slow_until = 0
+        self._slow_for = _SLOW_FOR
+        self._prepare()
+
+    @property
+    def fast(self) -> bool:
+        """Whether the next question is a fast one."""
+        return self._n_asked >= self._slow_until
+
+    @property
+    def fast_unsupported(self) -> bool:
+        """Whether fast questions are met with silence, always, and plain ones are not."""
+        return self._n_refused >= _BAD_FAST_READS and not self._ever_proven
+
+    def ask(self, line: Line) -> Sequence[Status]:
+        """Ask; the answers that came, whole ones only, in no particular order."""
+        if self._n_asked == self._slow_until or self._n_asked % _RETRY_EVERY == 0:
+            self._prepare(retry=self._n_asked % _RETRY_EVERY == 0)
+        span = self.asked = self._span
+        statuses = line.sync_read(span)
+        self._n_asked += 1
+        if len(statuses) == len(span.ids):
+            if span.fast and not self._proven:
+                self._proven = self._ever_proven = True
+            if len(span.ids) != len(self._ids) or self._doubted:
+                self._judge(span, statuses, [])
+        else:
+            again = self._ask_again(line, statuses)
+            self._judge(span, statuses, again)
+            statuses = [*statuses, *again]
+        self.answers = statuses
+        return statuses
+
+    def _ask_again(self, line: Line, statuses: Sequence[Status]) -> Sequence[Status]:
+        """The rest of the same question, one frame a servo, as far as there is time for it.
+
+        Not when nobody was heard, for then it is not single packets that are lost; and not those
+        who are silent for longer. The first one missing comes last: it may cut off the others.
+        While the fast way has yet to prove itself, it costs time but no answers: all are asked.
+        """
+        on_trial = self.asked.fast and not self._proven
+        if not statuses and not on_trial:
+            return []
+        answered = {status.servo_id for status in statuses}
+        missing = [
+            each
+            for each in self.asked.ids
+            if each not in answered and self._silent[each] < _SUSPECT_AFTER
+        ]
+        n_fit = int(_AGAIN_S / line.byte_s / (self._size + EMPTY_STATUS_SIZE + 1))
+        ids = missing[1:] + missing[:1]
+        if not on_trial:
+            ids = ids[:n_fit]
+        if not ids:
+            return []
+        self._asked_again = {*ids}
+        again = line.sync_read(SpanRead(ids, self._address, self._size, fast=False))
+        self._n_refused += bool(on_trial and not statuses and again)
+        return again
+
+    def trust(self, servo_id: int) -> None:
+        """It has been heard elsewhere: ask it again, if it was left out."""
+        if self._silent[servo_id] >= _ABSENT_AFTER:
+            self._silent[servo_id] = 0
+            self._prepare()
+
+    def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
+        """Who is to blame for what is missing; `again` answered only when asked a second time."""
+        at_once = {status.servo_id for status in statuses}
+        late = {status.servo_id for status in again}
+        answered = at_once | late
+        cut_off = [each for each in span.ids if each not in at_once]
+        missing = [each for each in cut_off if each not in late]
+        self._doubted = bool(missing)
+        changed = False
+        for servo_id in answered:
+            changed |= self._silent[servo_id] >= _SUSPECT_AFTER
+            self._silent[servo_id] = 0
+        # Those behind the first silent one may only have been cut off. Nor are all to blame where
+        # nobody answers at all: line or computer stood still, and come back with everybody.
+        first_only = span.fast or not answered
+        blamed = [each for each in cut_off[:1] if each in missing] if first_only else missing
+        most = _ABSENT_AFTER if answered else _SUSPECT_AFTER
+        for servo_id in blamed:
+            self._silent[servo_id] = max(
+                self._silent[servo_id], min(self._silent[servo_id] + 1, most)
+            )
+            changed |= self._silent[servo_id] >= _SUSPECT_AFTER
+        if span.fast and cut_off and answered:
+            changed = True
+            if not (late and self._asked_again - late <= {cut_off[0]} and cut_off[0] in missing):
+                self._count_bad_fast(cut_off)  # else it is one servo that is silent
+        if changed:
+            self._prepare()
+
+    def _count_bad_fast(self, missing: list[int]) -> None:
+        """A servo known to be away is no fault of the fast way."""
+        if all(self._silent[each] >= _SUSPECT_AFTER for each in missing):
+            return
+        if self._n_asked % _FAST_WINDOW == 0:
+            self._n_bad = 0
+        self._n_bad += 1
+        if self._n_bad >= _BAD_FAST_READS:
+            self._n_bad = 0
+            self._proven = False
+            self._slow_until = self._n_asked + self._slow_for
+            self._slow_for = min(2 * self._slow_for, _SLOW_AT_MOST)
+
+    def _prepare(self, *, retry: bool = False) -> None:
+        """Put the suspects last and leave the absent out, unless it is time to try them."""
+        trusted = [each for each in self._ids if self._silent[each] < _SUSPECT_AFTER]
+        doubtful = [
+            each
+            for each in self._ids
+            if self._silent[each] >= _SUSPECT_AFTER
+            and (retry or self._silent[each] < _ABSENT_AFTER)
+        ]
+        ids = trusted + doubtful or list(self._ids)
+        self._doubted = len(ids) != len(self._ids) or bool(doubtful)
+        self._span = SpanRead(ids, self._address, self._size, fast=self.fast)

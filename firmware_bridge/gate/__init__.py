@@ -1,0 +1,1 @@
+"""What every goal must pass: limits, braking, rules between joints, tracking."""

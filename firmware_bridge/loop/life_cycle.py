@@ -1,0 +1,292 @@
+"""From the first torque to the last: start, ticks, stops from wherever they come, and the end."""
+
+import contextlib
+import signal
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from types import FrameType
+from typing import Any, Final, Protocol, Self
+
+from firmware_bridge.bus import BusError, ServoError
+from firmware_bridge.clock import Clock, ticks
+from firmware_bridge.health import ServoHealth
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import FaceState
+from firmware_bridge.stopping import StopLevel, StopReport
+
+#: What a person, a dropped connection, a service manager or a keyboard ends a program with.
+STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+#: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
+_WAIT_FOR_PORT_S: Final = 30.0
+#: The end after a second signal or an error: whoever has not confirmed by then is reported.
+_LAST_TRIES_S: Final = 0.5
+#: A trouble is told when it has lasted so long; a servo that misses one answer is none.
+_TROUBLE_LASTS_S: Final = 1.0
+_HEALTH_EVERY_S: Final = 10.0
+_REMARKS_EVERY_S: Final = 1.0
+
+
+class LetGo(BaseException):
+    """A second signal: whatever the program is doing, the servos are let go now."""
+
+
+class Control(Protocol):
+    """Where stops are asked for: `ControlSocket`."""
+
+    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
+        """The stop that was asked for, if any; never waits."""
+
+    def report_end(self, report: Mapping[str, object]) -> None:
+        """Tell those who asked for a stop how it ended."""
+
+
+class SignsOfLife(Protocol):
+    """What a supervisor hears: `Lifeline`."""
+
+    def beat(self) -> None:
+        """The loop is alive."""
+
+    def stopped(self, level: StopLevel) -> None:
+        """A person asked for a stop."""
+
+    def failed(self, index: int, reason: str) -> None:
+        """A servo was given up for good."""
+
+
+class LifeCycle:
+    """Whatever may switch torque on lives in one of these, from `__enter__` to `__exit__`.
+
+    ::
+
+        with bus, LifeCycle(bridge, clock, rate_hz=30.0) as life:
+            life.start()
+            for time_s, late in life.ticks():
+                bridge.tick(time_s, late)
+
+    However the block is left, the face is brought to rest and let go, and `report` says what each
+    servo confirmed. A first signal (INT, TERM, HUP, QUIT) stops softly, a second one lets go at
+    once; after an error nothing is eased. While the port is gone, a stop by a signal waits for it
+    for half a minute, a stop through the control socket as long as it takes.
+    """
+
+    def __init__(
+        self,
+        bridge: Bridge,
+        clock: Clock,
+        *,
+        rate_hz: float,
+        control: Control | None = None,
+        lifeline: SignsOfLife | None = None,
+        log: Callable[[str], None] = lambda _line: None,
+        status: Callable[[], Mapping[str, object]] = dict,
+        on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None,
+        stopped: StopLevel | None = None,
+    ) -> None:
+        """log: one line of what happened; must return at once, as must on_health (every 10 s).
+
+        status: what the control socket answers. stopped: a person's stop that an earlier process
+        of this face was given; FREEZE: what holds is held, and nothing is armed.
+        """
+        self._bridge = bridge
+        self._clock = clock
+        self._rate_hz = rate_hz
+        self._grid = ticks(clock, rate_hz)
+        self._control = control
+        self._lifeline = lifeline
+        self._log = log
+        self._status = status
+        self._on_health = on_health
+        self._stopped = stopped
+        self._n_signals = 0
+        self._letting_go = False
+        self._asked: StopLevel | None = None
+        self._by_signal = self._bounded = False
+        self._give_up_s: float | None = None
+        self._handlers: dict[int, Any] = {}
+        self._told_up_to = bridge.n_trouble_changes
+        self._trouble_since_s: float | None = None
+        self._told_trouble = False
+        self._was_plugged = True
+        self._n_given_up = len(bridge.given_up)
+        self._health_due_s = clock.now() + _HEALTH_EVERY_S
+        self._n_remarks = 0
+        self._remarks_due_s = clock.now() + _REMARKS_EVERY_S
+        #: The first signal that came, if any.
+        self.signal_number: int | None = None
+        #: Whether a person asked for the end, by a signal or through the control socket.
+        self.stopped_by_person = False
+        #: What is known of the servos; after the block.
+        self.report: StopReport | None = None
+
+    @property
+    def stopping(self) -> bool:
+        """Whether somebody asked for the end, or it was reached."""
+        return self._asked is not None
+
+    def start(self) -> None:
+        """Arm the face, or take over a frozen one. Raises what `Bridge.start` raises."""
+        if self._stopped is StopLevel.FREEZE:
+            self._bridge.start_frozen()
+        else:
+            self._bridge.start(self._goes_on)
+
+    def stop(self, level: StopLevel = StopLevel.SOFT) -> None:
+        """The program has come to its end: bring the face to rest; `ticks` goes on until it is."""
+        self._bounded = True
+        self._stop(level)
+
+    def ticks(self) -> Iterator[tuple[float, int]]:
+        """(time, ticks missed before it) on the grid, until the face is limp after a stop."""
+        for time_s, late in self._grid:
+            self._attend(time_s)
+            if self._bridge.state is FaceState.ENDED or self._port_is_lost(time_s):
+                return
+            yield time_s, late
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in STOP_SIGNALS:
+                # Whoever started us may have asked for some to be ignored, as nohup does.
+                if signal.getsignal(number) is not signal.SIG_IGN:
+                    self._handlers[number] = signal.signal(number, self._on_signal)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, _: object
+    ) -> bool:
+        try:
+            with contextlib.suppress(LetGo):
+                self._end(kind)
+            if self._bridge.state is not FaceState.ENDED:
+                self._let_go()
+        finally:
+            self._letting_go = True  # from here on a signal has nothing left to hurry
+            self.report = self._bridge.stop_report()
+            # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
+            if self._control is not None and (self.report.complete or self._lifeline is None):
+                self._control.report_end(self.report.as_dict())
+            self._log(self.report.text())
+            for number, handler in self._handlers.items():
+                signal.signal(number, handler)
+        if error is not None and not self.report.complete:
+            error.add_note(self.report.text())
+        if kind is None and self._bridge.failure:
+            raise ServoError(self._bridge.failure)
+        return kind is LetGo
+
+    def _end(self, kind: type[BaseException] | None) -> None:
+        """Softly after a normal end or an error elsewhere; not after one of servos or port."""
+        if kind is not None and issubclass(kind, (LetGo, BusError)):
+            return
+        if self._bridge.state is FaceState.STOPPED:
+            return  # never started: nothing was switched on
+        if self._bridge.state is FaceState.FROZEN:
+            self._log("frozen: held until the next stop")  # a program's end undoes no person's stop
+        elif self._asked is None:
+            self.stop()
+        self._bounded = True
+        for time_s, late in self.ticks():
+            self._bridge.tick(time_s, late)
+
+    def _let_go(self) -> None:
+        """Torque off now, with a few more tries for those who do not confirm."""
+        self._letting_go = True
+        self._bridge.stop(StopLevel.LIMP)
+        until_s = self._clock.now() + _LAST_TRIES_S
+        # A grid of its own: an exception may have struck inside the other one.
+        for time_s, late in ticks(self._clock, self._rate_hz):
+            if self._bridge.state is FaceState.ENDED or time_s >= until_s:
+                return
+            self._bridge.tick(time_s, late)
+
+    def _on_signal(self, number: int, _frame: FrameType | None) -> None:
+        """A note, which cannot leave a tick half done; the second one breaks into anything."""
+        self._n_signals += 1
+        self.stopped_by_person = True
+        if self.signal_number is None:
+            self.signal_number = number
+        if self._n_signals > 1 and not self._letting_go:
+            self._letting_go = True
+            raise LetGo
+
+    def _goes_on(self) -> bool:
+        """Between the servos of a start."""
+        if self._lifeline is not None:
+            self._lifeline.beat()
+        if self._asked is None:
+            self._hear_control()
+        return self._asked is None and not self._n_signals
+
+    def _attend(self, time_s: float) -> None:
+        """Signs of life, stops, and what there is to tell."""
+        if self._lifeline is not None:
+            self._lifeline.beat()
+        if self._n_signals and not self._by_signal:
+            self._by_signal = True
+            self._log(f"stopping: {signal.Signals(self.signal_number or 0).name}")
+            self.stop()
+        self._hear_control()
+        self._tell(time_s)
+        if self._on_health is not None and time_s >= self._health_due_s:
+            self._health_due_s = time_s + _HEALTH_EVERY_S
+            self._on_health(self._bridge.servo_health())
+        if time_s >= self._remarks_due_s:
+            self._remarks_due_s = time_s + _REMARKS_EVERY_S
+            for remark in self._bridge.remarks()[self._n_remarks :]:
+                self._n_remarks += 1
+                self._log(remark)
+
+    def _hear_control(self) -> None:
+        level = None if self._control is None else self._control.poll(self._status)
+        if level is None:
+            return
+        if self._lifeline is not None:
+            self._lifeline.stopped(level)
+        self.stopped_by_person = True
+        self._log(f"asked to stop: {level.value}")
+        self._stop(level)
+
+    def _stop(self, level: StopLevel) -> None:
+        self._asked = level
+        self._bridge.stop(level)
+
+    def _port_is_lost(self, time_s: float) -> bool:
+        """Whether a stop has waited long enough for a port that does not come back.
+
+        One that a person asked for through the control socket waits as long as it takes.
+        """
+        if self._bridge.plugged or not self._bounded:
+            self._give_up_s = None
+            return False
+        if self._bridge.state is not FaceState.LETTING_GO:
+            return False
+        if self._give_up_s is None:
+            self._give_up_s = time_s + _WAIT_FOR_PORT_S
+            self._log(
+                "the port is gone: once it is back, the servos are let go; "
+                "a second signal leaves them as they are"
+            )
+        return time_s >= self._give_up_s
+
+    def _tell(self, time_s: float) -> None:
+        """Log lines for what changed; texts are made only then."""
+        bridge = self._bridge
+        if bridge.plugged is not self._was_plugged:
+            self._was_plugged = bridge.plugged
+            self._log("the port is back" if bridge.plugged else "the port of the servos is gone")
+        if len(bridge.given_up) != self._n_given_up:
+            for index, why in list(bridge.given_up.items())[self._n_given_up :]:
+                if self._lifeline is not None:
+                    self._lifeline.failed(index, why)
+            self._n_given_up = len(bridge.given_up)
+        if bridge.n_trouble_changes != self._told_up_to:
+            self._told_up_to = bridge.n_trouble_changes
+            self._trouble_since_s = time_s
+        since_s = self._trouble_since_s
+        if since_s is None or time_s - since_s < _TROUBLE_LASTS_S or not bridge.plugged:
+            return
+        self._trouble_since_s = None
+        troubles = bridge.troubles
+        if troubles or self._told_trouble:
+            self._log("; ".join(troubles) or "every servo is driven again")
+        self._told_trouble = bool(troubles)

@@ -1,0 +1,180 @@
+"""All servos of a face behind gate, limiter and supervision: goals out, word back, help for one."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import Readings, ServoBus, ServoError
+from firmware_bridge.gate.coupling import PreventRule
+from firmware_bridge.gate.limits import Limited, Limiter
+from firmware_bridge.gate.tracking import TrackingRule
+from firmware_bridge.health import Feedback, Health, ServoHealth
+from firmware_bridge.joints import Joint, named
+from firmware_bridge.loop.servo_supervision import ServoCare, ServoState
+from firmware_bridge.loop.torque_gate import TorqueGate
+from firmware_bridge.loop.torque_off import TorqueOff
+
+Array = NDArray[np.float64]
+
+#: So often everybody is asked where they stand before a start; a lost answer is no reason to fail.
+_READS = 5
+#: So often a servo may refuse to hold before a start fails; a busy computer misses answers.
+_ASKED = 3
+#: A shaft at top speed is so far behind its goal, in time, and stops there without turning back.
+_BRAKES_S = 0.02
+
+
+class ServoGroup:
+    """What `Bridge` drives. Every method that speaks to the servos may raise PortError."""
+
+    def __init__(
+        self,
+        bus: ServoBus,
+        joints: Sequence[Joint],
+        *,
+        period_s: float,
+        tracking: TrackingRule | None,
+        prevent: Sequence[PreventRule],
+        dry_run: bool,
+        given_up: Mapping[int, str] | None,
+    ) -> None:
+        """Arguments as those of `Bridge`."""
+        self._bus = bus
+        self._joints = tuple(joints)
+        self.limiter = Limiter(self._joints, period_s=period_s, prevent=prevent)
+        self.gate = TorqueGate(bus, joints, dry_run=dry_run, given_up=given_up)
+        self.care = ServoCare(self._joints, tracking, given_up)
+        self.torque_off = TorqueOff(self._joints, self.gate)
+        self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
+        self._scale = np.ones(len(self._joints))
+        self._health: Health | None = None
+
+    @property
+    def scale(self) -> Array:
+        """By how much each joint's amplitude shrinks to spare its servo, (n_joints,)."""
+        return self._scale
+
+    @property
+    def lost_critical(self) -> str:
+        """A critical servo that was given up, and why; empty: none."""
+        lost = self.care.lost_critical
+        return "" if lost is None else f"{named(self._joints[lost])} {self.care.reasons[lost]}"
+
+    def reopen(self) -> None:
+        """Open the port again. Raises PortError."""
+        self._bus.reopen()
+
+    def let_go(self, time_s: float = 0.0, why: str = "") -> None:
+        """Switch everybody off; nobody is driven any more."""
+        self.torque_off.begin()
+        self.care.lose_all(time_s, why)
+
+    def read(self) -> Readings:
+        """Where everybody stands, asked again for those who did not answer."""
+        readings = self._bus.read()
+        for _ in range(_READS - 1):
+            if np.isfinite(readings.positions_deg).all():
+                break
+            readings = self._bus.read()
+        return readings
+
+    def check(self, indices: Sequence[int], goes_on: Callable[[], bool]) -> None:
+        """Raise ServoError that names those who could not hold now, with the reason."""
+        self._refuse([(i, _asked_often(self.gate.obstacle, i)) for i in indices if goes_on()])
+
+    def enable(self, indices: Sequence[int], time_s: float, goes_on: Callable[[], bool]) -> None:
+        """Let these hold where they stand; with an error, or told to stop, nobody does."""
+        found = []
+        for index in indices:
+            if not goes_on():
+                self.let_go(time_s)
+                return
+            why_not = _asked_often(self.gate.enable, index)
+            self.care.tried(index, why_not, time_s)
+            found.append((index, why_not))
+        self._refuse(found)
+
+    def keep_holding(self, time_s: float) -> None:
+        """For a frozen face: whoever still has torque goes on holding where it stands."""
+        for index in range(len(self._joints)):
+            kept = self.gate.keep(index)
+            self.care.tried(index, "" if kept else "lost its torque; not again", time_s)
+        self.limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
+
+    def stay(self, time_s: float) -> None:
+        """The goals become the places where the servos stand now, or as near as they can stop.
+
+        A moving shaft is behind its goal: it may go on to it, but no farther than it moves while it
+        brakes. Who was not heard just now keeps its goal, for where it stands is not known.
+        """
+        feedback = self._bus.feedback()
+        sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
+        near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
+        heard = (feedback.age_s == 0.0) & np.isfinite(places_deg)
+        self.limiter.start_from(np.where(heard, near_deg, sent_deg), time_s)
+
+    def send(self, limited: Limited, time_s: float) -> None:
+        """Goals to those that are driven; then hear how all are, and help one of them."""
+        goals_deg = limited.positions_deg
+        limp = None if self.care.all_driven else ~self.care.driven
+        if limp is None:
+            self._bus.write_positions(goals_deg)
+        elif not limp.all():
+            self._bus.write_positions(np.where(limp, np.nan, goals_deg))
+        feedback, health = self.hear()
+        self._scale = self.care.scale(feedback, health)
+        self.care.follow(goals_deg, feedback)
+        if limp is not None:
+            self.limiter.follow(limp, feedback.positions_deg)
+        enabled = self.care.look(health, time_s, self.gate)
+        if enabled is not None:
+            self.limiter.start_one(enabled, float(self._bus.feedback().positions_deg[enabled]))
+
+    def hear(self) -> tuple[Feedback, Health]:
+        """Where everybody stands, and what is known of how they are: one was asked just now."""
+        feedback = self._bus.feedback()
+        self._health = self._bus.look_after()
+        return feedback, self._health
+
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about the bus, in sentences for a log."""
+        return self._bus.remarks()
+
+    def health(self) -> tuple[ServoHealth, ...]:
+        """How every servo was when it was asked last; for a log, not for a tick."""
+        known = self._health
+        if known is None:
+            return ()
+        return tuple(
+            ServoHealth(
+                name=joint.name,
+                servo_id=joint.servo_id,
+                state=ServoState(int(self.care.states[i])).name.lower(),
+                temperature_degc=float(known.temperature_degc[i]),
+                load=float(known.effort[i]),
+                voltage_v=float(known.voltage_v[i]),
+                current_ma=float(ma) if np.isfinite(ma := known.current_ma[i]) else None,
+                hardware_errors=int(known.hardware_errors[i]),
+                n_reboots=int(self.care.n_reboots[i]),
+                n_unanswered=int(known.n_unanswered[i]),
+                torque_on=bool(known.torque_on[i]),
+            )
+            for i, joint in enumerate(self._joints)
+        )
+
+    def _refuse(self, found: Sequence[tuple[int, str]]) -> None:
+        lines = [f"{named(self._joints[i])} {why}" for i, why in found if why]
+        if lines:
+            self.let_go()
+            raise ServoError("\n".join([*lines, "`lipservo doctor` examines every servo"]))
+
+
+def _asked_often(ask: Callable[[int], str], index: int) -> str:
+    """Empty as soon as the servo agrees; else its last refusal."""
+    refusal = ""
+    for _ in range(_ASKED):
+        refusal = ask(index)
+        if not refusal:
+            break
+    return refusal

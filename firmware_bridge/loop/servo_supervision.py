@@ -1,0 +1,298 @@
+"""Looks after single servos, so that one in trouble does not stop the face.
+
+DRIVEN ──silent, torque lost──▶ WAITING ──answers, wakes──▶ DRIVEN
+   ├──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
+   └──does not follow──────────▶ COOLING ──▶ WAITING
+                                    └──third time in ten minutes──▶ FAILED, limp for good
+"""
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from enum import IntEnum
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
+from firmware_bridge.health import Feedback, HardwareError, Health, describe_errors
+from firmware_bridge.joints import Joint
+
+#: A servo that has not answered for so long has no power or no cable: its goals are withheld.
+SILENT_S: Final = 0.5
+#: After a hardware error the cause needs time to go. Ours.
+_COOL_DOWN_S: Final = 1.0
+#: So far below its limit a servo must be before it works again, degrees.
+_ROOM_TO_WORK_DEGC: Final = 5.0
+#: A restart takes half a second in the simulator; the manual does not say.
+_REBOOT_S: Final = 1.0
+_RETRY_S: Final = 0.5
+#: A third reboot in ten minutes means that something is broken.
+_REBOOTS: Final = 3
+_REBOOT_WINDOW_S: Final = 600.0
+#: Amplitude shrinks over the last degrees below the servo's limit, and with the load's square,
+#: which is what heats a winding: full up to half the stall torque (root mean square).
+_DERATE_FROM_DEGC: Final = 10.0
+_DUTY_S: Final = 60.0
+_DUTY_FULL: Final = 0.25
+_LEAST_SCALE: Final = 0.3
+#: Heat is looked at so often: a winding knows nothing faster, and every tick would pay for it. A
+#: little less than the 50 ms meant, so that rounding makes no sixth tick of the fifth.
+_HEAT_EVERY_S: Final = 0.049
+#: A woken servo is slow for a second, then has to catch up.
+_CATCH_UP_S: Final = 2.0
+
+
+class ServoState(IntEnum):
+    """What a servo is doing."""
+
+    DRIVEN = 0
+    WAITING = 1
+    COOLING = 2
+    REBOOTING = 3
+    FAILED = 4
+
+
+#: An array is compared with an int five times as quickly as with a member of an enumeration.
+_DRIVEN: Final = int(ServoState.DRIVEN)
+
+
+class TorquePort(Protocol):
+    """What supervision needs of `TorqueGate`."""
+
+    def refusal(self, index: int) -> str:
+        """Why this servo must not hold torque; empty: it may."""
+
+    def enable(self, index: int) -> str:
+        """Let it hold its place; why it does not, empty: it does."""
+
+    def disable(self, index: int) -> bool:
+        """Let it go limp; whether it confirmed."""
+
+    def reboot(self, index: int) -> None:
+        """Restart it."""
+
+    def give_up(self, index: int, because: str) -> None:
+        """Never again."""
+
+
+class ServoCare:
+    """One decision a tick, about the servo that needs it most; arrays are (n_servos,).
+
+    reasons: why each servo is not driven, in words; empty while it is, or before it was tried.
+    n_changes: how often a reason has changed, so that a loop need not compare texts.
+    """
+
+    def __init__(
+        self,
+        joints: Sequence[Joint],
+        tracking: TrackingRule | None = None,
+        given_up: Mapping[int, str] | None = None,
+    ) -> None:
+        """given_up: reason by index, of servos that stay limp from the beginning."""
+        n = len(joints)
+        self._tracking = TrackingMonitor(joints, tracking or TrackingRule())
+        self._behind = np.zeros(n, dtype=np.bool_)
+        self.reasons = [""] * n
+        self.n_changes = 0
+        self.states = np.full(n, ServoState.WAITING, dtype=np.int8)
+        self.n_reboots = np.zeros(n, dtype=np.int64)
+        self._critical = np.array([joint.critical for joint in joints])
+        self._any_critical = bool(self._critical.any())
+        self._until_s = np.zeros(n)
+        self._reboots: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
+        self._duty = np.zeros(n)
+        self._duty_at_s: float | None = None
+        self._scale = np.ones(n)
+        self._next = 0
+        for index, why in (given_up or {}).items():
+            self.states[index] = ServoState.FAILED
+            self._explain(index, why)
+
+    @property
+    def driven(self) -> NDArray[np.bool_]:
+        """Which servos get goals."""
+        return np.asarray(self.states == _DRIVEN)
+
+    @property
+    def all_driven(self) -> bool:
+        """Whether all of them do."""
+        return not np.count_nonzero(self.states != _DRIVEN)
+
+    @property
+    def any_driven(self) -> bool:
+        """Whether any of them does."""
+        return bool(np.count_nonzero(self.states == _DRIVEN))
+
+    @property
+    def lost_critical(self) -> int | None:
+        """A critical servo that has failed for good, by its index."""
+        if not self._any_critical:
+            return None
+        lost = np.flatnonzero(self._critical & (self.states == ServoState.FAILED))
+        return int(lost[0]) if len(lost) else None
+
+    @property
+    def settled(self) -> bool:
+        """Whether every servo is driven, or there is a reason why it is not."""
+        return all(self.reasons[i] for i in np.flatnonzero(self.states != ServoState.DRIVEN))
+
+    def tried(self, index: int, why_not: str, time_s: float) -> None:
+        """Note how an attempt to enable a servo went; empty: it holds its place."""
+        self.states[index] = ServoState.WAITING if why_not else ServoState.DRIVEN
+        self._until_s[index] = time_s + _RETRY_S
+        self._behind[index] = False
+        self._tracking.excuse(index, time_s + _CATCH_UP_S)
+        self._explain(index, why_not)
+
+    def lose_all(self, time_s: float, why: str = "") -> None:
+        """Nobody is driven any more: the port is gone, or all were let go."""
+        for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
+            self._wait(index, time_s, why)
+
+    def follow(self, sent_deg: NDArray[np.float64], feedback: Feedback) -> None:
+        """Compare the goals sent last with where the servos stand."""
+        self._behind = self._tracking.behind(sent_deg, feedback)
+
+    def scale(self, feedback: Feedback, health: Health) -> NDArray[np.float64]:
+        """By how much each joint's amplitude shrinks, 0.3..1: heat now, and heat to come."""
+        if self._duty_at_s is not None:
+            if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
+                return self._scale
+            share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
+            self._duty += share * (feedback.effort * feedback.effort - self._duty)
+        self._duty_at_s = feedback.time_s
+        warm = health.room_degc / _DERATE_FROM_DEGC
+        worked = 2.0 - self._duty / _DUTY_FULL
+        scale = np.minimum(warm, worked)
+        np.maximum(scale, _LEAST_SCALE, out=scale)
+        self._scale = np.minimum(scale, 1.0, out=scale)
+        return self._scale
+
+    def look(self, health: Health, time_s: float, port: TorquePort) -> int | None:
+        """Act on one servo at most; the index of one that was enabled just now."""
+        if self._all_well(health):
+            return None
+        n = len(self.states)
+        for k in range(n):
+            index = (self._next + k) % n
+            acted, enabled = self._treat(index, health, time_s, port)
+            if acted:
+                self._next = index + 1
+                return index if enabled else None
+        return None
+
+    def _all_well(self, health: Health) -> bool:
+        """Whether every servo is driven and none needs anything, which is nearly always so.
+
+        Counted, which is three times as quick as any().
+        """
+        count = np.count_nonzero
+        return not (
+            count(self._behind)
+            or count(health.hardware_errors)
+            or count(health.watchdog_tripped)
+            or count(health.torque_on) < len(self.states)
+            or count(health.silent_s >= SILENT_S)
+            or count(health.room_degc <= 0.0)
+            or not self.all_driven
+        )
+
+    def _treat(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
+        """Whether anything was done, and whether the servo holds now."""
+        state = self.states[i]
+        if state == ServoState.DRIVEN:
+            return self._check(i, health, time_s, port), False
+        if time_s < self._until_s[i]:
+            return False, False
+        if state in (ServoState.COOLING, ServoState.FAILED) and health.torque_on[i]:
+            # Its torque was switched off and it has not confirmed: again, until it does.
+            self._until_s[i] = time_s + _RETRY_S
+            port.disable(i)
+            return True, False
+        if state == ServoState.FAILED:
+            return False, False
+        if port.refusal(i):
+            if health.hardware_errors[i]:  # told although nothing is done about it now
+                self._explain(i, describe_errors(int(health.hardware_errors[i])))
+            return False, False
+        if state == ServoState.COOLING:
+            return self._revive(i, health, time_s, port), False
+        if state == ServoState.REBOOTING:
+            self.states[i] = ServoState.WAITING
+        if health.silent_s[i] >= SILENT_S:
+            self._explain(i, self.reasons[i] or "does not answer; check its power and cable")
+            return False, False
+        if health.hardware_errors[i]:
+            self._cool(i, time_s)
+            return True, False
+        why_not = port.enable(i)
+        self.tried(i, why_not, time_s)
+        return True, not why_not
+
+    def _check(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
+        if health.silent_s[i] >= SILENT_S:
+            self._wait(i, time_s, "does not answer")
+            return False
+        if health.hardware_errors[i] or health.room_degc[i] <= 0.0:
+            error = int(health.hardware_errors[i])
+            self._let_go(i, time_s, port, describe_errors(error) if error else "too hot")
+            return True
+        if self._behind[i]:
+            self._let_go(i, time_s, port, self._tracking.reason(i))
+            self._count(i, time_s, port)
+            return True
+        if health.watchdog_tripped[i]:
+            self._wait(i, time_s, "stopped by its watchdog")
+        elif not health.torque_on[i]:
+            self._wait(i, time_s, "has lost its torque")
+        return False
+
+    def _wait(self, i: int, time_s: float, why: str) -> None:
+        self.states[i] = ServoState.WAITING
+        self._until_s[i] = time_s
+        self._explain(i, why)
+
+    def _explain(self, i: int, why: str) -> None:
+        if self.reasons[i] != why:
+            self.reasons[i] = why
+            self.n_changes += 1
+
+    def _let_go(self, i: int, time_s: float, port: TorquePort, why: str) -> None:
+        port.disable(i)
+        self._explain(i, why)
+        self._cool(i, time_s)
+
+    def _cool(self, i: int, time_s: float) -> None:
+        self.states[i] = ServoState.COOLING
+        self._until_s[i] = time_s + _COOL_DOWN_S
+
+    def _count(self, i: int, time_s: float, port: TorquePort) -> None:
+        """One more time out of three within ten minutes; then it stays limp."""
+        past = self._reboots[i]
+        if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
+            self.states[i] = ServoState.FAILED
+            self._explain(i, f"{self.reasons[i]}, again and again: it stays limp")
+            port.give_up(i, self.reasons[i])
+            return
+        past.append(time_s)
+
+    def _revive(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
+        if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
+            return False
+        if not health.hardware_errors[i]:
+            self.states[i] = ServoState.WAITING
+            return False
+        if (
+            health.hardware_errors[i] & HardwareError.INPUT_VOLTAGE
+            and health.silent_s[i] > SILENT_S
+        ):
+            return False
+        self._count(i, time_s, port)
+        if self.states[i] == ServoState.FAILED:
+            return False
+        self.n_reboots[i] += 1
+        port.reboot(i)
+        self.states[i] = ServoState.REBOOTING
+        self._until_s[i] = time_s + _REBOOT_S
+        return True

@@ -1,0 +1,38 @@
+"""What a running face answers when it is asked how it is: plain values, names with units."""
+
+import os
+
+import numpy as np
+
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.servo_supervision import ServoState
+
+
+def face_status(bridge: Bridge) -> dict[str, object]:
+    """One object for JSON. Made when somebody asks, not in every tick.
+
+    state: a `FaceState`; plugged: whether the port is there; servo_states: a `ServoState` in words
+    for each of `joints`; troubles: a line for each servo that is not driven; *_total: how often
+    the gate stepped in, over all joints; the counts are those of `BridgeStatus`.
+    """
+    status = bridge.status
+    gate = {
+        f"{name}_total": int(np.sum(getattr(status.gate, name)))
+        for name in ("range_hits", "rate_hits", "rejected", "prevented")
+    }
+    return {
+        "state": status.state.value,
+        "plugged": bridge.plugged,
+        "torque_on": ServoState.DRIVEN in status.servo_states,
+        "joints": list(bridge.names),
+        "servo_states": [state.name.lower() for state in status.servo_states],
+        "troubles": list(bridge.troubles),
+        "n_ticks": status.n_ticks,
+        "n_late": status.n_late,
+        "n_stale": status.n_stale,
+        "n_armed": status.n_armed,
+        "n_unplugged": status.n_unplugged,
+        "n_rejected_targets": status.n_rejected_targets,
+        **gate,
+        "bridge_pid": os.getpid(),
+    }

@@ -1,0 +1,65 @@
+"""The bridge process: owns the port, runs the loop on the grid, ends in a defined state."""
+
+from collections.abc import Callable
+from functools import partial
+
+from firmware_bridge.bus import ServoBus, ServoError
+from firmware_bridge.clock import MonotonicClock
+from firmware_bridge.end_report import ENDED_WELL, NOT_AGAIN, UNCONFIRMED
+from firmware_bridge.health import ServoHealth
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.status import face_status
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.lifeline import Lifeline
+from firmware_bridge.process.scheduling import run_on_time
+from firmware_bridge.stopping import StopLevel
+
+
+def run_bridge(
+    bus: ServoBus,
+    bridge: Bridge,
+    *,
+    rate_hz: float,
+    control: ControlSocket,
+    lifeline: Lifeline,
+    stopped: StopLevel | None,
+    log: Callable[[str], None],
+    on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None,
+) -> int:
+    """Arm and tick until told to stop, by a signal or the control socket; the exit status.
+
+    `bus` is entered here. stopped: what a person had asked of the bridge that died before this one.
+    log: takes a line; on_health: every ten seconds; both return at once. Raises BusError when it
+    cannot start.
+    """
+    if lifeline.closed:
+        return ENDED_WELL  # the supervisor died before it could be noticed
+    life = LifeCycle(
+        bridge,
+        MonotonicClock(),
+        rate_hz=rate_hz,
+        control=control,
+        lifeline=lifeline,
+        log=log,
+        status=partial(face_status, bridge),
+        on_health=on_health,
+        stopped=stopped,
+    )
+    began = False
+    try:
+        with bus, life:
+            life.start()
+            run_on_time()
+            for time_s, late in life.ticks():
+                bridge.tick(time_s, late)
+                if not began and bridge.settled:
+                    began = True
+                    lifeline.ready()
+    except ServoError as error:
+        if not bridge.failure:
+            raise
+        log(str(error))
+        return NOT_AGAIN
+    assert life.report is not None
+    return ENDED_WELL if life.report.complete else UNCONFIRMED

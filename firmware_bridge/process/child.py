@@ -1,0 +1,140 @@
+"""One process that a supervisor watches: started, heard, hung, ended, started again."""
+
+import contextlib
+import os
+import signal
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from firmware_bridge.process.lifeline import LifelineWatch, Message, lifeline_pair
+
+#: A watcher that did not look for so long was stopped itself, and cannot blame anybody.
+_BLIND_S: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Patience:
+    """How long a process may give no sign of life: while it starts, and once it runs."""
+
+    start_s: float
+    run_s: float
+
+
+class SilenceWatch:
+    """How long a process has been silent while somebody looked; times are monotonic seconds."""
+
+    def __init__(self, patience: Patience) -> None:
+        self._patience = patience
+        self._since_s = self._looked_s = 0.0
+
+    def begin(self, now_s: float) -> None:
+        """A new process starts."""
+        self._since_s = self._looked_s = now_s
+
+    def look(self, now_s: float, beat_s: float | None) -> float:
+        """When the process has to be taken for hung; before or at `now_s`: now."""
+        if now_s - self._looked_s > _BLIND_S:
+            self._since_s = now_s
+        self._looked_s = now_s
+        if beat_s is None:
+            return self._since_s + self._patience.start_s
+        self._since_s = max(self._since_s, beat_s)
+        return self._since_s + self._patience.run_s
+
+
+class Child:
+    """A process in a group of its own, so that a terminal's Ctrl-C reaches its supervisor only.
+
+    It dies with its supervisor: it asks the kernel for a signal, and looks.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        command: Sequence[str],
+        inherited: Mapping[str, int],
+        patience: Patience,
+    ) -> None:
+        """`{lifeline}` in a command stands for a descriptor's number; so do inherited's keys."""
+        self.name = name
+        self._command = command
+        self._inherited = dict(inherited)
+        self._process: subprocess.Popen[bytes] | None = None
+        self._watch: LifelineWatch | None = None
+        self._silence = SilenceWatch(patience)
+        self._pidfd = -1
+
+    @property
+    def pid(self) -> int | None:
+        """Its number; None while there is no process."""
+        return None if self._process is None else self._process.pid
+
+    @property
+    def has_beaten(self) -> bool:
+        """Whether the newest process has given a sign of life."""
+        return self._watch is not None and self._watch.beat_s is not None
+
+    def filenos(self) -> list[int]:
+        """What becomes readable when it says something or ends."""
+        if self._process is None or self._watch is None:
+            return []
+        return [self._pidfd] if self._watch.closed else [self._pidfd, self._watch.fileno()]
+
+    def start(self, arguments: Sequence[str], now_s: float) -> None:
+        """Run it with these further arguments."""
+        if self._watch is not None:
+            self._watch.close()
+        end, self._watch = lifeline_pair()
+        inherited = {**self._inherited, "{lifeline}": end.fileno()}
+        command = [str(inherited.get(part, part)) for part in self._command]
+        try:
+            self._process = subprocess.Popen(
+                [*command, *arguments],
+                pass_fds=list(inherited.values()),
+                stdin=subprocess.DEVNULL,
+                process_group=0,
+            )
+        finally:
+            end.close()
+        self._pidfd = os.pidfd_open(self._process.pid)
+        self._silence.begin(now_s)
+
+    def read(self) -> list[Message]:
+        """What it said since the last call, beats aside; a dead one may have left something."""
+        return [] if self._watch is None else self._watch.read()
+
+    def hung_at_s(self, now_s: float) -> float:
+        """When it has to be taken for hung if it stays silent; call it often."""
+        return self._silence.look(now_s, None if self._watch is None else self._watch.beat_s)
+
+    def ended(self) -> int | None:
+        """Its exit status, negative for a signal, once; None while it runs or when there is none.
+
+        Call `read` afterwards: it may have said something last.
+        """
+        if self._process is None or self._process.poll() is None:
+            return None
+        status = self._process.returncode
+        os.close(self._pidfd)
+        self._process = None
+        return status
+
+    def send(self, number: signal.Signals) -> None:
+        """A signal, if it runs."""
+        if self._process is not None:
+            with contextlib.suppress(ProcessLookupError):
+                self._process.send_signal(number)
+
+    def end(self, patience_s: float) -> None:
+        """Ask it to end, wait for it, and kill it when it does not."""
+        if self._process is None:
+            return
+        self.send(signal.SIGTERM)
+        try:
+            self._process.wait(patience_s)
+        except subprocess.TimeoutExpired:
+            self.send(signal.SIGKILL)
+            self._process.wait()
+        self.ended()

@@ -1,0 +1,143 @@
+"""Speaking to running faces: finding them, asking, and stopping them to the confirmed end."""
+
+import contextlib
+import errno
+import json
+import socket
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from firmware_bridge.process.control_socket import held_folder, is_dead_socket, knock, peer
+from firmware_bridge.process.runtime_folder import (
+    SOCKET_SUFFIX,
+    ControlError,
+    read_socket_name,
+    searched_folders,
+)
+from firmware_bridge.stopping import StopLevel
+
+#: Longer than the status of 252 servos.
+_LONGEST_ANSWER: Final = 1 << 18
+#: A supervisor notices a hung bridge within a second and answers in its place.
+_PATIENCE_S: Final = 2.0
+#: A face whose process was replaced in between is spoken to again after this.
+_RETRY_S: Final = 0.05
+
+Answer = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RunningFace:
+    """A face that listens. pid: the process that made its socket, the supervisor of a daemon."""
+
+    name: str
+    pid: int
+    path: Path
+
+
+def running_faces() -> list[RunningFace]:
+    """Every face that can be found and listens, by name; dead sockets of ours are removed."""
+    found = []
+    for folder in searched_folders():
+        for path in sorted(folder.glob(f"*{SOCKET_SUFFIX}")):
+            named = read_socket_name(path)
+            if named is not None and _listens(path):
+                found.append(RunningFace(*named, path))
+    return sorted(found, key=lambda face: (face.name, face.pid))
+
+
+def face_at(path: Path) -> RunningFace:
+    """The face that listens at `path`. Raises ControlError when none does, or we may not ask."""
+    path = path.parent.resolve() / path.name
+    try:
+        with _connected(path, time.monotonic() + _PATIENCE_S) as client:
+            pid, _ = peer(client)
+    except OSError as error:
+        why = error.strerror or str(error)
+        raise ControlError(f"{path}: nobody answers there: {why}; is a face running?") from error
+    named = read_socket_name(path)
+    return RunningFace(path.stem if named is None else named[0], pid, path)
+
+
+def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
+    """Send one word to the face at `path`; its answer. Raises OSError when nobody answers."""
+    give_up_s = time.monotonic() + patience_s
+    while True:
+        with _connected(path, give_up_s) as client:
+            client.send(word.encode())
+            answer = _receive(client, give_up_s)
+        if answer is not None:
+            return answer
+        _wait_to_retry(give_up_s)
+
+
+def stop_and_wait(
+    path: Path, level: StopLevel, patience_s: float, answer_s: float = _PATIENCE_S
+) -> tuple[Answer, Answer | None]:
+    """Ask for a stop and wait for the report of the end: (answer, report).
+
+    FREEZE has no end: its report is None. So is that of a face that has gone without one, or has
+    not come to its end within `patience_s`. A face whose bridge dies in between is asked again.
+    Raises TimeoutError when no answer comes within `answer_s`, OSError when nobody listens.
+    """
+    give_up_s = time.monotonic() + patience_s
+    first: Answer | None = None
+    while True:
+        try:
+            answer_by_s = min(give_up_s, time.monotonic() + answer_s)
+            with _connected(path, answer_by_s) as client:
+                client.send(level.value.encode())
+                answer = _receive(client, answer_by_s)
+                first = first or answer
+                if answer is not None and level is StopLevel.FREEZE:
+                    return answer, None
+                report = _receive(client, give_up_s) if answer is not None else None
+            if first is not None and report is not None:
+                return first, report
+            _wait_to_retry(give_up_s)
+        except OSError:
+            if first is None:
+                raise
+            return first, None
+
+
+def _receive(client: socket.socket, give_up_s: float) -> Answer | None:
+    """The next message; None when the other end has closed. Raises TimeoutError."""
+    client.settimeout(max(0.001, give_up_s - time.monotonic()))
+    try:
+        raw = client.recv(_LONGEST_ANSWER)
+    except ConnectionError:
+        raw = b""
+    return dict(json.loads(raw)) if raw else None
+
+
+def _wait_to_retry(give_up_s: float) -> None:
+    if time.monotonic() + _RETRY_S > give_up_s:
+        raise TimeoutError("no answer")
+    time.sleep(_RETRY_S)
+
+
+@contextlib.contextmanager
+def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
+        client.settimeout(max(0.001, give_up_s - time.monotonic()))
+        try:
+            client.connect(str(path))
+        except BlockingIOError as error:
+            raise TimeoutError(errno.ETIMEDOUT, "too many wait there for an answer") from error
+        yield client
+
+
+def _listens(path: Path) -> bool:
+    """Whether somebody does; a dead socket of ours is removed on the way."""
+    if knock(path) == 0:
+        return True
+    if is_dead_socket(path):
+        # Left where it is when somebody makes a socket there just now.
+        with contextlib.suppress(ControlError, OSError), held_folder(path.parent):
+            if is_dead_socket(path):
+                path.unlink(missing_ok=True)
+    return False

@@ -1,0 +1,126 @@
+"""Who holds a serial port or a face's socket, as Linux tells under /proc.
+
+Holding a port means that its file is open and locked, as every lipservo does
+(`firmware_bridge.dynamixel.wire.serial_transport`); a simulator at the other end does not.
+"""
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final
+
+_PROC: Final = Path("/proc")
+_OF_PROGRAM: Final = "lipservo"
+#: Ends what hangs: nobody here handles it, and the unit tells systemd that it is a person's stop,
+#: after which nothing is started again.
+END_OF_HUNG: Final = signal.SIGUSR2
+#: A process dies in some milliseconds, unless a driver holds it.
+_DEATH_S: Final = 0.5
+_LOOK_S: Final = 0.01
+
+
+def ports_held_by(pid: int) -> list[str]:
+    """The terminals that a process has locked; empty when we may not look."""
+    return [to for to, info in _links(pid) if to.startswith("/dev/") and _is_locked(info)]
+
+
+def holders_of(port: str) -> list[int]:
+    """The processes that have locked a port, of those we may look into."""
+    real = os.path.realpath(port)
+    return [pid for pid in _processes() if real in ports_held_by(pid)]
+
+
+def holders_of_socket(path: Path) -> list[int]:
+    """The processes that have the Unix socket at `path` open, of those we may look into."""
+    lines = (_PROC / "net" / "unix").read_text().splitlines()
+    rows = [line.split(maxsplit=7) for line in lines]
+    inodes = {row[6] for row in rows if len(row) == 8 and row[7] == str(path)}
+    wanted = {f"socket:[{inode}]" for inode in inodes}
+    return [pid for pid in _processes() if any(target in wanted for target, _ in _links(pid))]
+
+
+def is_ours(pid: int) -> bool:
+    """Whether it is another lipservo that we may end: our own user's, or anybody's for root."""
+    if pid == os.getpid():
+        return False
+    try:
+        owner = (_PROC / str(pid)).stat().st_uid
+        command = (_PROC / str(pid) / "cmdline").read_bytes()
+    except OSError:
+        return False
+    return os.geteuid() in (0, owner) and _OF_PROGRAM in command.decode("utf-8", "replace")
+
+
+def leader_of(pid: int) -> int:
+    """Who started it and would start it again: the lipservo above it, or itself."""
+    parent = _parent(pid)
+    return parent if parent is not None and is_ours(parent) else pid
+
+
+def with_children(pids: Iterable[int]) -> list[int]:
+    """Processes and their children, each once."""
+    parents = dict.fromkeys(pids)
+    return [*parents, *(each for each in _processes() if _parent(each) in parents)]
+
+
+def end_hung(pids: list[int]) -> list[int]:
+    """End processes that hear nothing any more; those that are still there afterwards.
+
+    By `END_OF_HUNG`, and SIGKILL for what is left.
+    """
+    for number in (END_OF_HUNG, signal.SIGKILL):
+        for pid in pids:
+            with contextlib.suppress(OSError):
+                os.kill(pid, number)
+                os.kill(pid, signal.SIGCONT)  # what is stopped dies when it goes on
+        give_up_s = time.monotonic() + _DEATH_S
+        while pids and time.monotonic() < give_up_s:
+            pids = [pid for pid in pids if _is_running(pid)]
+            time.sleep(_LOOK_S)
+    return pids
+
+
+def _processes() -> Iterator[int]:
+    for entry in _PROC.iterdir():
+        if entry.name.isdigit():
+            yield int(entry.name)
+
+
+def _links(pid: int) -> Iterator[tuple[str, Path]]:
+    """What every descriptor of a process leads to, and where more is said about it."""
+    folder = _PROC / str(pid)
+    try:
+        numbers = os.listdir(folder / "fd")
+    except OSError:
+        return
+    for number in numbers:
+        with contextlib.suppress(OSError):
+            yield os.readlink(folder / "fd" / number), folder / "fdinfo" / number
+
+
+def _is_locked(fdinfo: Path) -> bool:
+    try:
+        return "FLOCK" in fdinfo.read_text()
+    except OSError:
+        return False
+
+
+def _stat(pid: int) -> list[str]:
+    """State, parent and so on; the name in brackets before them may hold anything."""
+    try:
+        return (_PROC / str(pid) / "stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return []
+
+
+def _parent(pid: int) -> int | None:
+    fields = _stat(pid)
+    return int(fields[1]) if fields else None
+
+
+def _is_running(pid: int) -> bool:
+    fields = _stat(pid)
+    return bool(fields) and fields[0] != "Z"

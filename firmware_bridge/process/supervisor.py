@@ -1,0 +1,294 @@
+"""Keeps the processes of one face alive, and the face safe while one of them is not.
+
+One loop, one thread, no sleep: it waits for whatever comes first, a sign of life, an end, a
+request, a signal, a deadline. A stop by a person is kept here, so that it outlives every process.
+
+    RUNNING ──dead, or hung and killed──▶ RELEASING ──torque is off──▶ WAITING ──▶ RUNNING
+       └──ended as asked──▶ over             └──a person has stopped it──▶ over
+"""
+
+import select
+import signal
+import time
+from collections.abc import Callable, Mapping
+from enum import Enum
+from typing import Final
+
+from firmware_bridge.end_report import ENDED_WELL, NOT_AGAIN, UNCONFIRMED, EndReport
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.last_resort import TorqueRelease
+from firmware_bridge.process.lifeline import Began, Failed, Ready, Stopped
+from firmware_bridge.process.restarted_child import RestartedChild, WatchedChild
+from firmware_bridge.process.scheduling import StopSignals
+from firmware_bridge.process.service_notice import ServiceNotice
+from firmware_bridge.stopping import StopLevel
+
+#: Easing to neutral takes two seconds at most, limp a few packets more.
+_END_S: Final = 5.0
+#: How long a signal's end waits for a port that is gone, and any end for servos that are silent.
+_PORT_PATIENCE_S: Final = 30.0
+_SERVO_PATIENCE_S: Final = 3.0
+#: The same for a face that had not come to life: it armed nobody.
+_START_PATIENCE_S: Final = 2.0
+#: Longer than any recovery takes that gets on: then systemd may try.
+_RECOVERY_S: Final = 60.0
+_LONGEST_WAIT_S: Final = 0.25
+_REQUESTS_AT_ONCE: Final = 16
+_CHILD_END_S: Final = 2.0
+
+
+class _Phase(Enum):
+    """Of the bridge; the value is what people are told while it cannot answer itself."""
+
+    RUNNING = "the bridge starts"
+    RELEASING = "the bridge is down, torque is being switched off"
+    WAITING = "the bridge is down and starts again"
+
+
+class Supervisor:
+    """Runs bridge and speech, restarts what dies or hangs, and brings the face to its end.
+
+    control: served here while no bridge serves it. make_release: torque off by force, with how long
+    silent servos are asked again. servo_names: by id. say: one line for the log.
+    """
+
+    def __init__(
+        self,
+        bridge: WatchedChild,
+        speech: WatchedChild,
+        control: ControlSocket,
+        make_release: Callable[[float], TorqueRelease],
+        *,
+        servo_names: Mapping[int, str],
+        say: Callable[[str], None],
+        notice: ServiceNotice,
+    ) -> None:
+        self._bridge, self._speech = RestartedChild(bridge, say), RestartedChild(speech, say)
+        self._control = control
+        self._make_release = make_release
+        self._servo_names = dict(servo_names)
+        self._say = say
+        self._notice = notice
+        self._phase = _Phase.WAITING
+        self._ran_well = False
+        self._last_status = 0
+        self._release: TorqueRelease | None = None
+        self._release_s = 0.0
+        self._port_error = ""
+        self._stop: StopLevel | None = None
+        self._signal_s: float | None = None
+        self._n_signals = 0
+        self._failed: dict[int, str] = {}
+        self._zero_s: float | None = None
+        self._well_s = float("-inf")
+        self.report: EndReport | None = None
+
+    def run(self, signals: StopSignals) -> EndReport:
+        """Until the face is stopped, or cannot go on. The children are gone afterwards."""
+        try:
+            while (report := self.step(time.monotonic(), signals.count, signals.last)) is None:
+                now_s = time.monotonic()
+                wait_s = min(max(0.0, self.due_s(now_s) - now_s), _LONGEST_WAIT_S)
+                select.select([signals.fileno(), *self._filenos()], [], [], wait_s)
+                signals.forget_wake_up()
+        finally:
+            self._speech.child.end(_CHILD_END_S)
+            self._bridge.child.end(_END_S)
+        self._control.report_end(report.as_dict())
+        return report
+
+    def step(self, now_s: float, n_signals: int = 0, signal_name: str = "") -> EndReport | None:
+        """Do all that is due at monotonic `now_s`; the report once the face has ended.
+
+        n_signals: how often the process was asked to end so far.
+        """
+        bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
+        self._hear()
+        self._heed_signals(n_signals, signal_name, now_s)
+        self._serve_control()
+        self._watch_speech(speech_status, now_s)
+        self._watch_bridge(bridge_status, now_s)
+        self._tell_service(now_s)
+        return self.report
+
+    def due_s(self, now_s: float) -> float:
+        """When `step` has something to do although nothing comes."""
+        due = [self._bridge.next_s(now_s)] if self._phase is not _Phase.RELEASING else []
+        if not (self._is_ending and self._speech.child.pid is None):
+            due.append(self._speech.next_s(now_s))
+        if self._release is not None:
+            due.append(self._release.next_s)
+        return min(due, default=now_s + _LONGEST_WAIT_S)
+
+    def status(self) -> dict[str, object]:
+        """What is answered while no bridge can."""
+        return {
+            "state": self._phase.value,
+            "stopped": None if self._stop is None else self._stop.value,
+            "troubles": [self._port_error] if self._port_error else [],
+        }
+
+    @property
+    def _is_ending(self) -> bool:
+        return self._stop in (StopLevel.SOFT, StopLevel.LIMP)
+
+    def _filenos(self) -> list[int]:
+        control = [] if self._bridge.serves else self._control.filenos()
+        return [*self._bridge.child.filenos(), *self._speech.child.filenos(), *control]
+
+    def _hear(self) -> None:
+        for message in self._bridge.read():
+            match message:
+                case Stopped(level):
+                    self._hold_stop(level)
+                case Failed(index, reason):
+                    self._failed[index] = reason
+                case Ready():
+                    self._ran_well = True
+                    self._notice.ready()
+                case _:
+                    pass
+        for message in self._speech.read():
+            if isinstance(message, Began):
+                self._zero_s = message.zero_s
+
+    def _hold_stop(self, level: StopLevel) -> None:
+        """From now on, whatever dies; freezing gives way to an end, an end to limp alone."""
+        if self._is_ending and level is not StopLevel.LIMP:
+            return
+        was_ending, self._stop = self._is_ending, level
+        if self._is_ending and not was_ending:
+            self._speech.child.send(signal.SIGTERM)
+
+    def _heed_signals(self, n_signals: int, name: str, now_s: float) -> None:
+        """The first: to rest and limp. The second: limp at once, and no more waiting."""
+        if n_signals == self._n_signals:
+            return
+        self._n_signals = n_signals
+        if self._signal_s is None:
+            self._signal_s = now_s
+        level = StopLevel.SOFT if n_signals == 1 else StopLevel.LIMP
+        self._say(f"stop asked: {level.value}, by {name}")
+        self._hold_stop(level)
+        self._bridge.child.send(signal.SIGTERM)
+
+    def _serve_control(self) -> None:
+        if self._bridge.serves:
+            return
+        for _ in range(_REQUESTS_AT_ONCE):
+            level = self._control.poll(self.status)
+            if level is None:
+                return
+            self._say(f"stop asked: {level.value}, by {self._control.asked_by}; no bridge runs")
+            self._hold_stop(level)
+            self._bridge.child.send(signal.SIGKILL)  # one that starts has not heard of it
+            if self._stop is StopLevel.FREEZE and self._phase is _Phase.RELEASING:
+                self._drop_release()
+
+    def _watch_speech(self, ended: int | None, now_s: float) -> None:
+        speech = self._speech
+        if ended is not None:
+            if not self._is_ending:
+                speech.mourn(ended, now_s)
+        elif speech.child.pid is not None:
+            speech.kill_if_hung(now_s)
+        elif not self._is_ending and now_s >= speech.due_s:
+            zero = [] if self._zero_s is None else ["--zero-s", repr(self._zero_s)]
+            speech.start(zero, now_s)
+
+    def _watch_bridge(self, ended: int | None, now_s: float) -> None:
+        if ended is not None:
+            self._bridge_ended(ended, now_s)
+        elif self._phase is _Phase.RUNNING:
+            self._bridge.kill_if_hung(now_s)
+            if self._signal_s is not None and now_s > self._signal_s + _END_S:
+                self._bridge.kill(f"has not ended within {_END_S:g} s")
+        elif self._phase is _Phase.RELEASING:
+            self._release_on(now_s)
+        elif self._is_ending:
+            self._begin_release(now_s)
+        elif now_s >= self._bridge.due_s:
+            self._start_bridge(now_s)
+
+    def _start_bridge(self, now_s: float) -> None:
+        arguments = [] if self._stop is None else ["--stopped", self._stop.value]
+        for index, reason in self._failed.items():
+            arguments += ["--failed", f"{index}={reason}"]
+        self._bridge.start(arguments, now_s)
+        self._phase = _Phase.RUNNING
+
+    def _bridge_ended(self, status: int, now_s: float) -> None:
+        self._last_status = status
+        if status == ENDED_WELL:
+            self.report = EndReport(ENDED_WELL, tuple(self._servo_names.values()))
+            return
+        self._bridge.mourn(status, now_s)
+        if self._stop is StopLevel.FREEZE and status != NOT_AGAIN:
+            self._phase = _Phase.WAITING  # what is held stays held
+        else:
+            self._begin_release(now_s)
+
+    def _may_restart(self) -> bool:
+        """A bridge that fails at its first start has said why; trying again would not help."""
+        failed_at_start = not self._ran_well and self._last_status > 0
+        return self._last_status not in (NOT_AGAIN, UNCONFIRMED) and not failed_at_start
+
+    def _begin_release(self, now_s: float) -> None:
+        self._phase = _Phase.RELEASING
+        self._release = self._make_release(_SERVO_PATIENCE_S if self._is_ending else 0.0)
+        self._release_s = now_s
+
+    def _drop_release(self) -> None:
+        if self._release is not None:
+            self._release.close()
+            self._release = None
+        self._phase = _Phase.WAITING
+
+    def _release_on(self, now_s: float) -> None:
+        """One step of switching torque off by force; then on, or to the end."""
+        assert self._release is not None
+        if now_s >= self._release.next_s and self._release.step():
+            self._released(self._release)
+        elif self._release.port_error:
+            if self._release.port_error != self._port_error:
+                self._port_error = self._release.port_error
+                self._say(f"torque cannot be switched off yet: {self._port_error}")
+            if now_s >= self._give_up_s():
+                why = dict.fromkeys(self._servo_names.values(), self._port_error)
+                status = UNCONFIRMED if self._is_ending else max(self._last_status, 1)
+                self._finish(EndReport(status, (), why))
+
+    def _give_up_s(self) -> float:
+        """How long a port that is gone is waited for."""
+        if not self._ran_well:
+            return self._release_s + _START_PATIENCE_S
+        if not self._is_ending:
+            return float("inf") if self._may_restart() else self._release_s + _PORT_PATIENCE_S
+        if self._signal_s is None:
+            return float("inf")  # who stopped it by the socket can ask how it is, and signal
+        return self._signal_s + (_PORT_PATIENCE_S if self._n_signals == 1 else 0.0)
+
+    def _released(self, release: TorqueRelease) -> None:
+        self._port_error = ""
+        self._drop_release()
+        names = self._servo_names
+        confirmed = tuple(names[each] for each in release.confirmed)
+        unconfirmed = {names[each]: why for each, why in release.unconfirmed.items()}
+        status = UNCONFIRMED if unconfirmed else ENDED_WELL
+        if not self._is_ending and self._last_status != UNCONFIRMED:
+            status = self._last_status
+        report = EndReport(status, confirmed, unconfirmed)
+        self._say(report.text())
+        if self._is_ending or not self._may_restart():
+            self._finish(report)
+
+    def _finish(self, report: EndReport) -> None:
+        self._drop_release()
+        self.report = report
+
+    def _tell_service(self, now_s: float) -> None:
+        """Alive: the bridge's loop is, or its recovery gets on, or waits for a lost port."""
+        if self._bridge.serves or self._port_error:
+            self._well_s = now_s
+        if now_s - self._well_s < _RECOVERY_S:
+            self._notice.alive()

@@ -1,0 +1,204 @@
+"""Pictures of `lipservo bench motion`; needs matplotlib, the extra `plots`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo.terminal.pictures import save_picture, without_screen
+from lipsync.corpus.recorded_closures import CLOSED_GAP_MM, lip_gaps_mm
+from lipsync.corpus.utterance import Utterance
+from lipsync.evaluation.motion.methods import REFERENCE, Heard, all_methods
+from lipsync.evaluation.motion.minimal_pairs import AFTER
+from lipsync.evaluation.motion.wrong_phonemes import ErrorRow, error_rows
+from lipsync.face.model import FaceModel
+from lipsync.motion.closure_plan import BILABIALS
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+from lipsync.phonemes import SILENCE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+Row = Mapping[str, object]
+
+#: Look-ahead of the trajectories drawn.
+_DRAWN_LOOKAHEAD_S = 0.1
+_DRAWN_RATE_HZ = 100.0
+#: Shown before and after speech, s.
+_MARGIN_S = 0.2
+_WITH_ERRORS = ("mean-face", "naive", "priority", LIVE_STRATEGY)
+_SENTENCES_WITH_ERRORS = 30
+_RECORDED = "recorded"
+#: The same colour in every picture.
+_COLOURS = {
+    _RECORDED: "black",
+    LIVE_STRATEGY: "tab:red",
+    REFERENCE: "tab:orange",
+    "cohen-massaro-tuned": "tab:olive",
+    "plain-regression": "tab:blue",
+    "priority": "tab:green",
+    "naive": "tab:purple",
+    "mean-face": "tab:gray",
+}
+
+
+#: What is drawn into the folder.
+PICTURES = ("trajectory.png", "lookahead.png", "recovery.png", "errors.png")
+
+
+def draw(
+    folder: Path,
+    model: FaceModel,
+    utterances: Sequence[Utterance],
+    rows: Sequence[Row],
+    recovery: Sequence[Row],
+) -> list[dict[str, object]]:
+    """Trajectory, error against look-ahead, error against wrong phonemes, and what is left of one.
+
+    utterances: not the model's. Returns what the third picture shows.
+    """
+    without_screen()
+    draw_trajectory(folder, model, utterances[0])
+    draw_lookahead(folder, rows)
+    draw_recovery(folder, recovery)
+    methods = [m for name, m in all_methods().items() if name in _WITH_ERRORS]
+    few = utterances[:_SENTENCES_WITH_ERRORS]
+    errors = error_rows(model, few, methods, lookahead_s=_DRAWN_LOOKAHEAD_S)
+    draw_errors(folder, errors)
+    return [asdict(row) for row in errors]
+
+
+def draw_trajectory(folder: Path, model: FaceModel, utterance: Utterance) -> None:
+    """The lip gap and the first two components of one sentence, recorded and synthesised."""
+    from matplotlib import pyplot as plt
+
+    recorded_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
+    times_s = np.arange(0.0, recorded_s[-1], 1.0 / _DRAWN_RATE_HZ)
+    curves = {}
+    for name in (REFERENCE, "priority", LIVE_STRATEGY):
+        method = all_methods()[name]
+        faces = method.faces(model, Heard(utterance.phones), times_s, _DRAWN_LOOKAHEAD_S)
+        curves[name] = times_s, _curves(model, faces)
+    curves[_RECORDED] = recorded_s, _curves(model, model.coefficients(utterance.markers_mm))
+    figure, axes = plt.subplots(
+        3, 1, sharex=True, figsize=(9, 8), layout="constrained", height_ratios=(2, 1, 1)
+    )
+    labels = ("inner lip gap, mm", "component 1, mm", "component 2, mm")
+    for axis, label, number in zip(axes, labels, range(3), strict=True):
+        for name, (at_s, values) in curves.items():
+            thick = 2.0 if name in (_RECORDED, LIVE_STRATEGY) else 0.9
+            axis.plot(at_s, values[number], label=name, linewidth=thick, color=_COLOURS[name])
+        axis.set_ylabel(label)
+    _mark_phones(axes[0], utterance)
+    axes[0].legend(fontsize=8)
+    axes[2].set_xlabel("s")
+    save_picture(figure, folder / "trajectory.png")
+    plt.close(figure)
+
+
+def _mark_phones(axis: "Axes", utterance: Utterance) -> None:
+    """Names above the axis, their beginnings as lines; closures of P B M shaded."""
+    spoken = [p for p in utterance.phones if p.phoneme != SILENCE] or list(utterance.phones)
+    for number, phone in enumerate(spoken):
+        # On two lines in turn, so that short phones do not overlap.
+        height = 1.02 + 0.05 * (number % 2)
+        place = axis.get_xaxis_transform()
+        axis.text(phone.start_s, height, phone.phoneme, fontsize=8, transform=place)
+        axis.axvline(phone.start_s, color="0.85", linewidth=0.6, zorder=0)
+        if phone.phoneme in BILABIALS:
+            axis.axvspan(phone.start_s, phone.end_s or phone.start_s, color="0.9", zorder=0)
+    axis.axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.6, linestyle=":")
+    last_s = spoken[-1].end_s or spoken[-1].start_s
+    axis.set_xlim(spoken[0].start_s - _MARGIN_S, last_s + _MARGIN_S)
+
+
+def draw_lookahead(folder: Path, rows: Sequence[Row]) -> None:
+    """Ratio to the fixed reference against look-ahead, a panel for each split."""
+    from matplotlib import pyplot as plt
+
+    splits = list(dict.fromkeys(str(r["split"]) for r in rows))
+    figure, axes = plt.subplots(
+        1, len(splits), sharey=True, squeeze=False, figsize=(3 + 3 * len(splits), 4.5),
+        layout="constrained",
+    )  # fmt: skip
+    drawn = ("cohen-massaro-tuned", "plain-regression", LIVE_STRATEGY)
+    for axis, split in zip(axes[0], splits, strict=True):
+        axis.axhline(1.0, color=_COLOURS[REFERENCE], label=REFERENCE)
+        for name in drawn:
+            mine = [r for r in rows if r["strategy"] == name and r["split"] == split]
+            if not mine:
+                continue
+            ratios = np.array([_float(r["ratio"]) for r in mine])
+            ends = np.array([r["ratio_95"] or (np.nan, np.nan) for r in mine], dtype=np.float64)
+            axis.errorbar(
+                [_float(r["lookahead_ms"]) for r in mine], ratios,
+                np.abs(ends.reshape(-1, 2).T - ratios),
+                marker="o", capsize=3, label=name, color=_COLOURS[name],
+            )  # fmt: skip
+        axis.set_title(split)
+        axis.set_xlabel("look-ahead, ms")
+    axes[0][0].set_ylabel("RMSE over that of the fixed reference")
+    axes[0][0].legend(fontsize=8)
+    save_picture(figure, folder / "lookahead.png")
+    plt.close(figure)
+
+
+def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
+    """What is left of one phoneme in those after it: recorded, made, wrong, put right."""
+    from matplotlib import pyplot as plt
+
+    drawn_ms = round(_DRAWN_LOOKAHEAD_S * 1e3)
+    styles = {"another true phoneme": "-", "never corrected": "--", "corrected after 95 ms": ":"}
+    figure, axis = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    for row in rows:
+        name, case = str(row["strategy"]), str(row["case"])
+        ours = name == LIVE_STRATEGY and row["lookahead_ms"] == drawn_ms
+        if not isinstance(row["left"], list) or not (ours or name == _RECORDED):
+            continue
+        left = np.array([_float(share) for share in row["left"]])
+        label = f"{name}, {case}"
+        axis.plot(left, linestyle=styles[case], marker="o", label=label, color=_COLOURS[name])
+        if name == _RECORDED:
+            low, high = np.array(row["left_95"], dtype=np.float64).T
+            axis.fill_between(range(len(left)), low, high, color="0.9", zorder=0)
+    axis.set_xticks(range(1 + AFTER), ["the phoneme", *(f"+{k}" for k in range(1, 1 + AFTER))])
+    axis.set_ylabel("share of its deviation that is left")
+    if axis.lines:
+        axis.legend(fontsize=8)
+    save_picture(figure, folder / "recovery.png")
+    plt.close(figure)
+
+
+def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
+    """RMSE against the share of phonemes that are wrong, a panel for each kind of error."""
+    from matplotlib import pyplot as plt
+
+    kinds = list(dict.fromkeys(row.kind for row in rows))
+    figure, axes = plt.subplots(
+        1, len(kinds), sharey=True, squeeze=False, figsize=(10, 4), layout="constrained"
+    )
+    for axis, kind in zip(axes[0], kinds, strict=True):
+        for name in dict.fromkeys(row.strategy for row in rows):
+            mine = [row for row in rows if row.kind == kind and row.strategy == name]
+            rates, rmse_mm = [r.rate for r in mine], [r.rmse_mm for r in mine]
+            axis.plot(rates, rmse_mm, marker="o", label=name, color=_COLOURS[name])
+        axis.set_title(kind)
+        axis.set_xlabel("share of wrong phonemes")
+    axes[0][0].set_ylim(bottom=0.0)
+    axes[0][0].set_ylabel("RMSE, mm")
+    axes[0][0].legend(fontsize=8)
+    save_picture(figure, folder / "errors.png")
+    plt.close(figure)
+
+
+def _curves(model: FaceModel, faces: Array) -> tuple[Array, Array, Array]:
+    return lip_gaps_mm(model.markers_mm(faces)), faces[:, 0], faces[:, 1]
+
+
+def _float(value: object) -> float:
+    """NaN for what a row leaves out."""
+    return float(value) if isinstance(value, int | float) else float("nan")

@@ -1,0 +1,90 @@
+"""A picture of which mouths a robot can make: openings and widths of speech, and what is missing.
+
+Needs matplotlib, the extra `plots`.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import Calibration, CalibrationError
+from calibration.fit.correspondence import RobotMouth
+from calibration.fit.measured import MeasuredFit
+from calibration.fit.measured_errors import REACHABLE_MM, ShapeErrors
+from lipservo.terminal.pictures import save_picture, without_screen
+from lipsync.face.model import FaceModel
+from lipsync.phonemes import VISEME_CLASSES
+
+Array = NDArray[np.float64]
+
+PICTURE = "coverage.png"
+_FRAMES = 1500
+#: Farther off than this all points look alike.
+_WORST_MM = 1.5
+
+
+def draw_coverage(
+    folder: Path, model: FaceModel, calibration: Calibration, fit: MeasuredFit | None
+) -> Path:
+    """`coverage.png`: left every frame of speech by opening and width, right by viseme class.
+
+    Raises CalibrationError for a calibration that measured nothing.
+    """
+    if fit is None:
+        raise CalibrationError("--plots needs a measured way; this one knows no millimetres")
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    frames = model.animphos.reshape(-1, model.n_components)
+    frames = frames[:: max(1, len(frames) // _FRAMES)]
+    opening_mm, width_mm, off_mm = _best_off(model, calibration, fit, frames)
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), width_ratios=(3, 2))
+    points = left.scatter(
+        width_mm, opening_mm, c=np.minimum(off_mm, _WORST_MM), s=9, cmap="viridis_r", vmin=0.0,
+        vmax=_WORST_MM,
+    )  # fmt: skip
+    missed = off_mm > REACHABLE_MM
+    left.scatter(
+        width_mm[missed],
+        opening_mm[missed],
+        s=42,
+        facecolors="none",
+        edgecolors="red",
+        linewidths=0.7,
+    )
+    left.set_xlabel("width asked for, mm")
+    left.set_ylabel("opening asked for, mm (below 0: pressed)")
+    left.set_title(f"{1 - missed.mean():.0%} of speech within {REACHABLE_MM} mm; red circles: not")
+    figure.colorbar(points, ax=left, label="best pose off, mm rms over the lips")
+    names = [" ".join(v) for v in VISEME_CLASSES if v[0] in calibration.coverage]
+    reach = [calibration.coverage[v[0]] for v in VISEME_CLASSES if v[0] in calibration.coverage]
+    rows = np.arange(len(names))
+    right.barh(rows, [each.reachable for each in reach], color="tab:blue", height=0.6)
+    for row, each in zip(rows, reach, strict=True):
+        right.text(1.01, row, f"{each.off_mm:.2f} mm", va="center", fontsize=8)
+    right.set_yticks(rows, names, fontsize=8)
+    right.invert_yaxis()
+    right.set_xlim(0.0, 1.0)
+    right.set_xlabel("part within reach; beside it, how far off this map is")
+    figure.suptitle(f"What this robot can make of speech, {calibration.origin.poses} poses")
+    figure.tight_layout()
+    path = folder / PICTURE
+    save_picture(figure, path)
+    plt.close(figure)
+    return path
+
+
+def _best_off(
+    model: FaceModel, calibration: Calibration, fit: MeasuredFit, frames: Array
+) -> tuple[Array, Array, Array]:
+    """Opening and width that are asked for, and how far the best pose is off; (n,) each, mm."""
+    limits = (calibration.min_deg, calibration.max_deg)
+    mouth = RobotMouth(fit.face.markers_mm, fit.names, limits, calibration.rules)
+    found = ShapeErrors(model, mouth, fit.retargeting)
+    targets_mm = fit.retargeting.targets_mm(frames - model.rest)
+    right, left = fit.names.corners
+    upper, lower = fit.names.look.gaps[0]
+    opening_mm = targets_mm[:, upper, 1] - targets_mm[:, lower, 1]
+    width_mm = targets_mm[:, left, 0] - targets_mm[:, right, 0]
+    return opening_mm, width_mm, found.apart_mm(found.best_deg(targets_mm), targets_mm)

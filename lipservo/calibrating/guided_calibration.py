@@ -1,0 +1,115 @@
+"""`lipservo calibrate --guided`: the talker's mouth, the robot's beside it, and keys."""
+
+import datetime
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console, Group
+from rich.table import Table
+from rich.text import Text
+
+from calibration.calibration import Calibration
+from calibration.capture.capture import Move
+from calibration.fit.guided import fit_guided, landmark_poses
+from calibration.fit.guided_session import (
+    KEYS,
+    GuidedSession,
+    keep_poses,
+    kept_poses,
+    start_session,
+)
+from calibration.joint_range import JointRange
+from lipservo.settings.settings import FaceSettings
+from lipservo.terminal.mouth_drawing import draw_mouth
+from lipsync.face.model import FaceModel
+
+Array = NDArray[np.float64]
+
+#: Joint degrees (n_servos,) -> markers (47, 3), where the robot's face can be drawn.
+Drawn = Callable[[Array], Array]
+
+
+def calibrate_by_eye(
+    settings: FaceSettings,
+    model: FaceModel,
+    *,
+    move: Move,
+    read_key: Callable[[], str],
+    console: Console,
+    keep: Path | None = None,
+    drawn: Drawn | None = None,
+) -> Calibration:
+    """The whole guided way. drawn: None where the person looks at a real face.
+
+    Raises CalibrationError for too few poses.
+    """
+    mouth = settings.mouth_servos
+    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
+    made_deg = guide(model, joints, move, read_key, console, keep=keep, drawn=drawn)
+    return fit_guided(
+        model,
+        joints,
+        made_deg,
+        settings.checksum,
+        date=datetime.date.today().isoformat(),
+        servo_models=tuple(servo.model for servo in mouth.values()),
+    )
+
+
+def guide(
+    model: FaceModel,
+    joints: list[JointRange],
+    move: Move,
+    read_key: Callable[[], str],
+    console: Console,
+    *,
+    keep: Path | None = None,
+    drawn: Drawn | None = None,
+) -> dict[str, Array]:
+    """Let a person make the landmark poses; angles (n_servos,) by name of the pose.
+
+    Every finished pose is kept at once in `keep`, and a later session goes on from there. The
+    robot is left in neutral.
+    """
+    names = [joint.name for joint in joints]
+    kept = {} if keep is None else kept_poses(names, keep)
+    session = start_session(joints, landmark_poses(model), kept)
+    try:
+        while not session.done:
+            move(session.positions_deg)
+            ascii_only = console.options.ascii_only
+            console.print(_page(model, session, drawn, ascii_only=ascii_only))
+            after = session.press(read_key())
+            if keep is not None and len(after.made_deg) != len(session.made_deg):
+                keep_poses(after.made_deg, names, keep)
+            session = after
+    finally:
+        move(np.zeros(len(joints)))
+    return dict(session.made_deg)
+
+
+def _page(
+    model: FaceModel, session: GuidedSession, drawn: Drawn | None, *, ascii_only: bool
+) -> Group:
+    pose = session.poses[session.pose]
+    wanted_mm = model.markers_mm(pose.coefficients[None])[0]
+    mouths = Table.grid(padding=(0, 3))
+    row = [_mouth(model, wanted_mm, "yellow", ascii_only=ascii_only)]
+    if drawn is not None:
+        made_mm = drawn(session.positions_deg)
+        row.append(_mouth(model, made_mm, "red", ascii_only=ascii_only))
+    mouths.add_row(*row)
+    servos = Table.grid(padding=(0, 2))
+    for index, joint in enumerate(session.joints):
+        mark = (">" if ascii_only else "▶") if index == session.servo else " "
+        servos.add_row(mark, joint.name, f"{session.positions_deg[index]:6.1f} deg")
+    keys = Text("   ".join(f"{key}: {what}" for key, what in KEYS.items()), style="dim")
+    title = f"{session.pose + 1} of {len(session.poses)}, {pose.name}: {pose.instruction}"
+    return Group(Text(title, style="bold"), mouths, servos, keys)
+
+
+def _mouth(model: FaceModel, markers_mm: Array, style: str, *, ascii_only: bool) -> Text:
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    return Text("\n".join(draw_mouth(markers_mm, rest_mm, ascii_only=ascii_only)), style=style)

@@ -1,0 +1,88 @@
+"""`lipservo bench closures`: whether the mouth closes where P, B, M, F and V are spoken."""
+
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lipservo.commands.bench.recognition import Cache, Limit, Speakers
+from lipservo.commands.learn.recognition import progress_bar
+from lipservo.commands.options import Json, Model, Quiet
+from lipservo.commands.run.recognizer_options import WeightsChoice
+from lipservo.terminal.output import RESULTS, machine_class, print_json
+from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
+
+if TYPE_CHECKING:
+    from lipsync.evaluation.recognition.heard_closures import Closure
+    from lipsync.phonemes import PhonemeEvent
+
+
+def closures(
+    corpus: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder as for `bench recognition`; without it the bundled clip.",
+            show_default=False,
+        ),
+    ] = None,
+    speakers: Speakers = "",
+    limit: Limit = None,
+    cache: Cache = None,
+    lookahead_ms: Annotated[
+        float, typer.Option(min=0.0, max=1000.0, help="As for `run`.")
+    ] = DEFAULT_LOOKAHEAD_S * 1e3,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    model: Model = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure at how many closures the mouth closes, by what the recogniser hears.
+
+    Where they are is told by forced alignment of what is said.
+    """
+    from lipservo.face.assembly import load_face_model
+    from lipservo.street.motion_options import LATENCY_S
+    from lipsync.evaluation.recognition.heard_closures import closure_figures, heard_closures
+    from lipsync.recognition.network_recognizer import NetworkRecognizer
+
+    recognizer = NetworkRecognizer(find_weights(weights), LATENCY_S)
+    face = load_face_model(model)
+    found: list[Closure] = []
+    with progress_bar(quiet=quiet) as advance:
+        if corpus is None:
+            with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+                found = heard_closures(
+                    clip, _clip_phones(clip), recognizer, face, lookahead_ms / 1e3
+                )
+        else:
+            from lipservo.bench.aligned_corpus import aligned, selected
+
+            utterances = selected(corpus, speakers, limit=limit)
+            alignments = aligned(utterances, cache, None, advance)
+            for number, utterance in enumerate(utterances, start=1):
+                phones = alignments[utterance.name].events()
+                found += heard_closures(
+                    utterance.sound, phones, recognizer, face, lookahead_ms / 1e3
+                )
+                advance("closing", number, len(utterances))
+    figures = closure_figures(found)
+    settings = {"weights": weights, "lookahead_ms": lookahead_ms, "machine": machine_class()}
+    missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.was_met]
+    if corpus is None:
+        figures["missed"] = missed
+    if as_json:
+        print_json({**figures, **settings})
+        return
+    for name, value in {**figures, **settings}.items():
+        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+
+
+def _clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
+    """The bundled clip's phones, from its text."""
+    from lipsync.recognition.alignment.forced_alignment import align
+    from lipsync.recognition.sound import read_speech
+
+    text = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
+    return align(read_speech(clip), text).phones

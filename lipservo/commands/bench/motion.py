@@ -1,0 +1,190 @@
+"""`lipservo bench motion`: our motion and its rivals' against recorded faces."""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.progress import Progress
+from rich.table import Table
+
+from lipservo.commands.options import Json, Quiet, SkipBad
+from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+
+if TYPE_CHECKING:
+    from lipservo.bench.motion_figures import Question
+    from lipsync.corpus.utterance import Corpus, Utterance
+    from lipsync.face.model import FaceModel
+
+
+#: What is printed of a row, and its heading; all of it together fits 80 columns.
+_HEADINGS = {
+    "split": "split",
+    "strategy": "strategy",
+    "lookahead_ms": "ms",
+    "rmse_mm": "mm",
+    "ratio": "ratio",
+    "gap_r": "gap r",
+    "closure_hits": "closed",
+    "false_closures_ratio": "false",
+    "acceleration_ratio": "accel",
+    "miss_rate": "misses",
+    "frames": "frames",
+}
+
+
+def motion(
+    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Score this model on the folder; without it, cross-validate by splits.json. "
+            "`shipped` names the shipped one.",
+            show_default=False,
+        ),
+    ] = None,
+    words: Annotated[
+        str | None,
+        typer.Option(help="Score these words alone, comma between; without --model unseen."),
+    ] = None,
+    strategy: Annotated[str | None, typer.Option(help="Score one method only.")] = None,
+    lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
+    phonemes: Annotated[str, typer.Option(help="true, or recognized live.")] = "true",
+    published_derivatives: Annotated[
+        bool,
+        typer.Option(
+            "--published-derivatives",
+            help="The paper's two strategies with equation (5) as printed: a derivative for each "
+            "sample, so that the speed jumps between phones of other lengths.",
+        ),
+    ] = False,
+    plots: Annotated[
+        Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
+    ] = None,
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure synthesised motion against recorded faces, ours and its rivals."""
+    from lipservo.bench import motion_figures as measure
+    from lipservo.bench.motion_plots import PICTURES
+    from lipservo.terminal.pictures import check_folder
+    from lipsync.face.model import load_model, load_shipped_model
+    from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+
+    began_s = time.perf_counter()
+    if plots is not None:
+        check_folder(plots, PICTURES)
+    asked = measure.question(
+        strategy, lookahead_ms, phonemes, words, published_derivatives=published_derivatives
+    )
+    given = None
+    if model is not None:
+        given = load_shipped_model() if str(model) == "shipped" else load_model(model)
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        answer = _answer(corpus, given, asked, plots, progress, skip_bad=skip_bad)
+    seconds = time.perf_counter() - began_s
+    answer["published_derivatives"] = published_derivatives
+    answer |= {"default_strategy": LIVE_STRATEGY, "machine": machine_class(), "seconds": seconds}
+    if as_json:
+        print_json(answer)
+        return
+    _print_answer(answer)
+    RESULTS.print(f"default strategy: {LIVE_STRATEGY}; {machine_class()}; {seconds:.0f} s")
+
+
+def _answer(
+    folder: Path,
+    given: "FaceModel | None",
+    asked: "Question",
+    plots: Path | None,
+    progress: Progress,
+    *,
+    skip_bad: bool,
+) -> dict[str, Any]:
+    """Rows, the paper's tables, self-correction; pictures on the way."""
+    from lipservo.bench import motion_figures as measure
+    from lipsync.corpus.grid import read_grid
+    from lipsync.evaluation.motion.scoring import seen_in_training
+    from lipsync.expectation.training.hearing import hear_sentences
+    from lipsync.recognition.weights import load_shipped_weights
+    from lipsync.training.face_training import train
+
+    sentences = read_grid(
+        folder,
+        head_reference_mm=None if given is None else given.head_reference_mm,
+        skip_bad=skip_bad,
+        progress=lambda names: progress.track(names, description="reading"),
+    )
+
+    def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
+        return progress.track(items, description=what)
+
+    heard = None
+    if given is None:  # once for all trainings: the recogniser has heard no sentence of the folder
+        labelled = sentences.labelled().utterances
+        heard = hear_sentences(load_shipped_weights(), labelled, partial(track, "listening"))
+    step = progress.add_task("training", total=None, visible=given is None)
+
+    def learn(part: "Corpus") -> "FaceModel":
+        return train(
+            part, heard=heard, progress=lambda text: progress.update(step, description=text)
+        )
+
+    if given is None:
+        validated = measure.cross_validate(folder, sentences, asked, learn, track)
+        rows, model, unseen = validated.rows, validated.model, validated.unseen
+    else:
+        rows, model, unseen = measure.score_model(given, sentences, asked, track), given, sentences
+        seen = seen_in_training(given, sentences.utterances)
+        if seen:
+            MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
+    progress.update(step, description="the paper's tables", visible=True)
+    # One method alone is a quick question, and the tables are a comparison.
+    paper = measure.paper_rows(model, unseen) if asked.compares else None
+    progress.update(step, description="self-correction")
+    recovery = measure.recovery(model, unseen, sentences, asked)
+    errors = None
+    if plots is not None:
+        from lipservo.bench.motion_plots import draw
+
+        progress.update(step, description="pictures")
+        errors = draw(plots, model, unseen.labelled().utterances, rows, recovery)
+    return {
+        "results": rows,
+        "paper": paper,
+        "recovery": recovery,
+        "errors": errors,
+        "skipped": list(sentences.skipped),
+    }
+
+
+def _print_answer(answer: Mapping[str, Any]) -> None:
+    _print_table("Motion", answer["results"], _HEADINGS)
+    for name, rows in (answer["paper"] or {}).items():
+        _print_table(f"The paper's {name.replace('_', ' ')}", rows)
+    _print_table("Left of a phoneme, in itself and in those after it", answer["recovery"])
+    _print_table("RMSE with a share of the phonemes wrong", answer["errors"] or [])
+
+
+def _print_table(
+    title: str, rows: Sequence[Mapping[str, object]], headings: Mapping[str, str] | None = None
+) -> None:
+    """The columns that have a heading; without any, all but the intervals."""
+    if not rows:
+        return
+    headings = headings or {name: name for name in rows[0] if not name.endswith("_95")}
+    table = Table(*headings.values(), title=title, title_justify="left", box=None, pad_edge=False)
+    for row in rows:
+        table.add_row(*(_cell(row[name]) for name in headings))
+    RESULTS.print(table, "")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return " ".join("-" if x is None else f"{x:.2f}" for x in value)
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return "" if value is None else str(value)

@@ -1,0 +1,132 @@
+"""`jog`, `neutral`, `new-face`: a builder's first hour."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lipservo.commands.options import DEFAULT_FACE, Config, Port
+from lipservo.face.face_stopped import exit_status
+from lipservo.terminal.output import MESSAGES, RESULTS, say_simulated
+from lipsync.errors import UserError
+from lipsync.output_file import write_whole
+
+if TYPE_CHECKING:
+    from lipservo.face.moving import Moved
+
+
+def jog(
+    joint: Annotated[str, typer.Argument(help="Which joint.")],
+    deg: Annotated[float, typer.Argument(help="Where to, joint degrees.")],
+    port: Port = None,
+    config: Config = DEFAULT_FACE,
+    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="How long to stay.")] = 1.0,
+) -> None:
+    """Move one joint, the others held, through the safety gate; then all go limp."""
+    from lipservo.face.moving import move_to
+
+    _say_if_simulated(port, config)
+    moved = move_to(config, port, {joint: deg}, hold_s)
+    RESULTS.print(f"{joint} stands at {moved.reached_deg[joint]:.1f} deg")
+    _finish(moved)
+
+
+def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
+    """Bring every joint to its neutral, through the safety gate; then all go limp."""
+    from lipservo.face.moving import move_to
+
+    _say_if_simulated(port, config)
+    moved = move_to(config, port, None, 0.5)
+    for name, angle_deg in moved.reached_deg.items():
+        RESULTS.print(f"{name} stands at {angle_deg:.1f} deg")
+    _finish(moved)
+
+
+def new_face(
+    output: Annotated[Path, typer.Option("--output", "-o", help="The YAML to write.")],
+    port: Annotated[str, typer.Option(help="Serial port of the servos.")],
+    baud_rate: Annotated[int, typer.Option(help="Try this rate first.")] = 1_000_000,
+    ranges: Annotated[
+        Path | None,
+        typer.Option(help="LeRobot range file: names and limits by id.", show_default=False),
+    ] = None,
+) -> None:
+    """Find the servos, move each by 3 degrees, ask for its name and direction, write the YAML.
+
+    With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
+    """
+    from calibration.capture.lerobot_ranges import by_id, read_ranges
+    from lipservo.face.new_face import (
+        FoundJoint,
+        check_face_file,
+        check_joint_name,
+        face_yaml,
+        find_servos,
+        nudge,
+    )
+    from lipservo.settings.settings import parse_face
+
+    check_face_file(output)
+    recorded = {} if ranges is None else by_id(read_ranges(ranges))
+    rate, found = find_servos(port, baud_rate)
+    MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
+    _clear_foreign(port, rate, found)
+    joints: list[FoundJoint] = []
+    for servo_id, model in found.items():
+        tick = nudge(port, rate, servo_id, model)
+        known = recorded.get(servo_id)
+        name = typer.prompt(
+            f"id {servo_id} ({model}) moved by 3 degrees and back. Which joint",
+            default=known.name if known else None,
+            value_proc=partial(_joint_name, check_joint_name, [joint.name for joint in joints]),
+            err=True,
+        )
+        word = typer.prompt("What should a positive angle do (opens, raises, widens ...)", err=True)
+        same = typer.confirm("Did its first move do that", default=True, err=True)
+        joint = FoundJoint(name, servo_id, model, word, 1 if same else -1)
+        joints.append(joint if known is None else joint.within(known, tick))
+    text = face_yaml(output.stem, port, rate, joints)
+    parse_face(text, output.name)
+    write_whole(output, text)
+    RESULTS.print(
+        f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`",
+        soft_wrap=True,
+    )
+
+
+def _clear_foreign(port: str, rate: int, found: Mapping[int, str]) -> None:
+    """Ask before what another program has written into the servos is taken back."""
+    from lipservo.settings.foreign_settings import clear_foreign_settings, foreign_settings
+
+    foreign = foreign_settings(port, rate, found)
+    if not foreign:
+        return
+    for servo_id, changes in foreign.items():
+        MESSAGES.print(f"id {servo_id}: {'; '.join(map(str, changes))}", soft_wrap=True)
+    question = "Another program has set these up. Write what they should be"
+    if not typer.confirm(question, default=True, err=True):
+        raise UserError("nothing was written; servos set up like this cannot be moved here")
+    clear_foreign_settings(port, rate, found, foreign)
+
+
+def _finish(moved: "Moved") -> None:
+    status = exit_status(moved.report, None)
+    if status:
+        raise typer.Exit(status)
+
+
+def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
+    """An answer to the question for a joint's name; asked again where it cannot be one."""
+    try:
+        return check(text, taken)
+    except UserError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _say_if_simulated(port: str | None, config: str) -> None:
+    from lipservo.face.assembly import load_settings
+
+    if port is None and load_settings(config)[0].bus.kind == "simulated":
+        say_simulated()

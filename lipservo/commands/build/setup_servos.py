@@ -1,0 +1,188 @@
+"""`setup-servos`: what each servo keeps in its memory, as the face's YAML wants it."""
+
+import contextlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from firmware_bridge.errors import BusError
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Port, port_of
+from lipservo.terminal.output import RESULTS, complain, print_json
+from lipsync.errors import UserError
+
+if TYPE_CHECKING:
+    from firmware_bridge.dynamixel.chain_setup import Plan
+    from firmware_bridge.dynamixel.mounting import MountedServo
+    from firmware_bridge.dynamixel.wire.line import Line
+    from lipservo.face.stop_signals import HeldSignals
+
+
+@dataclass(slots=True)
+class _Work:
+    """What is to be done and what of it is done; rows are (joint, register, found, wanted)."""
+
+    port: str
+    baud_rate: int
+    dry_run: bool
+    as_json: bool
+    plans: list["Plan"] = field(default_factory=list)
+    done: set[tuple[str, str]] = field(default_factory=set)
+
+    def rows(self, *, done: bool) -> list[str]:
+        """What is set, or what is not, a piece each."""
+        return [
+            f"{plan.servo.joint.name}: {each.name} {each.found} -> {each.wanted}"
+            for plan in self.plans
+            for each in plan.changes
+            if ((plan.servo.joint.name, each.name) in self.done) == done
+        ]
+
+    def say(self, line: str) -> None:
+        """A result for people."""
+        if not self.as_json:
+            RESULTS.print(line, soft_wrap=True, highlight=False)
+
+
+def setup_servos(
+    joints: Annotated[
+        list[str] | None, typer.Argument(help="Joints to set up; default: all.")
+    ] = None,
+    port: Port = None,
+    config: Config = DEFAULT_FACE,
+    dry_run: Annotated[bool, typer.Option(help="Only list what would be changed.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Give each servo its id, rate and limits; only what differs is written, torque stays off.
+
+    When all of them answer at their own ids, nobody is unplugged. Else connect one at a time:
+    without JOINTS it asks for one after another, with one joint it asks nothing.
+    """
+    from lipservo.face.assembly import load_settings
+    from lipservo.face.servos import mounted_servos
+    from lipservo.face.stop_signals import StopRequested, held_signals
+
+    settings, _ = load_settings(config)
+    servos = {servo.joint.name: servo for servo in mounted_servos(settings)}
+    unknown = [name for name in joints or () if name not in servos]
+    if unknown:
+        raise UserError(f"no joint {unknown[0]!r} in this face; it has {', '.join(servos)}")
+    asked = [servos[name] for name in joints or servos]
+    work = _Work(port_of(port, settings.bus.port), settings.bus.baud_rate, dry_run, as_json)
+    status, error = 0, ""
+    with held_signals() as signals:
+        try:
+            _set_up(work, asked, signals, ask=joints is None or len(asked) > 1)
+        except StopRequested as stop:
+            status, error = 128 + stop.number, f"stopped by {stop}"
+        except (UserError, BusError) as failure:
+            status, error = 1, str(failure)
+        with contextlib.suppress(StopRequested), signals.finish_first():
+            _report(work, error)
+    if status:
+        raise typer.Exit(status)
+
+
+def _set_up(
+    work: _Work, servos: list["MountedServo"], signals: "HeldSignals", *, ask: bool
+) -> None:
+    from firmware_bridge.dynamixel.chain_setup import (
+        chain_is_complete,
+        look_around,
+        plan_alone,
+        plan_chain,
+    )
+
+    with _line(work) as line:
+        found = look_around(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
+        if chain_is_complete(servos, found):
+            work.plans = plan_chain(line, servos, found, work.baud_rate)
+            for plan in work.plans:
+                _carry_out(work, line, plan, signals)
+            return
+        if not ask or sum(map(len, found.values())) > 1:
+            missing = [each for each in servos if each.joint.servo_id not in found]
+            work.plans = [plan_alone(line, missing[0], found, work.baud_rate)]
+            _carry_out(work, line, work.plans[0], signals)
+            return
+    for servo in servos:
+        name = servo.joint.name
+        question = f"Connect the servo of {name!r} alone, then press Enter"
+        typer.prompt(question, "", show_default=False, err=True)
+        with _line(work) as line:
+            found = look_around(line, [servo.joint.servo_id], work.baud_rate)
+            work.plans.append(plan_alone(line, servo, found, work.baud_rate))
+            _carry_out(work, line, work.plans[-1], signals)
+
+
+def _carry_out(work: _Work, line: "Line", plan: "Plan", signals: "HeldSignals") -> None:
+    """Write one servo's changes, register by register; a signal waits for the register."""
+    from firmware_bridge.dynamixel.provisioning import set_up
+
+    name = plan.servo.joint.name
+    if work.dry_run:
+        for each in plan.changes:
+            work.say(f"{name}: {each.name} {each.found} -> {each.wanted} (not written)")
+        if not plan.changes:
+            work.say(f"{name}: nothing to change")
+        return
+    line.baud_rate = plan.baud_rate
+    steps = set_up(line, plan.servo_id, plan.servo.model, plan.changes)
+    while True:
+        with signals.finish_first():
+            change = next(steps, None)
+            if change is None:
+                break
+            work.done.add((name, change.name))
+            work.say(f"{name}: {change.name} {change.found} -> {change.wanted}")
+    work.say(f"{name}: set up as id {plan.servo.joint.servo_id}")
+
+
+def _report(work: _Work, error: str) -> None:
+    """The whole as JSON; what went wrong in one line, with what is set and what is not."""
+    if work.as_json:
+        servos = [
+            {
+                "joint": plan.servo.joint.name,
+                "id": plan.servo.joint.servo_id,
+                "found_id": plan.servo_id,
+                "found_baud_rate": plan.baud_rate,
+                "changes": [
+                    {
+                        "register": each.name,
+                        "found": each.found,
+                        "wanted": each.wanted,
+                        "set": (plan.servo.joint.name, each.name) in work.done,
+                    }
+                    for each in plan.changes
+                ],
+            }
+            for plan in work.plans
+        ]
+        complete = not error and not work.rows(done=False)
+        print_json(
+            {"dry_run": work.dry_run, "complete": complete, "error": error, "servos": servos}
+        )
+    if error and work.plans and not work.dry_run:
+        done, left = work.rows(done=True), work.rows(done=False)
+        error += f"; set: {', '.join(done) or 'nothing'}; not set: {', '.join(left) or 'nothing'}"
+        error += "; torque is off where anything was set"
+    if error:
+        complain(error)
+
+
+@contextlib.contextmanager
+def _line(work: _Work) -> Iterator["Line"]:
+    """A line that waits for late answers."""
+    from firmware_bridge.dynamixel.provisioning import UNHURRIED_S
+    from firmware_bridge.dynamixel.wire.line import Line
+    from firmware_bridge.dynamixel.wire.serial_transport import open_port
+
+    transport = open_port(work.port, work.baud_rate)
+    try:
+        line = Line(transport)
+        line.patience_s = UNHURRIED_S
+        yield line
+    finally:
+        transport.close()

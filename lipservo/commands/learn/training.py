@@ -1,0 +1,101 @@
+"""`train`: what is made once, before a face runs."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from rich.progress import Progress
+
+from lipservo.commands.options import Json, Quiet, SkipBad
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.output_file import check_output
+
+#: What the expectation learns from.
+Phonemes = Literal["both", "true"]
+
+
+def train(
+    corpus: Annotated[
+        Path, typer.Argument(help="Folder of recordings: sounds, landmarks, labels.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    animphos: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="How many AnimPhos; default: so many that each has 3.45 successors."
+        ),
+    ] = None,
+    phonemes: Annotated[
+        Phonemes,
+        typer.Option(
+            help="Learn from the labels and from what the shipped recogniser hears (both), or from "
+            "the labels alone (true), which is quicker."
+        ),
+    ] = "both",
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn a face model from recorded speech with mouth motion.
+
+    CORPUS holds audio/NAME.flac, landmarks/NAME.npz and labels/NAME.TextGrid of each sentence, and
+    landmarks.json: docs/motion.md, "A corpus of your own", says what is in them.
+    """
+    from lipsync.corpus.grid import read_grid
+    from lipsync.expectation.training.hearing import hear_sentences
+    from lipsync.face.model import is_model, save_model
+    from lipsync.recognition.weights import load_shipped_weights
+    from lipsync.training.face_training import train as train_model
+
+    check_output(output, replaces=is_model, kind="face model")
+    with _progress(quiet=quiet) as progress:
+        reading = progress.add_task("reading", total=None)
+
+        def read(names: list[str]) -> Iterable[str]:
+            yield from progress.track(names, task_id=reading)
+
+        sentences = read_grid(corpus, skip_bad=skip_bad, progress=read)
+        heard = None
+        if phonemes == "both":
+            heard = hear_sentences(
+                load_shipped_weights(),
+                sentences.labelled().utterances,
+                lambda utterances: progress.track(utterances, description="listening"),
+            )
+        learning = progress.add_task("training", total=None)
+        model = train_model(
+            sentences,
+            seed=seed,
+            n_animphos=animphos,
+            heard=heard,
+            progress=lambda step: progress.update(learning, description=step),
+        )
+    save_model(model, output)
+    for line in sentences.skipped:
+        MESSAGES.print(f"left out: {line}", soft_wrap=True)
+    figures: dict[str, object] = {
+        "model": str(output),
+        "sentences": len(model.training_sentences),
+        "animphos": len(model.animphos),
+        "mean_successors": model.mean_successors,
+        "skipped": len(sentences.skipped),
+        **model.provenance,
+    }
+    if as_json:
+        print_json(figures)
+        return
+    RESULTS.print(
+        f"{output}: {len(model.animphos)} AnimPhos from {model.provenance['segments']} segments of "
+        f"{len(model.training_sentences)} sentences, {model.mean_successors:.2f} successors on "
+        f"average (the paper: 3.45), {model.provenance['variance_held']:.1%} of the variance held",
+        soft_wrap=True,
+    )
+
+
+@contextmanager
+def _progress(*, quiet: bool) -> Iterator[Progress]:
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        yield progress

@@ -1,0 +1,1 @@
+"""Commands that run a face, watch it and stop it."""

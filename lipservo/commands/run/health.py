@@ -1,0 +1,144 @@
+"""`health`: how the servos were while they ran, and what is getting worse."""
+
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from firmware_bridge.health import describe_errors
+from lipservo.commands.options import Json
+from lipservo.health.health_findings import findings
+from lipservo.health.health_history import History, ServoDay, read_history
+from lipservo.health.health_log import MOST_DAYS
+from lipservo.health.health_places import folder_name, logged_faces, places_searched
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.errors import UserError
+
+
+class HealthError(UserError):
+    """A log that is not there or cannot be read."""
+
+
+def health(
+    face: Annotated[
+        str | None,
+        typer.Option(help="Name of a face, as in its YAML; default: all.", show_default=False),
+    ] = None,
+    days: Annotated[
+        int, typer.Option(min=1, help="Look at so many days on which it ran.")
+    ] = MOST_DAYS,
+    as_json: Json = False,
+) -> None:
+    """Show what was logged of each servo while it ran, and what is getting worse.
+
+    Servos at a port are logged every ten seconds; simulated ones in memory are not.
+    """
+    logged = logged_faces(os.environ)
+    if face is not None:
+        wanted = folder_name(face)
+        if wanted not in logged:
+            known = ", ".join(logged) or "none"
+            raise HealthError(
+                f"nothing was logged of face {face!r} in {places_searched(os.environ)}; "
+                f"known here: {known}"
+            )
+        logged = {wanted: logged[wanted]}
+    try:
+        histories = {name: read_history(folders, days) for name, folders in logged.items()}
+    except OSError as error:
+        raise HealthError(f"{error.filename}: cannot be read: {error.strerror}") from error
+    if as_json:
+        print_json({"faces": [_as_dict(name, history) for name, history in histories.items()]})
+        return
+    if not any(history.n_readings for history in histories.values()):
+        RESULTS.print(
+            f"nothing logged yet in {places_searched(os.environ)}: servos at a port are, every ten "
+            "seconds while they run",
+            soft_wrap=True,
+            highlight=False,
+        )
+    for name, history in histories.items():
+        _print(name, history)
+
+
+def _print(name: str, history: History) -> None:
+    for line in history.bad_files:
+        MESSAGES.print(line, soft_wrap=True, markup=False)
+    if history.n_bad_lines:
+        MESSAGES.print(f"{name}: {history.n_bad_lines} unreadable lines were left out")
+    if not history.n_readings:
+        return
+    every = [day.day for days in history.servos.values() for day in days]
+    n_days = len(set(every))
+    span = f"{max(every)}" if n_days == 1 else f"{min(every)} to {max(every)}, {n_days} days"
+    table = Table(
+        title=f"{escape(name)}, {span}, {history.n_readings} readings",
+        title_justify="left",
+        box=None,
+    )
+    table.add_column("servo", no_wrap=True)
+    for header in ("°C now", "max", "load", "mA", "V min", "errors", "reboots", "unanswered"):
+        table.add_column(header, justify="left" if header == "errors" else "right")
+    for servo, days in history.servos.items():
+        table.add_row(servo, *_row(days))
+    RESULTS.print(table)
+    lines = findings(history.servos)
+    told = Table.grid(padding=(0, 1))
+    for line in lines or ["nothing is getting worse"]:
+        told.add_row("-", escape(line))
+    RESULTS.print(told)
+    RESULTS.print()
+
+
+def _row(days: Sequence[ServoDay]) -> list[str]:
+    """The newest day that knows a figure tells it; limits are over all days."""
+    errors = 0
+    for day in days:
+        errors |= day.errors
+    return [
+        _text(_newest([day.latest_degc for day in days]), "{:.0f}"),
+        _text(max(_known([day.hottest_degc for day in days]), default=math.nan), "{:.0f}"),
+        _text(_newest([day.load for day in days]), "{:.0%}"),
+        _text(_newest([day.current_ma for day in days]), "{:.0f}"),
+        _text(min(_known([day.least_v for day in days]), default=math.nan), "{:.1f}"),
+        describe_errors(errors),
+        str(sum(day.n_reboots for day in days)),
+        str(sum(day.n_unanswered for day in days)),
+    ]
+
+
+def _known(values: list[float]) -> list[float]:
+    return [value for value in values if not math.isnan(value)]
+
+
+def _newest(values: list[float]) -> float:
+    return next(reversed(_known(values)), math.nan)
+
+
+def _text(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else form.format(value)
+
+
+def _as_dict(name: str, history: History) -> dict[str, object]:
+    return {
+        "face": name,
+        "n_readings": history.n_readings,
+        "n_bad_lines": history.n_bad_lines,
+        "bad_files": list(history.bad_files),
+        "servos": {servo: [_plain(day) for day in days] for servo, days in history.servos.items()},
+        "findings": findings(history.servos),
+    }
+
+
+def _plain(day: ServoDay) -> dict[str, object]:
+    """JSON knows neither dates nor NaN."""
+    content = {**asdict(day), "day": day.day.isoformat()}
+    return {
+        key: None if isinstance(value, float) and math.isnan(value) else value
+        for key, value in content.items()
+    }

@@ -1,0 +1,188 @@
+"""`trace diff`: where two recorded runs differ in motion."""
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from lipservo.commands.options import Json
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipservo.traces.trace_diff import (
+    Difference,
+    IncomparableError,
+    Tolerance,
+    compare,
+    excesses,
+    overlay,
+)
+from lipservo.traces.trace_reader import Trace, read_trace
+from lipsync.errors import UserError
+from lipsync.face.model import FaceModel, load_model, load_shipped_model
+
+app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
+
+#: Two traces that cannot be compared, as against 1, two that differ: as `diff` and `cmp` do.
+_INCOMPARABLE = 2
+
+First = Annotated[Path, typer.Argument(metavar="A", help="A trace, `.gz` or not.")]
+Second = Annotated[Path, typer.Argument(metavar="B", help="The one to compare with it.")]
+
+
+@app.callback()
+def about() -> None:
+    """Look at what `--trace` wrote."""
+
+
+@app.command()
+def diff(
+    a: First,
+    b: Second,
+    *,
+    tolerance_mm: Annotated[
+        float, typer.Option(min=0.0, help="Lips and lip gap may be so far apart.")
+    ] = 0.5,
+    tolerance_ms: Annotated[
+        float, typer.Option(min=0.0, help="Motion and closures may be so late.")
+    ] = 10.0,
+    tolerance_deg: Annotated[float, typer.Option(min=0.0, help="A servo may be so far off.")] = 2.0,
+    model: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Face model a trace was made with; once for each that is not the shipped one.",
+            show_default=False,
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(help="Draw both into this .png or .svg.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Say where two traces differ: degrees, millimetres of the lips, milliseconds.
+
+    Exit status 1 beyond a tolerance, 2 where they cannot be compared.
+    """
+    tolerance = Tolerance(tolerance_mm, tolerance_deg, tolerance_ms * 1e-3)
+    try:
+        if plot is not None:
+            from lipservo.traces.trace_plot import check_plot
+
+            check_plot(plot)
+        first, second = read_trace(a), read_trace(b)
+        looks = _looks((first, second), model or [])
+        laid = overlay(first, second, (looks[0].markers_mm, looks[1].markers_mm))
+        if plot is not None:
+            from lipservo.traces.trace_plot import draw_difference
+
+            draw_difference(plot, first, second, laid)
+    except UserError as error:
+        MESSAGES.print(f"lipservo: {error}", soft_wrap=True, markup=False, highlight=False)
+        raise typer.Exit(_INCOMPARABLE) from error
+    found = compare(first, second, laid, margin_mm=tolerance.mm)
+    beyond = excesses(first.servos, found, tolerance)
+    notes = [*first.notes, *second.notes, *_delay_note(first, second)]
+    if as_json:
+        print_json({"same": not beyond, "beyond": beyond, "notes": notes, **_figures(first, found)})
+    else:
+        _print(first, second, found, beyond, notes)
+    if beyond:
+        raise typer.Exit(1)
+
+
+def _looks(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
+    """The model of each trace, by checksum. Raises IncomparableError for one that is not here."""
+    known = {each.checksum: each for each in [load_shipped_model(), *map(load_model, files)]}
+    for trace in traces:
+        found = known.get(trace.model)
+        if found is None:
+            raise IncomparableError(
+                f"{trace.name} was made with face model {trace.model}, not with "
+                f"{' or '.join(known)}; give its file with --model"
+            )
+        if found.n_components != trace.coefficients.shape[1]:
+            raise IncomparableError(
+                f"{trace.name} holds {trace.coefficients.shape[1]} coefficients a tick, its model "
+                f"has {found.n_components}"
+            )
+    return [known[trace.model] for trace in traces]
+
+
+def _delay_note(first: Trace, second: Trace) -> list[str]:
+    later_ms = 1e3 * (second.delay_s - first.delay_s)
+    if abs(later_ms) < 0.05:
+        return []
+    return [f"{second.name} shows each sound {later_ms:+.1f} ms later; that is taken out below"]
+
+
+def _figures(first: Trace, found: Difference) -> dict[str, object]:
+    servos = {
+        name: {"most_deg": most, "rms_deg": rms}
+        for name, most, rms in zip(
+            first.servos, found.servo_most_deg, found.servo_rms_deg, strict=True
+        )
+    }
+    figures = asdict(found)
+    del figures["servo_most_deg"], figures["servo_rms_deg"]
+    return {**figures, "servos": servos}
+
+
+def _print(
+    first: Trace, second: Trace, found: Difference, beyond: Sequence[str], notes: Sequence[str]
+) -> None:
+    for note in notes:
+        MESSAGES.print(note, soft_wrap=True, markup=False, highlight=False)
+    start_s, end_s = found.overlap_s
+    lag = "nothing moves" if found.lag_s is None else f"{1e3 * found.lag_s:+.1f} ms"
+    shift_s = max(found.closure_shifts_s, key=abs, default=0.0)
+    RESULTS.print(
+        f"{first.name} and {second.name}, sound {start_s:.2f} to {end_s:.2f} s\n"
+        f"lips apart, most {found.lips_mm:.3f} mm, rms {found.lips_rms_mm:.3f} mm\n"
+        f"lip gap off, most {found.gap_mm:.3f} mm\n"
+        f"motion later by {lag}\n"
+        f"closures: {len(found.closure_shifts_s)} in both, shifted by {1e3 * shift_s:+.1f} ms at "
+        f"most; lost {_moments(found.lost_closures_s)}; new {_moments(found.new_closures_s)}",
+        markup=False,
+        highlight=False,
+        soft_wrap=True,
+    )
+    RESULTS.print(_servo_table(first, found))
+    if found.worst:
+        RESULTS.print(_moment_table(found))
+    for line in beyond:
+        RESULTS.print(f"beyond tolerance: {line}", markup=False, highlight=False)
+    if not beyond:
+        RESULTS.print("the same within tolerance", highlight=False)
+
+
+def _servo_table(first: Trace, found: Difference) -> Table:
+    table = Table(box=None)
+    for header in ("servo", "off deg, most", "rms"):
+        table.add_column(header, justify="left" if header == "servo" else "right")
+    for row in zip(first.servos, found.servo_most_deg, found.servo_rms_deg, strict=True):
+        table.add_row(escape(row[0]), f"{row[1]:.2f}", f"{row[2]:.2f}")
+    return table
+
+
+def _moment_table(found: Difference) -> Table:
+    table = Table(title="worst moments", title_justify="left", box=None)
+    for header in ("sound s", "phoneme", "lips mm", "gap mm", "servo", "off deg"):
+        left = header in ("phoneme", "servo")
+        table.add_column(header, justify="left" if left else "right")
+    for moment in found.worst:
+        here, there = moment.phonemes
+        table.add_row(
+            f"{moment.sound_s:.2f}",
+            escape(here if here == there else f"{here} -> {there}"),
+            f"{moment.lips_mm:.2f}",
+            f"{moment.gaps_mm[0]:.1f} -> {moment.gaps_mm[1]:.1f}",
+            escape(moment.servo),
+            f"{moment.off_deg:+.1f}",
+        )
+    return table
+
+
+def _moments(times_s: Sequence[float]) -> str:
+    return ", ".join(f"at {time_s:.2f} s" for time_s in times_s) or "none"

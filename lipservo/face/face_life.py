@@ -1,0 +1,64 @@
+"""The life cycle of one face as every command starts it."""
+
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from functools import partial
+
+from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.status import face_status
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.process.runtime_folder import socket_path
+from lipservo.health.health_log import health_log
+from lipservo.terminal.output import MESSAGES
+
+
+@contextmanager
+def face_life(
+    name: str,
+    port: str | None,
+    bridge: Bridge,
+    clock: Clock,
+    rate_hz: float,
+    *,
+    quiet: bool = False,
+) -> Iterator[LifeCycle]:
+    """The life cycle of a face that this process drives: `lipservo stop` finds it.
+
+    port: of its servos, None: simulated in memory. On a clock of its own it is nobody's to stop.
+    Raises ControlError where no socket can be made.
+    """
+    if isinstance(clock, ManualClock):
+        with LifeCycle(bridge, clock, rate_hz=rate_hz) as life:
+            yield life
+        return
+    with ExitStack() as stack:
+        log = stack.enter_context(LogLines(write=_nowhere if quiet else say))
+        about = {"name": name, "port": port}
+        control = stack.enter_context(ControlSocket.bind(socket_path(name), about))
+        healths = health_log(name, port, log, os.environ)
+        if healths is not None:
+            stack.enter_context(healths)
+        yield stack.enter_context(
+            LifeCycle(
+                bridge,
+                clock,
+                rate_hz=rate_hz,
+                control=control,
+                log=log,
+                status=partial(face_status, bridge),
+                on_health=None if healths is None else healths.offer,
+            )
+        )
+
+
+def say(line: str) -> None:
+    """Print one line for people on stderr."""
+    MESSAGES.print(line, soft_wrap=True)
+
+
+def _nowhere(_line: str) -> None:
+    """What --quiet asks for."""

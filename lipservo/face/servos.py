@@ -1,0 +1,149 @@
+"""The servos of a face's YAML as the bus knows them, their bus, and the bridge that drives them."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from functools import partial
+
+import numpy as np
+
+from calibration.calibration import ServoMemory
+from calibration.coupling_rule import CouplingRule
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.dynamixel.budget import slow_adapter
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.handshake import read_identities
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms, open_port
+from firmware_bridge.dynamixel.wire.transport import Transport
+from firmware_bridge.gate.coupling import PreventRule
+from firmware_bridge.gate.limits import StaleRule
+from firmware_bridge.gate.tracking import TrackingRule
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.simulator.memory_transport import MemoryTransport
+from firmware_bridge.targets import TargetChannel
+from lipservo.settings.settings import FaceSettings
+
+
+def mounted_servos(face: FaceSettings) -> list[MountedServo]:
+    """Every servo in its place, in the order of the YAML."""
+    return [
+        MountedServo(
+            joint,
+            servo_models()[servo.model],
+            servo.sign,
+            servo.zero_offset_deg,
+            servo.max_current_ma,
+        )
+        for joint, servo in zip(face.joints(), face.servos.values(), strict=True)
+    ]
+
+
+def prevent_rules(face: FaceSettings) -> list[PreventRule]:
+    """What the face's joints must not do together."""
+    return [
+        PreventRule(
+            tuple(rule.joints.get(name, 0.0) for name in face.servos), rule.above, rule.because
+        )
+        for rule in face.prevent
+    ]
+
+
+def bridge_for(
+    face: FaceSettings,
+    bus: ServoBus,
+    channel: TargetChannel,
+    *,
+    rate_hz: float | None = None,
+    tolerant: bool = False,
+    dry_run: bool = False,
+    given_up: Mapping[int, str] | None = None,
+) -> Bridge:
+    """The bridge with all rules of the face's YAML. rate_hz: default the face's."""
+    return Bridge(
+        bus,
+        face.joints(),
+        channel,
+        rate_hz=rate_hz or face.rate_hz,
+        stale=StaleRule(face.stale.hold_s, face.stale.neutral_s, face.stale.limp_s),
+        tracking=TrackingRule(face.tracking.error_deg, face.tracking.after_s),
+        prevent=prevent_rules(face),
+        tolerant=tolerant,
+        dry_run=dry_run,
+        given_up=given_up,
+    )
+
+
+def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
+    """The same rules as a calibration keeps them, in the order of the mouth's servos alone.
+
+    Necks and eyes count as at rest: a calibration moves the mouth only.
+    """
+    return tuple(
+        CouplingRule(
+            np.array([rule.joints.get(name, 0.0) for name in face.mouth_servos]), rule.above
+        )
+        for rule in face.prevent
+    )
+
+
+def port_opener(port: str, baud_rate: int) -> Callable[[], Transport]:
+    """Opens the port anew each time it is called."""
+    return lambda: open_port(port, baud_rate)
+
+
+def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
+    """What the mouth's servos keep in themselves; nothing for simulated ones in memory.
+
+    Opens the port for this alone. Raises PortError, and ServoError where a servo differs from the
+    face's YAML; None for one that does not answer.
+    """
+    if face.bus.kind == "simulated" or face.bus.port is None:
+        return ()
+    mouth = [servo for servo in mounted_servos(face) if servo.joint.name in face.mouth_servos]
+    said = read_identities(port_opener(face.bus.port, face.bus.baud_rate), mouth)
+    keys = [field.name for field in fields(ServoMemory)]
+    return tuple(
+        None if each is None else ServoMemory(*(each.eeprom[key] for key in keys)) for each in said
+    )
+
+
+def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
+    """The bus that the face's YAML asks for; use it as a context manager."""
+    if face.bus.kind == "simulated" or face.bus.port is None:
+        return SimulatedBus(face.joints(), clock)
+    opener = port_opener(face.bus.port, face.bus.baud_rate)
+    watchdog_s = max(3.0 / face.rate_hz, 0.1)
+    servos = mounted_servos(face)
+    remark = partial(_slow_adapter, face, face.bus.port)
+    if face.bus.backend == "own":
+        return DynamixelBus(
+            servos, opener, watchdog_s=watchdog_s, strict=strict, adapter_remark=remark
+        )
+    from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
+
+    port, rate = face.bus.port, face.bus.baud_rate
+    return DynamixelBus(
+        servos,
+        lambda: SdkTransport(port, rate),
+        watchdog_s=watchdog_s,
+        strict=strict,
+        make_line=SdkLine,
+        adapter_remark=remark,
+    )
+
+
+def _slow_adapter(face: FaceSettings, port: str) -> str | None:
+    """Why the adapter at an open port cannot do the face's rate; None when it can."""
+    timer_ms = latency_timer_ms(port)
+    return slow_adapter(len(face.servos), face.bus.baud_rate, face.rate_hz, timer_ms)
+
+
+def simulated_wire(face: FaceSettings) -> tuple[DynamixelBus, ManualClock]:
+    """The face's servos simulated to the byte, in memory, and the clock that moves them."""
+    servos, clock = mounted_servos(face), ManualClock()
+    chain = chain_for(servos, face.bus.baud_rate)
+    return DynamixelBus(servos, lambda: MemoryTransport(chain, clock, face.bus.baud_rate)), clock

@@ -1,0 +1,178 @@
+"""How the servos were, on disk: a line of JSON every ten seconds, a file a UTC day, bounded.
+
+Whoever runs a face calls `offer` from its loop; a thread writes. Whatever the disk does, `offer`
+returns at once and the face goes on. `lipservo health` reads what lies here (`health_history`).
+"""
+
+import errno
+import json
+import math
+import os
+import queue
+import re
+import stat
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+
+from firmware_bridge.health import ServoHealth
+from lipservo.health.health_places import log_folder
+
+#: Offered this far apart, seconds; ten servos make about 5 MB a day.
+HEALTH_PERIOD_S = 10.0
+#: A month that was run through for 20 hours a day, ten servos; then the oldest days go.
+MOST_DAYS, MOST_BYTES = 30, 100_000_000
+#: Readings that may wait for the disk: more than a minute.
+_QUEUE_LENGTH = 8
+#: How long the end of a run waits for a disk that does not answer.
+_CLOSE_S = 1.0
+DAY_FILE = re.compile(r"\d{4}-\d\d-\d\d\.jsonl")
+
+
+class HealthLog:
+    """Appends readings to the files of one face."""
+
+    def __init__(
+        self, folder: Path, say: Callable[[str], None], wall_s: Callable[[], float] = time.time
+    ) -> None:
+        """say: gets a line, once, when nothing can be written. wall_s: seconds since 1970."""
+        self._folder = folder
+        self._say = say
+        self._wall_s = wall_s
+        self._number = 0
+        self._complained = False
+        self._queue: queue.Queue[tuple[float, tuple[ServoHealth, ...]] | None]
+        self._queue = queue.Queue(_QUEUE_LENGTH)
+        self._thread = threading.Thread(target=self._run, name="health log", daemon=True)
+        self._thread.start()
+
+    def offer(self, now: tuple[ServoHealth, ...]) -> None:
+        """Take one reading of all servos; dropped when the disk is a minute behind."""
+        try:
+            self._queue.put_nowait((self._wall_s(), now))
+        except queue.Full:
+            return
+
+    def close(self) -> None:
+        """Write what waits, for a second at most."""
+        try:
+            self._queue.put(None, timeout=_CLOSE_S)
+        except queue.Full:
+            return
+        self._thread.join(_CLOSE_S)
+
+    def __enter__(self) -> "HealthLog":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+    def _run(self) -> None:
+        while (offered := self._queue.get()) is not None:
+            try:
+                self._append(*offered)
+            except OSError as error:
+                self._complain(error)
+
+    def _append(self, wall_s: float, servos: Sequence[ServoHealth]) -> None:
+        moment = datetime.fromtimestamp(wall_s, UTC)
+        path = self._folder / f"{moment:%Y-%m-%d}.jsonl"
+        self._folder.mkdir(parents=True, exist_ok=True)
+        prune(self._folder, keep=path.name)
+        append_line(path, json_line(moment, self._number, servos))
+        self._number += 1
+
+    def _complain(self, error: OSError) -> None:
+        if not self._complained:
+            self._complained = True
+            why = error.strerror or str(error)
+            self._say(f"the health log {self._folder} cannot be written: {why}; the face goes on")
+
+
+def health_log(
+    face: str, port: str | None, say: Callable[[str], None], environment: Mapping[str, str]
+) -> HealthLog | None:
+    """The log of a face by name whose servos are at `port`; None for servos in memory.
+
+    Those never age, never warm up differently and are run in every rehearsal: their readings would
+    say nothing and push out real ones. `say` hears when there is no place for a log.
+    """
+    if port is None:
+        return None
+    folder = log_folder(face, port, environment)
+    if folder is None:
+        say("no health log: set HOME, XDG_STATE_HOME or LIPSERVO_STATE")
+        return None
+    return HealthLog(folder, say)
+
+
+def json_line(moment: datetime, number: int, servos: Sequence[ServoHealth]) -> bytes:
+    """One reading of all servos, whole columns by quantity; null for what was never heard.
+
+    number: 0 begins a run, in which reboots and unanswered questions count from 0.
+    """
+    record = {
+        "time": f"{moment:%Y-%m-%dT%H:%M:%SZ}",
+        "number": number,
+        "servos": [servo.name for servo in servos],
+        "ids": [servo.servo_id for servo in servos],
+        "states": [servo.state for servo in servos],
+        "temperature_degc": [_number(servo.temperature_degc, 0) for servo in servos],
+        "load": [_number(servo.load, 2) for servo in servos],
+        "voltage_v": [_number(servo.voltage_v, 1) for servo in servos],
+        "current_ma": [_number(servo.current_ma, 0) for servo in servos],
+        "errors": [servo.hardware_errors for servo in servos],
+        "reboots": [servo.n_reboots for servo in servos],
+        "unanswered": [servo.n_unanswered for servo in servos],
+        "torque_on": [int(servo.torque_on) for servo in servos],
+    }
+    return (json.dumps(record, separators=(",", ":")) + "\n").encode()
+
+
+def append_line(path: Path, line: bytes) -> None:
+    """One write, so that lines of two programs never mix; ends a line that a power cut tore.
+
+    Raises OSError, also when only a part could be written, and for a file grown beyond all bounds.
+    """
+    # Not blocking: a pipe of this name must not hold anybody up.
+    flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NONBLOCK
+    descriptor = os.open(path, flags, 0o644)
+    try:
+        about = os.fstat(descriptor)
+        if not stat.S_ISREG(about.st_mode):
+            raise OSError(errno.EINVAL, f"{path.name} is no plain file")
+        size = about.st_size
+        if size > MOST_BYTES:
+            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+        torn = size > 0 and os.pread(descriptor, 1, size - 1) != b"\n"
+        whole = b"\n" + line if torn else line
+        if os.write(descriptor, whole) != len(whole):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    finally:
+        os.close(descriptor)
+
+
+def prune(
+    folder: Path, keep: str, most_days: int = MOST_DAYS, most_bytes: int = MOST_BYTES
+) -> None:
+    """Remove the oldest days beyond the bounds, never the file `keep` nor any of another name.
+
+    Days are counted, not dated: a clock that is wrong for a while costs one day, not all.
+    """
+    others = sorted(
+        name for name in os.listdir(folder) if DAY_FILE.fullmatch(name) and name != keep
+    )
+    sizes = {name: (folder / name).stat().st_size for name in others}
+    room = most_bytes - ((folder / keep).stat().st_size if (folder / keep).exists() else 0)
+    while others and (len(others) >= most_days or sum(sizes.values()) > room):
+        oldest = others.pop(0)
+        (folder / oldest).unlink(missing_ok=True)
+        del sizes[oldest]
+
+
+def _number(value: float | None, digits: int) -> float | int | None:
+    if value is None or not math.isfinite(value):
+        return None
+    return round(value, digits) if digits else round(value)

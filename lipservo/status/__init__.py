@@ -1,0 +1,1 @@
+"""What a running face says of itself."""

@@ -1,0 +1,32 @@
+"""What one tick of the street showed, and who may watch it."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.loop.report import TickReport
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class StreetTick:
+    """What one tick of the street showed. sound_s is negative before the first sound is shown.
+
+    captured_s: when the sound was captured that the servos were moved by; None before there is one.
+    """
+
+    sound_s: float
+    phoneme: str
+    coefficients: Array
+    report: TickReport
+    captured_s: float | None = None
+
+
+class TickObserver(Protocol):
+    """Somebody who watches every tick; must return at once."""
+
+    def observe(self, tick: StreetTick) -> None:
+        """See one tick."""

@@ -1,0 +1,150 @@
+"""The live terminal view: which phoneme, how open the mouth, where each servo stands."""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.control import Control
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+from firmware_bridge.joints import Joint
+from lipservo.status.street_tick import StreetTick
+from lipservo.terminal.mouth_drawing import MOUTH_COLUMNS, draw_mouth
+from lipsync.face.model import FaceModel
+from lipsync.phonemes import SILENCE
+
+_REFRESH_HZ = 10
+_WIDEST_BAR = 31
+_SHORTEST_BAR = 9
+#: "-12.3 deg", and a space.
+_ANGLE_COLUMNS = 10
+_FEWEST_LETTERS = 4
+#: "phonemes" and two spaces; "12.3 mm" and two.
+_LABEL_COLUMNS, _GAP_COLUMNS = 10, 11
+#: A widely opened mouth; 99 % of the frames of grid_s1 stay below.
+_WIDEST_GAP_MM = 18.0
+_PHONEMES_SHOWN = 12
+
+
+@dataclass(frozen=True, slots=True)
+class _Signs:
+    """The characters of bars and scales."""
+
+    full: str
+    empty: str
+    line: str
+    mark: str
+
+
+_UNICODE = _Signs("█", "·", "─", "●")
+_ASCII = _Signs("#", ".", "-", "o")
+
+
+class TerminalView:
+    """Keeps the newest tick; a thread of rich draws it ten times a second.
+
+    At a regular end the last picture is the mouth at rest, which is where the face has been led.
+    """
+
+    def __init__(
+        self, console: Console, title: str, joints: Sequence[Joint], model: FaceModel
+    ) -> None:
+        self._title = title
+        self._joints = joints
+        self._model = model
+        self._rest_mm = model.markers_mm(model.rest[None])[0]
+        self._console = console
+        self._signs = _ASCII if console.options.ascii_only else _UNICODE
+        self._size = console.size
+        self._tick: StreetTick | None = None
+        self._phonemes: deque[str] = deque(maxlen=_PHONEMES_SHOWN)
+        self._live = Live(
+            console=console, refresh_per_second=_REFRESH_HZ, get_renderable=self._draw
+        )
+
+    def observe(self, tick: StreetTick) -> None:
+        """Show this tick at the next refresh."""
+        if not self._phonemes or self._phonemes[-1] != tick.phoneme:
+            self._phonemes.append(tick.phoneme)
+        self._tick = tick
+
+    def __enter__(self) -> "TerminalView":
+        self._live.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        tick = self._tick
+        if tick is not None and kind is None:
+            report = replace(tick.report, sent_deg=np.zeros(len(self._joints)))
+            rest = self._model.rest
+            self.observe(replace(tick, phoneme=SILENCE, coefficients=rest, report=report))
+        self._live.stop()
+
+    def _draw(self) -> RenderableType:
+        if self._console.size != self._size:
+            # A terminal that is made narrower breaks the lines of the last picture.
+            self._size = self._console.size
+            self._console.control(Control.clear(), Control.home())
+        tick = self._tick
+        if tick is None:
+            return Text(self._title)
+        torque = "" if tick.report.torque_on else "   torque off"
+        title = Text(self._title + torque, style="bold")
+        return Group(title, self._head(tick), self._face(tick))
+
+    def _head(self, tick: StreetTick) -> Table:
+        gap_mm = self._model.lip_gap_mm(tick.coefficients)
+        spoken = Text(" ".join(list(self._phonemes)[:-1]) + " ", style="dim")
+        spoken.append(tick.phoneme, style="bold cyan")
+        room = self._console.width - _LABEL_COLUMNS
+        spoken = spoken[-room:] if len(spoken) > room else spoken
+        width = min(_WIDEST_BAR, room - _GAP_COLUMNS)
+        openness = self._bar(gap_mm / _WIDEST_GAP_MM, width).append(f"  {gap_mm:5.1f} mm")
+        head = Table.grid(padding=(0, 2))
+        head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s")
+        head.add_row("phonemes", spoken)
+        head.add_row("lip gap", openness)
+        return head
+
+    def _face(self, tick: StreetTick) -> RenderableType:
+        """Mouth and servos beside each other, or the servos alone where there is no room."""
+        name_width = max(len(joint.name) for joint in self._joints)
+        room = self._console.width - name_width - _ANGLE_COLUMNS
+        with_mouth = room - MOUTH_COLUMNS - 2
+        if with_mouth < _SHORTEST_BAR:
+            return self._servos(tick, room)
+        markers_mm = self._model.markers_mm(tick.coefficients[None])[0]
+        lines = draw_mouth(markers_mm, self._rest_mm, ascii_only=self._signs is _ASCII)
+        face = Table.grid(padding=(0, 1))
+        face.add_row(Text("\n".join(lines), style="red"), self._servos(tick, with_mouth))
+        return face
+
+    def _servos(self, tick: StreetTick, room: int) -> Table:
+        """A line each. room: columns for a space and a scale; without it names may be cut."""
+        width = min(room - 1, _WIDEST_BAR)
+        n_letters = max(self._console.width - _ANGLE_COLUMNS, _FEWEST_LETTERS)
+        servos = Table.grid(padding=(0, 1))
+        for joint, sent_deg in zip(self._joints, tick.report.sent_deg, strict=True):
+            row = [Text(joint.name[:n_letters]), Text(f"{sent_deg:5.1f} deg", no_wrap=True)]
+            if width >= _SHORTEST_BAR:
+                span_deg = joint.max_deg - joint.min_deg
+                share = (sent_deg - joint.min_deg) / span_deg if span_deg else 0.5
+                row.insert(1, self._scale(share, width))
+            servos.add_row(*row)
+        return servos
+
+    def _bar(self, share: float, width: int) -> Text:
+        """Filled from the left; share 0..1."""
+        n = round(min(max(share, 0.0), 1.0) * max(width, 0))
+        return Text(self._signs.full * n + self._signs.empty * (width - n), style="red")
+
+    def _scale(self, share: float, width: int) -> Text:
+        """One mark on a scale of `width` characters; share 0..1."""
+        n = round(min(max(share, 0.0), 1.0) * (width - 1))
+        text = Text(self._signs.line * n, style="dim")
+        text.append(self._signs.mark, style="green")
+        return text.append(self._signs.line * (width - 1 - n), style="dim")

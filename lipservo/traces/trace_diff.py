@@ -1,0 +1,301 @@
+"""Where two traces differ in motion: degrees of servos, millimetres of lips, milliseconds.
+
+Both are laid over one another by sound time, so that another delay alone is no difference.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo.traces.trace_reader import Trace
+from lipsync.corpus.recorded_closures import CLOSED_GAP_MM, lip_gaps_mm
+from lipsync.errors import UserError
+from lipsync.markers import LIP_MARKERS
+
+Array = NDArray[np.float64]
+
+#: Markers (n, 47, 3) of a trace's own coefficients.
+Markers = Callable[[Array], NDArray[np.floating]]
+
+#: The lag is looked for within this, in steps of a millisecond.
+_MOST_LAG_S, _LAG_STEP_S = 0.25, 0.001
+#: Motion less than this has no timing to speak of, mm rms of the lip gap around its mean.
+_STILL_MM = 0.05
+#: The beginning of a closure in one trace and in the other are the same one within this.
+_SAME_CLOSURE_S = 0.25
+#: Worst moments that are told are so far apart.
+_APART_S = 0.3
+
+
+class IncomparableError(UserError):
+    """Two traces that have nothing to compare."""
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One bad moment. lips_mm: rms over the lip markers; off_deg: of the servo named."""
+
+    sound_s: float
+    phonemes: tuple[str, str]
+    lips_mm: float
+    gaps_mm: tuple[float, float]
+    servo: str
+    off_deg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """What `b` does otherwise than `a`, over the time that both show.
+
+    lips_mm: rms over the lip markers; gap_mm: of the inner lips' distance; servo_deg: (n_servos,)
+    largest and rms; all are the largest of any tick unless they say rms.
+    lag_s: how much later b moves as a whole; None where nothing moves. closure_shifts_s: of
+    those that both have, by how much each begins later in b; the others by the sound time at which
+    they begin. ends_apart_s: how much of the sound only one
+    of them shows, beyond a tick.
+    """
+
+    overlap_s: tuple[float, float]
+    lips_mm: float
+    lips_rms_mm: float
+    gap_mm: float
+    servo_most_deg: tuple[float, ...]
+    servo_rms_deg: tuple[float, ...]
+    lag_s: float | None
+    closure_shifts_s: tuple[float, ...]
+    lost_closures_s: tuple[float, ...]
+    new_closures_s: tuple[float, ...]
+    ends_apart_s: float
+    worst: tuple[Moment, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerance:
+    """What may differ: lips and gap in mm, servos in degrees, lag and closures in seconds."""
+
+    mm: float
+    deg: float
+    s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Overlay:
+    """Two traces on the first one's times within their overlap, n ticks; for numbers and pictures.
+
+    gaps_mm: two (n,); lips_mm: (n,), rms over the lip markers of how far they are apart;
+    sent_deg: two (n, n_servos). own: sound times and lip gaps of each on its own ticks, (n_own,).
+    """
+
+    sound_s: Array
+    phonemes: tuple[tuple[str, str], ...]
+    gaps_mm: tuple[Array, Array]
+    lips_mm: Array
+    sent_deg: tuple[Array, Array]
+    own: tuple[tuple[Array, Array], tuple[Array, Array]]
+
+
+def overlay(a: Trace, b: Trace, markers: tuple[Markers, Markers]) -> Overlay:
+    """Lay b over a. Raises IncomparableError, one line, for other faces or times."""
+    if a.servos != b.servos:
+        only = sorted(set(a.servos) ^ set(b.servos))
+        what = f"only one of them has {only[0]}" if only else "in another order"
+        raise IncomparableError(f"{a.name} and {b.name} have other servos: {what}")
+    if a.face != b.face:
+        raise IncomparableError(f"{a.name} is of face {a.face!r}, {b.name} of {b.face!r}")
+    start_s, end_s = max(a.sound_s[0], b.sound_s[0]), min(a.sound_s[-1], b.sound_s[-1])
+    within = (a.sound_s >= start_s - 1e-9) & (a.sound_s <= end_s + 1e-9)
+    if within.sum() < 2:
+        raise IncomparableError(f"{a.name} and {b.name} show no sound time together")
+    times_s = a.sound_s[within]
+    faces = [
+        np.asarray(look(_at(trace.sound_s, trace.coefficients, times_s)), dtype=np.float64)
+        for trace, look in zip((a, b), markers, strict=True)
+    ]
+    lips = [face[:, list(LIP_MARKERS)] for face in faces]
+    apart_mm = np.linalg.norm(lips[1] - lips[0], axis=2)
+    nearest = np.clip(np.searchsorted(b.sound_s, times_s - 1e-9), 0, len(b.sound_s) - 1)
+    said = np.array(a.phonemes)[within]
+    return Overlay(
+        sound_s=times_s,
+        phonemes=tuple(zip(said.tolist(), np.array(b.phonemes)[nearest].tolist(), strict=True)),
+        gaps_mm=(lip_gaps_mm(faces[0]), lip_gaps_mm(faces[1])),
+        lips_mm=np.sqrt((apart_mm**2).mean(axis=1)),
+        sent_deg=(a.sent_deg[within], _at(b.sound_s, b.sent_deg, times_s)),
+        own=(_own_gaps(a, markers[0]), _own_gaps(b, markers[1])),
+    )
+
+
+def compare(a: Trace, b: Trace, laid: Overlay, *, margin_mm: float, n_worst: int = 5) -> Difference:
+    """Every figure of the difference.
+
+    margin_mm: a closure that the other trace misses by less is not called lost.
+    """
+    apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0])
+    gap_a, gap_b = laid.gaps_mm
+    shifts_s, lost_s, new_s = _match_closures(laid, margin_mm)
+    return Difference(
+        overlap_s=(float(laid.sound_s[0]), float(laid.sound_s[-1])),
+        lips_mm=float(laid.lips_mm.max()),
+        lips_rms_mm=float(np.sqrt((laid.lips_mm**2).mean())),
+        gap_mm=float(np.abs(gap_b - gap_a).max()),
+        servo_most_deg=tuple(apart_deg.max(axis=0).tolist()),
+        servo_rms_deg=tuple(np.sqrt((apart_deg**2).mean(axis=0)).tolist()),
+        lag_s=motion_lag_s(*laid.own[0], *laid.own[1]),
+        closure_shifts_s=shifts_s,
+        lost_closures_s=lost_s,
+        new_closures_s=new_s,
+        ends_apart_s=_ends_apart_s(a, b),
+        worst=_worst(a, laid, apart_deg, n_worst),
+    )
+
+
+def excesses(servos: tuple[str, ...], found: Difference, tolerance: Tolerance) -> list[str]:
+    """What is beyond the tolerance, a line each; empty = nothing is."""
+    lines = []
+    if found.lips_mm > tolerance.mm:
+        lines.append(f"lips are up to {found.lips_mm:.2f} mm apart, {tolerance.mm:g} allowed")
+    if found.gap_mm > tolerance.mm:
+        lines.append(f"the lip gap is up to {found.gap_mm:.2f} mm off, {tolerance.mm:g} allowed")
+    most_deg, servo = max(zip(found.servo_most_deg, servos, strict=True))
+    if most_deg > tolerance.deg:
+        lines.append(f"{servo} is up to {most_deg:.2f} deg off, {tolerance.deg:g} allowed")
+    if found.lag_s is not None and abs(found.lag_s) > tolerance.s:
+        lines.append(
+            f"the motion is {1e3 * found.lag_s:+.1f} ms late, {1e3 * tolerance.s:g} allowed"
+        )
+    shift_s = max(map(abs, found.closure_shifts_s), default=0.0)
+    if shift_s > tolerance.s:
+        lines.append(
+            f"a closure is shifted by {1e3 * shift_s:.1f} ms, {1e3 * tolerance.s:g} allowed"
+        )
+    if found.lost_closures_s or found.new_closures_s:
+        lines.append(
+            f"{len(found.lost_closures_s)} closures are lost, {len(found.new_closures_s)} are new"
+        )
+    if found.ends_apart_s > tolerance.s + 1e-6:
+        lines.append(f"one shows {found.ends_apart_s:.3f} s that the other does not")
+    return lines
+
+
+def motion_lag_s(times_s: Array, first: Array, second_s: Array, second: Array) -> float | None:
+    """How much later the second curve moves: where their cross-correlation is largest.
+
+    times_s, first: (n,); second_s, second: (m,), at times of its own. A quarter of a second at
+    most, refined by a parabola; None where either stands still or they hardly overlap.
+    """
+    if min(first.std(), second.std()) < _STILL_MM:
+        return None
+    start_s, end_s = max(times_s[0], second_s[0]), min(times_s[-1], second_s[-1])
+    most_s = min(_MOST_LAG_S, (end_s - start_s) / 4.0)
+    lags_s = np.arange(-most_s, most_s + _LAG_STEP_S / 2.0, _LAG_STEP_S)
+    inner = (times_s >= start_s + most_s) & (times_s <= end_s - most_s)
+    if inner.sum() < 3:
+        return None
+    still = first[inner] - first[inner].mean()
+    scores = []
+    for lag_s in lags_s:
+        moved = np.interp(times_s[inner] + lag_s, second_s, second)
+        moved = moved - moved.mean()
+        scale = float(np.linalg.norm(still) * np.linalg.norm(moved))
+        scores.append(float(still @ moved) / scale if scale > 0.0 else -1.0)
+    best = int(np.argmax(scores))
+    if not 0 < best < len(scores) - 1:
+        return float(lags_s[best])
+    left, top, right = scores[best - 1 : best + 2]
+    bend = left - 2.0 * top + right
+    offset = 0.5 * (left - right) / bend if bend else 0.0
+    return round(float(lags_s[best] + offset * _LAG_STEP_S), 6) + 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Closure:
+    """Closed from `start_s` on; times_s: its ticks."""
+
+    start_s: float
+    times_s: Array
+
+
+def _closures(times_s: Array, gaps_mm: Array) -> list[_Closure]:
+    """When the lips close, between ticks, and how long they stay so."""
+    closed = gaps_mm < CLOSED_GAP_MM
+    found = []
+    for start in (np.flatnonzero(closed[1:] & ~closed[:-1]) + 1).tolist():
+        opens = np.flatnonzero(~closed[start:])
+        end = start + int(opens[0]) if len(opens) else len(closed)
+        before, after = gaps_mm[start - 1], gaps_mm[start]
+        share = (before - CLOSED_GAP_MM) / (before - after)
+        moment_s = times_s[start - 1] + share * (times_s[start] - times_s[start - 1])
+        found.append(_Closure(float(moment_s), times_s[start:end]))
+    return found
+
+
+def _match_closures(
+    laid: Overlay, margin_mm: float
+) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
+    """Shifts of those that both have; those that only the first, only the second has."""
+    span_s = laid.sound_s[0], laid.sound_s[-1]
+    ours, theirs = (
+        [each for each in _closures(*own) if span_s[0] <= each.start_s <= span_s[1]]
+        for own in laid.own
+    )
+    shifts, lost = [], []
+    for closure in ours:
+        near = min(theirs, key=lambda each: abs(each.start_s - closure.start_s), default=None)
+        if near is None or abs(near.start_s - closure.start_s) > _SAME_CLOSURE_S:
+            lost.append(closure)
+            continue
+        theirs.remove(near)
+        shifts.append(near.start_s - closure.start_s)
+    return (
+        tuple(shifts),
+        tuple(each.start_s for each in lost if _open(laid.own[1], each, margin_mm)),
+        tuple(each.start_s for each in theirs if _open(laid.own[0], each, margin_mm)),
+    )
+
+
+def _open(own: tuple[Array, Array], closure: _Closure, margin_mm: float) -> bool:
+    """Whether the lips stay open all through another trace's closure, by more than a hair."""
+    return bool(np.interp(closure.times_s, *own).min() > CLOSED_GAP_MM + margin_mm)
+
+
+def _own_gaps(trace: Trace, look: Markers) -> tuple[Array, Array]:
+    return trace.sound_s, lip_gaps_mm(look(trace.coefficients))
+
+
+def _worst(a: Trace, laid: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:
+    """By how far the lips are apart; servos decide where these are alike."""
+    badness = laid.lips_mm + 1e-3 * apart_deg.max(axis=1)
+    left = badness.copy()
+    found: list[Moment] = []
+    while len(found) < n_worst and left.max() > 0.0:
+        at = int(np.argmax(left))
+        servo = int(np.argmax(apart_deg[at]))
+        found.append(
+            Moment(
+                sound_s=float(laid.sound_s[at]),
+                phonemes=laid.phonemes[at],
+                lips_mm=float(laid.lips_mm[at]),
+                gaps_mm=(float(laid.gaps_mm[0][at]), float(laid.gaps_mm[1][at])),
+                servo=a.servos[servo],
+                off_deg=float(laid.sent_deg[1][at, servo] - laid.sent_deg[0][at, servo]),
+            )
+        )
+        left[np.abs(laid.sound_s - laid.sound_s[at]) < _APART_S] = 0.0
+    return tuple(found)
+
+
+def _ends_apart_s(a: Trace, b: Trace) -> float:
+    """Before sound time 0 there is nothing to show."""
+    tick_s = max(float(np.diff(trace.sound_s).min()) for trace in (a, b))
+    starts_s, ends_s = (
+        [max(0.0, float(trace.sound_s[end])) for trace in (a, b)] for end in (0, -1)
+    )
+    apart_s = max(abs(starts_s[0] - starts_s[1]), abs(ends_s[0] - ends_s[1]))
+    return max(0.0, apart_s - tick_s)
+
+
+def _at(from_s: Array, values: Array, times_s: Array) -> Array:
+    """(n, k) at other times, on straight lines."""
+    return np.stack([np.interp(times_s, from_s, column) for column in values.T], axis=1)

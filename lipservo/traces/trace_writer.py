@@ -1,0 +1,155 @@
+"""What happened at every tick, on disk: JSON lines, one header, one line a tick, one last line.
+
+The file appears under its name when it is complete; until then it is `NAME.partial`. It holds no
+wall-clock time, so that two replays of one file give the same bytes.
+"""
+
+import json
+import math
+import queue
+import threading
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from types import TracebackType
+
+from lipservo.status.street_tick import StreetTick
+from lipsync.errors import UserError
+from lipsync.output_file import OutputError, check_output, written_whole
+
+TRACE_VERSION = 1
+#: The first key of every trace.
+_MARK = "lipservo_trace"
+#: Ticks that may wait for the disk: a minute at 200 Hz.
+_QUEUE_LENGTH = 12_000
+
+
+class TraceError(UserError):
+    """A trace that broke off."""
+
+
+def is_trace(head: bytes) -> bool:
+    """Whether a file that begins so is a trace."""
+    return head.startswith(f'{{"{_MARK}":'.encode())
+
+
+class TraceFile:
+    """Writes each tick at once. For `replay`, where nobody waits for a tick."""
+
+    def __init__(self, path: Path, header: Mapping[str, object]) -> None:
+        """header: what a reader needs to know first, such as the servo names.
+
+        Raises OutputError where it cannot be written; only a trace is written over.
+        """
+        check_output(path, replaces=is_trace, kind="trace")
+        self._path = path
+        self._whole = ExitStack()
+        partial = self._whole.enter_context(written_whole(path))
+        self._file = self._whole.enter_context(partial.open("w", encoding="utf-8"))
+        self._n_ticks = 0
+        self._write({_MARK: TRACE_VERSION, **header})
+
+    def observe(self, tick: StreetTick) -> None:
+        """Write one tick. Raises TraceError where the disk is full; no file is left then."""
+        self._write(_record(self._n_ticks, tick))
+        self._n_ticks += 1
+
+    def close(self, dropped: int = 0) -> None:
+        """Complete the file and give it its name; `dropped` ticks were never written.
+
+        Raises OutputError where that fails; does nothing to an abandoned file.
+        """
+        if self._file.closed:
+            return
+        with self._whole:
+            self._write({"ticks": self._n_ticks, "dropped": dropped})
+
+    def abandon(self) -> None:
+        """Leave no file: it could not be completed."""
+        with suppress(OutputError), self._whole:
+            raise OutputError("abandoned")
+
+    def __enter__(self) -> "TraceFile":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _write(self, record: Mapping[str, object]) -> None:
+        try:
+            self._file.write(json.dumps(record, separators=(",", ":")) + "\n")
+        except OSError as error:
+            self.abandon()
+            raise TraceError(f"{self._path}: the trace broke off: {error.strerror}") from error
+
+
+class BackgroundTrace:
+    """Hands ticks to a thread that writes them: the tick itself touches no file.
+
+    When the disk is a minute behind, ticks are dropped and the last line says how many.
+    """
+
+    def __init__(self, file: TraceFile) -> None:
+        self._file = file
+        self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
+        self._error: TraceError | None = None
+        self._dropped = 0
+        self._thread = threading.Thread(target=self._run, name="trace", daemon=True)
+        self._thread.start()
+
+    def observe(self, tick: StreetTick) -> None:
+        """Queue one tick."""
+        try:
+            self._queue.put_nowait(tick)
+        except queue.Full:
+            self._dropped += 1
+
+    def __enter__(self) -> "BackgroundTrace":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._queue.put(None)
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        self._file.close(self._dropped)
+
+    def _run(self) -> None:
+        while (tick := self._queue.get()) is not None:
+            try:
+                if self._error is None:
+                    self._file.observe(tick)
+            except TraceError as error:  # a full disk must not stop the face
+                self._error = error
+
+
+def _record(number: int, tick: StreetTick) -> dict[str, object]:
+    report = tick.report
+    return {
+        "tick": number,
+        "sound_s": round(tick.sound_s, 6),
+        "phoneme": tick.phoneme,
+        "coefficients": _rounded(tick.coefficients.tolist()),
+        "wanted_deg": _rounded(report.wanted_deg.tolist()),
+        "sent_deg": _rounded(report.sent_deg.tolist()),
+        "late": report.late,
+        "target_age_s": _finite(report.target_age_s),
+        "stale": report.stale.name.lower(),
+        "torque_on": report.torque_on,
+        "range_hits": report.range_hits.nonzero()[0].tolist(),
+        "rate_hits": report.rate_hits.nonzero()[0].tolist(),
+    }
+
+
+def _finite(value: float) -> float | None:
+    """JSON knows no infinity: None before the first target."""
+    return round(value, 6) if math.isfinite(value) else None
+
+
+def _rounded(values: Sequence[float]) -> list[float]:
+    return [round(value, 4) for value in values]

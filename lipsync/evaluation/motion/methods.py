@@ -1,0 +1,206 @@
+"""The methods that are compared: each turns a heard sentence into faces at given times."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.animpho.selection import STRATEGIES, SelectionStrategy
+from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.baselines.dominance import Dominance, fixed_reference
+from lipsync.baselines.spline import spline_faces, viseme_centres
+from lipsync.expectation.context import contexts, track_of
+from lipsync.face.model import FaceModel
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, TICK_S, LiveSynthesizer, Style
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
+from lipsync.recognition.scripted import ScriptedPhonemes
+
+Array = NDArray[np.float64]
+
+#: A label that begins at t is known at t: "labels of sound up to t + L", the border included.
+_BORDER_S = 1e-6
+REFERENCE = "cohen-massaro"
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A sentence as a listener has it.
+
+    events: in the end. updates: as they came, for recognised phonemes, in order of
+    `heard_until_s`, and `latency_s`, how much later than its sound a phoneme is settled; without
+    updates the events are told one by one by a perfect listener.
+    """
+
+    events: tuple[PhonemeEvent, ...]
+    updates: tuple[PhonemeUpdate, ...] = ()
+    latency_s: float = 0.0
+
+
+class Method(Protocol):
+    """A way to move the mouth."""
+
+    @property
+    def name(self) -> str:
+        """As it is called on the command line and in results."""
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether the look-ahead makes a difference; if not, the method sees the whole sentence."""
+
+    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+        """(n, n_components) at the times asked for, which ascend."""
+
+
+@dataclass(frozen=True, slots=True)
+class DominanceMethod:
+    """Cohen and Massaro's: the fixed reference, or tuned by the model's training."""
+
+    name: str
+    tuned: bool
+    looks_ahead: bool = False
+
+    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
+        """Faces from the whole sentence."""
+        dominance: Dominance = model.dominance if self.tuned else fixed_reference()
+        return dominance.face_at(heard.events, model.centres, times_s)
+
+
+@dataclass(frozen=True, slots=True)
+class SplineMethod:
+    """Catmull-Rom through viseme centres."""
+
+    name: str = "catmull-rom"
+    looks_ahead: bool = False
+
+    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
+        """Faces from the whole sentence."""
+        return spline_faces(heard.events, viseme_centres(model.centres, model.counts), times_s)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanFaceMethod:
+    """The mean face of speech, unmoved."""
+
+    name: str = "mean-face"
+    looks_ahead: bool = False
+
+    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
+        """The phones' centres, weighted by how often they were heard in training."""
+        spoken = model.counts.copy()
+        spoken[PHONEMES.index(SILENCE)] = 0.0
+        mean = np.average(model.centres, axis=0, weights=spoken if spoken.any() else None)
+        return np.repeat(mean[None], len(times_s), axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedMethod:
+    """Wei and Deng's selection and blending; sees a phoneme's own end.
+
+    published_derivatives: as `PublishedSynthesizer` has it.
+    """
+
+    strategy: SelectionStrategy
+    looks_ahead: bool = False
+    published_derivatives: bool = False
+
+    @property
+    def name(self) -> str:
+        """That of its selection."""
+        return self.strategy.name
+
+    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
+        """Faces with every phone known when it begins."""
+        synthesizer = self.synthesizer(model)
+        synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
+        return np.array([synthesizer.coefficients_at(float(t)) for t in times_s])
+
+    def synthesizer(self, model: FaceModel) -> PublishedSynthesizer:
+        """A fresh one."""
+        return PublishedSynthesizer(
+            model, self.strategy, published_derivatives=self.published_derivatives
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RegressionMethod:
+    """One plain linear regression from phoneme context."""
+
+    name: str = "plain-regression"
+    looks_ahead: bool = True
+
+    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+        """Faces from the contexts known at t + L."""
+        phonemes, since_s = contexts(track_of(heard.events), times_s, lookahead_s)
+        return model.regression.faces(phonemes, since_s, np.full(len(times_s), lookahead_s))
+
+
+@dataclass(frozen=True, slots=True)
+class LiveMethod:
+    """Ours, as it runs live: every 10 ms it learns what is known by then, and moves on."""
+
+    name: str = LIVE_STRATEGY
+    looks_ahead: bool = True
+    strength: float = 1.0
+    smoothness: float = 0.0
+
+    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+        """Faces decided at t from what is known of the sound up to t + L."""
+        style = Style(lookahead_s, self.strength, self.smoothness)
+        synthesizer = LiveSynthesizer(model, style)
+        source = script_of(heard, lookahead_s)
+        faces, n_ticks = [], 0
+        for time_s in times_s:
+            while n_ticks * TICK_S < time_s - _BORDER_S:
+                _listen(synthesizer, source, n_ticks * TICK_S)
+                synthesizer.coefficients_at(n_ticks * TICK_S)
+                n_ticks += 1
+            _listen(synthesizer, source, float(time_s))
+            faces.append(synthesizer.coefficients_at(float(time_s)))
+        return np.array(faces)
+
+
+def all_methods() -> dict[str, Method]:
+    """Every method by its name, the fixed reference first and ours last."""
+    methods: Sequence[Method] = (
+        DominanceMethod(REFERENCE, tuned=False),
+        DominanceMethod("cohen-massaro-tuned", tuned=True),
+        SplineMethod(),
+        MeanFaceMethod(),
+        *(PublishedMethod(strategy) for strategy in STRATEGIES.values()),
+        RegressionMethod(),
+        LiveMethod(),
+    )
+    return {method.name: method for method in methods}
+
+
+class _Replayed:
+    """Updates that were recorded, told again when their sound has been heard."""
+
+    def __init__(self, updates: Sequence[PhonemeUpdate], ahead_s: float) -> None:
+        self._updates = updates
+        self._ahead_s = ahead_s
+        self._n_told = 0
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        told = []
+        while self._n_told < len(self._updates):
+            update = self._updates[self._n_told]
+            if update.heard_until_s > until_s + self._ahead_s:
+                break
+            told.append(update)
+            self._n_told += 1
+        return told
+
+
+def script_of(heard: Heard, lookahead_s: float) -> PhonemeScript:
+    """The sentence told as time goes on, as far as a look-ahead allows."""
+    if heard.updates:
+        return _Replayed(heard.updates, lookahead_s + heard.latency_s)
+    return ScriptedPhonemes(heard.events, lookahead_s)
+
+
+def _listen(synthesizer: LiveSynthesizer, source: PhonemeScript, time_s: float) -> None:
+    for update in source.updates(time_s + _BORDER_S):
+        synthesizer.push(update)

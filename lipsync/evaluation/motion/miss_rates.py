@@ -1,0 +1,40 @@
+"""How often selection finds no AnimPho that is both right and connected."""
+
+from collections.abc import Iterable, Sequence
+
+from lipsync.animpho.selection import Choice, SelectionStrategy
+from lipsync.face.model import FaceModel
+from lipsync.phonemes import SILENCE, PhonemeEvent, stand_in
+
+
+def miss_rate(
+    model: FaceModel, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
+) -> float:
+    """Misses over all phonemes that follow another; 0 when there is none. See `count_misses`."""
+    misses, total = count_misses(model, strategy, sentences)
+    return misses / total if total else 0.0
+
+
+def count_misses(
+    model: FaceModel, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
+) -> tuple[int, int]:
+    """(misses, phonemes that follow another).
+
+    A miss: the chosen AnimPho is not in L(p_t) and T(a_{t-1}) both (Wei and Deng, Figure 6). A
+    silence begins a new chain, whose first phoneme cannot miss and is not counted.
+    """
+    misses = total = 0
+    for sentence in sentences:
+        choice: Choice | None = None
+        for event in sentence:
+            if event.phoneme == SILENCE:
+                choice = None
+                continue
+            for phoneme in stand_in(event.phoneme, model.known_phonemes):
+                if choice is None:
+                    choice = strategy.first(model, phoneme)
+                    continue
+                choice = strategy.following(model, phoneme, choice)
+                misses += choice.missed
+                total += 1
+    return misses, total

@@ -1,0 +1,1 @@
+"""How well and how soon a recogniser hears."""

@@ -1,0 +1,144 @@
+"""A recogniser measured on a corpus of transcribed speech."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.corpus.transcribed import TranscribedUtterance
+from lipsync.evaluation.recognition.conditions import Condition
+from lipsync.evaluation.recognition.driver import listen
+from lipsync.evaluation.recognition.scoring import Score, phone_sequence
+from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.alignment.alignment_cache import LABELLED, AlignedUtterance
+from lipsync.recognition.sound import read_speech
+from lipsync.recognition.training import noise
+
+#: Recordings that speak at once in babble noise.
+_N_VOICES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Everything that was measured; `score.figures()` are the accuracies."""
+
+    score: Score
+    n_utterances: int
+    duration_s: float
+    n_revisions: int
+    n_phones_said: int
+    cost_s: float
+    block_cost_p50_s: float
+    block_cost_p99_s: float
+    n_default: int
+    n_labelled: int
+    n_tight: int
+    n_failed: int
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON; the keys of `lipservo bench recognition`."""
+        least, median, most = self.score.agreement()
+        return {
+            **self.score.figures(),
+            "revisions_per_s": self.n_revisions / self.duration_s if self.duration_s else 0.0,
+            "rtf": self.cost_s / self.duration_s if self.duration_s else 0.0,
+            "ms_per_phoneme": 1e3 * self.cost_s / max(1, self.n_phones_said),
+            "utterances": self.n_utterances,
+            "seconds": self.duration_s,
+            "alignment": {
+                "default": self.n_default,
+                "labelled": self.n_labelled,
+                "tight_not_scored": self.n_tight,
+            },
+            "failed_alignments": self.n_failed,
+            "block_ms_p50": 1e3 * self.block_cost_p50_s,
+            "block_ms_p99": 1e3 * self.block_cost_p99_s,
+            "agreement_min_median_max": [least, median, most],
+        }
+
+
+def measure(
+    utterances: Sequence[TranscribedUtterance],
+    alignments: Mapping[str, AlignedUtterance],
+    make_recognizer: Callable[[], LiveRecognizer],
+    condition: Condition | None = None,
+    progress: Callable[[str], None] = lambda _name: None,
+) -> Figures:
+    """Listen to every utterance aligned at the default beams or labelled, from silence on.
+
+    Alignments that needed the retry are no yardstick: they are counted, not scored.
+    """
+    counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
+    scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
+    is_babble = condition is not None and condition.kind == "babble"
+    step = max(1, len(utterances) // _N_VOICES)
+    voices = [read_speech(u.sound) for u in utterances[::step]] if is_babble else []
+    score, duration_s, n_revisions, n_said = Score(), 0.0, 0, 0
+    costs: list[np.ndarray] = []
+    recognizer = make_recognizer()
+    for utterance in scored:
+        samples = read_speech(utterance.sound)
+        if condition is not None:
+            samples = condition.apply(samples, utterance.name, voices)
+        recognizer.reset()
+        heard = listen(recognizer, samples)
+        score.add(heard.labels, alignments[utterance.name].labels(len(heard.labels)))
+        duration_s += len(samples) / SAMPLE_RATE_HZ
+        n_revisions += heard.n_revisions
+        n_said += len(phone_sequence(heard.labels))
+        costs.append(heard.cost_s)
+        progress(utterance.name)
+    all_costs = np.concatenate(costs) if costs else np.zeros(1)
+    return Figures(
+        score=score,
+        n_utterances=len(scored),
+        duration_s=duration_s,
+        n_revisions=n_revisions,
+        n_phones_said=n_said,
+        cost_s=float(all_costs.sum()),
+        block_cost_p50_s=float(np.median(all_costs)),
+        block_cost_p99_s=float(np.percentile(all_costs, 99)),
+        n_default=counts["default"],
+        n_labelled=counts[LABELLED],
+        n_tight=counts["tight"],
+        n_failed=sum(bool(alignments[u.name].error) for u in utterances),
+    )
+
+
+def false_speech(recognizer: LiveRecognizer, samples: np.ndarray) -> float:
+    """The share of 10 ms frames called speech in sound (n,) that holds none."""
+    from lipsync.phonemes import SILENCE
+    from lipsync.recognition.alignment.alignment_cache import PHONEME_INDEX
+
+    recognizer.reset()
+    labels = listen(recognizer, samples.astype(np.float32)).labels
+    return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
+
+
+def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Half a minute each of sounds that hold no speech, by name."""
+    n = 30 * SAMPLE_RATE_HZ
+    white = noise.white(rng, n)
+    return {
+        "digital_silence": np.zeros(n, np.float32),
+        "white_-80_dbfs": white * np.float32(10.0 ** (-80 / 20)),
+        "white_-50_dbfs": white * np.float32(10.0 ** (-50 / 20)),
+        "white_-26_dbfs": white * np.float32(10.0 ** (-26 / 20)),
+        "music_-26_dbfs": noise.band(rng, n) * np.float32(10.0 ** (-26 / 20)),
+    }
+
+
+def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, n_passes: int = 5) -> np.ndarray:
+    """Processor time of each 10 ms block (m,): the least of several passes over the sound.
+
+    What other programs cost on a shared machine (caches emptied, memory slowed) goes away with the
+    least; what this block costs by itself stays.
+    """
+    passes = []
+    for _ in range(n_passes):
+        recognizer.reset()
+        passes.append(listen(recognizer, samples).cost_s)
+    least: np.ndarray = np.min(passes, axis=0)
+    return least

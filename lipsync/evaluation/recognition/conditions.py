@@ -1,0 +1,63 @@
+"""What the bench does to speech before it is heard: noise, babble, another level or line."""
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.errors import UserError
+from lipsync.recognition.training import noise
+
+Array = NDArray[np.float32]
+
+KINDS = ("white", "music", "babble", "level", "telephone", "clipped")
+#: Those that are made of the speech alone; the number after the colon is a level, or not needed.
+_OPTIONAL_DB = ("telephone", "clipped")
+
+
+class ConditionError(UserError):
+    """A condition that is not known; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Condition:
+    """How speech is changed. db: signal to noise, or for `level` the change of level."""
+
+    kind: str
+    db: float
+
+    def apply(self, samples: Array, name: str, voices: list[Array]) -> Array:
+        """The samples (n,) as they are heard; the utterance's name chooses the random numbers.
+
+        voices: other recordings, for babble.
+        """
+        rng = np.random.default_rng(zlib.crc32(name.encode()))
+        if self.kind == "level":
+            return samples * np.float32(10.0 ** (self.db / 20.0))
+        if self.kind == "telephone":
+            return noise.telephone(samples)
+        if self.kind == "clipped":
+            # Ten times over full scale (design measurement).
+            gain = np.float32(10.0 / max(np.abs(samples).max(), 1e-9))
+            clipped: Array = np.clip(samples * gain, -1.0, 1.0)
+            return clipped
+        maker = {"white": noise.white, "music": noise.band, "babble": noise.babble(voices)}
+        return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)
+
+
+def parse_condition(text: str) -> Condition:
+    """`KIND:DB`, as `white:10`; ConditionError for another form."""
+    kind, _, db = text.partition(":")
+    try:
+        return Condition(_known(kind), 0.0 if not db and kind in _OPTIONAL_DB else float(db))
+    except ValueError as error:
+        raise ConditionError(
+            f"--noise {text!r} is not KIND:DB; kinds: {', '.join(KINDS)}; for example white:10"
+        ) from error
+
+
+def _known(kind: str) -> str:
+    if kind not in KINDS:
+        raise ValueError(kind)
+    return kind

@@ -1,0 +1,1 @@
+"""Forced alignment: when each phoneme of a known text was said. Offline."""

@@ -1,0 +1,142 @@
+"""Better a poor recogniser than a mouth that hangs open: what to do when one fails or lags.
+
+Rungs from the best down: network, pocketsphinx, loudness (the jaw only), neutral. A rung that
+throws, or takes longer than the sound lasts, is left for ever (until `reset`); the next one takes
+over at the block that the last one did not hear. The neutral rung cannot fail.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from lipsync.audio_block import BLOCK_S, AudioBlock
+from lipsync.phonemes import LiveRecognizer, PhonemeUpdate
+from lipsync.recognition.loudness_recognizer import NeutralRecognizer
+
+#: A rung lags when it took longer than this share of the last second of sound.
+LAG_SHARE = 0.8
+_JUDGED_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """A recogniser that can be made when it is needed."""
+
+    name: str
+    make: Callable[[], LiveRecognizer]
+
+
+class RecognizerLadder:
+    """A `LiveRecognizer` that goes down a rung instead of failing.
+
+    latency_s: no rung may need longer. timer_s: seconds on a clock, to see a rung lag; None where
+    sound is not live.
+    """
+
+    def __init__(
+        self,
+        rungs: Sequence[Rung],
+        latency_s: float,
+        timer_s: Callable[[], float] | None = None,
+    ) -> None:
+        self._rungs = tuple(rungs)
+        self._latency_s = latency_s
+        self._timer_s = timer_s
+        self._first = self._current = 0
+        self._final_until_s = 0.0
+        self._forget()
+        self._recognizer = self._made(0)
+        self._first = self._current
+
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+        return self._latency_s
+
+    @property
+    def level(self) -> str:
+        """The name of the rung that listens now."""
+        return self._rungs[self._current].name if self._current < len(self._rungs) else "neutral"
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why each rung was left, in order."""
+        return tuple(self._reasons)
+
+    def reset(self) -> None:
+        """Back to the best rung that could be made, ready for a new stream at sound time 0."""
+        if self._current == self._first:
+            self._forget()
+            self._recognizer.reset()
+            return
+        self._forget()
+        self._recognizer = self._made(self._first)
+
+    def feed(self, block: AudioBlock) -> None:
+        """Hear the next block; never raises for what a rung raises."""
+        began_s = None if self._timer_s is None else self._timer_s()
+        try:
+            self._recognizer.feed(block)
+        except Exception as error:  # whatever it is, the mouth must not stay open for it
+            self._go_down(f"{type(error).__name__}: {error}")
+            self.feed(block)
+            return
+        if began_s is not None and self._timer_s is not None:
+            self._judge(self._timer_s() - began_s, len(block.samples) / block.sample_rate_hz)
+
+    def updates(self) -> list[PhonemeUpdate]:
+        """What became known; nothing that was final before changes, whichever rung said it."""
+        try:
+            updates = self._recognizer.updates()
+        except Exception as error:  # as in feed
+            self._go_down(f"{type(error).__name__}: {error}")
+            return []
+        told = [_after(update, self._final_until_s) for update in updates]
+        for update in told:
+            self._final_until_s = max(self._final_until_s, update.final_until_s)
+        return told
+
+    def _forget(self) -> None:
+        self._reasons: list[str] = []
+        self._final_until_s = 0.0
+        self._costs_s: deque[tuple[float, float]] = deque(maxlen=round(_JUDGED_S / BLOCK_S))
+
+    def _judge(self, cost_s: float, sound_s: float) -> None:
+        self._costs_s.append((cost_s, sound_s))
+        heard_s = sum(sound for _, sound in self._costs_s)
+        spent_s = sum(cost for cost, _ in self._costs_s)
+        if heard_s >= 0.99 * _JUDGED_S and spent_s > LAG_SHARE * heard_s:
+            self._go_down(f"took {spent_s:.2f} s for {heard_s:.2f} s of sound")
+
+    def _go_down(self, reason: str) -> None:
+        self._reasons.append(f"{self.level}: {reason}")
+        self._costs_s.clear()
+        self._recognizer = self._made(self._current + 1)
+
+    def _made(self, index: int) -> LiveRecognizer:
+        """The recogniser of the first rung from `index` down that can be made."""
+        for current in range(index, len(self._rungs)):
+            self._current = current
+            try:
+                recognizer = self._rungs[current].make()
+            except Exception as error:  # a missing library, damaged weights
+                self._reasons.append(f"{self.level}: {error}")
+                continue
+            if recognizer.latency_s <= self._latency_s + 1e-9:
+                return recognizer
+            self._reasons.append(f"{self.level}: needs {recognizer.latency_s} s")
+        self._current = len(self._rungs)
+        return NeutralRecognizer()
+
+
+def _after(update: PhonemeUpdate, final_until_s: float) -> PhonemeUpdate:
+    """The update without what lies before `final_until_s`."""
+    if update.replace_from_s >= final_until_s:
+        return update
+    return replace(
+        update,
+        replace_from_s=final_until_s,
+        heard_until_s=max(update.heard_until_s, final_until_s),
+        final_until_s=max(update.final_until_s, final_until_s),
+        events=tuple(e for e in update.events if e.end_s is None or e.end_s > final_until_s),
+    )

@@ -1,0 +1,153 @@
+"""One training from corpora to weights: align, split by speaker, disturb, learn, write a log."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from lipsync.corpus.transcribed import TranscribedUtterance, read_transcribed, without_names
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
+from lipsync.recognition.alignment.alignment_cache import AlignedUtterance, align_corpus
+from lipsync.recognition.features import FeatureScale
+from lipsync.recognition.network import NetworkWeights, batch_posteriors
+from lipsync.recognition.training import noise
+from lipsync.recognition.training.augmentation import Heard
+from lipsync.recognition.training.network_training import TrainingError, TrainingPlan, train_network
+from lipsync.recognition.training.training_data import (
+    TrainingArray,
+    as_array,
+    feature_scale,
+    read_heard,
+    training_arrays,
+)
+
+#: The scale needs no more than every sixth utterance.
+_SCALE_STEP = 6
+#: So many validation utterances are enough for a curve.
+_MOST_VALIDATION = 40
+_CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
+_MEMBERSHIP = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
+
+#: What is done, how many, of how many.
+Advance = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingRun:
+    """What to learn from, and where the run is kept.
+
+    held_out, validation: speakers; left_out: utterances. start: weights to go on from.
+    """
+
+    corpora: tuple[Path, ...]
+    folder: Path
+    held_out: frozenset[str] = frozenset()
+    validation: frozenset[str] = frozenset()
+    left_out: frozenset[str] = frozenset()
+    start: NetworkWeights | None = None
+    n_copies: int = 10
+    n_processes: int = 1
+    plan: TrainingPlan = field(default_factory=TrainingPlan)
+
+
+def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
+    """Learn; a run that was interrupted goes on from what its folder holds.
+
+    What is held or left out is not even aligned. Raises TrainingError where no speaker is left,
+    and for two utterances of one name; TranscriptError for an utterance to be left out that is in
+    none of the corpora.
+    """
+    run.folder.mkdir(parents=True, exist_ok=True)
+    plan = run.plan
+    utterances, alignments = _aligned(run, advance)
+    usable = [u for u in utterances if not alignments[u.name].error]
+    training = [u for u in usable if u.speaker not in run.validation]
+    if not training:
+        raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
+    clean = [read_heard(u, alignments[u.name]) for u in training]
+    scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
+    arrays = training_arrays(
+        clean,
+        scale,
+        plan.delays,
+        n_heavy=run.n_copies,
+        seed=plan.seed,
+        n_processes=min(run.n_processes, 1 + run.n_copies),
+        progress=lambda n: advance("disturbing", n, 1 + run.n_copies),
+    )
+    validation = [u for u in usable if u.speaker in run.validation]
+    step = max(1, len(validation) // _MOST_VALIDATION)
+    heard = [read_heard(u, alignments[u.name]) for u in validation[::step]]
+    conditions = _conditions(heard, scale, plan.delays)
+    return train_network(
+        arrays,
+        scale,
+        plan,
+        folder=run.folder,
+        start=run.start,
+        check=lambda _step, weights: figures(weights, conditions),
+        progress=lambda n: advance("learning", n, plan.n_steps),
+    )
+
+
+def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) -> dict[str, float]:
+    """Frame accuracies without a decoder: phones and viseme classes, condition by condition."""
+    found: dict[str, float] = {}
+    silence = PHONEMES.index(SILENCE)
+    for name, array in conditions.items():
+        posteriors = batch_posteriors(weights, array.features.astype(np.float32))
+        for head, delay in enumerate(weights.delays):
+            known = array.targets[:, head] >= 0
+            targets = array.targets[known, head]
+            phones = posteriors[known, head]
+            visemes_right = (phones @ _MEMBERSHIP).argmax(axis=1) == _CLASS_OF[targets]
+            key = f"{name}_delay{delay}"
+            found[f"{key}_phone_all"] = float(np.mean(phones.argmax(axis=1) == targets))
+            found[f"{key}_viseme_all"] = float(np.mean(visemes_right))
+            found[f"{key}_viseme_speech"] = float(np.mean(visemes_right[targets != silence]))
+    return found
+
+
+def _aligned(
+    run: TrainingRun, advance: Advance
+) -> tuple[list[TranscribedUtterance], dict[str, AlignedUtterance]]:
+    everything = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
+    names = Counter(u.name for u in everything)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise TrainingError(f"{twice[0]!r} is in the corpora twice; rename it in one of them")
+    utterances = [
+        utterance
+        for utterance in without_names(everything, run.left_out)
+        if utterance.speaker not in run.held_out
+    ]
+    done: list[str] = []
+
+    def count(name: str) -> None:
+        done.append(name)
+        advance("aligning", len(done), len(utterances))
+
+    alignments = align_corpus(
+        tuple(utterances),
+        run.folder / "alignments.jsonl",
+        n_processes=run.n_processes,
+        progress=count,
+    )
+    return utterances, alignments
+
+
+def _conditions(
+    heard: Sequence[Heard], scale: FeatureScale, delays: Sequence[int]
+) -> dict[str, TrainingArray]:
+    """The validation utterances clean, in white noise at 10 dB, and 30 dB lower; none: nothing."""
+    if not heard:
+        return {}
+    rng = np.random.default_rng(0)
+    noisy = [
+        replace(h, samples=noise.add_noise(h.samples, noise.white(rng, len(h.samples)), 10.0))
+        for h in heard
+    ]
+    quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in heard]
+    ways = {"clean": heard, "white_10db": noisy, "level_-30db": quiet}
+    return {name: as_array(way, scale, delays) for name, way in ways.items()}

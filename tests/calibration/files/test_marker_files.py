@@ -1,0 +1,162 @@
+"""Plans and markers in files, and the commands that use them."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from small_model import small_model
+from typer.testing import CliRunner
+
+from calibration.calibration import CalibrationError
+from calibration.capture.capture_plan import plan_poses
+from calibration.capture.marker_files import read_capture, write_plan
+from calibration.files.calibration_file import load_calibration
+from calibration.joint_range import JointRange
+from calibration.simulated.robot import SimulatedRobot, draw_robot
+from lipservo.bench.calibration_figures import read_seeds
+from lipservo.cli import app
+from lipsync.face.model import load_shipped_model
+from lipsync.markers import MARKER_NAMES
+
+SERVOS = ("jaw", "lip_protrusion")
+JOINTS = [JointRange("jaw", -2.0, 25.0), JointRange("lip_protrusion", -25.0, 40.0)]
+
+
+@pytest.fixture
+def plan_path(tmp_path):
+    path = tmp_path / "plan.csv"
+    write_plan(plan_poses(JOINTS, 12), path)
+    return path
+
+
+def write_markers(path, readings):
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["pose", "marker", "x_mm", "y_mm", "z_mm"])
+        writer.writerows(readings)
+    return path
+
+
+def test_a_plan_and_its_markers_come_back_as_they_were(plan_path, tmp_path):
+    plan = plan_poses(JOINTS, 12)
+    places = np.random.default_rng(0).normal(size=(12, 2, 3)).round(3)
+    names = ("inner_lip_13", "inner_lip_14")
+    readings = [
+        (pose + 1, name, *places[pose, i]) for pose in range(12) for i, name in enumerate(names)
+    ]
+    capture = read_capture(plan_path, write_markers(tmp_path / "m.csv", readings), SERVOS)
+    assert capture.marker_names == names
+    assert np.allclose(capture.markers_mm, places)
+    assert np.allclose(capture.goals_deg, plan.goals_deg, atol=0.005)
+    assert np.array_equal(capture.from_below, plan.from_below)
+    keys = ("pose", "marker", "x_mm", "y_mm", "z_mm")
+    as_json = tmp_path / "m.json"
+    as_json.write_text(json.dumps([dict(zip(keys, r, strict=True)) for r in readings]))
+    assert np.allclose(read_capture(plan_path, as_json, SERVOS).markers_mm, places)
+
+
+def test_readings_of_one_marker_are_averaged_and_empty_ones_are_lost(plan_path, tmp_path):
+    readings = [(1, "a", 1, 2, 3), (1, "a", 3, 4, 5), (1, "b", "", "", ""), (3, "b", 0, 0, 9)]
+    capture = read_capture(plan_path, write_markers(tmp_path / "m.csv", readings), SERVOS)
+    assert capture.markers_mm[0, 0].tolist() == [2.0, 3.0, 4.0]
+    assert np.isnan(capture.markers_mm[0, 1]).all()
+    assert len(capture) == 2
+    assert capture.markers_mm[1, 1, 2] == 9.0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("m.csv", "pose,marker,x_mm,y_mm\n", r"m\.csv: column 'z_mm' is missing"),
+        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1,a,1,far,3\n", r"line 2: 'far' is not a number"),
+        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1.5,a,1,2,3\n", "pose '1.5' is not a whole"),
+        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n99,a,1,2,3\n", r"pose 99 is not in .*plan\.csv"),
+        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1,a,inf,2,3\n", "'inf' is not a number"),
+        ("m.json", "{", "not readable as JSON"),
+        ("m.json", "{}", "should be a list of readings"),
+        ("m.json", '[{"pose": 1}]', "reading 1: 'marker' is missing"),
+    ],
+)
+def test_what_is_wrong_with_a_marker_file_is_one_line_with_its_place(
+    plan_path, tmp_path, name, text, message
+):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(CalibrationError, match=message) as caught:
+        read_capture(plan_path, path, SERVOS)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_plan_of_another_face_is_refused(plan_path, tmp_path):
+    markers = write_markers(tmp_path / "m.csv", [(1, "a", 1, 2, 3)])
+    with pytest.raises(CalibrationError, match="column 'corner_left_up_deg' is missing"):
+        read_capture(plan_path, markers, ("jaw", "corner_left_up"))
+
+
+def command(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
+    """A jaw measured by hand: five points of the lips and the chin, in a spreadsheet."""
+    plan_path, out = tmp_path / "plan.csv", tmp_path / "jaw.calibration.yaml"
+    done = command("calibrate", "--config", "face_jaw", "--plan", plan_path, "--poses", "15")
+    assert done.exit_code == 0
+    model = load_shipped_model()
+    robot = SimulatedRobot(draw_robot(model.markers_mm(model.rest[None])[0], ["jaw"], 100))
+    names = ("outer_lip_61", "outer_lip_291", "inner_lip_13", "inner_lip_14", "outer_lip_17")
+    readings = []
+    with plan_path.open() as file:
+        for row in csv.DictReader(file):
+            goal, side = float(row["jaw_deg"]), float(row["jaw_from"])
+            robot.move(np.array([goal - 3.0 * side]))
+            robot.move(np.array([goal]))
+            seen = dict(zip(MARKER_NAMES, robot.measure(), strict=True))
+            readings += [(row["pose"], name, *seen[name].round(2)) for name in names]
+    markers = write_markers(tmp_path / "m.csv", readings)
+    done = command(
+        "calibrate", "--config", "face_jaw", "--plan", plan_path, "--markers", markers,
+        "-o", out, "--json",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert json.loads(done.stdout)["gap_correlation"] > 0.95
+    calibration = load_calibration(out)
+    assert calibration.origin.method == "measured"
+    wide = model.animphos[model.of_phoneme("AA"), 2]
+    assert np.median([calibration.positions_deg(c)[0] for c in wide]) > 4.0
+
+
+def test_practice_on_a_simulated_robot_tells_errors_play_and_lags(tmp_path):
+    out, keep = tmp_path / "c.yaml", tmp_path / "poses.jsonl"
+    done = command(
+        "calibrate", "--config", "face_four", "--practise", "100", "--poses", "30",
+        "--keep", keep, "-o", out,
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    assert "mm from the shapes asked for" in done.stdout
+    assert "ms late" in done.stdout
+    assert len(keep.read_text().splitlines()) == 30
+    assert load_calibration(out).following.lag_s.min() > 0.02
+
+
+def test_markers_without_a_plan_and_no_output_are_refused(tmp_path):
+    assert command("calibrate", "--markers", tmp_path / "m.csv", "-o", "x").exit_code != 0
+    assert command("calibrate").exit_code != 0
+
+
+@pytest.mark.parametrize("text", ["", "a-b", "3-1", "1-2-3", "-4"])
+def test_seeds_that_are_no_range_are_refused(text):
+    with pytest.raises(CalibrationError, match="--seeds"):
+        read_seeds(text)
+
+
+def test_seeds_are_one_number_or_a_range():
+    assert read_seeds("7") == [7]
+    assert read_seeds("3-5") == [3, 4, 5]
+
+
+def test_small_models_are_enough_for_a_plan_and_the_simulated_robot():
+    model = small_model()
+    robot = SimulatedRobot(draw_robot(model.markers_mm(model.rest[None])[0], SERVOS, 3))
+    assert robot.measure().shape == (47, 3)

@@ -1,0 +1,167 @@
+"""Jaw rotation, viseme trim, and range files of LeRobot."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rich.console import Console
+from small_model import small_model
+
+from calibration.calibration import CalibrationError
+from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
+from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, talkers_jaw
+from calibration.joint_range import JointRange
+from calibration.run.viseme_trim import VisemeTrim
+from calibration.simulated.face import marker_positions_mm, simulated_face
+from lipservo.calibrating.guided_calibration import guide
+from lipsync.face.model import load_shipped_model
+
+RANGES = {
+    "jaw": {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 2048, "range_max": 2332},
+    "lip": {"id": 2, "drive_mode": 1, "homing_offset": -7, "range_min": 1000, "range_max": 3048},
+}
+
+
+@settings(deadline=None)  # machines are shared
+@given(seed=st.integers(0, 999))
+def test_newton_finds_the_closed_form_of_the_jaw_blend(seed):
+    """alpha = <m - c, o - c> / <o - c, o - c>: the cost is quadratic in alpha."""
+    rng = np.random.default_rng(seed)
+    closed, opened = rng.normal(size=(2, 9, 3)) * 10
+    points = rng.normal(size=(5, 9, 3)) * 10
+    towards = opened - closed
+    oracle = np.sum((points - closed) * towards, axis=(1, 2)) / np.sum(towards**2)
+    assert jaw_blend(closed, opened).alpha(points) == pytest.approx(oracle, abs=1e-8)
+
+
+def test_the_jaw_of_a_simulated_face_is_found_in_degrees():
+    model = small_model()
+    face = simulated_face(model.markers_mm(model.rest[None])[0], ["jaw"])
+    line = list(JAW_LINE)
+    sweep = np.linspace(0.0, 25.0, 6)
+    swept_mm = marker_positions_mm(face, sweep[:, None])[:, line]
+    degrees = jaw_degrees(jaw_blend(swept_mm[0], swept_mm[-1]), sweep, swept_mm)
+    between = np.array([2.0, 7.5, 13.0, 24.0])
+    points_mm = marker_positions_mm(face, between[:, None])[:, line]
+    found = degrees.degrees_at(jaw_blend(swept_mm[0], swept_mm[-1]).alpha(points_mm))
+    assert found == pytest.approx(between, abs=0.2)
+
+
+def test_the_talkers_jaw_opens_with_the_lips():
+    """On the shipped talker alpha follows the lip gap: 0 at rest, near 1 in the widest frames."""
+    model = load_shipped_model()
+    frames = model.animphos[::10].reshape(-1, model.n_components)
+    jaw = talkers_jaw(model)
+    alpha = jaw.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+    assert jaw.alpha(model.markers_mm(model.rest[None])[:, list(JAW_LINE)])[0] == pytest.approx(0)
+    assert 0.6 < np.quantile(alpha, 0.99) < 1.3
+    gaps_mm = [model.lip_gap_mm(frame) for frame in frames]
+    assert np.corrcoef(alpha, gaps_mm)[0, 1] > 0.7
+
+
+def test_a_jaw_that_does_not_move_or_moves_back_is_refused():
+    line_mm = np.random.default_rng(0).normal(size=(9, 3))
+    with pytest.raises(CalibrationError, match=r"the jaw line moves by 0\.1 mm"):
+        jaw_blend(line_mm, line_mm + 0.05)
+    open_mm = line_mm - np.array([0.0, 9.0, 0.0])
+    with pytest.raises(CalibrationError, match="does not open steadily"):
+        jaw_degrees(jaw_blend(line_mm, open_mm), np.array([0.0, 9.0]), np.array([open_mm, line_mm]))
+
+
+def test_a_trim_comes_and_goes_within_a_phone():
+    trim = VisemeTrim({"P": np.array([-2.0, 1.0])}, 2, 0.01)
+    for _ in range(10):
+        added = trim.feed("B")  # of the same class as P
+    assert added == pytest.approx([-2.0, 1.0], rel=0.05)
+    for _ in range(10):
+        added = trim.feed("AA")
+    assert added == pytest.approx([0.0, 0.0], abs=0.1)
+    trim.feed("M")
+    trim.reset()
+    assert not trim.feed("AA").any()
+
+
+def test_no_trim_adds_nothing():
+    assert not VisemeTrim({}, 3, 0.01).feed("AA").any()
+
+
+def write(tmp_path, content):
+    path = tmp_path / "ranges.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def test_ranges_in_ticks_become_degrees(tmp_path):
+    """284 ticks are 24.96 degrees (360 / 4096 each); a reversed drive turns the ends round."""
+    ranges = read_ranges(write(tmp_path, RANGES))
+    assert ranges["jaw"].limits_deg(2048) == pytest.approx((0.0, 24.96), abs=0.01)
+    assert ranges["lip"].limits_deg(2000) == pytest.approx((-92.11, 87.89), abs=0.01)
+    assert ranges["lip"].limits_deg() == pytest.approx((-90.0, 90.0))
+    assert ranges["lip"].servo_id == 2
+
+
+def test_limits_within_what_was_recorded_pass_and_wider_ones_are_named(tmp_path):
+    ranges = read_ranges(write(tmp_path, RANGES))
+    check_within_recorded(ranges, {"jaw": (-2.0, 20.0), "lip": (-80.0, 80.0)})
+    with pytest.raises(CalibrationError, match="'jaw': its limits span 32 deg, its recorded ran"):
+        check_within_recorded(ranges, {"jaw": (-2.0, 30.0)})
+    with pytest.raises(CalibrationError, match="servo 'neck' is not in the range file"):
+        check_within_recorded(ranges, {"neck": (-1.0, 1.0)})
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "not readable as JSON"),
+        ("[]", "one entry for each joint"),
+        ({"jaw": 3}, "jaw: should hold id, drive_mode"),
+        ({"jaw": RANGES["jaw"] | {"range_max": "x"}}, r"jaw\.range_max is 'x', expected a whole"),
+        ({"jaw": RANGES["jaw"] | {"range_min": 2332}}, "needs 0 <= range_min < range_max"),
+    ],
+)
+def test_a_damaged_range_file_says_where(tmp_path, content, message):
+    with pytest.raises(CalibrationError, match=message):
+        read_ranges(write(tmp_path, content))
+
+
+def guided_by(keys, tmp_path, keep="kept.json"):
+    moved = []
+    pressed = iter(keys)
+    model = small_model()
+    made = guide(
+        model,
+        [JointRange("jaw", -2.0, 7.0), JointRange("lip_protrusion", -25.0, 40.0)],
+        lambda goal: (moved.append(goal), goal)[1],
+        lambda: next(pressed),
+        Console(file=io.StringIO()),
+        keep=tmp_path / keep,
+        drawn=lambda _: model.markers_mm(model.rest[None])[0],
+    )
+    return made, moved
+
+
+def test_keys_turn_the_chosen_servo_within_its_limits_and_enter_keeps_the_pose(tmp_path):
+    made, moved = guided_by("dd\rDDsaA\rq", tmp_path)
+    assert {name: pose.tolist() for name, pose in made.items()} == {
+        "closed": [2.0, 0.0],
+        "open": [7.0, -6.0],
+    }
+    assert not moved[-1].any()  # left in neutral
+
+
+def test_a_guided_session_goes_on_where_it_was_stopped_and_poses_can_be_left_out(tmp_path):
+    guided_by("d\rq", tmp_path)
+    made, _ = guided_by("xdd\rbA\rq", tmp_path)
+    assert {name: pose.tolist() for name, pose in made.items()} == {
+        "closed": [1.0, 0.0],
+        "wide": [-2.0, 0.0],
+    }
+
+
+def test_kept_poses_of_another_face_are_refused(tmp_path):
+    (tmp_path / "kept.json").write_text('{"closed": {"tail": 1.0}}')
+    with pytest.raises(CalibrationError, match=r"kept\.json: not the poses of this face"):
+        guided_by("q", tmp_path)

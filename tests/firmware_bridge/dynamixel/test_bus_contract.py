@@ -1,0 +1,262 @@
+"""What every bus and every line keeps to, whoever makes its packets and whatever carries them."""
+
+import contextlib
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from firmware_bridge.bus import PortError, PortGone
+from firmware_bridge.clock import ManualClock, MonotonicClock
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.wire.line import Line, SpanRead
+from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.simulator.memory_transport import MemoryTransport
+from lipservo.face.servos import mounted_servos
+from lipservo.face.sim_process import simulated_port
+from lipservo.settings.settings import load_shipped_face
+
+BAUD_RATE = 1_000_000
+FACE = load_shipped_face("face_four")
+SERVOS = mounted_servos(FACE)
+IDS = [servo.joint.servo_id for servo in SERVOS]
+N = len(SERVOS)
+#: Far more than anything here takes, even on a busy machine.
+PATIENCE_S = 60.0
+MAKERS = {"own": (open_port, Line), "sdk": (SdkTransport, SdkLine)}
+
+
+@pytest.fixture(scope="module")
+def port():
+    with simulated_port(["--config", "face_four", "--on-time"]) as port:
+        yield port
+
+
+@pytest.fixture(autouse=True)
+def patience(monkeypatch):
+    """The SDK waits for 34 ms; a computer that runs other tests meanwhile may need more."""
+    monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)
+
+
+def eventually(condition, clock, period_s=0.02):
+    """Real lines lose a sample when the computer is busy: ask again, as the bridge does."""
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < give_up_s, "it never came true"
+        clock.sleep_until(clock.now() + period_s)
+    return True
+
+
+@pytest.fixture(params=["simulated", "memory", "own", "sdk"])
+def face(request):
+    """A bus that is not entered yet, its clock, and how its servos are seen from outside."""
+    clock = ManualClock() if request.param in ("simulated", "memory") else MonotonicClock()
+    if request.param == "simulated":
+        bus = SimulatedBus(FACE.joints(), clock)
+    elif request.param == "memory":
+        chain = chain_for(SERVOS, BAUD_RATE)
+        bus = DynamixelBus(SERVOS, lambda: MemoryTransport(chain, clock, BAUD_RATE), watchdog_s=0.0)
+    else:
+        open_transport, make_line = MAKERS[request.param]
+        path = request.getfixturevalue("port")
+        bus = DynamixelBus(
+            SERVOS, lambda: open_transport(path, BAUD_RATE), make_line=make_line, watchdog_s=0.0
+        )
+    return SimpleNamespace(bus=bus, clock=clock)
+
+
+def hold(face):
+    """As a start does: one after another, again where a busy computer lost an answer."""
+    for index in range(N):
+        eventually(lambda index=index: not face.bus.enable_torque(index), face.clock)
+
+
+def test_a_bus_just_entered_is_limp_and_says_where_everybody_stands(face):
+    with face.bus as bus:
+        assert eventually(lambda: not bus.read().missing.any(), face.clock)
+        readings = bus.read()
+
+        assert readings.positions_deg.shape == (N,)
+        assert np.isfinite(readings.positions_deg).all()
+        assert not readings.torque_on.any()
+
+
+def test_outside_its_block_a_bus_is_closed(face):
+    with pytest.raises(PortError):
+        face.bus.read()
+    with face.bus:
+        pass
+    with pytest.raises(PortError):
+        face.bus.feedback()
+
+
+def test_goals_are_reached_and_leaving_lets_go(face):
+    goal_deg = np.array([3.0, -2.0, 4.0, -5.0])
+    with face.bus as bus:
+        hold(face)
+        bus.write_positions(goal_deg)
+
+        def arrived():
+            return np.abs(bus.feedback().positions_deg - goal_deg).max() < 0.3
+
+        assert eventually(arrived, face.clock)
+        assert eventually(lambda: bus.read().torque_on.all(), face.clock)
+    with face.bus as bus:
+        assert eventually(lambda: not bus.read().missing.any(), face.clock)
+        assert not bus.read().torque_on.any()
+
+
+@pytest.mark.parametrize("senseless", [np.nan, np.inf, 90.0])
+def test_a_goal_that_makes_no_sense_is_kept_from_its_servo_and_noted(face, senseless):
+    with face.bus as bus:
+        bus.write_positions(np.zeros(N))
+        bus.write_positions(np.array([1.0, senseless, 1.0, 1.0]))
+        readings = bus.read()
+
+        assert eventually(lambda: np.isfinite(bus.read().goals_deg).all(), face.clock)
+        np.testing.assert_allclose(bus.read().goals_deg, [1.0, 0.0, 1.0, 1.0], atol=0.05)
+        assert (readings.errors != 0).tolist() == [False, True, False, False]
+
+
+@pytest.mark.parametrize("shape", [(N - 1,), (N + 1,), (N, 1), ()])
+def test_goals_of_the_wrong_shape_are_refused(face, shape):
+    with face.bus as bus, pytest.raises(ValueError, match="expected positions of shape"):
+        bus.write_positions(np.zeros(shape))
+
+
+def test_servos_get_torque_are_let_go_and_restarted_one_by_one(face):
+    with face.bus as bus:
+        eventually(lambda: not bus.enable_torque(1), face.clock)
+        eventually(lambda: not bus.enable_torque(2), face.clock)
+        assert eventually(
+            lambda: bus.read().torque_on.tolist() == [False, True, True, False], face.clock
+        )
+        eventually(lambda: bus.disable_torque(1), face.clock)
+        bus.reboot(2)
+        assert eventually(lambda: not bus.read().torque_on.any(), face.clock)
+        assert eventually(lambda: not bus.feedback().age_s.any(), face.clock)
+
+
+def test_health_is_known_after_a_round(face):
+    with face.bus as bus:
+
+        def known():
+            return np.isfinite(bus.look_after().voltage_v).all()
+
+        assert eventually(known, face.clock)
+        health = bus.look_after()
+
+        assert (health.voltage_v > 3.0).all()
+        assert (health.room_degc > 10.0).all()
+        assert not health.hardware_errors.any()
+
+
+def test_a_bus_may_be_opened_again(face):
+    with face.bus as bus:
+        bus.reopen()
+
+        assert eventually(lambda: not bus.feedback().age_s.any(), face.clock)
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+def test_a_plug_that_is_pulled_is_noticed_and_the_bus_comes_back(maker, tmp_path):
+    """The SDK raises three kinds of exception for it, and stays marked as busy."""
+    open_transport, make_line = MAKERS[maker]
+    script, link = tmp_path / "faults.yaml", tmp_path / "port"
+    script.write_text("faults: [{kind: unplug, every_s: 3.0, lasts_s: 0.5}]")
+    arguments = ["--config", "face_four", "--link", str(link), "--faults", str(script)]
+    with simulated_port([*arguments, "--on-time"]) as path, contextlib.ExitStack() as stack:
+        bus = DynamixelBus(
+            SERVOS, lambda: open_transport(path, BAUD_RATE), make_line=make_line, strict=False
+        )
+
+        def is_(act):
+            with contextlib.suppress(PortError):
+                act()
+                return True
+
+        clock = MonotonicClock()
+        eventually(lambda: is_(lambda: stack.enter_context(bus)), clock)
+        gone = []
+
+        def pulled():
+            try:
+                bus.feedback()
+            except PortGone as error:
+                gone.append(error)
+            return gone
+
+        eventually(pulled, clock, period_s=0.005)
+        assert "plug the adapter in again" in str(gone[0])
+        eventually(lambda: is_(bus.reopen), clock)
+        assert eventually(lambda: is_(lambda: not bus.feedback().age_s.any()), clock)
+
+
+@pytest.fixture(params=["memory", "own", "sdk"])
+def line(request):
+    """A line to the same servos, in memory or over a terminal."""
+    if request.param == "memory":
+        transport = MemoryTransport(chain_for(SERVOS, BAUD_RATE), ManualClock(), BAUD_RATE)
+        make_line = Line
+    else:
+        open_transport, make_line = MAKERS[request.param]
+        transport = open_transport(request.getfixturevalue("port"), BAUD_RATE)
+    yield make_line(transport)
+    transport.close()
+
+
+def answer(ask, line):
+    """What a question is answered with, asked again while nothing comes."""
+    found = []
+    eventually(lambda: found.append(ask()) or found[-1], line.transport.clock)
+    return found[-1]
+
+
+def test_a_ping_tells_the_model_and_nobody_answers_to_a_strange_id(line):
+    pong = answer(lambda: line.ping(IDS[0]), line)
+
+    assert (pong.servo_id, pong.error, pong.data[:2]) == (IDS[0], 0, b"\xb0\x04")
+    assert line.ping(200) is None
+    assert [s.servo_id for s in answer(line.ping_all, line)] == IDS
+
+
+#: More than any mode takes as a goal position: 2,000,000 pulses.
+BEYOND = (2_000_000).to_bytes(4, "little")
+
+
+def test_what_is_written_is_read_and_what_is_refused_says_why(line):
+    assert answer(lambda: line.write(IDS[1], 65, b"\1"), line).error == 0
+    assert answer(lambda: line.read(IDS[1], 65, 1), line).data == b"\1"
+    assert answer(lambda: line.write(IDS[1], 65, b"\0"), line).error == 0
+    assert answer(lambda: line.write(IDS[1], 132, bytes(4)), line).error == 7
+    assert answer(lambda: line.write(IDS[1], 116, BEYOND), line).error == 6
+
+
+def ids_heard(line, span):
+    return [status.servo_id for status in line.sync_read(span) if len(status.data) == 10]
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_everybody_answers_a_common_question(line, fast):
+    span = SpanRead(IDS, 126, 10, fast=fast)
+
+    assert eventually(lambda: ids_heard(line, span) == IDS, line.transport.clock)
+
+
+def test_one_who_is_missing_costs_only_itself_or_with_the_sdk_everybody(line):
+    """The SDK drops a whole group for one silent servo; that is why it is not the default."""
+    span = SpanRead([IDS[0], 200, *IDS[1:]], 126, 10, fast=False)
+    heard = [] if isinstance(line, SdkLine) else IDS
+
+    assert eventually(lambda: ids_heard(line, span) == heard, line.transport.clock)
+
+
+def test_a_restarted_servo_is_deaf_for_a_while_and_has_forgotten_its_ram(line):
+    answer(lambda: line.write(IDS[3], 65, b"\1"), line)
+    answer(lambda: line.reboot(IDS[3]), line)
+
+    assert answer(lambda: line.read(IDS[3], 65, 1), line).data == b"\0"

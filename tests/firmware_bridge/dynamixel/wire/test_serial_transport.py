@@ -1,0 +1,116 @@
+"""A serial port is ours alone while it is open, at any rate that the servos know."""
+
+import array
+import contextlib
+import fcntl
+import os
+import subprocess
+import sys
+import tty
+
+import pytest
+
+from firmware_bridge.bus import PortError
+from firmware_bridge.dynamixel.control_table import baud_rates
+from firmware_bridge.dynamixel.wire.sdk_line import SdkTransport
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+
+#: asm-generic/ioctls.h of Linux: is the terminal exclusive; all of its settings, rates as numbers.
+TIOCGEXCL, TCGETS2 = 0x80045440, 0x802C542A
+OPENERS = {"own": open_port, "sdk": SdkTransport}
+#: Root may open what is exclusive, so the stranger is nobody.
+STRANGER = """
+import os, sys
+if os.geteuid() == 0:
+    os.setuid(65_534)
+try:
+    os.open(sys.argv[1], os.O_RDWR | os.O_NOCTTY)
+except OSError as error:
+    print(os.strerror(error.errno))
+else:
+    print("opened")
+"""
+
+
+@pytest.fixture
+def port():
+    """A terminal whose other end nobody serves; anybody may open it."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.chmod(os.ttyname(slave), 0o666)
+    yield os.ttyname(slave)
+    for fd in (master, slave):
+        with contextlib.suppress(OSError):
+            os.close(fd)
+
+
+def number(path, request, index, size):
+    """One number of what the kernel answers to an ioctl."""
+    fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        answer = array.array("i", [0] * size)
+        fcntl.ioctl(fd, request, answer)
+        return answer[index]
+    finally:
+        os.close(fd)
+
+
+def what_a_stranger_gets(port):
+    command = [sys.executable, "-c", STRANGER, port]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+@pytest.mark.parametrize("opener", OPENERS)
+def test_no_other_program_of_an_ordinary_user_can_open_a_port_in_use(port, opener):
+    transport = OPENERS[opener](port, 1_000_000)
+    assert what_a_stranger_gets(port) == "Device or resource busy"
+    transport.baud_rate = 57_600
+    assert what_a_stranger_gets(port) == "Device or resource busy"
+    transport.close()
+    transport.close()
+
+    assert what_a_stranger_gets(port) == "opened"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can look at a port in use")
+@pytest.mark.parametrize("opener", OPENERS)
+def test_the_kernel_knows_that_a_port_is_exclusive(port, opener):
+    transport = OPENERS[opener](port, 1_000_000)
+    assert number(port, TIOCGEXCL, 0, 1) == 1
+    transport.close()
+
+    assert number(port, TIOCGEXCL, 0, 1) == 0
+
+
+@pytest.mark.parametrize("second", OPENERS)
+@pytest.mark.parametrize("first", OPENERS)
+def test_a_second_lipservo_is_told_that_the_port_is_used(port, first, second):
+    transport = OPENERS[first](port, 1_000_000)
+    with pytest.raises(PortError, match="used by another program"):
+        OPENERS[second](port, 1_000_000)
+    transport.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can look at a port in use")
+@pytest.mark.parametrize("baud_rate", sorted(baud_rates().values()))
+def test_every_rate_of_the_servos_can_be_set(port, baud_rate):
+    transport = open_port(port, baud_rate)
+    assert number(port, TCGETS2, 10, 16) == baud_rate
+    transport.baud_rate = 1_000_000
+    assert number(port, TCGETS2, 10, 16) == 1_000_000
+    transport.baud_rate = baud_rate
+    assert number(port, TCGETS2, 10, 16) == baud_rate
+    transport.close()
+
+
+@pytest.mark.parametrize("kind", ["file", "folder", "fifo"])
+def test_what_is_no_serial_port_is_named_in_one_plain_line(tmp_path, kind):
+    path = tmp_path / "port"
+    {"file": path.touch, "folder": path.mkdir, "fifo": lambda: os.mkfifo(path)}[kind]()
+    with pytest.raises(PortError) as error:
+        open_port(str(path), 1_000_000)
+
+    assert str(error.value) in (
+        f"{path}: is not a serial port",
+        f"{path}: cannot be opened: Is a directory",
+    )

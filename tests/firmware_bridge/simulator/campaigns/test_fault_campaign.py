@@ -1,0 +1,50 @@
+"""The whole bridge against scripted faults; the full campaign is `lipservo bench faults`."""
+
+import pytest
+
+from firmware_bridge.simulator.campaigns.endurance import MUST_NOT, endure
+from firmware_bridge.simulator.campaigns.fault_campaign import Case, cases, play
+from firmware_bridge.simulator.faults import KINDS
+
+
+@pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
+def test_a_fault_is_survived_without_a_wrong_goal(kind):
+    outcome = play(Case(kind, 1, 5, 30.0))
+
+    assert outcome.survived, outcome
+
+
+@pytest.mark.campaign
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_fault_is_survived(kind):
+    for case in cases():
+        if case.kind == kind and (case.n_servos, case.rate_hz) == (5, 30.0):
+            assert play(case).survived, case
+
+
+def test_the_campaign_is_as_large_as_promised():
+    assert len(KINDS) >= 25
+    assert len(list(cases())) == len(KINDS) * 3 * 3 * 2
+
+
+def endured(n_cycles):
+    """Drive a face for a while; what must not have happened is checked here."""
+    result = endure(n_cycles, lambda _: None)
+
+    assert result.cycles == n_cycles
+    assert result.goals > 4 * n_cycles
+    assert [name for name in MUST_NOT if getattr(result, name)] == []
+    assert result.descriptors_at_end == result.descriptors_at_tenth
+    return result
+
+
+def test_ten_thousand_cycles_leave_nothing_open_and_send_nothing_wrong():
+    endured(10_000)
+
+
+@pytest.mark.campaign
+def test_a_hundred_thousand_cycles_do_not_grow():
+    result = endured(100_000)
+
+    assert result.replugs >= 1
+    assert result.rss_mb_at_end - result.rss_mb_at_tenth < 2.0

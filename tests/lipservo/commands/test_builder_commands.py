@@ -1,0 +1,202 @@
+"""The commands of a builder's first hour, as they are typed, on simulated servos behind a pty."""
+
+import json
+import subprocess
+import sys
+from importlib import resources
+
+import pytest
+import soundfile
+
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from lipservo.face.sim_process import simulated_port
+from lipservo.settings.settings import load_face
+
+FACE = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
+
+
+def lipservo(*arguments, **options):
+    command = [sys.executable, "-m", "lipservo", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=180, **options)
+
+
+@pytest.fixture(scope="module")
+def port():
+    with simulated_port(["--config", "face_sim", "--on-time"]) as port:
+        yield port
+
+
+def test_doctor_finds_a_healthy_face_healthy(port):
+    done = lipservo("doctor", "--port", port)
+
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "10 servos at 1,000,000 baud can do 30 Hz" in done.stdout
+
+
+def test_jog_and_neutral_move_through_the_gate(port):
+    done = lipservo("jog", "jaw", "5", "--port", port, "--hold-s", "0.3")
+    assert done.stdout.strip() == "jaw stands at 5.0 deg", done.stderr
+    done = lipservo("neutral", "--port", port)
+    assert "jaw stands at 0.0 deg" in done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["jog", "jaw", "40"], "jaw: 40 deg is outside -2..25"),
+        (["jog", "jaw", "nan"], "jaw: nan deg is outside -2..25"),
+        (["jog", "tongue", "4"], "no joint 'tongue' in this face"),
+    ],
+)
+def test_impossible_wishes_move_nothing_and_are_explained(port, arguments, said):
+    done = lipservo(*arguments, "--port", port)
+
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["doctor", "--port", "/dev/ttyUSB77"], "/dev/ttyUSB77: no such port"),
+        (["doctor"], "no port: give --port"),
+        (["run", "--port", "/dev/ttyUSB77"], "/dev/ttyUSB77: no such port"),
+        (["run", "--sim", "usb"], "--sim knows `pty` only"),
+        (["sim-bus", "--model", "AX-12"], "model 'AX-12' is not known"),
+        (["sim-bus", "--baud-rate", "12345"], "12345 baud is no rate"),
+        (["setup-servos", "tongue", "--port", "x"], "no joint 'tongue'"),
+    ],
+)
+def test_bad_input_ends_in_one_clear_line(arguments, said):
+    done = lipservo(*arguments)
+
+    assert done.returncode == 1
+    assert said in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_servos_at_another_rate_do_not_answer_and_the_doctor_is_named():
+    with simulated_port(["--config", "face_sim", "--baud-rate", "57600"]) as port:
+        done = lipservo("run", "--port", port, "--json")
+
+    assert done.returncode == 1
+    assert "servo 'jaw' (id 11) does not answer" in done.stderr
+    assert "lipservo doctor" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("command", ["run", "daemon"])
+def test_servos_that_differ_from_the_yaml_are_refused_before_anything_moves(tmp_path, command):
+    script = tmp_path / "faults.yaml"
+    script.write_text("faults: [{kind: limits_drift, servos: [0], at_s: 0.0, amount: 2100}]")
+    with simulated_port(["--config", "face_sim", "--on-time", "--faults", str(script)]) as port:
+        control = [] if command == "run" else ["--control", tmp_path / "control.sock"]
+        done = lipservo(command, "--port", port, *control)
+
+    assert done.returncode == 1
+    assert "servo 'jaw' (id 11) has limits" in done.stderr
+    assert "setup-servos" in done.stderr
+    assert "`lipservo doctor` shows every difference" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_fresh_servo_becomes_a_joint_and_several_at_once_are_refused(tmp_path):
+    path = tmp_path / "face.yaml"
+    path.write_text(FACE)
+    with simulated_port(["--servos", "1"]) as port:
+        done = lipservo("setup-servos", "jaw", "--port", port, "--config", path)
+        assert done.returncode == 0, done.stderr
+        assert "jaw: set up as id 11" in done.stdout
+        again = lipservo("setup-servos", "jaw", "--port", port, "--config", path)
+        assert again.stdout.strip() == "jaw: set up as id 11"
+    with simulated_port(["--servos", "2"]) as port:
+        done = lipservo("setup-servos", "jaw", "--port", port, "--config", path)
+        assert done.returncode == 1
+        assert "2 servos answer (ids [1, 2]); connect one at a time" in done.stderr
+
+
+def test_new_face_writes_a_yaml_that_loads(tmp_path):
+    path = tmp_path / "mine.yaml"
+    with simulated_port(["--servos", "2", "--baud-rate", "1000000"]) as port:
+        asked_again = "Brow!\njaw\n"  # no name of a joint, and the name of the first servo
+        answers = f"jaw\nopens\ny\n{asked_again}brow\nraises\nn\n"
+        done = lipservo("new-face", "-o", path, "--port", port, input=answers)
+        assert done.returncode == 0, done.stderr
+        assert "'Brow!' is no name of a joint" in done.stderr
+        assert "jaw is another servo of this face already" in done.stderr
+    face = load_face(path)
+
+    assert [(name, s.id, s.positive, s.sign) for name, s in face.servos.items()] == [
+        ("jaw", 1, "opens", 1),
+        ("brow", 2, "raises", -1),
+    ]
+
+
+def test_new_face_says_so_when_its_answers_end_early(tmp_path):
+    with simulated_port(["--servos", "1", "--baud-rate", "1000000"]) as port:
+        done = lipservo("new-face", "-o", tmp_path / "mine.yaml", "--port", port, input="jaw\n")
+    assert done.returncode == 1
+    assert "the input ended before all questions were answered" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_new_face_takes_names_and_limits_from_a_range_file_of_lerobot(tmp_path):
+    """284 ticks are 24.96 degrees; the simulated servo stands at 2048, its neutral."""
+    path, ranges = tmp_path / "mine.yaml", tmp_path / "ranges.json"
+    entry = {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 2020, "range_max": 2332}
+    ranges.write_text(json.dumps({"jaw": entry}))
+    with simulated_port(["--servos", "1", "--baud-rate", "1000000"]) as port:
+        how = ("new-face", "-o", path, "--port", port, "--ranges", ranges)
+        done = lipservo(*how, input="\nopens\ny\n")
+        assert done.returncode == 0, done.stderr
+        jaw = load_face(path).servos["jaw"]
+        assert (jaw.min_deg, jaw.max_deg) == (-2.46, 24.96)
+        path.unlink()
+        ranges.write_text(json.dumps({"jaw": entry | {"range_min": 2100}}))
+        done = lipservo(*how, input="\nopens\ny\n")
+        assert done.returncode == 1
+        assert "jaw (id 1) stands at 20" in done.stderr
+        assert "outside its recorded range 2100..2332" in done.stderr
+        assert not path.exists()
+
+
+def test_new_face_takes_over_servos_that_lerobot_has_homed(tmp_path):
+    """Homed by -1024 ticks, driven in mode 4: shown at 1024, recorded there, standing at 2048."""
+    path, ranges = tmp_path / "mine.yaml", tmp_path / "ranges.json"
+    entry = {"id": 1, "drive_mode": 0, "homing_offset": -1024, "range_min": 996, "range_max": 1308}
+    ranges.write_text(json.dumps({"jaw": entry}))
+    with simulated_port(["--servos", "1", "--baud-rate", "1000000"]) as port:
+
+        def ask(act):
+            transport = open_port(port, 1_000_000)
+            try:
+                return act(Line(transport))
+            finally:
+                transport.close()
+
+        ask(lambda line: line.write(1, 20, (-1024).to_bytes(4, "little", signed=True)))
+        ask(lambda line: line.write(1, 11, b"\4"))
+        how = ("new-face", "-o", path, "--port", port, "--ranges", ranges)
+        done = lipservo(*how, input="n\n")
+        assert done.returncode == 1
+        assert "homing_offset is -1024, should be 0" in done.stderr
+        assert not path.exists()
+        done = lipservo(*how, input="y\n\nopens\ny\n")
+        assert done.returncode == 0, done.stderr
+        jaw = load_face(path).servos["jaw"]
+        assert (jaw.min_deg, jaw.max_deg) == (-2.46, 24.96)
+        assert ask(lambda line: line.read(1, 20, 4)).data == bytes(4)
+        assert ask(lambda line: line.read(1, 11, 1)).data == b"\3"
+
+
+def test_a_dry_run_reads_but_never_switches_torque_on(port, tmp_path):
+    samples, rate_hz = soundfile.read(resources.files("lipservo.clips") / "welcome.flac")
+    clip = tmp_path / "short.wav"
+    soundfile.write(clip, samples[:rate_hz], rate_hz)
+    done = lipservo("run", "--port", port, "--dry-run", "--json", "--wav", clip)
+
+    assert done.returncode == 0, done.stderr
+    assert '"frames_sent": 0' in done.stdout

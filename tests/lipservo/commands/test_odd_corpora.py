@@ -1,0 +1,225 @@
+"""Corpora that are not as they should be: `train` and `bench motion` work or say what is wrong."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import small_corpus
+from small_corpus import text_grid, write_corpus
+from spoken_phonemes import spoken
+
+from lipservo import command_line
+from lipsync.face.model import load_model
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer
+from lipsync.phonemes import PHONEMES, PhonemeUpdate
+
+#: The bench's arguments that keep it short.
+BRIEF = ("--strategy", LIVE_STRATEGY, "--lookahead-ms", "100", "--json", "-q")
+
+
+@pytest.fixture
+def lipservo(monkeypatch, capsys):
+    """The command line in this process: status, standard output, standard error."""
+
+    def run(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr("sys.argv", ["lipservo", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            command_line.main()
+        printed = capsys.readouterr()
+        return int(ended.value.code or 0), printed.out, printed.err.replace("\n", " ")
+
+    return run
+
+
+@pytest.fixture
+def trained(lipservo, tmp_path):
+    """Trains on a folder through the command line and gives the model's path."""
+
+    def run(folder: Path) -> Path:
+        path = tmp_path / f"{folder.name}.npz"
+        status, _, said = lipservo("train", folder, "-o", path, "-q")
+        assert status == 0, said
+        return path
+
+    return run
+
+
+@pytest.fixture
+def refused(lipservo, tmp_path):
+    """What `train` says where it refuses a folder; it must leave no file."""
+
+    def run(folder: Path) -> str:
+        path = tmp_path / "refused.npz"
+        status, _, said = lipservo("train", folder, "-o", path, "-q")
+        assert status == 1
+        assert not list(tmp_path.glob("refused*"))
+        return said
+
+    return run
+
+
+def row_of(printed: str) -> dict:
+    (row,) = json.loads(printed)["results"]
+    return row
+
+
+def test_one_utterance_trains_and_is_scored_but_cannot_be_cross_validated(
+    lipservo, trained, tmp_path
+):
+    folder = write_corpus(tmp_path / "one", 1)
+    model = trained(folder)
+    status, printed, said = lipservo(
+        "bench", "motion", "--corpus", folder, "--model", model, *BRIEF
+    )
+    assert status == 0, said
+    assert row_of(printed)["sentences"] == 1
+    assert "1 sentences trained this model: figures flatter it" in said
+    (folder / "splits.json").write_text(json.dumps({"folds": [["s0"]], "new_words": {}}))
+    status, _, said = lipservo("bench", "motion", "--corpus", folder, *BRIEF)
+    assert status == 1
+    assert "splits.json: split random leaves no sentence to train on" in said
+
+
+@pytest.mark.parametrize("absent", ["B", "AA", "SIL"])
+def test_a_phoneme_that_the_corpus_lacks_is_played_and_scored(
+    lipservo, trained, tmp_path, monkeypatch, absent
+):
+    """A model that never heard B still closes the lips for it."""
+    whole = write_corpus(tmp_path / "whole", 4)
+    others = tuple(("D" if p == absent else p, s) for p, s in small_corpus.PHONES)
+    monkeypatch.setattr(small_corpus, "PHONES", others)
+    model = trained(write_corpus(tmp_path / "lacking", 4, seed=1))
+    status, printed, said = lipservo("bench", "motion", "--corpus", whole, "--model", model, *BRIEF)
+    assert status == 0, said
+    row = row_of(printed)
+    assert row["sentences"] == 4
+    assert np.isfinite(row["ratio"])
+    learned = load_model(model)
+    assert not learned.counts[PHONEMES.index(absent)]
+    synthesizer = LiveSynthesizer(learned)
+    phones = spoken(("SIL", 0.4), ("AA", 0.2), ("B", 0.1), ("UW", 0.2), ("SIL", 0.4))
+    synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, phones))
+    faces = [synthesizer.coefficients_at(tick / 100) for tick in range(130)]
+    assert min(learned.lip_gap_mm(face) for face in faces[60:71]) <= 1.0
+
+
+def freeze(folder: Path) -> None:
+    for path in (folder / "landmarks").glob("*.npz"):
+        with np.load(path) as file:
+            points = file["landmarks_64th_px"]
+        np.savez(path, landmarks_64th_px=np.repeat(points[:1], len(points), axis=0))
+
+
+def test_constant_motion_teaches_nothing_and_is_scored_without_dividing_by_it(
+    lipservo, trained, refused, tmp_path
+):
+    moving, still = write_corpus(tmp_path / "moving", 3), write_corpus(tmp_path / "still", 1)
+    freeze(still)
+    assert "the face does not move in 30 frames" in refused(still)
+    status, printed, said = lipservo(
+        "bench", "motion", "--corpus", still, "--model", trained(moving), *BRIEF
+    )
+    assert status == 0, said
+    row = row_of(printed)
+    assert row["acceleration_ratio"] is None
+    assert row["gap_r"] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [(np.nan, "s1.npz: landmarks that are not numbers"), (0.0, "s1.npz: frame 7 is not tracked")],
+)
+def test_frames_without_a_face_are_named_or_left_out_with_their_sentence(
+    lipservo, refused, tmp_path, frame, said
+):
+    folder = write_corpus(tmp_path / "c", 3)
+    path = folder / "landmarks" / "s1.npz"
+    with np.load(path) as file:
+        points = file["landmarks_64th_px"].astype(np.float64)
+    points[7] = frame
+    np.savez(path, landmarks_64th_px=points)
+    assert said in refused(folder)
+    model = tmp_path / "m.npz"
+    status, printed, _ = lipservo("train", folder, "-o", model, "--skip-bad", "--json", "-q")
+    assert status == 0
+    assert json.loads(printed)["skipped"] == 1
+    status, printed, said_again = lipservo(
+        "bench", "motion", "--corpus", folder, "--model", model, "--skip-bad", *BRIEF
+    )
+    assert status == 0, said_again
+    assert len(json.loads(printed)["skipped"]) == 1
+    assert row_of(printed)["sentences"] == 2
+
+
+@pytest.mark.parametrize("rate_hz", [30.0, 60.0, 120.0])
+def test_motion_of_any_frame_rate_trains_and_scores(
+    lipservo, trained, tmp_path, monkeypatch, rate_hz
+):
+    monkeypatch.setattr(small_corpus, "FRAME_RATE_HZ", rate_hz)
+    folder = write_corpus(tmp_path / "c", 3)
+    status, printed, said = lipservo(
+        "bench", "motion", "--corpus", folder, "--model", trained(folder), *BRIEF
+    )
+    assert status == 0, said
+    row = row_of(printed)
+    assert np.isfinite(row["ratio"])
+    # 0.6 s of speech in each of three sentences.
+    assert row["frames"] == pytest.approx(3 * 0.6 * rate_hz, abs=3)
+
+
+def relabel(folder: Path, change) -> None:
+    path = folder / "landmarks.json"
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+
+
+def test_landmarks_in_another_order_are_the_same_face(trained, tmp_path):
+    models = []
+    for name in ("c", "d"):
+        folder = write_corpus(tmp_path / name, 3)
+        if name == "d":
+            relabel(folder, lambda layout: layout | {"landmark_ids": layout["landmark_ids"][::-1]})
+            for path in (folder / "landmarks").glob("*.npz"):
+                with np.load(path) as file:
+                    points = file["landmarks_64th_px"]
+                np.savez(path, landmarks_64th_px=points[:, ::-1])
+        with np.load(trained(folder)) as file:
+            models.append(file["animphos"])
+    np.testing.assert_allclose(*models)
+
+
+def test_landmarks_numbered_differently_are_named(refused, tmp_path):
+    folder = write_corpus(tmp_path / "c", 2)
+
+    def rename(layout: dict) -> dict:
+        ids = ["lip" if n == 13 else n for n in layout["landmark_ids"]]
+        return layout | {"landmark_ids": ids}
+
+    relabel(folder, rename)
+    assert "landmarks.json: landmark_ids lacks 13 (1 of" in refused(folder)
+
+
+def test_a_model_of_other_markers_is_refused(lipservo, trained, tmp_path):
+    folder = write_corpus(tmp_path / "c", 3)
+    path = trained(folder)
+    with np.load(path) as file:
+        content = {key: file[key] for key in file.files}
+    about = json.loads(content["about"].tobytes())
+    about["marker_names"][0] = "nose_tip"
+    content["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+    np.savez(path, **content)
+    status, _, said = lipservo("bench", "motion", "--corpus", folder, "--model", path, *BRIEF)
+    assert status == 1
+    assert "c: its markers are not the model's (nose_tip, outer_lip_61, ...)" in said
+
+
+def test_a_folder_without_labels_says_so(lipservo, trained, refused, tmp_path):
+    model = trained(write_corpus(tmp_path / "labelled", 3))
+    folder = write_corpus(tmp_path / "c", 2)
+    for path in (folder / "labels").glob("*.TextGrid"):
+        path.write_text(text_grid([("SIL", 1.2)]).replace('"phones"', '"sounds"'))
+    assert "no sentence has a phones tier" in refused(folder)
+    status, _, said = lipservo("bench", "motion", "--corpus", folder, "--model", model, *BRIEF)
+    assert status == 1
+    assert "no sentence has a phones tier; nothing can be scored" in said

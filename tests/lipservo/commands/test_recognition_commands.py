@@ -1,0 +1,250 @@
+"""`align`, `recognize`, `bench recognition` and `--engine` as their users meet them."""
+
+import json
+import os
+import subprocess
+import sys
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import soundfile
+from places import ROOT
+from speech import CLIP_PATH
+
+from lipservo.street.heard_phonemes import heard_events
+from lipsync.audio.file import FileSource
+from lipsync.recognition import weights
+from lipsync.recognition.alignment.forced_alignment import words_of
+from lipsync.textgrid import read_tier
+
+TWIN = ROOT / "benchmarks" / "recognizer_held_out.npz"
+CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
+
+
+def lipservo(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "lipservo", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+def test_recognize_tells_the_whole_sound_once_in_order(tmp_path):
+    grid = tmp_path / "clip.TextGrid"
+    done = lipservo("recognize", CLIP_PATH, "--json", "-o", grid)
+    assert done.returncode == 0, done.stderr
+    events = [json.loads(line) for line in done.stdout.splitlines()]
+    assert events[0]["start_s"] == 0.0
+    assert events[-1]["end_s"] == pytest.approx(8.615)
+    assert all(a["end_s"] == b["start_s"] for a, b in pairwise(events))
+    told = [(e["phoneme"], e["start_s"], e["end_s"]) for e in events]
+    assert list(read_tier(grid, "phones")) == told
+
+
+def refused(*arguments: object) -> str:
+    """The one line of a command that fails."""
+    done = lipservo(*arguments)
+    assert done.returncode != 0
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+@pytest.mark.parametrize("command", ["recognize", "replay"])
+def test_weights_that_were_asked_for_and_are_damaged_are_refused(tmp_path, command):
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(b"no weights")
+    said = refused(command, CLIP_PATH, "--weights", damaged)
+    assert f"{damaged}: damaged or no weights file" in said
+
+
+def test_damaged_default_weights_are_made_up_for_and_it_says_so(monkeypatch, tmp_path):
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(b"no weights")
+    monkeypatch.setitem(weights.SHIPPED, "default", str(damaged))
+    said = []
+    events = list(heard_events(FileSource(CLIP_PATH), "network", warn=said.append))
+    assert len(events) > 20
+    assert len(said) == 1
+    assert "damaged or no weights file" in said[0]
+
+
+def test_a_file_cut_short_is_named_once_and_played_all_the_same(tmp_path):
+    cut = tmp_path / "cut.wav"
+    soundfile.write(cut, soundfile.read(CLIP_PATH)[0][:64_000], 16_000)
+    cut.write_bytes(cut.read_bytes()[: 44 + 2 * 22_400])
+    for command in ("recognize", "replay"):
+        done = lipservo(command, cut, "--json")
+        assert done.returncode == 0, done.stderr
+        assert done.stderr.count("cut short: its header promises 4.00 s, the file holds 1.40") == 1
+
+
+def test_phones_are_written_as_the_ending_says(tmp_path):
+    path = tmp_path / "clip.json"
+    done = lipservo("recognize", CLIP_PATH, "--json", "-o", path)
+    assert done.returncode == 0, done.stderr
+    told = [list(json.loads(line).values()) for line in done.stdout.splitlines()]
+    assert json.loads(path.read_text()) == {"phones": told}
+    assert "name it .TextGrid (Praat) or .json" in refused(
+        "recognize", CLIP_PATH, "-o", tmp_path / "clip.txt"
+    )
+    assert "name it .TextGrid (Praat) or .json" in refused(
+        "align", CLIP_PATH, "hello", "-o", tmp_path / "clip"
+    )
+    assert os.listdir(tmp_path) == ["clip.json"]
+
+
+def test_recognize_prints_columns_for_people():
+    done = lipservo("recognize", CLIP_PATH, "--engine", "pocketsphinx")
+    assert done.returncode == 0, done.stderr
+    start_s, end_s, phoneme = done.stdout.splitlines()[0].split()
+    assert (float(start_s), phoneme) == (0.0, "SIL")
+    assert float(end_s) > 0.0
+
+
+def test_align_writes_words_and_phones(tmp_path):
+    grid = tmp_path / "clip.TextGrid"
+    done = lipservo("align", CLIP_PATH, CLIP_TEXT, "-o", grid, "--json")
+    assert done.returncode == 0, done.stderr
+    words = [label for label, _, _ in read_tier(grid, "words") if label]
+    assert words == words_of(CLIP_TEXT)
+    told = json.loads(done.stdout)
+    assert told["beams"] == "default"
+    assert -1.0 < told["score"] < 0.0
+    assert "lipservo" in done.stderr  # its pronunciation was guessed
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("hello 12", "word '12' has no pronunciation"), ("...", "the text holds no words")],
+)
+def test_align_explains_a_text_that_cannot_be_aligned(text, said):
+    done = lipservo("align", CLIP_PATH, text)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert said in line
+
+
+def test_align_refuses_a_text_that_was_not_said(tmp_path):
+    """Pocketsphinx finds a way through this one."""
+    other = "the quick brown fox jumps over the lazy dog and then goes home to sleep a while"
+    grid = tmp_path / "clip.TextGrid"
+    assert "this text is not what is said there" in refused("align", CLIP_PATH, other, "-o", grid)
+    assert not grid.exists()
+
+
+def test_align_doubts_a_text_with_a_part_that_was_not_said():
+    less = CLIP_TEXT.replace("maple, fever,", "")
+    assert less != CLIP_TEXT
+    done = lipservo("align", CLIP_PATH, less, "--json")
+    assert done.returncode == 0, done.stderr
+    assert "the text fits badly" in done.stderr
+    assert -3.5 <= json.loads(done.stdout)["score"] < -1.5
+
+
+@pytest.fixture
+def corpus(tmp_path):
+    samples = soundfile.read(CLIP_PATH, dtype="float32")[0]
+    text = " ".join(words_of(CLIP_TEXT)).upper()
+    (tmp_path / "audio").mkdir()
+    for name in ("3-1-0000", "4-1-0000"):
+        soundfile.write(tmp_path / "audio" / f"{name}.flac", samples, 16_000)
+    soundfile.write(tmp_path / "audio" / "4-1-0001.flac", np.full(1_600, 1e-3), 16_000)
+    names = ("3-1-0000", "4-1-0000", "4-1-0001")
+    (tmp_path / "transcripts.txt").write_text("".join(f"{name} {text}\n" for name in names))
+    return tmp_path
+
+
+def test_align_tells_which_transcripts_of_a_folder_were_not_said(corpus):
+    lines = (corpus / "transcripts.txt").read_text().splitlines()
+    lines[1] = f"4-1-0000 {'BUY MY BIG BROWN PIE ' * 5}"
+    (corpus / "transcripts.txt").write_text("\n".join(lines[:2]))
+    done = lipservo("align", corpus, "-o", corpus / "a.jsonl", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["utterances"] == 2
+    assert [*told["not_said"], *told["failed"]] == ["4-1-0000"]
+
+
+def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
+    cache = corpus / "alignments.jsonl"
+    done = lipservo("bench", "recognition", "--corpus", corpus, "--cache", cache, "--json")
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert set(figures) >= {
+        "phone_all", "phone_speech", "viseme_all", "viseme_speech", "viseme_speech_slack20",
+        "closure_recall", "closure_precision", "per", "revisions_per_s", "rtf",
+        "ms_per_phoneme", "utterances", "seconds", "alignment", "failed_alignments",
+    }  # fmt: skip
+    assert (figures["utterances"], figures["failed_alignments"]) == (2, 1)
+    assert figures["alignment"] == {"default": 2, "labelled": 0, "tight_not_scored": 0}
+    assert figures["seconds"] == pytest.approx(2 * 8.615)
+    assert figures["viseme_all"] > 0.6
+    assert len(cache.read_text().splitlines()) == 3
+    assert "4-1-0001" in done.stderr
+    chosen = lipservo(
+        "bench", "recognition", "--corpus", corpus, "--cache", cache, "--speakers", "3",
+        "--noise", "white:0", "--json",
+    )  # fmt: skip
+    noisy = json.loads(chosen.stdout)
+    assert (noisy["utterances"], noisy["failed_alignments"]) == (1, 0)
+    assert noisy["viseme_all"] < figures["viseme_all"]
+
+
+def test_speakers_that_trained_nothing_are_heard(corpus_dir):
+    """Two women and two men, through the twin of the shipped weights that never heard them."""
+    done = lipservo(
+        "bench", "recognition", "--corpus", corpus_dir / "librispeech", "--limit", "1",
+        "--speakers", "1221,4446,1089,5105", "--weights", TWIN, "--json",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["viseme_speech"] > 0.72
+    assert figures["closure_recall"] > 0.8
+    assert figures["per"] < 0.55
+
+
+def test_bench_recognition_explains_its_mistakes(corpus):
+    for arguments, said in (
+        (("--corpus", corpus / "audio"), "transcripts.txt: no such file"),
+        (("--corpus", corpus, "--speakers", "9"), "no speaker 9; known: 3, 4"),
+        (("--corpus", corpus, "--noise", "grey:1"), "kinds: white"),
+        (("--corpus", corpus, "--only", corpus / "none"), "no readable list of names"),
+        (("--corpus", corpus, "--weights", "none.npz"), "shipped weights: default, grid"),
+    ):
+        done = lipservo("bench", "recognition", *arguments)
+        assert done.returncode == 1
+        (line,) = done.stderr.splitlines()
+        assert said in line
+
+
+def test_bench_listening_watches_the_mouth_close(corpus):
+    done = lipservo(
+        "bench", "listening", "--corpus", corpus, "--speakers", "3", "--hours", "0.002", "--json"
+    )
+    assert done.returncode == 0, done.stderr
+    figures = json.loads(done.stdout)
+    assert figures["closing_cuts"] == 6
+    assert figures["closing_begins_ms_p100"] <= 250
+    assert figures["closing_complete_ms_p100"] <= 400
+    assert figures["gap_120_ms_brought_to_rest"] == 0.0
+    assert figures["closing_delay_ms"] == pytest.approx(205.0)
+    assert figures["endurance_hours"] == pytest.approx(0.002)
+
+
+@pytest.mark.parametrize("engine", ["network", "pocketsphinx"])
+def test_replay_names_the_recogniser_that_listened(engine):
+    done = lipservo("replay", CLIP_PATH, "--engine", engine, "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["recognizer"] == engine
+
+
+def test_a_run_log_becomes_a_picture(tmp_path):
+    log = tmp_path / "log.jsonl"
+    log.write_text(
+        '{"step": 50, "loss": 2.0}\n{"step": 100, "loss": 1.5, "clean_delay7_viseme_all": 0.7}\n'
+    )
+    done = lipservo("plot-training", log, "-o", tmp_path / "log.png")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
+    log.write_text('{"step": 50}\n')
+    done = lipservo("plot-training", log, "-o", tmp_path / "log.png")
+    assert done.returncode == 1
+    assert "every line must hold a step and a loss" in done.stderr

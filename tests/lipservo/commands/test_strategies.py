@@ -1,0 +1,100 @@
+"""The paper's strategies drive the face in every command that plays, as the default one does."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from speech import CLIP_PATH
+from typer.testing import CliRunner
+
+from firmware_bridge.process.lifeline import Began, lifeline_pair
+from firmware_bridge.process.socket_channel import SocketTargetChannel, channel_pair
+from lipservo.cli import app
+from lipservo.face.assembly import assemble_face
+from lipsync.animpho.synthesizer import LONGEST_PHONE_S
+
+JAW = [joint.name for joint in assemble_face("face_sim", None).joints].index("jaw")
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> Path:
+    """The first 1.5 s of the bundled clip."""
+    samples, rate_hz = soundfile.read(CLIP_PATH)
+    path = tmp_path_factory.mktemp("sound") / "short.wav"
+    soundfile.write(path, samples[: int(1.5 * rate_hz)], rate_hz)
+    return path
+
+
+def played(command: str, sound: Path, strategy: str, trace: Path) -> tuple[dict, np.ndarray]:
+    """The header of the trace, and the jaw's angle at every tick."""
+    played = ["--wav", str(sound)] if command == "run" else [str(sound)]
+    arguments = [command, *played, "--strategy", strategy, "--trace", str(trace), "-q"]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 0, done.output
+    header, *ticks, _ = [json.loads(line) for line in trace.read_text().splitlines()]
+    return header, np.array([tick["sent_deg"][JAW] for tick in ticks])
+
+
+def test_each_strategy_moves_the_mouth_in_its_own_way(sound, tmp_path):
+    traces = {
+        strategy: played("replay", sound, strategy, tmp_path / strategy)
+        for strategy in ("expected", "priority", "naive")
+    }
+    for strategy, (_, jaw_deg) in traces.items():
+        assert np.ptp(jaw_deg) > 3.0, strategy
+        assert abs(jaw_deg[-1]) < 0.5, strategy
+    delays_s = {strategy: header["delay_s"] for strategy, (header, _) in traces.items()}
+    # The paper's play a phoneme once it is over: 350 ms of look-ahead in place of 100.
+    later_s = LONGEST_PHONE_S - 0.1
+    for strategy in ("priority", "naive"):
+        assert delays_s[strategy] == pytest.approx(delays_s["expected"] + later_s, abs=1e-6)
+    assert not np.array_equal(traces["priority"][1], traces["naive"][1])
+
+
+def test_run_plays_a_strategy_live(sound, tmp_path):
+    """A machine that is too busy to hear in time leaves the mouth closed; then none is judged."""
+    header, jaw_deg = played("run", sound, "priority", tmp_path / "run")
+    replayed_header, replayed_deg = played("replay", sound, "priority", tmp_path / "replay")
+    assert header["delay_s"] == replayed_header["delay_s"]
+    assert len(jaw_deg) > 0.5 * len(replayed_deg) > 0
+    heard_in_time = np.ptp(jaw_deg) > 0.0
+    if heard_in_time:
+        assert np.ptp(jaw_deg) > 1.0
+
+
+@pytest.mark.parametrize("strategy", ["priority", "naive"])
+def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(sound, strategy):
+    """How far the mouth moves is not judged: a busy machine does not hear in time."""
+    ours, its = channel_pair()
+    line, watch = lifeline_pair()
+    command = [sys.executable, "-m", "lipservo", "speech-process"]
+    command += ["--channel", str(its.fileno()), "--lifeline", str(line.fileno())]
+    process = subprocess.Popen(
+        [*command, "--wav", str(sound), "--strategy", strategy],
+        pass_fds=[its.fileno(), line.fileno()],
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    jaw_deg: list[float] = []
+    channel = SocketTargetChannel(ours)
+    give_up_s = time.monotonic() + 60.0
+    while len(jaw_deg) < 180 and process.poll() is None and time.monotonic() < give_up_s:
+        jaw_deg += [targets.positions_deg[JAW] for targets in channel.drain()]
+        time.sleep(0.01)
+    process.send_signal(signal.SIGTERM)
+    _, said = process.communicate(timeout=60)
+    os.close(its.detach())
+    assert any(isinstance(message, Began) for message in watch.read())
+    watch.close()
+    line.close()
+    ours.close()
+    assert len(jaw_deg) >= 180, said
+    assert process.returncode == 0, said
+    assert np.isfinite(jaw_deg).all()

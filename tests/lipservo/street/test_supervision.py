@@ -1,0 +1,253 @@
+"""The processes of one face at simulated servos, shot, hung, and stopped, each in turn."""
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from short_folder import short_folder
+from typer.testing import CliRunner
+
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.process.control_client import ask
+from lipservo.cli import app
+from lipservo.face.sim_process import simulated_port
+from lipsync.errors import UserError
+
+BAUD_RATE = 1_000_000
+IDS = range(11, 21)
+#: Far more than anything here takes, even on a busy machine.
+PATIENCE_S = 120.0
+LIPSERVO = [sys.executable, "-m", "lipservo"]
+
+
+@pytest.fixture(scope="module")
+def port():
+    with simulated_port(["--config", "face_sim", "--on-time"]) as port:
+        yield port
+
+
+def own_folder(monkeypatch):
+    """Faces of this test only."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    session = short_folder()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
+
+
+@contextlib.contextmanager
+def running(port, folder, *arguments, errors=None):
+    """A `lipservo daemon` whose servos are driven."""
+    notify, said = folder / "notify.sock", folder / "said.txt"
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd,
+        said.open("w") as log,
+        (folder / "out.txt").open("w") as out,
+    ):
+        systemd.bind(str(notify))
+        systemd.settimeout(PATIENCE_S)
+        with subprocess.Popen(
+            [*LIPSERVO, "daemon", "--port", port, *arguments],
+            stdout=out,
+            stderr=log if errors is None else errors,
+            env={**os.environ, "NOTIFY_SOCKET": str(notify)},
+        ) as process:
+            process.said, process.out = said, folder / "out.txt"
+            try:
+                assert systemd.recv(100) == b"READY=1"
+                (process.control,) = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo").glob("*.sock")
+                yield process
+            finally:
+                process.terminate()
+                try:
+                    process.wait(PATIENCE_S)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+
+
+@pytest.fixture(scope="module")
+def enduring(port, tmp_path_factory):
+    """One daemon for all that it survives."""
+    folder = tmp_path_factory.mktemp("enduring")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        own_folder(monkeypatch)
+        with running(port, folder) as process:
+            yield process
+
+
+@pytest.fixture
+def daemon(tmp_path, monkeypatch):
+    """A daemon of its own, at servos of its own."""
+    own_folder(monkeypatch)
+    with (
+        simulated_port(["--config", "face_sim", "--on-time"]) as port,
+        running(port, tmp_path) as process,
+    ):
+        process.port = port
+        yield process
+
+
+def wait_for(condition):
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < give_up_s, "nothing happened"
+        time.sleep(0.05)
+
+
+def run(*arguments):
+    return subprocess.run(
+        [*LIPSERVO, *arguments], timeout=PATIENCE_S, check=False, capture_output=True, text=True
+    )
+
+
+def log(process):
+    return process.said.read_text()
+
+
+def child(process, name):
+    """The number of the newest process of that name, from the log."""
+    lines = [line for line in log(process).splitlines() if line.startswith(f"{name} runs")]
+    return int(lines[-1].split()[-1])
+
+
+def torque(port):
+    """torque_enable of every servo, read by a second program once the first is gone."""
+    transport = open_port(port, BAUD_RATE)
+    try:
+        line = Line(transport)
+        return [line.read(each, 64, 1).data[0] for each in IDS]
+    finally:
+        transport.close()
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def all_driven(process):
+    try:
+        states = ask(process.control, "status", PATIENCE_S).get("servo_states", ["none"])
+    except OSError:
+        return False
+    return set(states) == {"driven"}
+
+
+@pytest.mark.parametrize(
+    ("number", "said"),
+    [(signal.SIGKILL, "bridge died (signal 9)"), (signal.SIGSTOP, "bridge hangs")],
+)
+def test_a_bridge_that_is_shot_or_hangs_leaves_a_limp_face_and_is_replaced(enduring, number, said):
+    first = child(enduring, "bridge")
+    os.kill(first, number)
+    wait_for(lambda: child(enduring, "bridge") != first)
+    wait_for(lambda: all_driven(enduring))
+
+    assert said in log(enduring)
+    assert "torque off confirmed by all 10 servos" in log(enduring)
+    assert not alive(first)
+
+
+def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(enduring):
+    first, bridge = child(enduring, "speech"), child(enduring, "bridge")
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: child(enduring, "speech") != first)
+
+    assert child(enduring, "bridge") == bridge
+    assert all_driven(enduring)
+
+
+@pytest.mark.parametrize("same_socket", [False, True])
+def test_a_second_face_is_refused_and_the_first_goes_on(enduring, port, same_socket):
+    control = ["--control", str(enduring.control)] if same_socket else []
+    done = run("daemon", "--port", port, *control)
+
+    assert done.returncode == 1
+    assert ("a face listens there" if same_socket else "used by another program") in done.stderr
+    assert "Traceback" not in done.stderr
+    assert all_driven(enduring)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [(["--wav", "no_such.wav"], "no_such.wav"), (["--trace", "t.jsonl"], "run --port PORT")],
+)
+def test_what_a_daemon_cannot_do_is_refused_before_a_servo_is_spoken_to(arguments, said):
+    done = CliRunner().invoke(app, ["daemon", "--port", "/dev/no_such_port", *arguments])
+
+    assert isinstance(done.exception, UserError)
+    assert said in str(done.exception)
+
+
+def test_stop_ends_the_face_limp_and_says_who_confirmed_it(tmp_path, monkeypatch):
+    """Nobody reads what the daemon says: its log is a full pipe, as after Ctrl-S."""
+    own_folder(monkeypatch)
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(writing, b"x" * 1000)
+    os.set_blocking(writing, True)
+    with (
+        simulated_port(["--config", "face_sim", "--on-time"]) as port,
+        running(port, tmp_path, "--json", errors=writing) as daemon,
+    ):
+        (face,) = json.loads(run("status", "--json").stdout)["faces"]
+        assert (face["port"], face["pid"]) == (port, daemon.pid)
+        done = run("stop", "--json")
+        (stopped,) = json.loads(done.stdout)["faces"]
+        assert daemon.wait(PATIENCE_S) == 0
+        assert torque(port) == [0] * 10
+    os.close(reading)
+    os.close(writing)
+
+    assert done.returncode == 0, done
+    assert len(stopped["confirmed"]) == 10
+    assert (stopped["unconfirmed"], stopped["problem"]) == ({}, "")
+    assert len(json.loads(daemon.out.read_text())["confirmed"]) == 10
+
+
+def test_a_supervisor_shot_dead_takes_both_children_with_it_and_torque_off(daemon):
+    """Its socket is left behind, and cleared away by whoever comes next."""
+    children = [child(daemon, "bridge"), child(daemon, "speech")]
+    daemon.kill()
+    daemon.wait(PATIENCE_S)
+    wait_for(lambda: not any(alive(pid) for pid in children))
+
+    assert torque(daemon.port) == [0] * 10
+    assert json.loads(run("status", "--json").stdout) == {"faces": []}
+    assert not daemon.control.exists()
+
+
+def test_a_closed_terminal_brings_the_face_to_rest(daemon):
+    """The children are in groups of their own: the terminal's signal is the supervisor's alone."""
+    assert os.getpgid(child(daemon, "bridge")) != os.getpgid(daemon.pid)
+    daemon.send_signal(signal.SIGHUP)
+
+    assert daemon.wait(PATIENCE_S) == 0
+    assert torque(daemon.port) == [0] * 10
+    assert "ended; torque off confirmed by all 10 servos" in log(daemon)
+
+
+@pytest.mark.parametrize("command", [["stop"], ["limp", "--port"]])
+def test_a_face_that_hears_nothing_at_all_is_let_go_by_force(daemon, command):
+    """Supervisor and bridge are both stopped, as by a debugger: only somebody else can help."""
+    bridge = child(daemon, "bridge")
+    for pid in (daemon.pid, bridge):
+        os.kill(pid, signal.SIGSTOP)
+    done = run(*command, *([daemon.port] if command[-1] == "--port" else []), "--json")
+
+    assert done.returncode == 0, done
+    assert len(json.loads(done.stdout)["faces"][-1]["confirmed"]) == 10
+    assert torque(daemon.port) == [0] * 10
+    assert daemon.wait(PATIENCE_S) != 0
+    wait_for(lambda: not alive(bridge))

@@ -1,0 +1,117 @@
+"""Wei and Deng's two selection strategies, against the worked example of their Figures 4 and 5."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_model import small_model
+
+from lipsync.animpho.selection import (
+    Choice,
+    NaiveSelection,
+    PrioritySelection,
+    SelectionStrategy,
+    chain_lengths,
+    smoothness_energy,
+)
+from lipsync.face.index_lists import IndexLists
+from lipsync.face.model import FaceModel
+from lipsync.phonemes import PHONEMES
+
+FIRST, SECOND, THIRD = "B", "IY", "T"
+# Begin and end of AnimPho 1..8 on the only component that differs; number 0 is not in the figure.
+# 3 begins at rest; 6 then 7 continue most smoothly; of 4 and 5, 5 is smoother after 3.
+BEGINS = (1000.0, 5.0, 6.0, 0.0, 20.0, 12.0, 10.0, 30.0, 40.0)
+ENDS = (1000.0, 8.0, 9.0, 10.0, 25.0, 39.0, 30.0, 35.0, 45.0)
+
+
+@pytest.fixture
+def figure_model() -> FaceModel:
+    """The AnimPhos 1..8 of the figures under their own numbers."""
+    animphos = np.zeros((9, 5, 5))
+    animphos[:, :, 0] = np.linspace(BEGINS, ENDS, 5).T
+    table = {FIRST: (1, 2, 3), SECOND: (4, 5, 6), THIRD: (7, 8)}
+    rows = [PHONEMES.index(p) for p, numbers in table.items() for _ in numbers]
+    columns = [n for numbers in table.values() for n in numbers]
+    successors = IndexLists.from_pairs(np.array([1, 2, 5]), np.array([4, 5, 8]), 9)
+    return replace(
+        small_model(),
+        rest=np.zeros(5),
+        animphos=animphos,
+        successors=successors,
+        predecessors=successors.transposed(9),
+        phoneme_table=IndexLists.from_pairs(np.array(rows), np.array(columns), len(PHONEMES)),
+    )
+
+
+def spell(strategy: SelectionStrategy, model: FaceModel, *phonemes: str) -> list[Choice]:
+    choices = [strategy.first(model, phonemes[0])]
+    for phoneme in phonemes[1:]:
+        choices.append(strategy.following(model, phoneme, choices[-1]))
+    return choices
+
+
+def test_the_naive_strategy_takes_3_6_7_and_misses_twice(figure_model):
+    choices = spell(NaiveSelection(), figure_model, FIRST, SECOND, THIRD)
+    assert [c.animpho for c in choices] == [3, 6, 7]
+    assert [c.missed for c in choices] == [False, True, True]
+
+
+def test_the_priority_strategy_recovers_the_chain_2_5_8(figure_model):
+    choices = spell(PrioritySelection(), figure_model, FIRST, SECOND, THIRD)
+    assert [c.animpho for c in choices] == [3, 5, 8]
+    assert [c.missed for c in choices] == [False, True, False]
+
+
+def test_priorities_are_those_printed_in_the_figure(figure_model):
+    first, second, third = spell(PrioritySelection(), figure_model, FIRST, SECOND, THIRD)
+    assert first.chain_lengths.tolist() == [0, 1, 1, 1, 0, 0, 0, 0, 0]
+    assert second.chain_lengths.tolist() == [0, 0, 0, 0, 2, 2, 1, 0, 0]
+    assert third.chain_lengths.tolist() == [0, 0, 0, 0, 0, 0, 0, 1, 3]
+
+
+def test_smoothness_is_the_distance_from_last_frame_to_first(figure_model):
+    assert smoothness_energy(figure_model, 3, np.array([4, 5, 6])).tolist() == [10.0, 2.0, 0.0]
+
+
+def test_a_fallback_of_another_phoneme_is_a_miss_even_when_it_is_connected(figure_model):
+    """After 1 comes 4 in the corpus, and 4 is smoothest, but it does not say the phoneme."""
+    begins = np.array(figure_model.animphos)
+    begins[4, 0, 0] = ENDS[1]
+    model = replace(figure_model, animphos=begins)
+    choice = NaiveSelection().following(model, THIRD, Choice(1, False, np.empty(0)))
+    assert (choice.animpho, choice.missed) == (4, True)
+
+
+def test_the_priority_strategy_ends_the_longest_chain_that_spells_what_was_heard():
+    """In the small model every order of phonemes exists, so the chain grows with each of them."""
+    heard = ("SIL", "M", "AA", "IY", "UW", "M", "IY", "SIL")
+    choices = spell(PrioritySelection(), small_model(), *heard)
+    assert [c.chain_lengths[c.animpho] for c in choices] == [1, 2, 3, 4, 5, 6, 7, 8]
+
+
+@given(st.lists(st.sampled_from(["SIL", "M", "AA", "IY", "UW"]), min_size=2, max_size=8))
+def test_chain_lengths_equal_the_definition_of_equation_2(phonemes):
+    model = small_model()
+    lengths = np.zeros(len(model.animphos))
+    lengths[model.of_phoneme(phonemes[0])] = 1
+    for phoneme in phonemes[1:]:
+        candidates = model.of_phoneme(phoneme)
+        expected = np.zeros_like(lengths)
+        for i in candidates:
+            through = [
+                lengths[j] + 1
+                for j in range(len(lengths))
+                if lengths[j] and i in model.successors[j]
+            ]
+            expected[i] = max(through, default=1)
+        lengths = chain_lengths(model, candidates, lengths)
+        assert lengths.tolist() == expected.tolist()
+
+
+def test_index_lists_read_back_the_table_and_its_transpose():
+    lists = IndexLists.from_pairs(np.array([2, 0, 2, 2]), np.array([1, 3, 0, 1]), 4)
+    assert [lists[i].tolist() for i in range(4)] == [[3], [], [0, 1], []]
+    assert [lists.transposed(4)[j].tolist() for j in range(4)] == [[2], [2], [], [0]]

@@ -1,0 +1,153 @@
+"""The published synthesiser as its callers see it: continuous, on time, closed in silence."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from small_model import small_model
+from spoken_phonemes import spoken, update_streams
+
+from lipsync.animpho.selection import STRATEGIES, NaiveSelection
+from lipsync.animpho.synthesizer import PublishedSynthesizer, render
+from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
+
+SPOKEN = ("SIL", "M", "AA", "IY", "UW")
+
+
+def known(synthesizer: PublishedSynthesizer, *phones: tuple[str, float]) -> None:
+    synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, spoken(*phones)))
+
+
+def around(synthesizer: PublishedSynthesizer, time_s: float) -> tuple[float, float, float]:
+    """Jump at a joint, and the speeds just before and after it, on the opening component."""
+    step_s = 1e-6
+    times_s = (time_s - 2 * step_s, time_s - step_s, time_s, time_s + step_s)
+    a, b, c, d = (synthesizer.coefficients_at(t)[0] for t in times_s)
+    return c - b, (b - a) / step_s, (d - c) / step_s
+
+
+CHAIN = (("SIL", 0.5), ("M", 0.08), ("AA", 0.16), ("IY", 0.05), ("UW", 0.30), ("SIL", 0.6))
+JOINTS_S = (0.58, 0.74, 0.79)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES.values(), ids=STRATEGIES.keys())
+@pytest.mark.parametrize("joint_s", JOINTS_S)
+def test_position_and_speed_are_continuous_at_every_joint(strategy, joint_s):
+    synthesizer = PublishedSynthesizer(small_model(), strategy)
+    known(synthesizer, *CHAIN)
+    jump, before, after = around(synthesizer, joint_s)
+    assert abs(jump) < 1e-2
+    assert after == pytest.approx(before, rel=1e-3, abs=0.5)
+
+
+def test_published_mode_keeps_the_derivative_per_sample_spacing():
+    """AA 160 ms, then IY 50 ms: the same derivative per spacing is 3.2 times the speed."""
+    synthesizer = PublishedSynthesizer(small_model(), published_derivatives=True)
+    known(synthesizer, *CHAIN)
+    jump, before, after = around(synthesizer, 0.74)
+    assert abs(jump) < 1e-2
+    assert abs(before) > 10.0
+    assert after == pytest.approx(before * 0.16 / 0.05, rel=1e-2)
+
+
+def test_ten_minutes_give_as_many_frames_as_duration_times_rate_within_one():
+    rng = np.random.default_rng(3)
+    phones = [(SPOKEN[i % 5], float(rng.uniform(0.03, 0.4))) for i in range(2790)]
+    events = spoken(*phones)
+    duration_s = events[-1].end_s
+    assert duration_s > 590
+    synthesizer = PublishedSynthesizer(small_model())
+    for rate_hz in (29.97, 30.0, 100.0):
+        assert abs(len(render(synthesizer, events, rate_hz)) - duration_s * rate_hz) <= 1
+
+
+def test_a_long_pause_ends_in_closed_lips():
+    model = small_model()
+    synthesizer = PublishedSynthesizer(model)
+    known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("SIL", 1.0))
+    assert model.lip_gap_mm(synthesizer.coefficients_at(0.55)) > 5.0
+    for time_s in (0.85, 1.2, 1.59, 30.0):
+        np.testing.assert_allclose(synthesizer.coefficients_at(time_s), model.rest, atol=1e-9)
+
+
+def test_a_short_silence_between_words_is_a_phoneme_like_any_other():
+    synthesizer = PublishedSynthesizer(small_model())
+    known(synthesizer, ("AA", 0.2), ("SIL", 0.2), ("AA", 0.2))
+    synthesizer.coefficients_at(0.59)
+    assert synthesizer.phonemes_planned == 3
+
+
+def test_a_phone_that_goes_on_is_played_for_its_longest_time_and_then_held():
+    synthesizer = PublishedSynthesizer(small_model(), longest_phone_s=0.35)
+    synthesizer.push(PhonemeUpdate(0.0, 9.0, 8.9, (PhonemeEvent("AA", 0.0, None),)))
+    held = synthesizer.coefficients_at(1.0)
+    np.testing.assert_array_equal(held, synthesizer.coefficients_at(8.0))
+    assert synthesizer.phonemes_planned == 1
+
+
+def test_the_same_time_gives_the_same_face_also_after_a_look_back():
+    synthesizer = PublishedSynthesizer(small_model())
+    known(synthesizer, *CHAIN)
+    faces = {t: synthesizer.coefficients_at(t) for t in (0.60, 0.65, 0.80)}
+    for time_s, face in faces.items():
+        np.testing.assert_array_equal(face, synthesizer.coefficients_at(time_s))
+
+
+def test_what_was_shown_is_not_taken_back_and_what_comes_joins_on():
+    synthesizer = PublishedSynthesizer(small_model())
+    first = (PhonemeEvent("SIL", 0.0, 0.5), PhonemeEvent("AA", 0.5, None))
+    synthesizer.push(PhonemeUpdate(0.0, 0.9, 0.0, first))
+    shown = synthesizer.coefficients_at(0.7)
+    other = (
+        PhonemeEvent("SIL", 0.0, 0.4),
+        PhonemeEvent("UW", 0.4, 0.72),
+        PhonemeEvent("M", 0.72, None),
+    )
+    synthesizer.push(PhonemeUpdate(0.0, 1.3, 0.0, other))
+    np.testing.assert_array_equal(shown, synthesizer.coefficients_at(0.7))
+    jump, before, after = around(synthesizer, 0.85)
+    assert abs(jump) < 1e-2
+    assert after == pytest.approx(before, rel=1e-3, abs=0.5)
+
+
+def test_every_phoneme_of_the_inventory_moves_the_mouth():
+    for phoneme in PHONEMES:
+        if phoneme == "SIL":
+            continue
+        synthesizer = PublishedSynthesizer(small_model(), NaiveSelection())
+        known(synthesizer, ("SIL", 0.4), (phoneme, 0.2), ("AA", 0.2), ("SIL", 0.5))
+        frames = np.array([synthesizer.coefficients_at(0.4 + 0.01 * i) for i in range(20)])
+        assert np.ptp(frames, axis=0).max() > 0.1, phoneme
+
+
+def test_nothing_heard_yet_is_a_closed_mouth():
+    model = small_model()
+    synthesizer = PublishedSynthesizer(model)
+    for time_s in (0.0, 0.1, 100.0):
+        np.testing.assert_array_equal(synthesizer.coefficients_at(time_s), model.rest)
+
+
+def test_an_open_last_event_cannot_be_rendered_offline():
+    with pytest.raises(ValueError, match="AA has no end"):
+        render(PublishedSynthesizer(small_model()), (PhonemeEvent("AA", 0.0, None),), 30.0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(update_streams())
+def test_motion_stays_continuous_whatever_arrives(updates):
+    """Frames 1 ms apart never differ by more than the fastest AnimPho can move in that time."""
+    synthesizer = PublishedSynthesizer(small_model())
+    frames, shown_s = [], 0.0
+    for update in updates:
+        synthesizer.push(update)
+        while shown_s < update.heard_until_s - 0.4:
+            frames.append(synthesizer.coefficients_at(shown_s))
+            shown_s += 0.001
+    for _ in range(700):
+        frames.append(synthesizer.coefficients_at(shown_s))
+        shown_s += 0.001
+    steps = np.abs(np.diff(np.array(frames), axis=0))
+    # 50 is the range of the small model; 20 ms is the shortest stretch that is animated.
+    assert np.isfinite(steps).all()
+    assert steps.max() <= 50.0 * 4 / 20.0

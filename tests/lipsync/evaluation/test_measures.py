@@ -1,0 +1,336 @@
+"""The measures, the rivals, the splits: checked against worked examples and other libraries."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+from small_corpus import write_corpus
+from small_model import small_model
+from spoken_phonemes import spoken
+
+from lipsync.baselines.dominance import Dominance, fixed_reference
+from lipsync.baselines.regression import fit_regression
+from lipsync.baselines.spline import spline_faces
+from lipsync.baselines.tuning import tune_dominance
+from lipsync.corpus.grid import read_grid
+from lipsync.corpus.recorded_closures import lip_gaps_mm, observe_closures
+from lipsync.corpus.speech_frames import speech_frames
+from lipsync.corpus.utterance import CorpusError, Utterance, Word
+from lipsync.evaluation.motion.measures import (
+    SUMS,
+    Motion,
+    confidence_intervals,
+    figures,
+    sentence_sums,
+)
+from lipsync.evaluation.motion.methods import REFERENCE, Heard, all_methods
+from lipsync.evaluation.motion.minimal_pairs import (
+    find_pairs,
+    made_persistence,
+    recorded_persistence,
+)
+from lipsync.evaluation.motion.mishearing import KINDS, misheard
+from lipsync.evaluation.motion.recovery import CORRECTED_AFTER_S, NEVER_S, wrong_phoneme_persistence
+from lipsync.evaluation.motion.scoring import Scores, add_scores, check_scorable
+from lipsync.evaluation.motion.splits import read_parts, words_part
+from lipsync.evaluation.motion.wrong_phonemes import error_rows
+from lipsync.face.model import load_shipped_model
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+from lipsync.phonemes import PHONEMES
+
+PHRASE = spoken(("SIL", 0.4), ("M", 0.12), ("AA", 0.2), ("UW", 0.2), ("M", 0.12), ("SIL", 0.4))
+
+
+def recorded(events=PHRASE, name="u", rate_hz=25.0, words=()) -> Utterance:
+    """The small model's own motion with a little noise: an utterance that can be scored."""
+    model = small_model()
+    times_s = np.arange(round(events[-1].end_s * rate_hz)) / rate_hz
+    faces = spline_faces(events, model.centres, times_s)
+    faces = faces + np.random.default_rng(0).normal(0.0, 0.3, faces.shape)
+    return Utterance(name, model.markers_mm(faces), rate_hz, Path(), events, words)
+
+
+def measured(utterance: Utterance, faces: np.ndarray) -> dict[str, float]:
+    model = small_model()
+    motion = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))
+    made = Motion(model.markers_mm(faces), faces)
+    rest = np.repeat(model.rest[None], len(faces), axis=0)
+    reference = Motion(model.markers_mm(rest), rest)
+    return figures(sentence_sums(utterance, speech_frames(utterance), motion, made, reference))
+
+
+def test_the_recording_itself_scores_perfectly():
+    utterance = recorded()
+    found = measured(utterance, small_model().coefficients(utterance.markers_mm))
+    assert found["rmse_mm"] < 1e-5
+    assert found["gap_r"] == pytest.approx(1.0)
+    assert found["acceleration_ratio"] == pytest.approx(1.0)
+    assert found["peak_opening_ratio"] == pytest.approx(1.0)
+
+
+def test_figures_are_those_computed_directly():
+    utterance, model = recorded(), small_model()
+    rng = np.random.default_rng(5)
+    faces = model.coefficients(utterance.markers_mm) + rng.normal(
+        0, 3, (len(utterance.markers_mm), 5)
+    )
+    found = measured(utterance, faces)
+    speech = speech_frames(utterance)
+    distance = np.linalg.norm(model.markers_mm(faces) - utterance.markers_mm, axis=2)[speech]
+    still = np.linalg.norm(model.markers_mm(model.rest[None]) - utterance.markers_mm, axis=2)[
+        speech
+    ]
+    gaps = lip_gaps_mm(model.markers_mm(faces))[speech], lip_gaps_mm(utterance.markers_mm)[speech]
+    assert found["rmse_mm"] == pytest.approx(np.sqrt((distance**2).mean()))
+    assert found["ratio"] == pytest.approx(np.sqrt((distance**2).sum() / (still**2).sum()))
+    assert found["gap_r"] == pytest.approx(np.corrcoef(*gaps)[0, 1])
+    assert found["gap_rmse_mm"] == pytest.approx(np.sqrt(((gaps[0] - gaps[1]) ** 2).mean()))
+
+
+def test_a_mouth_glued_shut_hits_every_closure_and_is_found_out():
+    utterance, model = recorded(), small_model()
+    found = measured(utterance, np.repeat(model.rest[None], len(utterance.markers_mm), axis=0))
+    assert found["closure_hits"] == 1.0
+    assert found["false_closures"] == 1.0
+    assert found["gap_r"] == 0.0
+    assert found["ratio"] == pytest.approx(1.0)
+
+
+def test_a_mouth_always_open_hits_no_closure():
+    utterance = recorded()
+    wide = np.repeat(small_model().centres[PHONEMES.index("AA")][None], 36, axis=0)
+    assert measured(utterance, wide)["closure_hits"] == 0.0
+
+
+def test_a_bootstrap_of_equal_sentences_has_no_spread_and_of_unequal_ones_holds_the_mean():
+    rng = np.random.default_rng(0)
+    sums = np.abs(rng.normal(10.0, 3.0, (200, len(SUMS))))
+    same = np.repeat(sums[:1], 20, axis=0)
+    low, high = confidence_intervals(same, ["rmse_mm"])["rmse_mm"]
+    assert low == pytest.approx(high)
+    low, high = confidence_intervals(sums, ["rmse_mm"])["rmse_mm"]
+    assert low < figures(sums.sum(axis=0))["rmse_mm"] < high
+    assert high - low < 0.2
+
+
+def test_only_the_words_asked_for_count():
+    words = (Word("ma", 0.4, 0.72), Word("oom", 0.72, 1.04))
+    utterance = recorded(words=words)
+    assert speech_frames(utterance).sum() == 16
+    assert np.flatnonzero(speech_frames(utterance, frozenset({"ma"}))).tolist() == list(
+        range(10, 18)
+    )
+
+
+def test_the_reference_is_the_formula_of_the_definition():
+    """D = exp(-(24 |tau|)^1.4) from the centre, from the edge for silence, 0 inside."""
+    centres = small_model().centres
+    t = 0.50
+    taus = [0.10, 0.50 - 0.46, 0.62 - 0.50, 0.82 - 0.50, 0.98 - 0.50, 1.04 - 0.50]
+    weights = np.exp(-((24 * np.array(taus)) ** 1.4))
+    targets = centres[[PHONEMES.index(p.phoneme) for p in PHRASE]]
+    expected = weights @ targets / weights.sum()
+    made = fixed_reference().face_at(PHRASE, centres, np.array([t]))[0]
+    np.testing.assert_allclose(made, expected)
+
+
+def test_tuning_finds_the_dominance_that_made_the_motion():
+    model, utterance = small_model(), recorded()
+    true = Dominance(np.full((16, 2), 60.0), np.full((16, 2), 1.0))
+    times_s = np.arange(36) / 25.0
+    motion = true.face_at(PHRASE, model.centres, times_s)
+    tuned = tune_dominance([utterance], [motion], model.centres)
+
+    def error(dominance: Dominance) -> float:
+        speech = speech_frames(utterance)
+        return float(
+            ((dominance.face_at(PHRASE, model.centres, times_s) - motion)[speech] ** 2).sum()
+        )
+
+    assert error(tuned) < 0.01 * error(fixed_reference())
+
+
+def test_the_spline_is_the_hermite_spline_of_another_library():
+    model = small_model()
+    events = spoken(("M", 0.1), ("AA", 0.2), ("IY", 0.06), ("UW", 0.2))
+    knots_s = np.array([0.05, 0.2, 0.33, 0.46])
+    values = model.centres[[PHONEMES.index(p.phoneme) for p in events]]
+    slopes = np.zeros_like(values)
+    slopes[1:-1] = (values[2:] - values[:-2]) / (knots_s[2:] - knots_s[:-2])[:, None]
+    times_s = np.linspace(0.05, 0.46, 50)
+    np.testing.assert_allclose(
+        spline_faces(events, model.centres, times_s),
+        CubicHermiteSpline(knots_s, values, slopes)(times_s),
+        atol=1e-9,
+    )
+
+
+def test_the_plain_regression_recovers_a_linear_rule():
+    rng = np.random.default_rng(0)
+    phonemes = rng.integers(0, 41, (20_000, 5))
+    effect = rng.normal(size=(41, 3))
+    faces = effect[phonemes[:, 2]]
+    unknown = np.full((20_000, 6), np.nan)
+    regression = fit_regression(phonemes, unknown, np.zeros(20_000), faces)
+    made = regression.faces(phonemes, unknown, np.zeros(20_000))
+    assert np.abs(made - faces).max() < 0.6
+    assert ((made - faces) ** 2).mean() < 0.05
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_share_of_the_phonemes_is_misheard_and_time_is_kept(kind):
+    events = spoken(*[("AA", 0.1)] * 1000)
+    wrong = misheard(events, kind, 0.3, np.random.default_rng(0))
+    assert wrong[-1].end_s == events[-1].end_s
+    assert all(a.end_s == b.start_s for a, b in pairwise(wrong))
+    hit = {
+        "substitution": sum(e.phoneme != "AA" for e in wrong),
+        "insertion": len(wrong) - 1000,
+        "deletion": 1000 - len(wrong),
+    }[kind]
+    assert 250 < hit < 350
+
+
+SENTENCE = spoken(
+    ("SIL", 0.4), *[("AA", 0.1), ("T", 0.08), ("UW", 0.1), ("L", 0.08)] * 4, ("SIL", 0.4)
+)
+
+
+def made_by_ours(events, name="u") -> Utterance:
+    """An utterance that the live method would play without an error."""
+    model = load_shipped_model()
+    times_s = np.arange(round(events[-1].end_s * 25)) / 25.0
+    faces = all_methods()[LIVE_STRATEGY].faces(model, Heard(events), times_s, 0.1)
+    return Utterance(name, model.markers_mm(faces), 25.0, Path(), events, ())
+
+
+def test_a_wrong_phoneme_is_forgotten_and_sooner_when_it_is_put_right():
+    model, ours = load_shipped_model(), all_methods()[LIVE_STRATEGY]
+    few = [made_by_ours(SENTENCE)] * 4
+    delays_s = (NEVER_S, CORRECTED_AFTER_S, 0.0)
+    never, late, at_once = wrong_phoneme_persistence(model, few, ours, delays_s, lookahead_s=0.1)
+    assert never.shares[0] == 1.0
+    assert never.shares[3] < 0.3
+    assert (late.shares[:3] < 0.5 * never.shares[:3]).all()
+    assert not at_once.shares.any()
+    assert (never.intervals[:, 0] <= never.shares + 1e-9).all()
+
+
+def test_the_deeper_the_errors_the_worse_the_motion():
+    model, ours = load_shipped_model(), all_methods()[LIVE_STRATEGY]
+    rows = error_rows(model, [made_by_ours(SENTENCE)], [ours], lookahead_s=0.1)
+    errors = {r.rate: r.rmse_mm for r in rows if r.kind == "substitution"}
+    assert errors[0.0] < 1e-6 < errors[0.5]
+
+
+def test_what_a_phoneme_leaves_behind_is_read_off_minimal_pairs():
+    """Faces made so that the first phoneme moves its own by 2, the next by 1, no other."""
+    model = small_model()
+    rest = (("UW", 0.2), ("IY", 0.2), ("UW", 0.2), ("AA", 0.2), ("SIL", 0.2))
+    utterances = []
+    for number, first in enumerate(("AA", "AA", "M", "M")):
+        events = spoken(("SIL", 0.4), ("IY", 0.2), (first, 0.2), *rest)
+        times_s = np.arange(round(events[-1].end_s * 100)) / 100.0
+        faces = np.zeros((len(times_s), 5))
+        faces[:, 1] = 0.1 * number  # the offset of a take, which repetitions have as well
+        faces[:, 0] = (first == "M") * np.select(
+            [times_s < 0.6, times_s < 0.8005, times_s < 1.0005], [0.0, 2.0, 1.0]
+        )
+        utterances.append(
+            Utterance(str(number), model.markers_mm(faces), 100.0, Path(), events, ())
+        )
+    pairs = find_pairs(utterances)
+    assert sorted(pairs.differ) == [False] * 2 + [True] * 4
+    assert pairs.weights[pairs.differ].sum() == pytest.approx(1.0), "one kind: AA and M"
+    assert pairs.weights[~pairs.differ].sum() == pytest.approx(1.0)
+    left = recorded_persistence(model, utterances, pairs)
+    # Four pairs of offsets 0.1 to 0.3 against repetitions of 0.1; one of five instants lies on the
+    # border.
+    extra = (0.01 + 0.04 + 0.04 + 0.09) / 4 - 0.01
+    squares = np.array([4.0, (4.0 + 4 * 1.0) / 5, 1.0 / 5, 0.0, 0.0]) + extra
+    np.testing.assert_allclose(left.shares, np.sqrt(squares / squares[0]), atol=0.01)
+    assert left.counted == 4
+
+
+def test_methods_are_asked_for_the_sentences_of_the_pairs():
+    """A method that knows no context leaves nothing behind, beside the joint of two phonemes."""
+    mean_face = all_methods()["catmull-rom"]
+    phones = [
+        (("AA", 0.2), *[("UW", 0.2), ("IY", 0.2)] * 3),
+        (("M", 0.2), *[("UW", 0.2), ("IY", 0.2)] * 3),
+    ]
+    utterances = [
+        recorded(spoken(("SIL", 0.4), ("T", 0.2), *p, ("SIL", 0.4)), name=str(i))
+        for i, p in enumerate([phones[0], phones[1], phones[0]])
+    ]
+    left = made_persistence(
+        small_model(), utterances, find_pairs(utterances), mean_face, lookahead_s=0.0
+    )
+    assert left.shares[0] == 1.0
+    assert 0.0 < left.shares[1] < 1.0
+    assert not left.shares[3:].any()
+    alone = find_pairs(utterances[:1])
+    assert recorded_persistence(small_model(), utterances[:1], alone) is None
+
+
+def test_moments_of_closure_are_read_off_the_recording():
+    """Lips are tightest in the middle of each M, 60 ms after its onset."""
+    many = observe_closures([recorded(name=str(i)) for i in range(5)])
+    assert many.tightest_s[PHONEMES.index("M")] == pytest.approx(0.06, abs=0.02)
+    assert many.tightest_s[PHONEMES.index("AA")] == 0.0
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 30.0, 60.0, 120.0])
+def test_every_method_scores_at_every_frame_rate(rate_hz):
+    scores = Scores()
+    methods = list(all_methods().values())
+    add_scores(scores, small_model(), [recorded(rate_hz=rate_hz)], methods, (0, 100))
+    for name in all_methods():
+        for lookahead_ms in (0, 100):
+            row = scores.row(name, lookahead_ms)
+            assert row["sentences"] == 1
+            assert np.isfinite(row["ratio"])
+    assert scores.row(REFERENCE, 0)["ratio"] == pytest.approx(1.0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    path = write_corpus(tmp_path_factory.mktemp("corpus") / "c", 6)
+    splits = {"folds": [["s0", "s1"], ["s2", "s3"]], "new_words": {"A": ["word"]}}
+    (path / "splits.json").write_text(json.dumps(splits))
+    return path
+
+
+def test_folds_and_words_train_on_the_rest(folder):
+    corpus = read_grid(folder)
+    with pytest.raises(CorpusError, match="split A leaves no sentence to train on"):
+        read_parts(folder, corpus)
+    (folder / "splits.json").write_text(json.dumps({"folds": [["s0"], ["s1"]], "new_words": {}}))
+    parts = read_parts(folder, corpus)
+    assert [sorted(p.test) for p in parts] == [["s0"], ["s1"]]
+    assert all(not p.test & p.train and len(p.train) == 5 for p in parts)
+
+
+def test_a_word_that_nobody_says_is_named(folder):
+    with pytest.raises(CorpusError, match="no sentence holds 'xylophone'"):
+        words_part("words", read_grid(folder), frozenset({"xylophone"}))
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [("{", "not a usable list"), ('{"folds": [["x"]], "new_words": {}}', "none of its folds")],
+)
+def test_a_bad_list_of_splits_says_so(folder, content, message):
+    (folder / "splits.json").write_text(content)
+    with pytest.raises(CorpusError, match=message):
+        read_parts(folder, read_grid(folder))
+
+
+def test_a_model_of_other_markers_is_refused(folder):
+    corpus = read_grid(folder)
+    other = type(corpus)(corpus.name, ("nose",), corpus.utterances, corpus.head_reference_mm)
+    with pytest.raises(CorpusError, match="its markers are not the model's"):
+        check_scorable(small_model(), other)

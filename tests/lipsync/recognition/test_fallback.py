@@ -1,0 +1,155 @@
+import math
+
+import numpy as np
+import pytest
+import soundfile
+from small_network import random_weights
+from speech import CLIP_PATH, white_noise
+
+from lipsync.audio_block import AudioBlock
+from lipsync.phonemes import SILENCE
+from lipsync.recognition.fallback import RecognizerLadder, Rung
+from lipsync.recognition.loudness_recognizer import LoudnessRecognizer, NeutralRecognizer
+from lipsync.recognition.network_recognizer import NetworkRecognizer
+from lipsync.recognition.weights import WeightsError, load_weights, save_weights
+from lipsync.timeline import PhonemeTimeline
+
+RATE_HZ = 16_000
+LOUDNESS = Rung("loudness", LoudnessRecognizer)
+
+
+class Throwing(NetworkRecognizer):
+    """The real recogniser until a moment, then a fault in it."""
+
+    def __init__(self, fails_at_s):
+        super().__init__(random_weights())
+        self._fails_at_s = fails_at_s
+
+    def feed(self, block):
+        if block.start_s >= self._fails_at_s:
+            raise FloatingPointError("a fault")
+        super().feed(block)
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return soundfile.read(CLIP_PATH, dtype="float32")[0][: 3 * RATE_HZ]
+
+
+def listen(recognizer, samples, start_s=0.0):
+    timeline = PhonemeTimeline(horizon_s=math.inf)
+    for first in range(0, len(samples), 160):
+        block = AudioBlock(samples[first : first + 160], start_s + first / RATE_HZ)
+        recognizer.feed(block)
+        for update in recognizer.updates():
+            timeline.apply(update)
+    return timeline
+
+
+def test_the_first_rung_that_can_be_made_listens():
+    def missing():
+        raise ImportError("no such library")
+
+    ladder = RecognizerLadder([Rung("network", missing), LOUDNESS], 0.095)
+
+    assert ladder.level == "loudness"
+    assert ladder.reasons == ("network: no such library",)
+
+
+def test_a_fault_moves_down_a_rung_and_what_was_final_stays(clip):
+    ladder = RecognizerLadder([Rung("network", lambda: Throwing(1.5)), LOUDNESS], 0.095)
+    timeline = listen(ladder, clip)
+    sound = listen(NetworkRecognizer(random_weights()), clip[: int(1.49 * RATE_HZ)])
+    border_s = sound.final_until_s - 0.01
+
+    assert ladder.level == "loudness"
+    assert "a fault" in ladder.reasons[0]
+    before = [e.phoneme for e in timeline.events if (e.end_s or math.inf) <= border_s]
+    assert before == [e.phoneme for e in sound.events if (e.end_s or math.inf) <= border_s]
+    after = {e.phoneme for e in timeline.events if e.start_s > 1.6}
+    assert after <= {"AA", "AH", SILENCE}
+    assert timeline.final_until_s > 2.8
+
+
+def test_when_every_rung_fails_the_mouth_is_closed(clip):
+    ladder = RecognizerLadder([Rung("network", lambda: Throwing(0.5))], 0.095)
+    timeline = listen(ladder, clip)
+
+    assert ladder.level == "neutral"
+    assert timeline.event_at(2.0).phoneme == SILENCE
+    assert timeline.final_until_s == pytest.approx(3.0)
+
+
+def test_a_rung_that_lags_is_left(clip):
+    """A clock on which every block takes 15 ms: 1.5 times as long as it lasts."""
+    readings = iter(np.arange(0.0, 1e4) * 0.015)
+    ladder = RecognizerLadder(
+        [Rung("network", lambda: NetworkRecognizer(random_weights())), LOUDNESS],
+        0.095,
+        timer_s=lambda: float(next(readings)),
+    )
+    listen(ladder, clip[: int(1.2 * RATE_HZ)])
+
+    assert ladder.level == "loudness"
+    assert ladder.reasons == ("network: took 1.48 s for 0.99 s of sound",)
+
+
+def test_a_rung_slower_than_the_declared_latency_is_not_taken():
+    late = Rung("network", lambda: NetworkRecognizer(random_weights(), 0.145))
+
+    assert RecognizerLadder([late, LOUDNESS], 0.095).level == "loudness"
+
+
+def test_reset_goes_back_to_the_best_rung(clip):
+    ladder = RecognizerLadder([Rung("network", lambda: Throwing(0.5)), LOUDNESS], 0.095)
+    listen(ladder, clip)
+    ladder.reset()
+
+    assert (ladder.level, ladder.reasons) == ("network", ())
+
+
+def test_loudness_opens_the_jaw_for_speech_and_not_for_steady_noise(clip):
+    spoken = listen(LoudnessRecognizer(), clip)
+    assert {"AA", SILENCE} <= {e.phoneme for e in spoken.events}
+    noise = white_noise(4.0, -40.0).astype(np.float32)
+    steady = [e for e in listen(LoudnessRecognizer(), noise).events if e.start_s > 1.6]
+    assert {e.phoneme for e in steady} <= {SILENCE}
+
+
+def test_the_neutral_rung_takes_anything():
+    neutral = NeutralRecognizer()
+    neutral.feed(AudioBlock(np.full(10, np.nan, np.float32), 5.0))
+
+    (update,) = neutral.updates()
+    assert update.events[0].phoneme == SILENCE
+    assert neutral.updates() == []
+
+
+def test_weights_survive_the_file(tmp_path):
+    weights = random_weights()
+    path = tmp_path / "weights.npz"
+    save_weights(weights, path)
+    loaded = load_weights(path)
+
+    assert loaded.delays == weights.delays
+    assert loaded.residuals[2].dilation == 4
+    assert np.abs(loaded.entry.kernel - weights.entry.kernel).max() < 1e-3
+
+
+@pytest.mark.parametrize("spoil", ["cut", "text", "gone", "nan"])
+def test_a_damaged_weights_file_is_named_in_one_line(tmp_path, spoil):
+    path = tmp_path / "weights.npz"
+    save_weights(random_weights(), path)
+    if spoil == "cut":
+        path.write_bytes(path.read_bytes()[:2_000])
+    elif spoil == "text":
+        path.write_text("no weights")
+    elif spoil == "gone":
+        path.unlink()
+    else:
+        with np.load(path) as file:
+            arrays = dict(file)
+        arrays["output"][0, 0] = np.nan
+        np.savez(path, **arrays)
+    with pytest.raises(WeightsError, match=r"weights\.npz: .*"):
+        load_weights(path)

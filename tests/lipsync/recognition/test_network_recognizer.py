@@ -1,0 +1,234 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+import soundfile
+import soxr
+from small_network import random_weights
+from speech import CLIP_PATH, phoneme_frames
+
+from lipsync.audio_block import AudioBlock
+from lipsync.evaluation.recognition.endurance import endure
+from lipsync.phonemes import SILENCE
+from lipsync.recognition.batch import settled_phonemes
+from lipsync.recognition.features import LevelNormalizer, LogMelStream, log_mel
+from lipsync.recognition.network import StreamingNetwork, batch_posteriors
+from lipsync.recognition.network_recognizer import NetworkRecognizer
+from lipsync.timeline import PhonemeTimeline
+
+RATE_HZ = 16_000
+WEIGHTS = random_weights()
+
+
+@pytest.fixture(scope="module")
+def clip():
+    return soundfile.read(CLIP_PATH, dtype="float32")[0][: 4 * RATE_HZ]
+
+
+def blocks_of(samples, n_block, start_s=0.0, rate_hz=RATE_HZ):
+    for first in range(0, len(samples), n_block):
+        yield AudioBlock(samples[first : first + n_block], start_s + first / rate_hz, rate_hz)
+
+
+def listen(recognizer, blocks):
+    timeline, updates = PhonemeTimeline(horizon_s=math.inf), []
+    for block in blocks:
+        recognizer.feed(block)
+        for update in recognizer.updates():
+            timeline.apply(update)
+            updates.append(update)
+    return timeline, updates
+
+
+def settled(timeline):
+    return phoneme_frames(timeline.events, round(timeline.final_until_s * 100))
+
+
+def test_log_mel_agrees_with_a_filter_bank_worked_out_bin_by_bin():
+    """A tone of 1 kHz: all its power lies in the triangles around 1 kHz."""
+    tone = np.sin(2 * np.pi * 1000 * np.arange(400) / RATE_HZ).astype(np.float32)
+    power = np.abs(np.fft.rfft(tone * np.hamming(400), 512)) ** 2
+    mel = np.linspace(2595 * math.log10(1 + 60 / 700), 2595 * math.log10(1 + 7600 / 700), 42)
+    hz = 700 * (10 ** (mel / 2595) - 1)
+    expected = []
+    for low, middle, high in zip(hz, hz[1:], hz[2:], strict=False):
+        total = 0.0
+        for k, p in enumerate(power):
+            f = k * RATE_HZ / 512
+            if low < f < high:
+                total += p * min((f - low) / (middle - low), (high - f) / (high - middle))
+        expected.append(math.log(total + 1e-7))
+
+    assert log_mel(tone)[0] == pytest.approx(expected, abs=1e-3)
+
+
+def test_the_stream_equals_the_batch(clip):
+    features = LevelNormalizer(WEIGHTS.scale).push(LogMelStream().push(clip))
+    stream = StreamingNetwork(WEIGHTS)
+    streamed = np.concatenate([stream.push(features[n : n + 1]) for n in range(len(features))])
+
+    assert np.abs(streamed - batch_posteriors(WEIGHTS, features)).max() < 1e-5
+
+
+@pytest.mark.parametrize("n_block", [1, 37, 160, 4_000])
+def test_features_do_not_depend_on_the_size_of_the_blocks(clip, n_block):
+    stream = LogMelStream()
+    pieces = [stream.push(clip[n : n + n_block]) for n in range(0, 8_000, n_block)]
+    whole = LogMelStream().push(
+        clip[: 8_000 // n_block * n_block + (n_block if 8_000 % n_block else 0)]
+    )
+
+    assert np.abs(np.concatenate(pieces) - whole).max() < 1e-5
+
+
+def test_a_voice_20_db_lower_looks_the_same_once_it_was_heard(clip):
+    loud = LevelNormalizer(WEIGHTS.scale).push(LogMelStream().push(clip))
+    quiet = LevelNormalizer(WEIGHTS.scale).push(LogMelStream().push(clip / 10))
+
+    assert np.abs(loud - quiet)[200:].mean() < 0.1
+
+
+@pytest.mark.parametrize("latency_s", [0.045, 0.095, 0.145])
+@pytest.mark.parametrize("n_block", [37, 1_600])
+def test_the_size_of_the_blocks_does_not_matter(clip, latency_s, n_block):
+    whole, _ = listen(NetworkRecognizer(WEIGHTS, latency_s), blocks_of(clip, 160))
+    other, _ = listen(NetworkRecognizer(WEIGHTS, latency_s), blocks_of(clip, n_block))
+    n = min(len(settled(whole)), len(settled(other)))
+
+    assert n > 350
+    assert settled(whole)[:n] == settled(other)[:n]
+
+
+def test_the_declared_latency_holds_at_every_moment(clip):
+    recognizer = NetworkRecognizer(WEIGHTS, 0.095)
+    final_s = 0.0
+    for block in blocks_of(clip[:16_000], 37):
+        recognizer.feed(block)
+        final_s = max([final_s, *(u.final_until_s for u in recognizer.updates())])
+        assert final_s >= block.end_s - recognizer.latency_s - 1e-9
+
+
+def test_what_is_final_is_told_from_and_never_taken_back(clip):
+    timeline, final = PhonemeTimeline(horizon_s=math.inf), []
+    recognizer = NetworkRecognizer(WEIGHTS)
+    previous = None
+    for block in blocks_of(clip, 160):
+        recognizer.feed(block)
+        for update in recognizer.updates():
+            assert previous is None or update.replace_from_s == previous.final_until_s
+            assert update.heard_until_s <= block.end_s + 1e-9
+            pairs = itertools.pairwise(update.events)
+            assert all(a.end_s == b.start_s and a.phoneme != b.phoneme for a, b in pairs)
+            timeline.apply(update)
+            now = settled(timeline)
+            assert now[: len(final)] == final
+            final, previous = now, update
+    assert len(final) > 380
+
+
+def test_whole_recordings_at_once_give_what_is_settled_live(clip):
+    """Three recordings side by side, of different lengths; live each is followed by silence."""
+    recordings = [clip[:20_000], clip[20_000:], clip[5_000:37_000]]
+    for samples, events in zip(recordings, settled_phonemes(WEIGHTS, recordings), strict=True):
+        n_frames = len(samples) // 160
+        tail = np.zeros(4_000, np.float32)
+        live, _ = listen(
+            NetworkRecognizer(WEIGHTS), blocks_of(np.concatenate([samples, tail]), 160)
+        )
+        assert events[-1].end_s == pytest.approx(len(samples) / RATE_HZ)
+        assert phoneme_frames(events, n_frames) == settled(live)[:n_frames]
+
+
+def test_after_reset_the_same_is_heard_again(clip):
+    recognizer = NetworkRecognizer(WEIGHTS)
+    _, first = listen(recognizer, blocks_of(clip[:16_000], 160))
+    recognizer.reset()
+    _, again = listen(recognizer, blocks_of(clip[:16_000], 160))
+
+    assert first == again
+
+
+@pytest.mark.parametrize("gap_s", [0.3, 0.503, 4.0, 7_200.0])
+def test_a_gap_is_silence_and_time_stays_right(clip, gap_s):
+    resumed_s = 1.0 + gap_s
+    blocks = [*blocks_of(clip[:16_000], 160), *blocks_of(clip[:16_000], 160, resumed_s)]
+    timeline, updates = listen(NetworkRecognizer(WEIGHTS), blocks)
+    in_gap = [e for e in timeline.events if e.start_s > 1.1 and (e.end_s or math.inf) < resumed_s]
+
+    assert {e.phoneme for e in in_gap} <= {SILENCE}
+    assert updates[-1].heard_until_s == pytest.approx(resumed_s + 1.0, abs=0.03)
+    if gap_s > 1.0:
+        assert timeline.event_at(resumed_s - 0.1).phoneme == SILENCE
+
+
+@pytest.mark.parametrize("rate_hz", [8_000, 44_100, 48_000])
+def test_another_rate_is_heard_at_the_same_times(clip, rate_hz):
+    """soxr itself holds back some sound: the end of the belief may lag by that, not its times."""
+    samples = soxr.resample(clip, RATE_HZ, rate_hz).astype(np.float32)
+    n_block = rate_hz // 100
+    timeline, updates = listen(
+        NetworkRecognizer(WEIGHTS), blocks_of(samples, n_block, rate_hz=rate_hz)
+    )
+
+    assert updates[-1].heard_until_s == pytest.approx(4.0, abs=0.08)
+    if rate_hz > 16_000:
+        truth, _ = listen(NetworkRecognizer(WEIGHTS), blocks_of(clip, 160))
+        n = len(settled(timeline))
+        same = np.mean([a == b for a, b in zip(settled(timeline), settled(truth)[:n], strict=True)])
+        assert same > 0.9
+
+
+def test_nan_infinity_and_overload_do_no_harm(clip):
+    spoilt = 20.0 * clip[:32_000]
+    spoilt[5_000:5_100] = np.nan
+    spoilt[9_000] = np.inf
+    recognizer = NetworkRecognizer(WEIGHTS)
+    listen(recognizer, blocks_of(spoilt, 160))
+    recognizer.feed(AudioBlock(clip[:160], 2.0))
+    (update,) = recognizer.updates()
+
+    assert update.heard_until_s == pytest.approx(2.0, abs=0.011)
+
+
+def test_digital_silence_is_silence_whatever_the_network_says():
+    timeline, _ = listen(NetworkRecognizer(WEIGHTS), blocks_of(np.zeros(32_000, np.float32), 160))
+
+    assert {event.phoneme for event in timeline.events} == {SILENCE}
+
+
+def test_blocks_going_back_or_changing_their_rate_are_refused():
+    recognizer = NetworkRecognizer(WEIGHTS)
+    recognizer.feed(AudioBlock(np.zeros(320, np.float32), 0.0))
+
+    with pytest.raises(ValueError, match=r"starts at 0\.01 s, but sound was heard until 0\.02 s"):
+        recognizer.feed(AudioBlock(np.zeros(160, np.float32), 0.01))
+    with pytest.raises(ValueError, match="48000 Hz in a stream at 16000 Hz"):
+        recognizer.feed(AudioBlock(np.zeros(480, np.float32), 0.02, 48_000))
+
+
+def test_a_latency_that_no_head_can_keep_is_refused():
+    with pytest.raises(ValueError, match=r"needs at least 0\.045"):
+        NetworkRecognizer(WEIGHTS, 0.03)
+
+
+def test_an_hour_of_sound_leaves_no_more_behind_than_a_minute(clip):
+    """What is kept is counted, not the process: the same number of labels after any time."""
+    recognizer = NetworkRecognizer(WEIGHTS)
+    kept = []
+    for n in range(120):
+        recognizer.feed(AudioBlock(clip[:16_000], n * 30.0))
+        recognizer.updates()
+        kept.append(len(recognizer._settled) + len(recognizer._open))
+
+    assert kept[-1] == kept[2] < 20
+
+
+def test_a_long_stream_is_measured_block_by_block(clip):
+    """What was fed and what was reported on end at the same time, up to a window."""
+    endured = endure(NetworkRecognizer(WEIGHTS), clip[:16_050], 20.0, lambda: 50.0)
+    figures = endured.as_dict()
+
+    assert figures["endurance_hours"] == pytest.approx(20.0 / 3600.0)
+    assert 0.0 <= figures["endurance_clock_error_ms"] <= 15.0
+    assert figures["endurance_rss_mb_end"] == figures["endurance_rss_mb_after_10_min"] == 50.0

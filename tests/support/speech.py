@@ -1,0 +1,35 @@
+"""Speech and noise for the tests of everything that listens."""
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from places import DATA
+
+from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
+
+CLIP_PATH = Path(str(resources.files("lipservo.clips") / "welcome.flac"))
+#: The clip's phones as flite says that it spoke them: `flite -psdur`, ax written as AH.
+CLIP_LABELS_PATH = DATA / "welcome.TextGrid"
+
+
+def white_noise(duration_s: float, level_db: float) -> NDArray[np.float64]:
+    noise = np.random.default_rng(1).standard_normal(round(duration_s * 16_000))
+    return noise * 10 ** (level_db / 20)
+
+
+def phoneme_frames(events: tuple[PhonemeEvent, ...], n_frames: int) -> list[str]:
+    """The phoneme of each 10 ms frame; silence where no event is."""
+    frames = [SILENCE] * n_frames
+    for event in events:
+        first = round(event.start_s * 100)
+        end = n_frames if event.end_s is None else min(n_frames, round(event.end_s * 100))
+        frames[first:end] = [event.phoneme] * (end - first)
+    return frames
+
+
+def viseme_accuracy(heard: list[str], truth: list[str]) -> float:
+    """The share of frames whose viseme class is right."""
+    pairs = zip(heard, truth, strict=True)
+    return float(np.mean([VISEME_OF[h] == VISEME_OF[t] for h, t in pairs]))
