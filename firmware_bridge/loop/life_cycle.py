@@ -66,7 +66,7 @@ class LifeCycle:
     However the block is left, the face is brought to rest and let go, and `report` says what each
     servo confirmed. A first signal (INT, TERM, HUP, QUIT) stops softly, a second one lets go at
     once; after an error nothing is eased. While the port is gone, a stop by a signal waits for it
-    for half a minute, a stop through the control socket as long as it takes.
+    for half a minute, or until a third signal; one through the control socket as long as it takes.
     """
 
     def __init__(
@@ -192,10 +192,18 @@ class LifeCycle:
         """Torque off now, with a few more tries for those who do not confirm."""
         self._letting_go = True
         self._bridge.stop(StopLevel.LIMP)
-        until_s = self._clock.now() + _LAST_TRIES_S
+        until_s, n_signals = self._clock.now() + _LAST_TRIES_S, self._n_signals
+        if n_signals > 1 and not self._bridge.plugged:
+            until_s += _WAIT_FOR_PORT_S
+            self._log(
+                "the port is gone: once it is back, the servos are let go; "
+                "one more signal leaves them as they are"
+            )
         # A grid of its own: an exception may have struck inside the other one.
         for time_s, late in ticks(self._clock, self._rate_hz):
             if self._bridge.state is FaceState.ENDED or time_s >= until_s:
+                return
+            if self._n_signals > n_signals and not self._bridge.plugged:
                 return
             self._bridge.tick(time_s, late)
 
@@ -264,7 +272,7 @@ class LifeCycle:
             self._give_up_s = time_s + _WAIT_FOR_PORT_S
             self._log(
                 "the port is gone: once it is back, the servos are let go; "
-                "a second signal leaves them as they are"
+                "two more signals leave them as they are"
             )
         return time_s >= self._give_up_s
 

@@ -161,7 +161,7 @@ class Supervisor:
             self._speech.child.send(signal.SIGTERM)
 
     def _heed_signals(self, n_signals: int, name: str, now_s: float) -> None:
-        """The first: to rest and limp. The second: limp at once, and no more waiting."""
+        """The first: to rest and limp. The second: limp at once. The third waits for no port."""
         if n_signals == self._n_signals:
             return
         self._n_signals = n_signals
@@ -266,7 +266,7 @@ class Supervisor:
             return float("inf") if self._may_restart() else self._release_s + _PORT_PATIENCE_S
         if self._signal_s is None:
             return float("inf")  # who stopped it by the socket can ask how it is, and signal
-        return self._signal_s + (_PORT_PATIENCE_S if self._n_signals == 1 else 0.0)
+        return self._signal_s + (_PORT_PATIENCE_S if self._n_signals <= 2 else 0.0)
 
     def _released(self, release: TorqueRelease) -> None:
         self._port_error = ""

@@ -23,6 +23,11 @@ RATE_HZ = 30.0
 TORQUE_ON = bytes((3, 64, 0, 1))
 
 
+def interrupt():
+    """Ctrl-C, once."""
+    os.kill(os.getpid(), signal.SIGINT)
+
+
 class Asked:
     """A control socket in memory: stops by their moments, in seconds; what it was told last."""
 
@@ -77,11 +82,16 @@ class Robot:
             rate_hz=RATE_HZ,
             control=self.control,
             lifeline=self.told,
-            log=self.log.append,
+            log=self.note,
             status=lambda: {"state": self.bridge.state.value},
         )
+        self.on_log = lambda _line: None
         #: (time, torque of each servo, position of each) after every tick.
         self.seen = []
+
+    def note(self, line):
+        self.log.append(line)
+        self.on_log(line)
 
     def live(self, until_s, at=None):
         """From start to end; `at`: what happens at a moment, by its time."""
@@ -186,6 +196,31 @@ def test_with_the_plug_out_nothing_is_claimed_and_a_signal_waits_no_longer_than_
     assert set(report.unconfirmed.values()) == {"cannot be reached: the port is gone"}
     assert 30.0 < robot.face.clock.now() < 35.0
     assert robot.life.signal_number == signal.SIGTERM
+
+
+def test_a_second_signal_with_the_plug_out_lets_go_once_it_is_back_in():
+    robot = Robot(Fault("unplug", at_s=(2.0,), lasts_s=8.0))
+    report = robot.live(60.0, {2.5: interrupt, 2.6: interrupt})
+
+    assert report.complete
+    assert robot.stiff == []
+    assert 10.0 < robot.face.clock.now() < 12.0
+
+
+def test_a_third_signal_with_the_plug_out_ends_the_waiting_and_claims_nothing():
+    robot = Robot(Fault("unplug", at_s=(2.0,), lasts_s=1000.0))
+    pressed = []
+
+    def press(line):
+        if "one more signal" in line:  # a person reads this
+            pressed.append(interrupt())
+
+    robot.on_log = press
+    report = robot.live(60.0, {2.5: interrupt, 2.6: interrupt})
+
+    assert len(pressed) == 1
+    assert not report.confirmed
+    assert robot.face.clock.now() < 3.0
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])

@@ -361,7 +361,7 @@ def test_a_bridge_that_does_not_end_is_killed_after_five_seconds_and_let_go_by_f
     assert face.torque == [0, 0, 0]
 
 
-@pytest.mark.parametrize(("n_signals", "seconds"), [(1, 31.0), (2, 1.0)])
+@pytest.mark.parametrize(("n_signals", "seconds"), [(1, 31.0), (2, 31.0), (3, 1.0)])
 def test_the_end_by_signal_waits_for_a_lost_port_but_not_for_ever(face, n_signals, seconds):
     face.unplugged = True
     face.n_signals = 1
@@ -372,6 +372,18 @@ def test_the_end_by_signal_waits_for_a_lost_port_but_not_for_ever(face, n_signal
 
     assert report.status == 3
     assert report.unconfirmed == dict.fromkeys(["jaw", "left", "right"], "/dev/x: no such port")
+
+
+def test_two_signals_with_the_plug_out_let_go_once_it_is_back_in(face):
+    face.unplugged = True
+    face.n_signals = 2
+    face.bridge.status = 3
+    assert face.play(3.0) is None
+
+    face.unplugged = False
+
+    assert face.play(3.0).status == 0
+    assert face.torque == [0, 0, 0]
 
 
 def test_a_silent_servo_is_named_and_the_status_says_it(face):
