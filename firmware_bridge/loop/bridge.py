@@ -224,9 +224,11 @@ class Bridge:
         """What this state sends: (wanted, sent)."""
         if self._state is _DRIVEN:
             return self._drive(time_s)
-        limited = self._nothing_sent()
         if self._state is FaceState.EASING:
             return self._ease(time_s)
+        if self._state is FaceState.FROZEN:
+            self._servos.stay_on()
+        limited = self._nothing_sent()
         if self._state is FaceState.FROZEN:
             self._servos.send(limited, time_s)
         elif self._state in (FaceState.SILENT, FaceState.LETTING_GO):

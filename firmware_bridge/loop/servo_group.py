@@ -48,6 +48,7 @@ class ServoGroup:
         self.torque_off = TorqueOff(self._joints, self.gate)
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         self._scale = np.ones(len(self._joints))
+        self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
         self._health: Health | None = None
 
     @property
@@ -106,13 +107,31 @@ class ServoGroup:
         """The goals become the places where the servos stand now, or as near as they can stop.
 
         A moving shaft is behind its goal: it may go on to it, but no farther than it moves while it
-        brakes. Who was not heard just now keeps its goal, for where it stands is not known.
+        brakes. Who was not heard just now keeps its goal until it is, for where it stands is not
+        known: `stay_on`.
         """
+        heard, near_deg = self._stopping_places()
+        self.limiter.start_from(np.where(heard, near_deg, self.limiter.sent_deg), time_s)
+        self._to_stay = ~heard
+
+    def stay_on(self) -> None:
+        """The same, in every tick after it, for those who were not heard then.
+
+        One that came back a moment before is slow, and may have a long way to its goal.
+        """
+        if not self._to_stay.any():
+            return
+        heard, near_deg = self._stopping_places()
+        for index in np.flatnonzero(self._to_stay & heard).tolist():
+            self.limiter.start_one(index, float(near_deg[index]))
+        self._to_stay &= ~heard
+
+    def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
+        """Who was heard just now, and where each comes to a stand, given where it goes."""
         feedback = self._bus.feedback()
         sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
         near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
-        heard = (feedback.age_s == 0.0) & np.isfinite(places_deg)
-        self.limiter.start_from(np.where(heard, near_deg, sent_deg), time_s)
+        return (feedback.age_s == 0.0) & np.isfinite(places_deg), near_deg
 
     def send(self, limited: Limited, time_s: float) -> None:
         """Goals to those that are driven; then hear how all are, and help one of them."""

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 _STEP_S = 0.005
 #: How fast the position loop closes an error, 1/s. It has no feedforward, as the factory settings
 #: have none, so a shaft is 12 ms behind its trajectory and never quicker. Ours; not measured.
-_POSITION_LOOP_PER_S = 80.0
+POSITION_LOOP_PER_S = 80.0
 _AT_REST_PULSES = 0.01
 #: moving_status: so near counts as arrived, so far from the trajectory as not following. The manual
 #: names no numbers; these are ours.
@@ -186,7 +186,7 @@ class Motors:
         top = self.free_speed * room * self.voltage_v / self._nominal_v
         top = np.where(on & ~self.jammed, top, 0.0)
         error = self.trajectory - self.position
-        wanted = _POSITION_LOOP_PER_S * error
+        wanted = POSITION_LOOP_PER_S * error
         velocity = np.minimum(np.maximum(wanted, -top), top)
         pace = np.abs(velocity) / self.no_load
         effort = self.load + 0.05 * pace

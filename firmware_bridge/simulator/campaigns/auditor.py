@@ -15,6 +15,7 @@ from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator.chain import SimulatedChain
+from firmware_bridge.simulator.motors import POSITION_LOOP_PER_S
 
 _GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address
 _GOAL_BYTES, _TORQUE_BYTES = struct.pack("<H", _GOAL), struct.pack("<H", _TORQUE)
@@ -28,12 +29,10 @@ _MARGIN_PULSES: Final = 12
 _SPEED_MARGIN: Final = 1.10
 #: A frozen face may still brake, and give a little under load.
 _BRAKES_S, _CREEP_DEG_S = 0.3, 5.0
-#: A shaft that is more than this behind its trajectory at top speed is held up.
-_LAG_S: Final = 0.020
-#: Longer than a step of moving motors, which is 5 ms.
-_STEP_S: Final = 0.0075
-#: No motor makes this without load: a hand pushed the shaft, or its encoder jumped.
-_PUSHED_DEG_S: Final = 700.0
+#: A shaft so near to where it would be unhindered is there.
+_FREE_PULSES: Final = 0.5
+#: No motor makes this without load: the encoder jumped.
+_JUMP_DEG_S: Final = 700.0
 
 
 class Auditor:
@@ -45,8 +44,8 @@ class Auditor:
     but for a shaft that was pushed or held up, until it is back on its trajectory.
     moved_outside: steps outwards beyond the limits with torque on. armed_wrongly: torque switched
     on though the servo's settings differ from the face's, without a running watchdog, or with a
-    goal elsewhere. armed_late: torque switched on after a person's stop. moved_frozen: steps of a
-    shaft with torque on faster than 5 deg/s, later than 0.3 s after a person froze the face.
+    goal elsewhere. armed_late: torque switched on after a person's stop. moved_frozen: the same
+    steps faster than 5 deg/s, later than 0.3 s after a person froze the face.
     """
 
     def __init__(self, servos: Sequence[MountedServo], period_s: float) -> None:
@@ -59,9 +58,12 @@ class Auditor:
             servo.joint.servo_id: speed * period_s + _ROUNDING_PULSES
             for servo, speed in zip(servos, self._speed.tolist(), strict=True)
         }
-        self._pushed = _PUSHED_DEG_S * per_deg
-        self._lag = self._speed * _LAG_S
-        self._in_hand = np.zeros(len(servos), dtype=np.bool_)
+        self._jump = _JUMP_DEG_S * per_deg
+        #: Where each shaft would be if nothing hindered it: behind its trajectory by its position
+        #: loop alone. One that is elsewhere was pushed, jammed or loaded, and comes back as fast
+        #: as it can: that is the servo's own doing.
+        self._free = np.zeros(len(servos))
+        self._is_free = np.zeros(len(servos), dtype=np.bool_)
         self._last: dict[int, int] = {}
         self._parser = FrameParser()
         self._chain: SimulatedChain | None = None
@@ -163,24 +165,21 @@ class Auditor:
         before, trajectory_before = seen
         speed = (position - before) / span_s
         told = np.abs(motors.trajectory - trajectory_before) / span_s
-        # A servo that was pushed or held up comes back by itself as fast as it can: its position
-        # loop does that, and nobody told it to.
-        error = np.abs(motors.trajectory - position)
-        pushed = np.abs(speed) >= self._pushed
-        # No servo runs away from its own trajectory.
-        pushed |= ((motors.trajectory - position) * speed < 0.0) & (error > _MARGIN_PULSES)
-        if span_s > _STEP_S:  # the motors were at rest: whatever moved was moved by hand
-            pushed |= position != before
-        self._in_hand |= pushed | (error > self._lag)
-        self._in_hand &= error > _MARGIN_PULSES
-        own = motors.torque_on & ~self._in_hand & ~pushed
-        # A jump of the encoder takes the trajectory with it.
-        told[~held | (np.abs(speed) >= self._pushed)] = 0.0
-        fast = np.maximum(np.where(own, np.abs(speed), 0.0), told) / self._speed
+        # A jump of the encoder takes the trajectory with it, and a servo that stops by itself, as
+        # for its watchdog, lays it where it stands: nobody told them to go there.
+        jumped = (np.abs(speed) >= self._jump) & (told >= self._jump)
+        by_itself = ~held | jumped | (motors.trajectory == position)
+        told[by_itself] = 0.0
+        self._free += (motors.trajectory - self._free) * min(1.0, POSITION_LOOP_PER_S * span_s)
+        self._free = np.where(by_itself, position, self._free)
+        was_free, self._is_free = self._is_free, np.abs(position - self._free) <= _FREE_PULSES
+        own = held & was_free & self._is_free
+        moved = np.maximum(np.where(own, np.abs(speed), 0.0), told)
+        fast = moved / self._speed
         self.fastest = max(self.fastest, float(fast.max()))
         self.too_fast += int((fast > _SPEED_MARGIN).sum())
         if self.frozen and self.stopped_s is not None and time_s > self.stopped_s + _BRAKES_S:
-            self.moved_frozen += int((own & (np.abs(speed) > self._creep)).sum())
+            self.moved_frozen += int((moved > self._creep).sum())
         outwards = (position > self._high + _MARGIN_PULSES) & (speed > 1.0)
         outwards |= (position < self._low - _MARGIN_PULSES) & (speed < -1.0)
         self.moved_outside += int((own & outwards).sum())

@@ -5,6 +5,7 @@ import pytest
 from firmware_bridge.simulator.campaigns.endurance import MUST_NOT, endure
 from firmware_bridge.simulator.campaigns.fault_campaign import Case, cases, play
 from firmware_bridge.simulator.faults import KINDS
+from firmware_bridge.stopping import StopLevel
 
 
 @pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
@@ -20,6 +21,14 @@ def test_every_kind_of_fault_is_survived(kind):
     for case in cases():
         if case.kind == kind and (case.n_servos, case.rate_hz) == (5, 30.0):
             assert play(case).survived, case
+
+
+@pytest.mark.campaign
+def test_a_servo_that_was_not_heard_when_the_face_froze_stands_as_soon_as_it_is():
+    """It had come back a moment before: slow, and half a second away from its goal."""
+    outcome = play(Case("late_reply", 2, 20, 100.0, True, StopLevel.FREEZE))
+
+    assert outcome.moved_frozen == 0
 
 
 def test_the_campaign_is_as_large_as_promised():
