@@ -2,8 +2,13 @@
 
 import re
 
+import numpy as np
 import pytest
 from places import ROOT
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+from lipservo.traces.trace_reader import read_trace
 
 TEXT = (ROOT / "docs" / "architecture.md").read_text("utf-8")
 #: Tables whose last column names what to look for in each file, and how many rows they have.
@@ -81,3 +86,25 @@ def test_every_process_is_told():
     assert told_files("process") >= {"lipservo/face/sim_process.py"}
     for command in ("bridge-process", "speech-process", "sim-bus"):
         assert f"`lipservo {command}`" in TEXT
+
+
+def test_the_sample_that_is_followed_goes_where_the_page_says(tmp_path):
+    """The delay, and what reaches the servos at the last tick before the face is seen."""
+    trace = tmp_path / "walk.jsonl"
+    sound = ROOT / "lipservo" / "clips" / "welcome.flac"
+    arguments = ["replay", sound, "--rate-hz", "100", "--trace", trace, "--quiet"]
+    done = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert done.exit_code == 0, done.output
+
+    said_s = re.search(r": (\S+) s\) lies in the M", TEXT)[1]
+    delay_ms = re.search(r": (\d+) ms of delay", TEXT)[1]
+    sent_ms = re.search(r"^\| (\d{3}) \| `firmware_bridge/gate/limits.py`", TEXT, re.M)[1]
+    lip_deg, jaw_deg = re.search(r"lip may go to (\S+), the jaw to (\S+) degrees", TEXT).groups()
+    run = read_trace(trace)
+    assert run.delay_s == pytest.approx(float(delay_ms) / 1e3, abs=5e-4)
+    shown_s = float(said_s) + (float(sent_ms) - float(delay_ms)) / 1e3
+    tick = int(np.abs(run.sound_s - shown_s).argmin())
+    sent_deg = dict(zip(run.servos, run.sent_deg[tick], strict=True))
+    assert run.phonemes[tick] == "M"
+    assert sent_deg["upper_lip_left"] == pytest.approx(float(lip_deg), abs=0.06)
+    assert sent_deg["jaw"] == pytest.approx(float(jaw_deg), abs=0.06)
