@@ -1,12 +1,13 @@
 # make run    sees speech move a face; installs what it needs into .venv first
 # make test   the tests
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
-# make check  style, types, and the wheel: what it holds, and that it runs when installed alone
+# make docs   the reference of all public names, from their docstrings, into site/
+# make check  style, types, the docs, and the wheel: what it holds, and that it runs when installed alone
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test traces check format clean
+.PHONY: run test traces docs check format clean
 
 run: $(VENV)/.installed
 	$(BIN)/lipservo run
@@ -16,6 +17,18 @@ test: $(VENV)/.installed-dev
 
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
+
+# Two modules need torch, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
+WITHOUT_TORCH := lipsync.recognition.training
+SITE := site
+docs: $(VENV)/.installed-dev
+	rm -rf $(SITE)
+	$(BIN)/python -W error \
+		-W "ignore:Couldn't import $(WITHOUT_TORCH).network_training" \
+		-W "ignore:Couldn't import $(WITHOUT_TORCH).training_run" \
+		-m pdoc --docformat markdown --no-show-source --output-directory $(SITE) \
+		calibration firmware_bridge lipservo lipsync \
+		'!lipsync\.recognition\.training\.(network_training|training_run)'
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -31,7 +44,7 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) dist build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) dist build site *.egg-info .pytest_cache .mypy_cache .ruff_cache
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -40,7 +40,7 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 #: The paper keeps 5, which hold 96.6 % of its variance; here 5 hold 94.8 %, 7 hold 97.0 %. Of what
-#: phonemes say about a face the sixth to eighth hold more than the fifth (docs/decisions/0042).
+#: phonemes say about a face the sixth to eighth hold more than the fifth (docs/decisions/0007).
 N_COMPONENTS = 8
 #: Successors of an AnimPho on average in the paper; decides how many AnimPhos there are.
 TARGET_SUCCESSORS = 3.45

@@ -1,6 +1,6 @@
 """How words sound that the aligner's dictionary does not hold: gruut's lexicon, else its model.
 
-gruut guesses in IPA, offline; docs/decisions/0031-pronunciations.md says why it was taken.
+gruut guesses in IPA, offline; docs/decisions/0003-pronunciations.md says why it was taken.
 """
 
 from functools import cache

@@ -1,0 +1,176 @@
+"""The shape of the tree: small folders, short files, few parameters, names that tell apart."""
+
+import ast
+import inspect
+from collections import defaultdict
+
+import pytest
+import typer
+from places import ROOT
+from source_tree import MAY_IMPORT, MODULES
+
+from lipservo.cli import app
+
+MOST_FILES, MOST_LINES, MOST_PARAMETERS = 20, 320, 8
+#: Everything of ours that lies in the root of the checkout.
+FOLDERS = (*MAY_IMPORT, "benchmarks", "config", "docs", "examples", "tests", ".github", ".ci")
+#: A page a decision, by number, with an index: it grows, and nobody looks for a file by its name.
+GROWING = {"docs/decisions"}
+#: Folders of tests/ that belong to no package.
+OTHER_TESTS = {"data", "examples", "project", "support"}
+#: Files that share a name since they are one contract and its implementations: where it stands.
+CONTRACTS = {
+    ("firmware_bridge", "bus.py"): "firmware_bridge/bus.py:ServoBus",
+    ("lipsync", "synthesizer.py"): "lipsync/face/synthesizer.py:Synthesizer",
+}
+
+# What does not keep to the rules yet. To be emptied, never to grow.
+STILL_LONG = {
+    "firmware_bridge/loop/bridge.py",
+    "lipsync/recognition/training/network_training.py",
+    "tests/firmware_bridge/dynamixel/test_bus.py",
+    "tests/firmware_bridge/loop/test_life_cycle.py",
+    "tests/firmware_bridge/process/test_supervisor.py",
+    "tests/firmware_bridge/simulator/test_servo_settings.py",
+    "tests/lipservo/calibrating/test_calibrate_command.py",
+    "tests/lipservo/health/test_health_log.py",
+    "tests/lipservo/settings/test_settings.py",
+    "tests/lipsync/audio/test_file.py",
+    "tests/lipsync/evaluation/test_measures.py",
+}
+STILL_MANY_PARAMETERS = {
+    "calibration/fit/measured.py:fit_measured",
+    "firmware_bridge/loop/bridge.py:Bridge.__init__",
+    "firmware_bridge/loop/life_cycle.py:LifeCycle.__init__",
+    "lipservo/commands/run/processes.py:supervise",
+    "tests/support/disturbed_transport.py:DisturbedTransport.__init__",
+}
+STILL_OF_ONE_NAME = {
+    ("lipservo", "recognition.py"),
+    ("lipservo", "street.py"),
+    ("lipsync", "scoring.py"),
+}
+
+
+def files(*names):
+    """Every file below these folders of the root, but what Python and tools leave there."""
+    for name in names:
+        for path in sorted((ROOT / name).rglob("*")):
+            if path.is_file() and "__pycache__" not in path.parts:
+                yield path
+
+
+def place(path):
+    return path.relative_to(ROOT).as_posix()
+
+
+SOURCES = [path for path in files(*FOLDERS) if path.suffix == ".py"]
+
+
+def test_no_folder_has_more_files_than_one_looks_through():
+    count = defaultdict(int)
+    for path in files(*FOLDERS):
+        count[place(path.parent)] += 1
+
+    assert {name: n for name, n in count.items() if n > MOST_FILES and name not in GROWING} == {}
+
+
+def test_no_file_is_longer_than_one_reads_in_one_go():
+    long = {
+        place(path) for path in SOURCES if len(path.read_text("utf-8").splitlines()) > MOST_LINES
+    }
+
+    assert long == STILL_LONG
+
+
+def command_functions():
+    """`file:name` of every function that typer calls: found in the whole tree of the program.
+
+    That is, the callbacks of `lipservo.cli.app`, of its groups, and of every command in them, the
+    hidden ones too, without the wrappers that typer and our own decorators put around them.
+    """
+    waiting = [typer.main.get_command(app)]
+    found = set()
+    while waiting:
+        command = waiting.pop()
+        waiting += getattr(command, "commands", {}).values()
+        if command.callback is not None:
+            function = inspect.unwrap(command.callback)
+            file = inspect.getsourcefile(function)
+            found.add(f"{file.removeprefix(f'{ROOT}/')}:{function.__qualname__}")
+    return found
+
+
+def functions(tree, prefix=""):
+    """(qualified name, node) of every function in a syntax tree, at any depth."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            name = f"{prefix}{node.name}"
+            if not isinstance(node, ast.ClassDef):
+                yield name, node
+            yield from functions(node, f"{name}.")
+        else:
+            yield from functions(node, prefix)
+
+
+def n_parameters(function):
+    """How many arguments a caller may give; `self` and `cls` are given by Python."""
+    given = function.args
+    names = [each.arg for each in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+    bound = names[:1] in (["self"], ["cls"])
+    return len(names) - bound + (given.vararg is not None) + (given.kwarg is not None)
+
+
+def test_no_function_has_more_parameters_than_one_keeps_in_mind():
+    """A command's are the options that users type; a data class has fields and no such function."""
+    many = {
+        f"{place(path)}:{name}"
+        for path in SOURCES
+        for name, function in functions(ast.parse(path.read_text("utf-8")))
+        if n_parameters(function) > MOST_PARAMETERS
+    }
+
+    assert many - command_functions() == STILL_MANY_PARAMETERS
+
+
+def test_commands_are_recognised():
+    found = command_functions()
+    assert len(found) > 25
+    assert {each.split("/")[1] for each in found} == {"cli.py:lipservo", "commands"}
+
+
+def test_tests_lie_where_the_package_lies_that_they_test():
+    folders = {place(path.parent).removeprefix("tests/") for path in files("tests")} - {"tests"}
+    strangers = {
+        name
+        for name in folders
+        if name.split("/")[0] not in OTHER_TESTS and not (ROOT / name / "__init__.py").exists()
+    }
+
+    assert strangers == set()
+
+
+@pytest.mark.parametrize("package", [*MAY_IMPORT, "config"])
+def test_every_folder_of_a_package_says_what_it_is(package):
+    folders = {path.parent for path in files(package) if path.suffix != ".md"}
+    silent = []
+    for each in folders:
+        init = each / "__init__.py"
+        if not init.exists() or not ast.get_docstring(ast.parse(init.read_text("utf-8"))):
+            silent.append(place(each))
+
+    assert silent == []
+
+
+def test_two_files_of_a_package_share_a_name_only_as_one_contract():
+    of_name = defaultdict(set)
+    for path in MODULES.values():
+        if path.name != "__init__.py":
+            of_name[path.relative_to(ROOT).parts[0], path.name].add(place(path))
+    shared = {key for key, paths in of_name.items() if len(paths) > 1}
+
+    assert shared - set(CONTRACTS) == STILL_OF_ONE_NAME
+    for key, contract in CONTRACTS.items():
+        file, _, name = contract.partition(":")
+        assert file in of_name[key]
+        assert f"class {name}(Protocol)" in (ROOT / file).read_text("utf-8")

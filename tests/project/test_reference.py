@@ -1,0 +1,28 @@
+"""`make docs`: the reference of all public names, from their docstrings."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+
+@pytest.mark.packaging
+def test_the_reference_is_built_without_a_warning_and_has_every_package(tmp_path):
+    """With this environment in place of .venv; Python's warnings are errors, as in `make docs`."""
+    site = tmp_path / "site"
+    command = ["make", "--old-file=.venv/.installed-dev", "docs"]
+    command += [f"BIN={Path(sys.executable).parent}", f"SITE={site}"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+
+    assert done.returncode == 0, done.stderr
+    for page, name in {
+        "calibration/calibration.html": "Calibration.positions_deg",
+        "firmware_bridge/bus.html": "ServoBus.write_positions",
+        "lipservo/street/street.html": "Street.tick",
+        "lipsync/phonemes.html": "LiveRecognizer.feed",
+    }.items():
+        text = (site / page).read_text("utf-8")
+        assert f'id="{name}"' in text
+        assert 'src="http' not in text
