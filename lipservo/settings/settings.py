@@ -18,6 +18,7 @@ from pydantic import (
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.joints import Joint
 from lipservo.settings.gate_settings import PreventSettings, StaleSettings, TrackingSettings
+from lipservo.settings.motion_settings import MotionSettings
 from lipservo.settings.setting_types import (
     Acceleration,
     BaudRate,
@@ -149,6 +150,7 @@ class FaceSettings(Strict):
     prevent: tuple[PreventSettings, ...] = ()
     stale: StaleSettings = StaleSettings()
     tracking: TrackingSettings = TrackingSettings()
+    motion: MotionSettings = MotionSettings()
 
     @field_validator("prevent", mode="before")
     @classmethod
@@ -176,13 +178,13 @@ class FaceSettings(Strict):
         if not servos:
             raise ValueError("needs at least one servo")
         first: dict[int, str] = {}
-        mistakes = [
+        errors = [
             f"{first[servo.id]} and {name} both have id {servo.id}; every servo needs its own"
             for name, servo in servos.items()
             if first.setdefault(servo.id, name) != name
         ]
-        if mistakes:
-            raise ValueError("\n".join(mistakes))
+        if errors:
+            raise ValueError("\n".join(errors))
         return servos
 
     @property
