@@ -8,7 +8,14 @@ from typing import Annotated
 
 import typer
 
-from lipservo.settings.motion_names import DEFAULT_STRATEGY, Engine, Strategy
+from lipservo.settings.motion_names import (
+    DEFAULT_STRATEGY,
+    LONGEST_LOOKAHEAD_MS,
+    SMOOTHEST,
+    STRONGEST,
+    Engine,
+    Strategy,
+)
 from lipsync.errors import UserError
 
 DEFAULT_FACE = "face_sim"
@@ -29,6 +36,8 @@ Port = Annotated[
         show_default=False,
     ),
 ]
+#: Where no face says it.
+RequiredPort = Annotated[str, typer.Option(help="Serial port of the servos.")]
 Sim = Annotated[
     str | None,
     typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
@@ -90,7 +99,7 @@ Lookahead = Annotated[
     float | None,
     typer.Option(
         min=0.0,
-        max=1000.0,
+        max=LONGEST_LOOKAHEAD_MS,
         help="Show the face so much later, for what comes next; default: 100, or the face's.",
         show_default=False,
     ),
@@ -99,14 +108,14 @@ Strength = Annotated[
     float | None,
     typer.Option(
         min=0.0,
-        max=1.5,
+        max=STRONGEST,
         help="How far the mouth moves; 1, the default, as the speaker's.",
         show_default=False,
     ),
 ]
 Smoothness = Annotated[
     float | None,
-    typer.Option(min=0.0, max=1.0, help="0, the default, crisp, 1 slow.", show_default=False),
+    typer.Option(min=0.0, max=SMOOTHEST, help="0, the default, crisp, 1 slow.", show_default=False),
 ]
 
 # ---- what comes out ----

@@ -16,6 +16,10 @@ DEFAULT_ENGINE: Final[Engine] = "network"
 DEFAULT_STRATEGY: Final[Strategy] = "expected"
 #: What each strategy lets its user set; the paper's plays what was recorded, in its own time.
 STYLE_NAMES: Final = ("lookahead_ms", "strength", "smoothness")
+#: The most that each may be; the least is 0. `lipsync.motion.live_synthesizer` says why.
+LONGEST_LOOKAHEAD_MS: Final = 1000.0
+STRONGEST: Final = 1.5
+SMOOTHEST: Final = 1.0
 STYLES_OF: Final[dict[Strategy, tuple[str, ...]]] = {
     "expected": STYLE_NAMES,
     "priority": (),

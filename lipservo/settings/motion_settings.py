@@ -6,6 +6,9 @@ from pydantic import model_validator
 
 from lipservo.settings.motion_names import (
     DEFAULT_STRATEGY,
+    LONGEST_LOOKAHEAD_MS,
+    SMOOTHEST,
+    STRONGEST,
     STYLE_NAMES,
     STYLES_OF,
     Engine,
@@ -17,16 +20,15 @@ from lipservo.settings.setting_types import Strict, Text, within
 class MotionSettings(Strict):
     """Every one of them may be absent; the command line goes before it.
 
-    weights: `default`, `grid`, or a file, from the folder of the YAML. The limits are those of
-    `lipsync.motion.live_synthesizer.Style`, which a test compares.
+    weights: `default`, `grid`, or a file, from the folder of the YAML.
     """
 
     strategy: Strategy | None = None
     engine: Engine | None = None
     weights: Text | None = None
-    lookahead_ms: Annotated[float, within(0.0, 1000.0)] | None = None
-    strength: Annotated[float, within(0.0, 1.5)] | None = None
-    smoothness: Annotated[float, within(0.0, 1.0)] | None = None
+    lookahead_ms: Annotated[float, within(0.0, LONGEST_LOOKAHEAD_MS)] | None = None
+    strength: Annotated[float, within(0.0, STRONGEST)] | None = None
+    smoothness: Annotated[float, within(0.0, SMOOTHEST)] | None = None
 
     @model_validator(mode="after")
     def _the_strategy_has_them(self) -> Self:

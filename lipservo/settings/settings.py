@@ -1,4 +1,4 @@
-"""The face YAML: its schema, how it is read, and how a mistake in it is explained."""
+"""The face YAML: its schema, how it is read, and how an error in it is explained."""
 
 import hashlib
 import json
@@ -96,7 +96,7 @@ class ServoSettings(Strict):
     max_acceleration_deg_s2: Acceleration | None = None
     max_current_ma: Milliamperes | None = None
     critical: bool = False
-    #: What it moves; only the mouth is calibrated to a talker.
+    #: What it moves; only the mouth is calibrated to a speaker.
     part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
 
     @model_validator(mode="after")
@@ -225,7 +225,7 @@ class FaceSettings(Strict):
 
 
 def load_face(path: Path) -> FaceSettings:
-    """Read a face YAML. Raises SettingsError with one line for each mistake in it."""
+    """Read a face YAML. Raises SettingsError with one line for each error in it."""
     return _load(path)
 
 

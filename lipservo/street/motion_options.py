@@ -8,6 +8,8 @@ from firmware_bridge.process.command_queue import Setting
 from lipservo.settings.motion_names import (
     DEFAULT_ENGINE,
     DEFAULT_STRATEGY,
+    SMOOTHEST,
+    STRONGEST,
     STYLE_NAMES,
     STYLES_OF,
     Engine,
@@ -22,7 +24,6 @@ from lipsync.face.synthesizer import Synthesizer
 from lipsync.motion.live_synthesizer import (
     DEFAULT_LOOKAHEAD_S,
     LIVE_STRATEGY,
-    STRONGEST,
     LiveSynthesizer,
     Style,
     StyleError,
@@ -36,7 +37,7 @@ LATENCY_S = 0.095
 _POCKETSPHINX_LATENCY_S = 0.09
 #: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
 #: from sound to face, which is declared at the start and stays.
-_LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": 1.0}
+_LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST}
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What the user asked for: run this face with this sound in this manner.
+"""What the user asked for: run this face, with this sound, this motion, these outputs.
 
 Made once, from a command's options. The processes of a supervised face receive it whole, as one
 argument of JSON: an option cannot fall out on the way.

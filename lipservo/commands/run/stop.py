@@ -11,7 +11,7 @@ import typer
 from firmware_bridge.process.control_client import RunningFace, ask, running_faces
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
-from lipservo.commands.options import Control, FaceName, Json
+from lipservo.commands.options import Control, FaceName, Json, Port
 from lipservo.commands.run.running import chosen_faces
 from lipservo.face.letting_go import Outcome, port_of, release, stop_face
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
@@ -67,9 +67,7 @@ def status(face: FaceName = None, control: Control = None, as_json: Json = False
 
 
 def limp(
-    port: Annotated[
-        str | None, typer.Option(help="Let go of the servos at this port.", show_default=False)
-    ] = None,
+    port: Port = None,
     config: Annotated[
         str | None,
         typer.Option(

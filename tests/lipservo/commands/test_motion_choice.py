@@ -9,6 +9,7 @@ import yaml
 from places import ROOT
 
 from lipservo.commands.run.motion_choice import takes_motion
+from lipservo.settings import motion_names as names
 from lipservo.settings.motion_names import STRATEGIES as NAMES
 from lipservo.settings.motion_names import STYLE_NAMES, Engine
 from lipservo.settings.motion_settings import MotionSettings
@@ -124,6 +125,9 @@ def test_the_names_and_limits_that_load_at_once_are_those_of_what_they_name():
     for engine in get_args(Engine):
         assert make_recognizer(engine).level == engine
     MotionSettings(lookahead_ms=LONGEST_LOOKAHEAD_S * 1e3, strength=STRONGEST, smoothness=1.0)
+    assert names.STRONGEST == STRONGEST
+    assert names.LONGEST_LOOKAHEAD_MS == LONGEST_LOOKAHEAD_S * 1e3
+    assert set(names.STYLES_OF) == set(NAMES)
     for beyond in ({"lookahead_ms": LONGEST_LOOKAHEAD_S * 1e3 + 1}, {"strength": STRONGEST + 0.01}):
         with pytest.raises(ValueError, match="outside"):
             MotionSettings(**beyond)

@@ -40,7 +40,7 @@ def test_what_does_not_fit_is_left_out():
 
 
 def test_at_rest_the_shipped_mouth_is_closed_straight_and_symmetrical():
-    """The talker's own lips are 0.7 mm apart at rest, and her head leans to one side."""
+    """The speaker's own lips are 0.7 mm apart at rest, and her head leans to one side."""
     model = load_shipped_model()
     rest_mm = model.markers_mm(model.rest[None])[0]
     drawn = dots(draw_mouth(rest_mm, rest_mm))

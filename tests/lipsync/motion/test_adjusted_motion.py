@@ -23,7 +23,7 @@ MODEL = load_shipped_model()
 SENTENCE = spoken(
     ("SIL", 0.3), ("AA", 0.3), ("IY", 0.2), ("UW", 0.25), ("T", 0.08), ("AE", 0.6), ("SIL", 0.5)
 )
-STEP_S = 0.002
+STEP_S = 0.005
 TIMES_S = np.arange(0.0, 2.2, STEP_S)
 
 
@@ -42,6 +42,9 @@ def shown(style, changes=()):
 def fastest_mm_s(faces):
     markers_mm = MODEL.markers_mm(faces)
     return np.linalg.norm(np.diff(markers_mm, axis=0), axis=2).max() / STEP_S
+
+
+STRONGEST_FACES = shown(Style(strength=STRONGEST))
 
 
 @pytest.mark.parametrize(
@@ -67,7 +70,7 @@ changes = st.tuples(
 ).map(lambda drawn: (drawn[0], drawn[1][0], drawn[1][1] * drawn[2]))
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(st.lists(changes, min_size=1, max_size=6).map(sorted))
 def test_no_change_makes_the_mouth_jump(several):
     """However many changes come, and while others are under way.
@@ -75,10 +78,9 @@ def test_no_change_makes_the_mouth_jump(several):
     The strongest mouth that is never told anything moves at its own speed; easing over its whole
     excursion in 0.3 s adds 1.5 times that in 0.3 s for each change that turns another round.
     """
-    strongest = shown(Style(strength=STRONGEST))
     rest_mm = MODEL.markers_mm(MODEL.rest[None])
-    excursion_mm = np.linalg.norm(MODEL.markers_mm(strongest) - rest_mm, axis=2).max()
-    allowed_mm_s = fastest_mm_s(strongest) + 3.0 * excursion_mm / ADJUSTING_S
+    excursion_mm = np.linalg.norm(MODEL.markers_mm(STRONGEST_FACES) - rest_mm, axis=2).max()
+    allowed_mm_s = fastest_mm_s(STRONGEST_FACES) + 3.0 * excursion_mm / ADJUSTING_S
 
     assert fastest_mm_s(shown(Style(), several)) <= allowed_mm_s
 
