@@ -4,77 +4,31 @@ import contextlib
 import json
 import os
 import signal
-import socket
-import subprocess
-import sys
-import time
-from importlib import resources
-from pathlib import Path
 
 import pytest
-from short_folder import short_folder
-from speech import CLIP_PATH
+from running_daemon import (
+    PATIENCE_S,
+    alive,
+    all_driven,
+    child,
+    log,
+    own_folder,
+    run,
+    running,
+    torque,
+    wait_for,
+)
 from typer.testing import CliRunner
 
-from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
-from firmware_bridge.process.control_client import ask
 from lipservo.cli import app
 from lipservo.face.sim_process import simulated_port
-from lipservo.street.motion_options import MotionOptions
-from lipservo.street.run_request import RunRequest, request_of_json
-from lipservo.street.sources import Sound
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import Style
-
-BAUD_RATE = 1_000_000
-IDS = range(11, 21)
-#: Far more than anything here takes, even on a busy machine.
-PATIENCE_S = 120.0
-LIPSERVO = [sys.executable, "-m", "lipservo"]
 
 
 @pytest.fixture(scope="module")
 def port():
     with simulated_port(["--config", "face_sim", "--on-time"]) as port:
         yield port
-
-
-def own_folder(monkeypatch):
-    """Faces of this test only."""
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
-    session = short_folder()
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
-
-
-@contextlib.contextmanager
-def running(port, folder, *arguments, errors=None):
-    """A `lipservo daemon` whose servos are driven."""
-    notify, said = folder / "notify.sock", folder / "said.txt"
-    with (
-        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd,
-        said.open("w") as log,
-        (folder / "out.txt").open("w") as out,
-    ):
-        systemd.bind(str(notify))
-        systemd.settimeout(PATIENCE_S)
-        with subprocess.Popen(
-            [*LIPSERVO, "daemon", "--port", port, *arguments],
-            stdout=out,
-            stderr=log if errors is None else errors,
-            env={**os.environ, "NOTIFY_SOCKET": str(notify)},
-        ) as process:
-            process.said, process.out = said, folder / "out.txt"
-            try:
-                assert systemd.recv(100) == b"READY=1"
-                (process.control,) = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo").glob("*.sock")
-                yield process
-            finally:
-                process.terminate()
-                try:
-                    process.wait(PATIENCE_S)
-                except subprocess.TimeoutExpired:
-                    process.kill()
 
 
 @pytest.fixture(scope="module")
@@ -99,55 +53,6 @@ def daemon(tmp_path, monkeypatch):
         yield process
 
 
-def wait_for(condition):
-    give_up_s = time.monotonic() + PATIENCE_S
-    while not condition():
-        assert time.monotonic() < give_up_s, "nothing happened"
-        time.sleep(0.05)
-
-
-def run(*arguments):
-    return subprocess.run(
-        [*LIPSERVO, *arguments], timeout=PATIENCE_S, check=False, capture_output=True, text=True
-    )
-
-
-def log(process):
-    return process.said.read_text()
-
-
-def child(process, name):
-    """The number of the newest process of that name, from the log."""
-    lines = [line for line in log(process).splitlines() if line.startswith(f"{name} runs")]
-    return int(lines[-1].split()[-1])
-
-
-def torque(port):
-    """torque_enable of every servo, read by a second program once the first is gone."""
-    transport = open_port(port, BAUD_RATE)
-    try:
-        line = Line(transport)
-        return [line.read(each, 64, 1).data[0] for each in IDS]
-    finally:
-        transport.close()
-
-
-def alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
-def all_driven(process):
-    try:
-        states = ask(process.control, "status", PATIENCE_S)["servos"]
-    except OSError:
-        return False
-    return set(states.values()) == {"driven"}
-
-
 @pytest.mark.parametrize(
     ("number", "said"),
     [(signal.SIGKILL, "bridge died (signal 9)"), (signal.SIGSTOP, "bridge hangs")],
@@ -170,76 +75,6 @@ def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(enduring):
 
     assert child(enduring, "bridge") == bridge
     assert all_driven(enduring)
-
-
-def settings(process):
-    """What the speech side says is set; {} before it has said so."""
-    return ask(process.control, "status", PATIENCE_S)["settings"]
-
-
-def test_what_is_set_reaches_the_speech_side_and_outlives_it(enduring):
-    done = run("set", "strength", "0.5", "--control", str(enduring.control))
-    wait_for(lambda: settings(enduring).get("strength") == 0.5)
-    refused = run("set", "lookahead_ms", "50", "--control", str(enduring.control))
-    first = child(enduring, "speech")
-    os.kill(first, signal.SIGKILL)
-    wait_for(lambda: child(enduring, "speech") != first)
-    wait_for(lambda: settings(enduring).get("strength") == 0.5)
-
-    assert (done.returncode, refused.returncode) == (0, 1)
-    assert "strength is 0.5 from now on" in done.stdout
-    assert "there are: strength (0 to 1.5), smoothness (0 to 1)" in refused.stderr
-    assert refused.stderr.count("\n") == 1
-
-
-def received(process, name):
-    """The request that a child was given, read from its command line in the kernel."""
-    words = Path(f"/proc/{child(process, name)}/cmdline").read_bytes().decode().split("\0")
-    return request_of_json(words[words.index("--request") + 1])
-
-
-def test_the_children_receive_all_that_was_typed(tmp_path, monkeypatch):
-    own_folder(monkeypatch)
-    model = tmp_path / "model.npz"
-    with resources.as_file(resources.files("lipsync.models") / "grid_s1.npz") as shipped:
-        model.write_bytes(shipped.read_bytes())
-    control = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo", "typed.sock")
-    control.parent.mkdir()
-    control.parent.chmod(0o700)
-    typed = {
-        "--config": "face_sim",
-        "--wav": str(CLIP_PATH),
-        "--model": str(model),
-        "--rate-hz": "50",
-        "--engine": "pocketsphinx",
-        "--weights": "grid",
-        "--strategy": "expected",
-        "--lookahead-ms": "50",
-        "--strength": "0.5",
-        "--smoothness": "0.25",
-        "--control": str(control),
-    }
-    with simulated_port(["--config", "face_sim", "--on-time"]) as own_port:
-        arguments = [word for option in typed.items() for word in option]
-        with running(own_port, tmp_path, *arguments, "--json") as process:
-            wanted = RunRequest(
-                config="face_sim",
-                sound=Sound("file", str(CLIP_PATH)),
-                motion=MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 0.5, 0.25)),
-                model=model,
-                port=own_port,
-                rate_hz=50.0,
-                control=control,
-                as_json=True,
-            )
-            wait_for(lambda: settings(process))
-            status = ask(process.control, "status", PATIENCE_S)
-            assert (received(process, "bridge"), received(process, "speech")) == (wanted, wanted)
-    assert (status["engine"], status["weights"]) == ("pocketsphinx", "grid")
-    assert status["settings"] == {"lookahead_ms": 50.0, "strength": 0.5, "smoothness": 0.25}
-    assert status["sound"] == CLIP_PATH.name
-    told = json.loads(process.out.read_text())
-    assert (len(told["confirmed"]), told["face_status"]["strategy"]) == (10, "expected")
 
 
 @pytest.mark.parametrize("same_socket", [False, True])
