@@ -7,6 +7,7 @@ import pytest
 
 from firmware_bridge.clock import ManualClock, ticks
 from lipservo.face.assembly import assemble_face, make_bus
+from lipservo.status.face_status import Status
 from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipservo.street.street import make_street
 from lipservo.street.summary import Tally
@@ -63,7 +64,7 @@ def measured(source_of, recognizer_of):
                 break
             tally.begin_tick(time_s)
             tally.observe(street.tick(time_s, late))
-        return tally.summary("x", 6.0, 6.0, 0)
+        return tally.summary(Status(sound="x"), 6.0, 6.0)
 
 
 def undisturbed(_clock):

@@ -80,7 +80,7 @@ def test_no_change_makes_the_mouth_jump(several):
     """
     rest_mm = MODEL.markers_mm(MODEL.rest[None])
     excursion_mm = np.linalg.norm(MODEL.markers_mm(STRONGEST_FACES) - rest_mm, axis=2).max()
-    allowed_mm_s = fastest_mm_s(STRONGEST_FACES) + 3.0 * excursion_mm / ADJUSTING_S
+    allowed_mm_s = fastest_mm_s(STRONGEST_FACES) + 3.0 * excursion_mm / 0.3
 
     assert fastest_mm_s(shown(Style(), several)) <= allowed_mm_s
 
