@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.loop.status import face_status
 from lipservo.face.assembly import assemble_face, make_bus
-from lipservo.status.face_status import Status
+from lipservo.status.face_status import whole_status
 from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipservo.street.street import make_street
 from lipservo.street.summary import Tally
@@ -64,7 +65,7 @@ def measured(source_of, recognizer_of):
                 break
             tally.begin_tick(time_s)
             tally.observe(street.tick(time_s, late))
-        return tally.summary(Status(sound="x"), 6.0, 6.0)
+        return tally.summary(whole_status(face_status(street.bridge), None), 6.0, 6.0)
 
 
 def undisturbed(_clock):
