@@ -13,7 +13,7 @@ from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import calibration
 from lipservo.commands.learn import alignment, recognition, training
-from lipservo.commands.run import health, processes, stop, street, trace
+from lipservo.commands.run import health, processes, set_value, stop, street, trace
 
 app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (
@@ -29,10 +29,10 @@ for command in (
     recognition.plot_training,
 ):
     app.command()(command)
-# Degrees may be negative, which looks like an option.
-_DEGREES = {"ignore_unknown_options": True}
-app.command("trim", context_settings=_DEGREES)(calibration.trim)
-app.command("jog", context_settings=_DEGREES)(builder.jog)
+# A number may be negative, which looks like an option.
+_NUMBERS = {"ignore_unknown_options": True}
+app.command("trim", context_settings=_NUMBERS)(calibration.trim)
+app.command("jog", context_settings=_NUMBERS)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 bench.app.command("closures")(bench_closures.closures)
@@ -47,6 +47,7 @@ app.command("speech-process", hidden=True)(processes.speech_process)
 app.command("stop")(stop.stop)
 app.command("status")(stop.status)
 app.command("limp")(stop.limp)
+app.command("set", context_settings=_NUMBERS)(set_value.set_value)
 app.command()(health.health)
 app.add_typer(bench.app, name="bench")
 app.add_typer(trace.app, name="trace")

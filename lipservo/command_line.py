@@ -12,7 +12,7 @@ from lipservo.terminal.output import complain
 from lipsync.errors import UserError
 
 #: A person beside the robot waits for these: nothing else is loaded then.
-_AT_ONCE = ("stop", "status", "limp")
+_AT_ONCE = ("stop", "status", "limp", "set")
 #: What pydantic says of a value, and what we say.
 _IN_OUR_WORDS = {
     "Input should be a valid number, unable to parse string as a number": "not a number",
@@ -60,9 +60,9 @@ def main() -> None:
 def _commands(arguments: list[str]) -> typer.Typer:
     """All commands; the few alone that must be there at once."""
     if arguments[0] in _AT_ONCE:
-        from lipservo.commands.run import stop
+        from lipservo.commands.run import at_once
 
-        return stop.app
+        return at_once.app
     from lipservo import cli
 
     return cli.app

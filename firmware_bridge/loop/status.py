@@ -1,4 +1,4 @@
-"""What a running face answers when it is asked how it is: plain values, names with units."""
+"""What a bridge knows of its face's status: plain values, names with units."""
 
 import os
 
@@ -11,8 +11,8 @@ from firmware_bridge.loop.servo_supervision import ServoState
 def face_status(bridge: Bridge) -> dict[str, object]:
     """One object for JSON. Made when somebody asks, not in every tick.
 
-    state: a `FaceState`; plugged: whether the port is there; servo_states: a `ServoState` in words
-    for each of `joints`; troubles: a line for each servo that is not driven; *_total: how often
+    state: a `FaceState`; plugged: whether the port is there; servos: the `ServoState` in words of
+    each joint, by name; troubles: a line for each servo that is not driven; *_total: how often
     the gate stepped in, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
@@ -24,8 +24,10 @@ def face_status(bridge: Bridge) -> dict[str, object]:
         "state": status.state.value,
         "plugged": bridge.plugged,
         "torque_on": ServoState.DRIVEN in status.servo_states,
-        "joints": list(bridge.names),
-        "servo_states": [state.name.lower() for state in status.servo_states],
+        "servos": {
+            name: state.name.lower()
+            for name, state in zip(bridge.names, status.servo_states, strict=True)
+        },
         "troubles": list(bridge.troubles),
         "n_ticks": status.n_ticks,
         "n_late": status.n_late,

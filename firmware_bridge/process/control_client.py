@@ -10,7 +10,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_bridge.process.control_socket import held_folder, is_dead_socket, knock, peer
+from firmware_bridge.process.control_socket import (
+    LONGEST_WORD,
+    SET_WORD,
+    held_folder,
+    is_dead_socket,
+    knock,
+    peer,
+)
 from firmware_bridge.process.runtime_folder import (
     SOCKET_SUFFIX,
     ControlError,
@@ -72,6 +79,17 @@ def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
         if answer is not None:
             return answer
         _wait_to_retry(give_up_s)
+
+
+def change_setting(path: Path, name: str, value: float) -> Answer:
+    """Set what may change while a face runs: {"set", "value"}, or {"error"}: one line.
+
+    Raises OSError when nobody answers.
+    """
+    word = f"{SET_WORD} {name} {value!r}"
+    if len(word.encode()) > LONGEST_WORD or len(name.split()) != 1:
+        return {"error": f"{name[:40]!r}: no such setting"}
+    return ask(path, word)
 
 
 def stop_and_wait(

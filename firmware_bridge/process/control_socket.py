@@ -20,10 +20,14 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final, Self
 
+from firmware_bridge.process.command_queue import CommandError, CommandQueue
 from firmware_bridge.process.runtime_folder import ControlError
 from firmware_bridge.stopping import StopLevel
 
-LONGEST_WORD: Final = 64
+#: `status`, a level of stop, or `set NAME VALUE`; bytes.
+LONGEST_WORD: Final = 128
+#: The first word of a change of a setting.
+SET_WORD: Final = "set"
 #: People who wait for a stop, and some who ask; the oldest of these makes room.
 _MOST_CLIENTS: Final = 16
 _ACCEPTED_AT_ONCE: Final = 4
@@ -52,17 +56,28 @@ class _Client:
 class ControlSocket:
     """The face's end. Use it as a context manager; `poll` never waits.
 
-    about: what every answer says besides, such as the face's name and port.
+    What it hears goes into its `CommandQueue`, where others may write as well.
     """
 
     def __init__(
-        self, listener: socket.socket, path: Path, about: Mapping[str, object] | None = None
+        self,
+        listener: socket.socket,
+        path: Path,
+        about: Mapping[str, object] | None = None,
+        commands: CommandQueue | None = None,
+        describe: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
     ) -> None:
-        """Use `bind` or `adopt`."""
+        """Use `bind` or `adopt`.
+
+        about: what every answer says besides, such as the face's name and port. describe: makes
+        the answer to `status` of what the loop knows and of `about`.
+        """
         self._listener = listener
         self._listener.setblocking(False)
         self._path = path
         self._about = {} if about is None else dict(about)
+        self._commands = CommandQueue() if commands is None else commands
+        self._describe = describe
         self._clients: dict[int, _Client] = {}
         self._ready = select.poll()
         self._ready.register(listener.fileno(), select.POLLIN)
@@ -70,7 +85,13 @@ class ControlSocket:
         self.asked_by = ""  # who asked for the last stop, for a log
 
     @classmethod
-    def bind(cls, path: Path, about: Mapping[str, object] | None = None) -> Self:
+    def bind(
+        cls,
+        path: Path,
+        about: Mapping[str, object] | None = None,
+        commands: CommandQueue | None = None,
+        describe: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
+    ) -> Self:
         """Listen at `path`, and remove it in the end.
 
         Raises ControlError where a face listens already, where something else lies that is no dead
@@ -92,14 +113,21 @@ class ControlSocket:
         except ControlError:
             listener.close()
             raise
-        control = cls(listener, path, about)
+        control = cls(listener, path, about, commands, describe)
         control._bound_inode = _inode(path)
         return control
 
     @classmethod
-    def adopt(cls, fd: int, path: Path, about: Mapping[str, object] | None = None) -> Self:
+    def adopt(
+        cls,
+        fd: int,
+        path: Path,
+        about: Mapping[str, object] | None = None,
+        commands: CommandQueue | None = None,
+        describe: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
+    ) -> Self:
         """Serve a listening socket that another process made; its file is left to that process."""
-        return cls(socket.socket(fileno=fd), path, about)
+        return cls(socket.socket(fileno=fd), path, about, commands, describe)
 
     @property
     def path(self) -> Path:
@@ -115,16 +143,19 @@ class ControlSocket:
         return [self._listener.fileno(), *self._clients]
 
     def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
-        """Answer what has come; the stop that was asked for, if any. status: made when asked."""
+        """Answer what has come; the next stop of the queue, if any. status: made when asked."""
         for fd, _ in self._ready.poll(0):
             if fd == self._listener.fileno():
                 self._accept()
                 continue
             client = self._clients.get(fd)  # it may have made room for somebody just now
-            level = None if client is None else self._hear(client, status)
-            if level is not None:
-                return level
-        return None
+            if client is not None:
+                self._hear(client, status)
+        request = self._commands.take_stop()
+        if request is None:
+            return None
+        self.asked_by = request.asked_by
+        return request.level
 
     def report_end(self, report: Mapping[str, object]) -> None:
         """Say to everybody who asked for a stop how it ended: who confirmed to be limp."""
@@ -156,28 +187,37 @@ class ControlSocket:
             self._clients[end.fileno()] = _Client(end)
             self._ready.register(end.fileno(), select.POLLIN)
 
-    def _hear(
-        self, client: _Client, status: Callable[[], Mapping[str, object]]
-    ) -> StopLevel | None:
+    def _hear(self, client: _Client, status: Callable[[], Mapping[str, object]]) -> None:
         try:
             word = client.end.recv(LONGEST_WORD).decode("utf-8", "replace").strip()
         except BlockingIOError:
-            return None
+            return
         except OSError:
             word = ""
         if not word:
             self._drop(client)
-            return None
-        if word == "status":
-            client.send({**status(), **self._about})
-            return None
-        if word not in set(StopLevel):
+        elif word == "status":
+            client.send(self._describe({**status(), **self._about}))
+        elif word in set(StopLevel):
+            client.asked_to_stop = True
+            client.send({"accepted": word, **self._describe({**status(), **self._about})})
+            self._commands.stop(StopLevel(word), _named_peer(client.end))
+        elif word.split()[0] == SET_WORD:
+            client.send(self._changed(word.split()[1:]))
+        else:
             client.send({"error": f"{word!r} is not known here"})
-            return None
-        client.asked_to_stop = True
-        client.send({"accepted": word, **status(), **self._about})
-        self.asked_by = _named_peer(client.end)
-        return StopLevel(word)
+
+    def _changed(self, words: list[str]) -> dict[str, object]:
+        """The answer to `set NAME VALUE`."""
+        try:
+            name, value = words[0], float(words[1])
+            self._commands.change(name, value)
+        except (IndexError, CommandError) as error:
+            text = str(error) if isinstance(error, CommandError) else "say: set NAME VALUE"
+            return {"error": text}
+        except ValueError:
+            return {"error": f"{words[1]!r} is not a number"}
+        return {"set": name, "value": value, **self._about}
 
     def _drop(self, client: _Client) -> None:
         fd = client.end.fileno()

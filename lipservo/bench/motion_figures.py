@@ -5,7 +5,8 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 
-from lipservo.street.motion_options import ENGINES, Engine, make_recognizer
+from lipservo.settings.motion_names import ENGINES, Engine
+from lipservo.street.motion_options import make_recognizer
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.corpus.speech_frames import speech_frames
 from lipsync.corpus.utterance import Corpus, Utterance

@@ -11,7 +11,9 @@ import numpy as np
 
 from firmware_bridge.clock import ManualClock
 from lipservo.commands.options import DEFAULT_FACE
-from lipservo.street.run_face import Performance
+from lipservo.street.run_face import run_face
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import Sound
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.file import FileSource
@@ -25,11 +27,11 @@ _REPLAYS = 3
 
 def replay_speed(recordings: Sequence[Path]) -> float:
     """Sound seconds in a second, loading included: the slowest recording's median."""
-    performance = Performance(DEFAULT_FACE, None, None, None, live=False, quiet=True)
 
     def speed(recording: Path) -> float:
+        request = RunRequest(DEFAULT_FACE, Sound("file", str(recording)), quiet=True)
         with SilenceAfter(FileSource(recording)) as source:
-            return performance.play(source, ManualClock()).summary.speed
+            return run_face(request, source, ManualClock()).summary.speed
 
     return min(float(np.median([speed(r) for _ in range(_REPLAYS)])) for r in recordings)
 

@@ -1,11 +1,26 @@
-"""Options that several commands share."""
+"""The options of commands, each declared once.
+
+`stop` and its like read this file: it loads nothing that takes long.
+"""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from lipservo.settings.motion_names import (
+    DEFAULT_STRATEGY,
+    LONGEST_LOOKAHEAD_MS,
+    SMOOTHEST,
+    STRONGEST,
+    Engine,
+    Strategy,
+)
 from lipsync.errors import UserError
+
+DEFAULT_FACE = "face_sim"
+
+# ---- which face ----
 
 Config = Annotated[
     str, typer.Option(help="Face: the name of a shipped one, or the path of a YAML file.")
@@ -16,14 +31,103 @@ Model = Annotated[
 ]
 Port = Annotated[
     str | None,
-    typer.Option(help="Serial port of the servos; default: the face's.", show_default=False),
+    typer.Option(
+        help="Serial port of the servos, /dev/ttyUSB0 for one; default: the face's.",
+        show_default=False,
+    ),
+]
+#: Where no face says it.
+RequiredPort = Annotated[str, typer.Option(help="Serial port of the servos.")]
+Sim = Annotated[
+    str | None,
+    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
+]
+Rate = Annotated[
+    float | None,
+    typer.Option(
+        min=30.0, max=200.0, help="Frames a second; default: the face's.", show_default=False
+    ),
+]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Read the servos, never move them.")]
+
+# ---- which running face ----
+
+FaceName = Annotated[
+    str | None, typer.Option("--face", help="Only the face of this name.", show_default=False)
+]
+Control = Annotated[
+    Path | None, typer.Option(help="Socket that the face listens on.", show_default=False)
+]
+
+# ---- what it hears ----
+
+Wav = Annotated[
+    Path | None,
+    typer.Option(help="Sound file: WAV, FLAC, OGG, any rate.", show_default=False),
+]
+Mic = Annotated[
+    str | None,
+    typer.Option(
+        metavar="[DEVICE]",
+        help="Listen to a microphone: the default one, or a number or part of a name.",
+        show_default=False,
+    ),
+]
+
+# ---- how sound becomes motion ----
+
+_ENGINE = typer.Option(
+    help="Recogniser to begin with; a worse one takes over where it fails.", show_default=False
+)
+_WEIGHTS = typer.Option(
+    help="What the network has learned: default, grid, or a file of weights.", show_default=False
+)
+EngineChoice = Annotated[Engine, _ENGINE]
+WeightsChoice = Annotated[str, _WEIGHTS]
+#: The same where the face's YAML may say it; then None is `not typed`.
+FaceEngine = Annotated[Engine | None, _ENGINE]
+FaceWeights = Annotated[str | None, _WEIGHTS]
+FaceStrategy = Annotated[
+    Strategy | None,
+    typer.Option(
+        help=f"How phonemes become motion: {DEFAULT_STRATEGY}, or the paper's naive, priority; "
+        "default: the face's.",
+        show_default=False,
+    ),
+]
+Lookahead = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        max=LONGEST_LOOKAHEAD_MS,
+        help="Show the face so much later, for what comes next; default: 100, or the face's.",
+        show_default=False,
+    ),
+]
+Strength = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        max=STRONGEST,
+        help="How far the mouth moves; 1, the default, as the speaker's.",
+        show_default=False,
+    ),
+]
+Smoothness = Annotated[
+    float | None,
+    typer.Option(min=0.0, max=SMOOTHEST, help="0, the default, crisp, 1 slow.", show_default=False),
+]
+
+# ---- what comes out ----
+
+Trace = Annotated[
+    Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no messages.")]
 SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out sentences with a bad file, and list them.")
 ]
-DEFAULT_FACE = "face_sim"
 
 
 def port_of(given: str | None, of_the_face: str | None) -> str:

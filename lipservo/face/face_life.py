@@ -1,19 +1,41 @@
 """The life cycle of one face as every command starts it."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.status import face_status
+from firmware_bridge.process.command_queue import CommandQueue
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.log_lines import LogLines
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.health.health_log import health_log
+from lipservo.status.face_status import whole_status
 from lipservo.terminal.output import MESSAGES
+
+
+def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
+    """The status of a face that nobody speaks through."""
+    return whole_status(bridge, None).as_dict()
+
+
+@dataclass(frozen=True, slots=True)
+class ControlOptions:
+    """How a face is commanded from outside.
+
+    path: of its socket; None: in the runtime folder. commands: what is asked of it. describe: makes
+    its status, for JSON, of what the bridge knows.
+    """
+
+    path: Path | None = None
+    commands: CommandQueue = field(default_factory=CommandQueue)
+    describe: Callable[[Mapping[str, object]], Mapping[str, object]] = _of_the_servos
 
 
 @contextmanager
@@ -25,6 +47,7 @@ def face_life(
     rate_hz: float,
     *,
     quiet: bool = False,
+    control: ControlOptions | None = None,
 ) -> Iterator[LifeCycle]:
     """The life cycle of a face that this process drives: `lipservo stop` finds it.
 
@@ -38,7 +61,10 @@ def face_life(
     with ExitStack() as stack:
         log = stack.enter_context(LogLines(write=_nowhere if quiet else say))
         about = {"name": name, "port": port}
-        control = stack.enter_context(ControlSocket.bind(socket_path(name), about))
+        asked = ControlOptions() if control is None else control
+        path = asked.path or socket_path(name)
+        listener = ControlSocket.bind(path, about, asked.commands, asked.describe)
+        stack.enter_context(listener)
         healths = health_log(name, port, log, os.environ)
         if healths is not None:
             stack.enter_context(healths)
@@ -47,7 +73,7 @@ def face_life(
                 bridge,
                 clock,
                 rate_hz=rate_hz,
-                control=control,
+                control=listener,
                 log=log,
                 status=partial(face_status, bridge),
                 on_health=None if healths is None else healths.offer,

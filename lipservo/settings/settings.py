@@ -1,4 +1,4 @@
-"""The face YAML: its schema, how it is read, and how a mistake in it is explained."""
+"""The face YAML: its schema, how it is read, and how an error in it is explained."""
 
 import hashlib
 import json
@@ -18,6 +18,7 @@ from pydantic import (
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.joints import Joint
 from lipservo.settings.gate_settings import PreventSettings, StaleSettings, TrackingSettings
+from lipservo.settings.motion_settings import MotionSettings
 from lipservo.settings.setting_types import (
     Acceleration,
     BaudRate,
@@ -95,7 +96,7 @@ class ServoSettings(Strict):
     max_acceleration_deg_s2: Acceleration | None = None
     max_current_ma: Milliamperes | None = None
     critical: bool = False
-    #: What it moves; only the mouth is calibrated to a talker.
+    #: What it moves; only the mouth is calibrated to a speaker.
     part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
 
     @model_validator(mode="after")
@@ -149,6 +150,7 @@ class FaceSettings(Strict):
     prevent: tuple[PreventSettings, ...] = ()
     stale: StaleSettings = StaleSettings()
     tracking: TrackingSettings = TrackingSettings()
+    motion: MotionSettings = MotionSettings()
 
     @field_validator("prevent", mode="before")
     @classmethod
@@ -176,13 +178,13 @@ class FaceSettings(Strict):
         if not servos:
             raise ValueError("needs at least one servo")
         first: dict[int, str] = {}
-        mistakes = [
+        errors = [
             f"{first[servo.id]} and {name} both have id {servo.id}; every servo needs its own"
             for name, servo in servos.items()
             if first.setdefault(servo.id, name) != name
         ]
-        if mistakes:
-            raise ValueError("\n".join(mistakes))
+        if errors:
+            raise ValueError("\n".join(errors))
         return servos
 
     @property
@@ -223,7 +225,7 @@ class FaceSettings(Strict):
 
 
 def load_face(path: Path) -> FaceSettings:
-    """Read a face YAML. Raises SettingsError with one line for each mistake in it."""
+    """Read a face YAML. Raises SettingsError with one line for each error in it."""
     return _load(path)
 
 

@@ -22,7 +22,7 @@ _REPLACED = (_INT, _FLOAT, "tag:yaml.org,2002:timestamp")
 
 
 class SettingsError(UserError):
-    """Settings that cannot be used; one line for each mistake: where, what, what is allowed."""
+    """Settings that cannot be used; one line for each error: where, what, what is allowed."""
 
 
 class _Loader(yaml.SafeLoader):

@@ -28,7 +28,7 @@ _LONGEST_KEY = 60
 
 
 def explain(error: ValidationError, schema: type[BaseModel], file_name: str) -> list[str]:
-    """Say each mistake in one line: path from the file down, what is wrong, what is allowed."""
+    """Say each error in one line: path from the file down, what is wrong, what is allowed."""
     lines = [
         f"{_path(file_name, detail)}: {line}"
         for detail in error.errors(include_url=False)

@@ -5,7 +5,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
-from lipservo.street.motion_options import Engine, make_recognizer
+from lipservo.settings.motion_names import Engine
+from lipservo.street.motion_options import make_recognizer
 from lipsync.audio.silence import SilenceAfter
 from lipsync.audio.source import AudioSource
 from lipsync.audio_block import BLOCK_S

@@ -1,38 +1,56 @@
 """How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Literal, get_args
+from pathlib import Path
 
+from firmware_bridge.process.command_queue import Setting
+from lipservo.settings.motion_names import (
+    DEFAULT_ENGINE,
+    DEFAULT_STRATEGY,
+    SMOOTHEST,
+    STRONGEST,
+    STYLE_NAMES,
+    STYLES_OF,
+    Engine,
+    Strategy,
+)
+from lipservo.settings.motion_settings import MotionSettings
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 from lipsync.face.synthesizer import Synthesizer
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer, Style, StyleError
+from lipsync.motion.live_synthesizer import (
+    DEFAULT_LOOKAHEAD_S,
+    LIVE_STRATEGY,
+    LiveSynthesizer,
+    Style,
+    StyleError,
+)
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.fallback import RecognizerLadder, Rung
-from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights, find_weights
+from lipsync.recognition.weights import DEFAULT_WEIGHTS, SHIPPED, check_weights, find_weights
 
-#: Which recogniser is tried first.
-Engine = Literal["network", "pocketsphinx"]
-#: All of them, the default first.
-ENGINES: tuple[Engine, ...] = get_args(Engine)
 #: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
 LATENCY_S = 0.095
 _POCKETSPHINX_LATENCY_S = 0.09
+#: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
+#: from sound to face, which is declared at the start and stays.
+_LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST}
 
 
 @dataclass(frozen=True, slots=True)
-class Manner:
-    """The recogniser to begin with, the strategy by name, and the style of ours.
+class MotionOptions:
+    """The recogniser to begin with, the strategy by name, and the style of a strategy that has one.
 
     weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
     to a lesser recogniser. Raises WeightsError, StyleError.
     """
 
-    engine: Engine = "network"
+    engine: Engine = DEFAULT_ENGINE
     weights: str = DEFAULT_WEIGHTS
-    strategy: str = LIVE_STRATEGY
+    strategy: Strategy = DEFAULT_STRATEGY
     style: Style = field(default_factory=Style)
 
     def __post_init__(self) -> None:
@@ -41,16 +59,95 @@ class Manner:
         if self.strategy not in known:
             raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
 
+    @property
+    def style_settings(self) -> dict[str, float]:
+        """What the strategy lets its user set, by the names of the face YAML; may be empty."""
+        style = self.style
+        values = (style.lookahead_s * 1e3, style.strength, style.smoothness)
+        named = dict(zip(STYLE_NAMES, values, strict=True))
+        return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
-def make_synthesizer(model: FaceModel, manner: Manner) -> Synthesizer:
+    def live_settings(self) -> dict[str, Setting]:
+        """What may change while a face runs; nothing for the paper's strategies."""
+        values = self.style_settings
+        return {
+            name: Setting(values[name], 0.0, most)
+            for name, most in _LIVE_SETTINGS.items()
+            if name in values
+        }
+
+    def __str__(self) -> str:
+        style = ", ".join(f"{name} {value:g}" for name, value in self.style_settings.items())
+        return (
+            f"strategy {self.strategy}{f' ({style})' if style else ''}; "
+            f"recogniser {self.engine}, weights {self.weights}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenMotion:
+    """What a user typed of `MotionOptions`; None: not typed. The names are those of the options."""
+
+    engine: Engine | None = None
+    weights: str | None = None
+    strategy: Strategy | None = None
+    lookahead_ms: float | None = None
+    strength: float | None = None
+    smoothness: float | None = None
+
+
+def motion_options(
+    chosen: ChosenMotion, of_the_face: MotionSettings, folder: Path | None
+) -> MotionOptions:
+    """What was typed before what the face's YAML says, before the defaults.
+
+    folder: of the YAML, from which its weights file is named; None: a shipped face. Raises
+    UserError for an option that the strategy ignores, WeightsError and StyleError.
+    """
+    strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
+    ignored = [
+        f"--{name.replace('_', '-')}"
+        for name in STYLE_NAMES
+        if getattr(chosen, name) is not None and name not in STYLES_OF[strategy]
+    ]
+    if ignored:
+        raise UserError(
+            f"{', '.join(ignored)}: strategy {strategy} ignores it; leave it out, or take "
+            f"--strategy {DEFAULT_STRATEGY}"
+        )
+
+    def style(name: str, default: float) -> float:
+        if name not in STYLES_OF[strategy]:
+            return default
+        for value in (getattr(chosen, name), getattr(of_the_face, name)):
+            if value is not None:
+                return float(value)
+        return default
+
+    weights = of_the_face.weights
+    if weights is not None and weights not in SHIPPED and folder is not None:
+        weights = str(folder / weights)
+    return MotionOptions(
+        chosen.engine or of_the_face.engine or DEFAULT_ENGINE,
+        chosen.weights or weights or DEFAULT_WEIGHTS,
+        strategy,
+        Style(
+            style("lookahead_ms", DEFAULT_LOOKAHEAD_S * 1e3) / 1e3,
+            style("strength", 1.0),
+            style("smoothness", 0.0),
+        ),
+    )
+
+
+def make_synthesizer(model: FaceModel, options: MotionOptions) -> Synthesizer:
     """Ours, or the paper's with one of its two selections."""
-    if manner.strategy == LIVE_STRATEGY:
-        return LiveSynthesizer(model, manner.style)
-    return PublishedSynthesizer(model, STRATEGIES[manner.strategy])
+    if options.strategy == LIVE_STRATEGY:
+        return LiveSynthesizer(model, options.style)
+    return PublishedSynthesizer(model, STRATEGIES[options.strategy])
 
 
 def make_recognizer(
-    engine: Engine = "network",
+    engine: Engine = DEFAULT_ENGINE,
     timer_s: Callable[[], float] | None = None,
     weights: str = DEFAULT_WEIGHTS,
 ) -> RecognizerLadder:
@@ -84,3 +181,10 @@ def _loudness() -> LiveRecognizer:
     from lipsync.recognition.loudness_recognizer import LoudnessRecognizer
 
     return LoudnessRecognizer()
+
+
+def adjust(synthesizer: Synthesizer, changes: Mapping[str, float]) -> None:
+    """Change what `MotionOptions.live_settings` names, eased in; nothing of another strategy."""
+    if isinstance(synthesizer, LiveSynthesizer):
+        for name, value in changes.items():
+            synthesizer.adjust(name, value)

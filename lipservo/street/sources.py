@@ -1,7 +1,9 @@
 """Which sound a command means: a file, a microphone, the bundled clip, nothing at all."""
 
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
+from typing import Literal
 
 from lipservo.terminal.output import MESSAGES
 from lipsync.audio.file import FileSource
@@ -12,25 +14,41 @@ from lipsync.audio.source import AudioSource
 DEFAULT_MICROPHONE = "default"
 
 
-def open_source(wav: Path | None, mic: str | None, start_s: float = 0.0) -> AudioSource:
-    """The file, the microphone, or the bundled clip; `wav` and `mic` are not both given.
+@dataclass(frozen=True, slots=True)
+class Sound:
+    """Which sound a face is to hear. name: a file's path, or a microphone by number or name."""
+
+    kind: Literal["clip", "file", "microphone", "silence"]
+    name: str = ""
+
+
+#: The bundled clip.
+CLIP = Sound("clip")
+#: Nothing, without end.
+SILENCE = Sound("silence")
+
+
+def chosen_sound(wav: Path | None, mic: str | None, otherwise: Sound) -> Sound:
+    """The file or the microphone, of which at most one is given; with neither, `otherwise`."""
+    if mic is not None:
+        return Sound("microphone", mic)
+    return otherwise if wav is None else Sound("file", str(wav))
+
+
+def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
+    """The sound, to be entered. Raises SoundError.
 
     start_s: the sound time at which a file is taken up; its blocks keep the file's times. A file
-    is checked here, in a time that does not depend on its length; raises SoundError.
+    is checked here, in a time that does not depend on its length.
     """
-    if mic is not None:
-        return open_microphone(mic)
-    if wav is not None:
-        return _file(wav, start_s)
+    if sound.kind == "microphone":
+        return open_microphone(sound.name)
+    if sound.kind == "silence":
+        return SilentSource(start_s)
+    if sound.kind == "file":
+        return _file(Path(sound.name), start_s)
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         return _file(clip, start_s)
-
-
-def open_source_or_silence(wav: Path | None, mic: str | None, start_s: float = 0.0) -> AudioSource:
-    """As `open_source`, but silence without end rather than the clip."""
-    if wav is None and mic is None:
-        return SilentSource(start_s)
-    return open_source(wav, mic, start_s)
 
 
 def open_microphone(device: str) -> AudioSource:

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from firmware_bridge.clock import Clock
+from lipservo.status.face_status import Status
 from lipservo.status.street_tick import StreetTick
 from lipservo.street.street import Street
 
@@ -49,7 +50,8 @@ class Summary:
     latency: from the moment a sound was captured until the face made of it is due, that is the bus
     write that asks for it and as much later as the calibration says that servos are; measured, so
     it may exceed the declared one; lateness: from a grid tick's time to when it was worked on;
-    speed: sound seconds in a second; recognizer: the rung of the ladder that listened last.
+    speed: sound seconds in a second; recognizer: the one that listened last, after fallback_level
+    others that had failed.
     """
 
     source: str
@@ -71,7 +73,9 @@ class Summary:
     start_to_first_command_s: float
     rss_mb: float
     seconds: float
+    strategy: str = ""
     recognizer: str = ""
+    fallback_level: int = 0
     #: Joints that often stood at a limit in speech, and in which share of the frames.
     joints_at_limit: Mapping[str, float] = field(default_factory=dict)
 
@@ -113,27 +117,27 @@ class Tally:
             actuation_s = self._street.speech.delay.actuation_s
             self._latency.add(self._clock.now() - tick.captured_s + actuation_s)
 
-    def summary(
-        self, source: str, duration_s: float, seconds: float, lost_sound_blocks: int
-    ) -> Summary:
-        """The figures so far. seconds: what the run took on a real clock."""
-        status = self._street.bridge.status
+    def summary(self, status: Status, duration_s: float, seconds: float) -> Summary:
+        """The figures of a run that ended like this. seconds: what it took on a real clock."""
         return Summary(
-            source=source,
+            source=status.sound or "",
             duration_s=duration_s,
-            phonemes=self._street.speech.phonemes_planned,
+            phonemes=status.n_phonemes or 0,
             frames_sent=self.frames_sent,
-            late_ticks=status.n_late,
+            late_ticks=status.n_late or 0,
             lateness_p50_ms=self._lateness.percentile_ms(50),
             lateness_p99_ms=self._lateness.percentile_ms(99),
             latency_declared_ms=self._street.speech.delay.total_s * 1e3,
             latency_p50_ms=self._latency.percentile_ms(50),
             latency_p99_ms=self._latency.percentile_ms(99),
-            range_limits_hit=int(status.gate.range_hits.sum()),
-            rate_limits_hit=int(status.gate.rate_hits.sum()),
-            targets_rejected=status.n_rejected_targets,
-            stale_ticks=status.n_stale,
-            lost_sound_blocks=lost_sound_blocks,
+            range_limits_hit=status.range_hits_total or 0,
+            rate_limits_hit=status.rate_hits_total or 0,
+            targets_rejected=status.n_rejected_targets or 0,
+            stale_ticks=status.n_stale or 0,
+            lost_sound_blocks=status.n_lost_sound_blocks or 0,
+            strategy=status.strategy or "",
+            recognizer=status.recognizer or "",
+            fallback_level=status.fallback_level or 0,
             speed=duration_s / seconds if seconds else 0.0,
             start_to_first_command_s=self.first_command_s,
             rss_mb=peak_resident_mb(),
@@ -200,7 +204,9 @@ _MEANINGS = {
     "start_to_first_command_s": "from the start of the program",
     "rss_mb": "the most memory used",
     "seconds": "the whole run took",
+    "strategy": "moved the mouth; docs/motion.md",
     "recognizer": "good: network; others hear worse",
+    "fallback_level": "good: 0; recognisers that failed",
 }
 
 

@@ -1,7 +1,7 @@
 """The lips as a line drawing for a terminal, in Braille dots or in plain characters.
 
 What is drawn is how far each lip marker has gone from rest, on a mouth that is closed, straight and
-as wide on the left as on the right: no talker's own mouth is, nor is a head held quite level.
+as wide on the left as on the right: no speaker's own mouth is, nor is a head held quite level.
 """
 
 from itertools import pairwise
@@ -32,7 +32,7 @@ _INNER = [i for i, name in enumerate(MARKER_NAMES) if name.startswith("inner_lip
 def draw_mouth(markers_mm: Array, rest_mm: Array, *, ascii_only: bool = False) -> list[str]:
     """Lines of text, all of `MOUTH_COLUMNS`, that show both lips from the front.
 
-    markers_mm: (47, 3); rest_mm: (47, 3), the same talker's closed mouth.
+    markers_mm: (47, 3); rest_mm: (47, 3), the same speaker's closed mouth.
     """
     canvas = np.zeros((MOUTH_ROWS, MOUTH_COLUMNS), dtype=np.int64)
     moved_mm = (markers_mm - rest_mm)[:, :2]

@@ -1,7 +1,7 @@
 """The live terminal view: which phoneme, how open the mouth, where each servo stands."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,12 +12,14 @@ from rich.table import Table
 from rich.text import Text
 
 from firmware_bridge.joints import Joint
+from lipservo.status.face_status import Status
 from lipservo.status.street_tick import StreetTick
 from lipservo.terminal.mouth_drawing import MOUTH_COLUMNS, draw_mouth
 from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE
 
 _REFRESH_HZ = 10
+_STATUS_EVERY_S = 1.0
 _WIDEST_BAR = 31
 _SHORTEST_BAR = 9
 #: "-12.3 deg", and a space.
@@ -51,9 +53,16 @@ class TerminalView:
     """
 
     def __init__(
-        self, console: Console, title: str, joints: Sequence[Joint], model: FaceModel
+        self,
+        console: Console,
+        status: Callable[[], Status],
+        joints: Sequence[Joint],
+        model: FaceModel,
     ) -> None:
-        self._title = title
+        """status: of the face; asked once a second, by whoever calls `observe`."""
+        self._ask_status = status
+        self._status = status()
+        self._asked_at_s = 0.0
         self._joints = joints
         self._model = model
         self._rest_mm = model.markers_mm(model.rest[None])[0]
@@ -68,6 +77,9 @@ class TerminalView:
 
     def observe(self, tick: StreetTick) -> None:
         """Show this tick at the next refresh."""
+        if abs(tick.sound_s - self._asked_at_s) >= _STATUS_EVERY_S:
+            self._asked_at_s = tick.sound_s
+            self._status = self._ask_status()
         if not self._phonemes or self._phonemes[-1] != tick.phoneme:
             self._phonemes.append(tick.phoneme)
         self._tick = tick
@@ -94,7 +106,14 @@ class TerminalView:
             return Text(self._title)
         torque = "" if tick.report.torque_on else "   torque off"
         title = Text(self._title + torque, style="bold")
-        return Group(title, self._head(tick), self._face(tick))
+        status = self._status
+        fallback = f", fallback {status.fallback_level}" if status.fallback_level else ""
+        motion = Text(f"{status.strategy}, {status.recognizer}{fallback}", style="dim")
+        return Group(title, motion, self._head(tick), self._face(tick))
+
+    @property
+    def _title(self) -> str:
+        return f"{self._status.sound} -> {self._status.name}"
 
     def _head(self, tick: StreetTick) -> Table:
         gap_mm = self._model.lip_gap_mm(tick.coefficients)

@@ -9,7 +9,7 @@ speed are continuous whatever arrives, and lips that must touch do.
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,9 @@ _LONGEST_LEAP_TICKS = 100
 #: the recordings) is gone ahead; chosen on inner splits (docs/motion.md).
 LEAD = 0.07
 _LEAD_TICKS = 4
+#: So long a change of strength or smoothness takes while the mouth moves: lips 10 mm apart that are
+#: told to close by strength 0 approach at 50 mm/s at most (1.5 times the mean, as of any cubic).
+ADJUSTING_S = 0.3
 #: The slowest that smoothness can make the mouth: its time constant, s.
 _SLOWEST_S = 0.04
 _SILENCE = PHONEMES.index(SILENCE)
@@ -114,8 +117,7 @@ class LiveSynthesizer:
         self._bilabial_s = _moments_s(model, BILABIALS)
         self._labiodental_s = _moments_s(model, LABIODENTALS)
         self._known_s = min(self._style.lookahead_s, USED_LOOKAHEAD_S)
-        slowness_s = self._style.smoothness * _SLOWEST_S
-        self._keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
+        self._strength, self._smoothness = self._style.strength, self._style.smoothness
         self.reset()
 
     @property
@@ -133,8 +135,25 @@ class LiveSynthesizer:
         resting = Amount(0.0, RESTING_S, 1.0, 0.0, 1.0)
         self._ticks = deque([_Tick(rest, still, rest, still, OPEN, OPEN, resting)], maxlen=_KEPT)
         self._newest = -1  # number of the newest tick
+        self._strength_now = _steady(self._strength)
+        self._smoothness_now = _steady(self._smoothness)
         self._phoneme_moved = -math.inf
         self.phonemes_planned = 0
+
+    def adjust(self, name: str, value: float) -> None:
+        """Set `strength` or `smoothness` from the newest face on, eased in over `ADJUSTING_S`.
+
+        What was shown stays as it was. Raises StyleError for another name, or beyond its limits.
+        """
+        if name not in ("strength", "smoothness"):
+            raise StyleError(f"{name} cannot be adjusted; strength and smoothness can")
+        replace(self._style, **{name: value})  # refuses what is beyond the limits
+        start_s = self._newest * TICK_S
+        if name == "strength":
+            self._strength, self._strength_now = value, _eased(self._strength_now, start_s, value)
+        else:
+            self._smoothness = value
+            self._smoothness_now = _eased(self._smoothness_now, start_s, value)
 
     def push(self, update: PhonemeUpdate) -> None:
         """Believe a recogniser; what has been shown stays as it is."""
@@ -155,7 +174,8 @@ class LiveSynthesizer:
             return self._model.rest
         tick = self._ticks[-1 - back]
         face = tick.at(min(1.0, max(0.0, time_s / TICK_S - number + 1.0)))
-        awake = self._style.strength * (1.0 - tick.resting.smooth(time_s))
+        strength = _value(self._strength_now, time_s, STRONGEST)
+        awake = strength * (1.0 - tick.resting.smooth(time_s))
         face = self._model.rest + awake * (face - self._model.rest)
         bitten, pressed = tick.bitten.smooth(time_s), tick.pressed.smooth(time_s)
         face = self._gap.narrowed(face, self._model.labiodental_gap_mm, bitten)
@@ -180,7 +200,9 @@ class LiveSynthesizer:
         resting = self._resting(last.resting, *context, begin_s)
         at_rest = resting.goal == 1.0 and resting.at(begin_s) == (1.0, 0.0)
         wanted = self._livened(self._expected(time_s, *context, at_rest=at_rest))
-        self._wanted = self._keep * self._wanted + (1.0 - self._keep) * wanted
+        slowness_s = _value(self._smoothness_now, time_s, 1.0) * _SLOWEST_S
+        keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
+        self._wanted = keep * self._wanted + (1.0 - keep) * wanted
         # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
         end_speed = (self._wanted - last.start) / 2.0
         pressed = planned(last.pressed, self._bilabial_s, self._track, begin_s, known_until_s)
@@ -219,6 +241,21 @@ class LiveSynthesizer:
         if start_s > self._phoneme_moved:
             self._phoneme_moved = start_s
             self.phonemes_planned += 1
+
+
+def _steady(value: float) -> Amount:
+    """A setting that stays."""
+    return Amount(0.0, ADJUSTING_S, value, 0.0, value)
+
+
+def _eased(now: Amount, start_s: float, goal: float) -> Amount:
+    """From what it is at `start_s` to the goal, without a jump of value or slope."""
+    return Amount(start_s, ADJUSTING_S, *now.at(max(start_s, now.start_s)), goal)
+
+
+def _value(setting: Amount, time_s: float, most: float) -> float:
+    """At any time; a cubic that turns round on its way may overshoot its limits."""
+    return min(most, max(0.0, setting.at(max(time_s, setting.start_s))[0]))
 
 
 def _moments_s(model: FaceModel, phonemes: Iterable[str]) -> dict[int, float]:

@@ -9,8 +9,9 @@ from places import DATA
 from reference_sounds import SOUNDS, write_sound
 
 from firmware_bridge.clock import ManualClock
-from lipservo.street.run_face import Performance
-from lipservo.street.sources import open_source
+from lipservo.street.run_face import run_face
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import Sound, open_sound
 
 FOLDER = DATA / "traces"
 #: All that `lipservo trace diff` looks at.
@@ -21,9 +22,11 @@ def replay(name: str, folder: Path) -> Path:
     """The trace of one of the sounds, as `lipservo replay --trace` leaves it."""
     sound, trace = folder / f"{name}.wav", folder / f"{name}.jsonl"
     write_sound(name, sound)
-    performance = Performance("face_sim", None, trace, SOUNDS[name], live=False, quiet=True)
-    with open_source(sound, None) as source:
-        performance.play(source, ManualClock())
+    request = RunRequest(
+        "face_sim", Sound("file", str(sound)), rate_hz=SOUNDS[name], trace=trace, quiet=True
+    )
+    with open_sound(request.sound) as source:
+        run_face(request, source, ManualClock())
     return trace
 
 

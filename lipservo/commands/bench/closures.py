@@ -8,8 +8,7 @@ import typer
 
 from lipservo.commands.bench.recognition import Cache, Limit, Speakers
 from lipservo.commands.learn.recognition import progress_bar
-from lipservo.commands.options import Json, Model, Quiet
-from lipservo.commands.run.recognizer_options import WeightsChoice
+from lipservo.commands.options import Json, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights

@@ -8,14 +8,12 @@ from typing import Annotated, TypeVar
 import typer
 
 from lipservo.commands.learn.recognition import Advance, progress_bar
-from lipservo.commands.options import Json, Model, Quiet
-from lipservo.commands.run.recognizer_options import WeightsChoice
-from lipservo.street.motion_options import Engine
+from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsChoice
+from lipservo.settings.motion_names import Engine
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
 
-EngineName = Annotated[Engine, typer.Option(help="Which recogniser listens.")]
 Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
 Limit = Annotated[
     int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
@@ -41,7 +39,7 @@ def recognition(
     ] = None,
     limit: Limit = None,
     latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
-    engine: EngineName = "network",
+    engine: EngineChoice = "network",
     noise: Annotated[
         str | None,
         typer.Option(metavar="KIND:DB", help="white, music, babble (signal to noise), level, ..."),
@@ -82,7 +80,7 @@ def recognition(
 
 
 def listening(
-    engine: EngineName = "network",
+    engine: EngineChoice = "network",
     latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     corpus: Annotated[

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Port
+from lipservo.commands.options import DEFAULT_FACE, Config, Port, RequiredPort
 from lipservo.face.face_stopped import exit_status
 from lipservo.terminal.output import MESSAGES, RESULTS, say_simulated
 from lipsync.errors import UserError
@@ -46,7 +46,7 @@ def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
 
 def new_face(
     output: Annotated[Path, typer.Option("--output", "-o", help="The YAML to write.")],
-    port: Annotated[str, typer.Option(help="Serial port of the servos.")],
+    port: RequiredPort,
     baud_rate: Annotated[int, typer.Option(help="Try this rate first.")] = 1_000_000,
     ranges: Annotated[
         Path | None,

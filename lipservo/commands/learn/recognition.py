@@ -11,8 +11,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress, TimeRemainingColumn
 
-from lipservo.commands.options import Json, Quiet
-from lipservo.commands.run.recognizer_options import EngineChoice, WeightsChoice
+from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES
 from lipsync.audio.source import AudioSource
 from lipsync.extras import check_extra

@@ -4,27 +4,19 @@ Somebody waits for these: they load nothing that they do not use.
 """
 
 import os
-from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from firmware_bridge.process.control_client import RunningFace, ask, face_at, running_faces
+from firmware_bridge.process.control_client import RunningFace, ask, running_faces
 from firmware_bridge.process.port_holders import holders_of
-from firmware_bridge.process.runtime_folder import name_in_path
 from firmware_bridge.stopping import StopLevel
-from lipservo.commands.options import Json
+from lipservo.commands.options import Control, FaceName, Json, Port
+from lipservo.commands.run.running import chosen_faces
 from lipservo.face.letting_go import Outcome, port_of, release, stop_face
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
-FaceName = Annotated[
-    str | None, typer.Option("--face", help="Only the face of this name.", show_default=False)
-]
-Control = Annotated[
-    Path | None,
-    typer.Option(help="Only the face that listens at this socket.", show_default=False),
-]
 _STATUS_S = 1.0
 
 
@@ -44,7 +36,7 @@ def stop(
     if limp and freeze:
         raise UserError("--limp and --freeze: give one of them")
     level = StopLevel.LIMP if limp else StopLevel.FREEZE if freeze else StopLevel.SOFT
-    faces = _chosen(face, control)
+    faces = chosen_faces(face, control)
     if not faces:
         raise UserError("no face answers; is a face running? `lipservo limp --port PORT` lets go")
     outcomes = [stop_face(each, level, _say) for each in faces]
@@ -58,7 +50,7 @@ def stop(
 
 def status(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
     """List the running faces: name, process, port, state, servos, troubles."""
-    found = [_status_of(each) for each in _chosen(face, control)]
+    found = [_status_of(each) for each in chosen_faces(face, control)]
     if as_json:
         print_json({"faces": found})
         return
@@ -68,14 +60,14 @@ def status(face: FaceName = None, control: Control = None, as_json: Json = False
         port = each.get("port") or "simulated servos"
         line = f"{each['name']}  process {each['pid']}  {port}  {each['state']}{_servos(each)}"
         RESULTS.print(line, soft_wrap=True, markup=False, highlight=False)
-        for trouble in each.get("troubles", ()):
-            RESULTS.print(f"  {trouble}", soft_wrap=True, markup=False, highlight=False)
+        for line in (_motion(each), *each.get("troubles", ())):
+            if not line:
+                continue
+            RESULTS.print(f"  {line}", soft_wrap=True, markup=False, highlight=False)
 
 
 def limp(
-    port: Annotated[
-        str | None, typer.Option(help="Let go of the servos at this port.", show_default=False)
-    ] = None,
+    port: Port = None,
     config: Annotated[
         str | None,
         typer.Option(
@@ -122,20 +114,6 @@ def _say(line: str) -> None:
     MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
-def _chosen(face: str | None, control: Path | None) -> list[RunningFace]:
-    """The faces that are meant. Raises UserError for a name that none has, and ControlError."""
-    if control is not None:
-        return [face_at(control)]
-    faces = running_faces()
-    if face is None:
-        return faces
-    chosen = [each for each in faces if each.name == name_in_path(face)]
-    if not chosen:
-        names = ", ".join(sorted({each.name for each in faces})) or "none"
-        raise UserError(f"--face {face}: no such face runs; running: {names}")
-    return chosen
-
-
 def _status_of(face: RunningFace) -> dict[str, Any]:
     found: dict[str, Any] = {"name": face.name, "pid": face.pid, "port": None}
     try:
@@ -150,10 +128,20 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
 
 
 def _servos(status: dict[str, Any]) -> str:
-    states = status.get("servo_states")
+    states = list(dict(status.get("servos") or {}).values())
     if not states:
         return ""
-    return f", {sum(state == 'driven' for state in states)} of {len(states)} servos driven"
+    return f", {states.count('driven')} of {len(states)} servos driven"
+
+
+def _motion(status: dict[str, Any]) -> str:
+    """Strategy and recogniser of a face that speaks, and what is set."""
+    if status.get("strategy") is None:
+        return ""
+    level = status["fallback_level"]
+    fallback = f" (fallback {level})" if level else ""
+    named = "".join(f", {name} {value:g}" for name, value in status["settings"].items())
+    return f"{status['sound']}: {status['strategy']}{named}; {status['recognizer']}{fallback}"
 
 
 def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:
@@ -164,9 +152,3 @@ def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:
             RESULTS.print(outcome.text(done), soft_wrap=True, markup=False, highlight=False)
     if not all(outcome.is_confirmed for outcome in outcomes):
         raise typer.Exit(1)
-
-
-#: These commands alone.
-app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
-for command in (stop, status, limp):
-    app.command()(command)

@@ -10,57 +10,33 @@ from firmware_bridge.clock import ManualClock, MonotonicClock
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
+    Control,
+    DryRun,
     Json,
+    Mic,
     Model,
+    Port,
     Quiet,
+    Rate,
+    Sim,
+    Trace,
+    Wav,
 )
-from lipservo.commands.run.motion_flags import takes_manner
-from lipservo.commands.run.processes import Control, supervise
+from lipservo.commands.run.motion_choice import takes_motion
+from lipservo.commands.run.supervision import supervise
 from lipservo.face.assembly import load_settings
 from lipservo.face.face_life import say
 from lipservo.face.face_stopped import exit_status
 from lipservo.face.sim_process import servo_port
-from lipservo.street.motion_options import Manner
-from lipservo.street.run_face import Performance, Played
-from lipservo.street.sources import open_source, open_source_or_silence
+from lipservo.street.motion_options import ChosenMotion, MotionOptions, motion_options
+from lipservo.street.run_face import RunOutcome, run_face
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import CLIP, SILENCE, Sound, chosen_sound, open_sound
 from lipservo.street.summary import print_summary
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
-from lipsync.errors import UserError
-
-Trace = Annotated[
-    Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
-]
-Wav = Annotated[
-    Path | None,
-    typer.Option(help="Sound file: WAV, FLAC, OGG, any rate.", show_default=False),
-]
-Mic = Annotated[
-    str | None,
-    typer.Option(
-        metavar="[DEVICE]",
-        help="Listen to a microphone: the default one, or a number or part of a name.",
-        show_default=False,
-    ),
-]
-Rate = Annotated[
-    float | None,
-    typer.Option(
-        min=30.0, max=200.0, help="Frames a second; default: the face's.", show_default=False
-    ),
-]
-
-Port = Annotated[
-    str | None,
-    typer.Option(help="Serial port of the servos, /dev/ttyUSB0 for one.", show_default=False),
-]
-Sim = Annotated[
-    str | None,
-    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
-]
-DryRun = Annotated[bool, typer.Option("--dry-run", help="Read the servos, never move them.")]
 
 
-@takes_manner
+@takes_motion
 def run(
     *,
     wav: Wav = None,
@@ -69,7 +45,7 @@ def run(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
-    manner: Manner,
+    motion: ChosenMotion,
     port: Port = None,
     sim: Sim = None,
     dry_run: DryRun = False,
@@ -77,25 +53,25 @@ def run(
     quiet: Quiet = False,
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
-    _refuse_both(wav, mic)
-    quiet = quiet or as_json
-    with servo_port(port, sim, config) as at_port, open_source(wav, mic) as source:
-        performance = Performance(
-            config,
-            model,
-            trace,
-            rate_hz,
-            live=not quiet,
-            quiet=quiet,
-            port=at_port,
-            dry_run=dry_run,
-            manner=manner,
-        )
-        played = performance.play(source, MonotonicClock())
-    _finish(played, as_json=as_json, quiet=quiet)
+    request = RunRequest(
+        config,
+        _sound(wav, mic, CLIP),
+        _motion(motion, config),
+        model=model,
+        port=port,
+        rate_hz=rate_hz,
+        trace=trace,
+        as_json=as_json,
+        quiet=quiet or as_json,
+        dry_run=dry_run,
+    )
+    with servo_port(port, sim, config) as at_port, open_sound(request.sound) as source:
+        request = replace(request, port=at_port)
+        outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
+    _finish(request, outcome)
 
 
-@takes_manner
+@takes_motion
 def daemon(
     *,
     wav: Wav = None,
@@ -104,7 +80,7 @@ def daemon(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
-    manner: Manner,
+    motion: ChosenMotion,
     port: Port = None,
     sim: Sim = None,
     control: Control = None,
@@ -115,40 +91,29 @@ def daemon(
 
     With servos at a port, bridge and speech are processes of their own, watched over.
     """
-    _refuse_both(wav, mic)
-    with servo_port(port, sim, config) as at_port:
-        if at_port is None:
-            bus = load_settings(config)[0].bus
-            at_port = bus.port if bus.kind == "dynamixel" else None
-        if at_port is not None:
-            if trace is not None:
-                raise UserError(
-                    "--trace: a face in processes of its own writes none; "
-                    "`lipservo run --port PORT --trace FILE` does"
-                )
-            status = supervise(
-                config,
-                model,
-                at_port,
-                wav,
-                mic,
-                rate_hz,
-                manner,
-                control,
-                as_json=as_json,
-                quiet=quiet,
-            )
-            raise typer.Exit(status)
-    performance = Performance(
-        config, model, trace, rate_hz, live=False, quiet=quiet, endless=True, manner=manner
+    request = RunRequest(
+        config,
+        _sound(wav, mic, SILENCE),
+        _motion(motion, config),
+        model=model,
+        port=port,
+        rate_hz=rate_hz,
+        trace=trace,
+        control=control,
+        as_json=as_json,
+        quiet=quiet,
     )
-    with open_source_or_silence(wav, mic) as source:
-        played = performance.play(source, MonotonicClock())
+    with servo_port(port, sim, config) as at_port:
+        request = replace(request, port=at_port or load_settings(config)[0].servo_port)
+        if request.port is not None:
+            raise typer.Exit(supervise(request))
+    with open_sound(request.sound) as source:
+        outcome = run_face(request, source, MonotonicClock(), endless=True)
     # A service manager counts anything but 0 as a failure, and stops a daemon by a signal.
-    _finish(replace(played, signal_number=None), as_json=as_json, quiet=quiet)
+    _finish(request, replace(outcome, signal_number=None))
 
 
-@takes_manner
+@takes_motion
 def replay(
     *,
     sound: Annotated[Path, typer.Argument(help="Sound file to replay.")],
@@ -156,15 +121,24 @@ def replay(
     model: Model = None,
     trace: Trace = None,
     rate_hz: Rate = None,
-    manner: Manner,
+    motion: ChosenMotion,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Run the street as fast as it goes, on a clock of its own: same file, same trace."""
-    performance = Performance(config, model, trace, rate_hz, live=False, quiet=True, manner=manner)
-    with open_source(sound, None) as source:
-        played = performance.play(source, ManualClock())
-    _finish(played, as_json=as_json, quiet=quiet)
+    request = RunRequest(
+        config,
+        Sound("file", str(sound)),
+        _motion(motion, config),
+        model=model,
+        rate_hz=rate_hz,
+        trace=trace,
+        as_json=as_json,
+        quiet=True,
+    )
+    with open_sound(request.sound) as source:
+        outcome = run_face(request, source, ManualClock())
+    _finish(replace(request, quiet=quiet), outcome)
 
 
 def devices(as_json: Json = False) -> None:
@@ -182,18 +156,26 @@ def devices(as_json: Json = False) -> None:
         MESSAGES.print("no microphone found")
 
 
-def _refuse_both(wav: Path | None, mic: str | None) -> None:
+def _sound(wav: Path | None, mic: str | None, otherwise: Sound) -> Sound:
     if wav is not None and mic is not None:
         raise typer.BadParameter("give --wav or --mic, not both")
+    return chosen_sound(wav, mic, otherwise)
 
 
-def _finish(played: Played, *, as_json: bool, quiet: bool) -> None:
-    if as_json:
-        print_json({**played.summary.as_dict(), "stop": played.report.as_dict()})
-    elif not quiet:
-        print_summary(played.summary, RESULTS)
-    status = exit_status(played.report, played.signal_number)
-    if not played.report.complete and quiet:
-        say(played.report.text())
-    if status:
-        raise typer.Exit(status)
+def _motion(chosen: ChosenMotion, config: str) -> MotionOptions:
+    settings, folder = load_settings(config)
+    return motion_options(chosen, settings.motion, folder)
+
+
+def _finish(request: RunRequest, outcome: RunOutcome) -> None:
+    if request.as_json:
+        status = outcome.status.as_dict()
+        stop = outcome.report.as_dict()
+        print_json({**outcome.summary.as_dict(), "status": status, "stop": stop})
+    elif not request.quiet:
+        print_summary(outcome.summary, RESULTS)
+    exit_code = exit_status(outcome.report, outcome.signal_number)
+    if not outcome.report.complete and request.quiet:
+        say(outcome.report.text())
+    if exit_code:
+        raise typer.Exit(exit_code)

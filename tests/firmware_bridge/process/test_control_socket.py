@@ -11,7 +11,14 @@ from contextlib import contextmanager
 import pytest
 from short_folder import short_folder
 
-from firmware_bridge.process.control_client import ask, face_at, running_faces, stop_and_wait
+from firmware_bridge.process.command_queue import CommandQueue, Setting
+from firmware_bridge.process.control_client import (
+    ask,
+    change_setting,
+    face_at,
+    running_faces,
+    stop_and_wait,
+)
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.runtime_folder import ControlError, runtime_folder, socket_path
 from firmware_bridge.stopping import StopLevel
@@ -69,6 +76,38 @@ def test_who_asks_for_a_stop_hears_that_it_is_accepted_and_how_it_ended(tmp_path
     assert answer == {"accepted": level.value, "n_ticks": 7}
     assert report == {"ended": True, "confirmed": ["jaw"], "unconfirmed": {}}
     assert str(os.getpid()) in control.asked_by
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "answer"),
+    [
+        ("strength", 0.5, {"set": "strength", "value": 0.5, "name": "tom"}),
+        ("strength", 2.0, {"error": "strength is 2; allowed: 0 to 1.5"}),
+        ("x", 1.0, {"error": "'x': no such setting; there are: strength (0 to 1.5)"}),
+        ("two words", 1.0, {"error": "'two words': no such setting"}),
+        ("x" * 500, 1.0, {"error": f"'{'x' * 40}': no such setting"}),
+    ],
+)
+def test_who_sets_something_hears_what_became_of_it(tmp_path, name, value, answer):
+    path = tmp_path / "face.sock"
+    commands = CommandQueue({"strength": Setting(1.0, 0.0, 1.5)})
+    with ControlSocket.bind(path, {"name": "tom"}, commands) as control, served(control) as heard:
+        assert change_setting(path, name, value) == answer
+        for broken in ("set", "set strength", "set strength much"):
+            assert "error" in ask(path, broken, PATIENCE_S)
+
+    assert commands.take_changes() == ({"strength": 0.5} if "set" in answer else {})
+    assert heard == []
+
+
+def test_a_stop_that_somebody_else_wrote_into_the_queue_comes_out_as_well(tmp_path):
+    commands = CommandQueue()
+    with ControlSocket.bind(tmp_path / "face.sock", commands=commands) as control:
+        commands.stop(StopLevel.LIMP, "an agent")
+
+        assert control.poll(dict) is StopLevel.LIMP
+        assert control.asked_by == "an agent"
+        assert control.poll(dict) is None
 
 
 def test_what_waits_in_the_socket_outlives_the_process_that_served_it(tmp_path):

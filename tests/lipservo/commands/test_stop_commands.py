@@ -42,7 +42,9 @@ def face(name, unconfirmed=None):
 
     def loop(control):
         while not over.wait(0.001):
-            level = control.poll(lambda: {"servo_states": ["driven", "cooling"], "troubles": []})
+            level = control.poll(
+                lambda: {"servos": {"jaw": "driven", "left": "cooling"}, "troubles": []}
+            )
             if level is not None:
                 heard.append(level)
                 if level is not StopLevel.FREEZE:

@@ -18,6 +18,10 @@ from firmware_bridge.process.lifeline import Began, lifeline_pair
 from firmware_bridge.process.socket_channel import SocketTargetChannel, channel_pair
 from lipservo.cli import app
 from lipservo.face.assembly import assemble_face
+from lipservo.status.status_board import StatusBoard
+from lipservo.street.motion_options import MotionOptions
+from lipservo.street.run_request import RunRequest, request_json
+from lipservo.street.sources import Sound
 from lipsync.animpho.synthesizer import LONGEST_PHONE_S
 
 JAW = [joint.name for joint in assemble_face("face_sim", None).joints].index("jaw")
@@ -50,6 +54,10 @@ def test_each_strategy_moves_the_mouth_in_its_own_way(sound, tmp_path):
     for strategy, (_, jaw_deg) in traces.items():
         assert np.ptp(jaw_deg) > 3.0, strategy
         assert abs(jaw_deg[-1]) < 0.5, strategy
+    for strategy, (header, _) in traces.items():
+        assert (header["strategy"], header["weights"]) == (strategy, "default")
+        assert header["recognizer"] in ("network", "pocketsphinx", "loudness")
+        assert bool(header["settings"]) is (strategy == "expected")
     delays_s = {strategy: header["delay_s"] for strategy, (header, _) in traces.items()}
     # The paper's play a phoneme once it is over: 350 ms of look-ahead in place of 100.
     later_s = LONGEST_PHONE_S - 0.1
@@ -73,12 +81,16 @@ def test_run_plays_a_strategy_live(sound, tmp_path):
 def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(sound, strategy):
     """How far the mouth moves is not judged: a busy machine does not hear in time."""
     ours, its = channel_pair()
+    board = StatusBoard.create()
     line, watch = lifeline_pair()
     command = [sys.executable, "-m", "lipservo", "speech-process"]
     command += ["--channel", str(its.fileno()), "--lifeline", str(line.fileno())]
+    request = RunRequest(
+        "face_sim", Sound("file", str(sound)), MotionOptions(strategy=strategy), port="/dev/none"
+    )
     process = subprocess.Popen(
-        [*command, "--wav", str(sound), "--strategy", strategy],
-        pass_fds=[its.fileno(), line.fileno()],
+        [*command, "--board", str(board.fileno()), "--request", request_json(request)],
+        pass_fds=[its.fileno(), line.fileno(), board.fileno()],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -95,6 +107,9 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
     watch.close()
     line.close()
     ours.close()
+    with board:
+        told = board.speech()
+    assert (told.strategy, told.settings, told.sound) == (strategy, {}, sound.name)
     assert len(jaw_deg) >= 180, said
     assert process.returncode == 0, said
     assert np.isfinite(jaw_deg).all()

@@ -41,7 +41,7 @@ def test_speech_moves_every_shipped_face_rightly(name):
 
 
 @pytest.mark.parametrize("name", shipped_faces())
-def test_the_lips_of_every_shipped_face_open_as_the_talkers_do(name):
+def test_the_lips_of_every_shipped_face_open_as_the_speakers_do(name):
     face = assemble_face(name, None)
     mouth = list(load_shipped_face(name).mouth_servos)
     own = [face.calibration.servo_names.index(servo) for servo in mouth]
@@ -54,7 +54,7 @@ def test_the_lips_of_every_shipped_face_open_as_the_talkers_do(name):
     assert np.corrcoef(human_mm, np.linalg.norm(gaps, axis=1))[0, 1] > 0.95
 
 
-def test_the_closed_mouth_is_zero_degrees_and_the_robot_closes_where_the_talker_does():
+def test_the_closed_mouth_is_zero_degrees_and_the_robot_closes_where_the_speaker_does():
     face = assemble_face("face_sim", None)
     assert not face.calibration.positions_deg(face.model.rest).any()
     rest_mm = face.model.markers_mm(face.model.rest[None])[0]
@@ -69,7 +69,7 @@ def test_the_closed_mouth_is_zero_degrees_and_the_robot_closes_where_the_talker_
     assert max(gaps_mm[:3]) < 2.0 < 6.0 < gaps_mm[3]
 
 
-def test_the_talker_never_said_these_phonemes_and_they_have_stand_ins():
+def test_the_speaker_never_said_these_phonemes_and_they_have_stand_ins():
     """Stated in the model card."""
     known = assemble_face("face_sim", None).model.known_phonemes
     assert set(PHONEMES) - known == {"SH", "ZH", "NG", "ER", "OY", "UH"}

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.face.assembly import assemble_face
 from lipservo.street.arrival import ArrivalLag
-from lipservo.street.motion_options import Manner, make_synthesizer
+from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipservo.street.speech import Speech
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 
@@ -86,7 +86,7 @@ class Deaf:
 def test_the_sound_of_a_drifting_card_is_shown_with_the_declared_delay(drift):
     face = assemble_face("face_sim", None)
     card, ears = Card(drift), Deaf()
-    synthesizer = make_synthesizer(face.model, Manner())
+    synthesizer = make_synthesizer(face.model, MotionOptions())
     speech = Speech(card, ears, synthesizer, face.calibration, MemoryTargetChannel())
     for n in range(60 * 30):  # a minute
         card.now_s = n * TICK_S

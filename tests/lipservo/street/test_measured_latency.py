@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.loop.status import face_status
 from lipservo.face.assembly import assemble_face, make_bus
-from lipservo.street.motion_options import Manner, make_synthesizer
+from lipservo.status.face_status import whole_status
+from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipservo.street.street import make_street
 from lipservo.street.summary import Tally
 from lipsync.audio.silence import SilentSource
@@ -54,7 +56,7 @@ def measured(source_of, recognizer_of):
     """The summary of six seconds."""
     face, clock = assemble_face("face_sim", None), ManualClock()
     with make_bus(face, clock) as bus, source_of(clock) as source:
-        synthesizer = make_synthesizer(face.model, Manner())
+        synthesizer = make_synthesizer(face.model, MotionOptions())
         street = make_street(face, source, bus, RATE_HZ, recognizer_of(clock), synthesizer)
         tally = Tally(clock, street)
         street.bridge.start()
@@ -63,7 +65,7 @@ def measured(source_of, recognizer_of):
                 break
             tally.begin_tick(time_s)
             tally.observe(street.tick(time_s, late))
-        return tally.summary("x", 6.0, 6.0, 0)
+        return tally.summary(whole_status(face_status(street.bridge), None), 6.0, 6.0)
 
 
 def undisturbed(_clock):

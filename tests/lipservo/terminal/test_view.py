@@ -12,6 +12,7 @@ from small_model import small_model
 from firmware_bridge.gate.limits import StaleLevel
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import TickReport
+from lipservo.status.face_status import Status
 from lipservo.status.street_tick import StreetTick
 from lipservo.terminal.mouth_drawing import draw_mouth
 from lipservo.terminal.view import TerminalView
@@ -39,7 +40,7 @@ def test_what_does_not_fit_is_left_out():
 
 
 def test_at_rest_the_shipped_mouth_is_closed_straight_and_symmetrical():
-    """The talker's own lips are 0.7 mm apart at rest, and her head leans to one side."""
+    """The speaker's own lips are 0.7 mm apart at rest, and her head leans to one side."""
     model = load_shipped_model()
     rest_mm = model.markers_mm(model.rest[None])[0]
     drawn = dots(draw_mouth(rest_mm, rest_mm))
@@ -51,6 +52,9 @@ def test_at_rest_the_shipped_mouth_is_closed_straight_and_symmetrical():
     assert drawn[line, columns[1] : columns[-1]].all()
 
 
+STATUS = Status(
+    name="face", sound="clip", strategy="expected", recognizer="loudness", fallback_level=2
+)
 JOINTS = [Joint("jaw", 1, -2.0, 25.0, 300.0), Joint("lower_lip_right", 2, -40.0, 40.0, 300.0)]
 
 
@@ -81,7 +85,7 @@ def shown(width: int, encoding: str = "utf-8", joints: Sequence[Joint] = JOINTS)
     """All that the view writes for one tick of a speaking mouth, and its end."""
     model = small_model()
     console, written = console_of(width, encoding)
-    with TerminalView(console, "clip -> face", joints, model) as view:
+    with TerminalView(console, lambda: STATUS, joints, model) as view:
         view.observe(tick("UW", [12.5, -33.3][: len(joints)], model.rest + 40.0 * np.eye(5)[0]))
         view._live.refresh()
     return written.getvalue().decode(encoding)
@@ -91,6 +95,10 @@ def test_the_view_shows_the_phoneme_and_every_servo():
     screen = shown(120)
     for text in ("clip -> face", "UW", "jaw", "12.5 deg", "lower_lip_right", "-33.3 deg", "0.50 s"):
         assert text in screen
+
+
+def test_the_view_names_the_strategy_and_who_listens():
+    assert "expected, loudness, fallback 2" in shown(100)
 
 
 @pytest.mark.parametrize("width", [80, 60, 45, 30, 26])
@@ -124,7 +132,7 @@ def test_the_last_picture_is_the_mouth_at_rest():
 def test_a_terminal_that_changes_its_size_is_cleared_before_the_next_picture():
     model = small_model()
     console, written = console_of(100)
-    with TerminalView(console, "clip -> face", JOINTS, model) as view:
+    with TerminalView(console, lambda: STATUS, JOINTS, model) as view:
         view.observe(tick("UW", [0.0, 0.0], model.rest))
         view._live.refresh()
         assert _CLEARED not in written.getvalue()

@@ -1,0 +1,49 @@
+"""The options that say how sound becomes motion, given to all commands that take them."""
+
+import functools
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from lipservo.commands.options import (
+    FaceEngine,
+    FaceStrategy,
+    FaceWeights,
+    Lookahead,
+    Smoothness,
+    Strength,
+)
+from lipservo.street.motion_options import ChosenMotion
+
+
+def chosen_motion(
+    engine: FaceEngine = None,
+    weights: FaceWeights = None,
+    strategy: FaceStrategy = None,
+    lookahead_ms: Lookahead = None,
+    strength: Strength = None,
+    smoothness: Smoothness = None,
+) -> ChosenMotion:
+    """What was typed of these options."""
+    return ChosenMotion(engine, weights, strategy, lookahead_ms, strength, smoothness)
+
+
+def takes_motion(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with its parameter `motion` replaced by the options of `chosen_motion`.
+
+    Typer reads a command's options off its signature and knows no groups of them.
+    """
+    options = inspect.signature(chosen_motion).parameters
+
+    @functools.wraps(command)
+    def with_options(**given: Any) -> None:
+        motion = chosen_motion(**{name: given.pop(name) for name in options})
+        command(**given, motion=motion)
+
+    shown: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command).parameters.values():
+        shown += options.values() if parameter.name == "motion" else [parameter]
+    shown = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in shown]
+    with_options.__signature__ = inspect.Signature(shown)  # type: ignore[attr-defined]
+    with_options.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}
+    return with_options

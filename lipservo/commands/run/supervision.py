@@ -1,0 +1,91 @@
+"""The supervisor of a face in several processes: one that owns the port, one that hears."""
+
+import sys
+from contextlib import ExitStack
+
+from firmware_bridge.end_report import EndReport
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.process.scheduling import StopSignals
+from lipservo.status.face_status import Status, whole_status
+from lipservo.status.status_board import StatusBoard
+from lipservo.street.run_commands import shared_commands
+from lipservo.street.run_request import RunRequest, request_json
+from lipservo.street.sources import open_sound
+from lipservo.terminal.output import MESSAGES, print_json
+from lipsync.errors import UserError
+
+
+def supervise(request: RunRequest) -> int:
+    """Run bridge and speech as processes until stopped; the exit status.
+
+    What cannot be used, sound and servos included, is refused before anything is armed.
+    """
+    from firmware_bridge.process.child import Child, Patience
+    from firmware_bridge.process.last_resort import TorqueRelease
+    from firmware_bridge.process.runtime_folder import socket_path
+    from firmware_bridge.process.service_notice import ServiceNotice
+    from firmware_bridge.process.socket_channel import channel_pair
+    from firmware_bridge.process.supervisor import Supervisor
+    from lipservo.face.assembly import assemble_face, at_port, check_servos
+    from lipservo.face.servos import port_opener
+
+    if request.trace is not None:
+        raise UserError(
+            "--trace: a face in processes of its own writes none, since no process sees both "
+            "sound and servos; `lipservo run --port PORT --trace FILE` does"
+        )
+    face = at_port(assemble_face(request.config, request.model), request.port)
+    port = face.settings.servo_port
+    assert port is not None
+    if request.sound.kind == "file":
+        open_sound(request.sound)
+    check_servos(face)
+    settings = face.settings
+    opener = port_opener(port, settings.bus.baud_rate)
+    servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
+    about = {"name": settings.name, "port": port}
+    with ExitStack() as stack:
+        signals = stack.enter_context(StopSignals())
+        say = no_log if request.quiet else stack.enter_context(LogLines())
+        say(str(request.motion))
+        board = stack.enter_context(StatusBoard.create())
+        path = request.control or socket_path(settings.name)
+        listener = ControlSocket.bind(path, about, shared_commands(request, board), board.describe)
+        stack.enter_context(listener)
+        writer, reader = channel_pair()
+        command = [sys.executable, "-m", "lipservo"]
+        shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
+        shared += ["--board", "{board}", "--channel", "{channel}"]
+        bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
+        bridge += ["--control-path", str(listener.path)]
+        of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
+        of_speech = {"{channel}": writer.fileno()}
+        ours = {"{board}": board.fileno()}
+        report = Supervisor(
+            Child("bridge", bridge, {**of_bridge, **ours}, Patience(start_s=30.0, run_s=1.0)),
+            Child(
+                "speech",
+                [*command, "speech-process", *shared],
+                {**of_speech, **ours},
+                Patience(60.0, 3.0),
+            ),
+            listener,
+            lambda patience_s: TorqueRelease(opener, list(servo_names), patience_s=patience_s),
+            servo_names=servo_names,
+            say=say,
+            notice=ServiceNotice(say),
+        ).run(signals)
+        _tell_end(request, report, whole_status({**about, "state": "ended"}, board.speech()))
+    return report.status
+
+
+def no_log(_line: str) -> None:
+    """What --quiet asks for."""
+
+
+def _tell_end(request: RunRequest, report: EndReport, status: Status) -> None:
+    if request.as_json:
+        print_json({**report.as_dict(), "face_status": status.as_dict()})
+    elif not request.quiet or report.unconfirmed:
+        MESSAGES.print(f"ended; {report.text()}", soft_wrap=True, highlight=False)

@@ -1,0 +1,27 @@
+"""The names of recognisers and strategies that a person may choose.
+
+Apart from what they name, which takes long to load: the command line and the face YAML read them.
+"""
+
+from typing import Final, Literal, get_args
+
+#: Which recogniser is tried first.
+Engine = Literal["network", "pocketsphinx"]
+#: How phonemes become motion: ours, and the two of Wei and Deng.
+Strategy = Literal["expected", "priority", "naive"]
+
+ENGINES: Final[tuple[Engine, ...]] = get_args(Engine)
+STRATEGIES: Final[tuple[Strategy, ...]] = get_args(Strategy)
+DEFAULT_ENGINE: Final[Engine] = "network"
+DEFAULT_STRATEGY: Final[Strategy] = "expected"
+#: What each strategy lets its user set; the paper's plays what was recorded, in its own time.
+STYLE_NAMES: Final = ("lookahead_ms", "strength", "smoothness")
+#: The most that each may be; the least is 0. `lipsync.motion.live_synthesizer` says why.
+LONGEST_LOOKAHEAD_MS: Final = 1000.0
+STRONGEST: Final = 1.5
+SMOOTHEST: Final = 1.0
+STYLES_OF: Final[dict[Strategy, tuple[str, ...]]] = {
+    "expected": STYLE_NAMES,
+    "priority": (),
+    "naive": (),
+}

@@ -1,0 +1,100 @@
+"""The status of a whole face: one object that everybody reads who wants to know how it is.
+
+The terminal view, `--json`, `lipservo status` and the summary read it. The bridge fills in what it
+knows of the servos, the speech side what it knows of sound and motion; what nobody knows at the
+moment is None. docs/architecture.md has the same fields as a table, which a test keeps true.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields
+
+
+@dataclass(frozen=True, slots=True)
+class SpeechStatus:
+    """What the speech side knows.
+
+    sound: what is heard, by the name of file or device. recognizer: who listens now;
+    fallback_level: how many recognisers were left for it, 0: the one that was asked for;
+    fallback_reasons: why each of them was left. engine, weights, strategy: as asked for. settings:
+    what the strategy lets its user set, as set last. delay_ms: how much later than its sound the
+    face is shown. n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard.
+    """
+
+    sound: str
+    recognizer: str
+    fallback_level: int
+    fallback_reasons: tuple[str, ...]
+    engine: str
+    weights: str
+    strategy: str
+    settings: Mapping[str, float]
+    delay_ms: float
+    n_phonemes: int = 0
+    n_lost_sound_blocks: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The whole face at one moment. Nothing in it changes afterwards.
+
+    name: of the face; port: of its servos, None: simulated in memory; state: a `FaceState`, or what
+    the supervisor does while no bridge runs; stopped: the stop that a supervisor holds to; plugged:
+    whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
+    name; troubles: a line for each servo that is not driven; n_ticks to n_rejected_targets: the
+    counts of `BridgeStatus`; *_total: how often the gate stepped in, over all servos; bridge_pid:
+    the process that drives them. The rest is that of `SpeechStatus`.
+    """
+
+    name: str = ""
+    port: str | None = None
+    state: str = ""
+    stopped: str | None = None
+    plugged: bool | None = None
+    torque_on: bool | None = None
+    servos: Mapping[str, str] = field(default_factory=dict)
+    troubles: tuple[str, ...] = ()
+    sound: str | None = None
+    recognizer: str | None = None
+    fallback_level: int | None = None
+    fallback_reasons: tuple[str, ...] = ()
+    engine: str | None = None
+    weights: str | None = None
+    strategy: str | None = None
+    settings: Mapping[str, float] = field(default_factory=dict)
+    delay_ms: float | None = None
+    n_phonemes: int | None = None
+    n_lost_sound_blocks: int | None = None
+    n_ticks: int | None = None
+    n_late: int | None = None
+    n_stale: int | None = None
+    n_armed: int | None = None
+    n_unplugged: int | None = None
+    n_rejected_targets: int | None = None
+    range_hits_total: int | None = None
+    rate_hits_total: int | None = None
+    rejected_total: int | None = None
+    prevented_total: int | None = None
+    bridge_pid: int | None = None
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return asdict(self)
+
+
+_NAMES = frozenset(each.name for each in fields(Status))
+
+
+def whole_status(bridge: Mapping[str, object], speech: SpeechStatus | None) -> Status:
+    """The two parts as one. bridge: what `face_status` gives, and name and port of the face.
+
+    Raises TypeError for a part that is not in `Status`: it would be said by nobody.
+    """
+    if unknown := set(bridge) - _NAMES:
+        raise TypeError(f"no field of Status: {', '.join(sorted(unknown))}")
+    parts: dict[str, object] = {} if speech is None else asdict(speech)
+    parts.update(bridge)
+    for name in ("troubles", "fallback_reasons"):
+        listed = parts.get(name, ())
+        assert isinstance(listed, (list, tuple))
+        parts[name] = tuple(listed)
+    return Status(**parts)  # type: ignore[arg-type]  # checked above, field by field

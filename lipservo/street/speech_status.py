@@ -1,0 +1,47 @@
+"""What the speech side says of itself."""
+
+from collections.abc import Mapping
+from typing import Final, Protocol
+
+from lipservo.status.face_status import SpeechStatus
+from lipservo.street.motion_options import MotionOptions
+from lipservo.street.speech import Speech
+from lipsync.audio.source import AudioSource
+
+#: Recognisers from the best down; each takes over where the one before it fails.
+_LEVELS: Final = ("network", "pocketsphinx", "loudness", "neutral")
+
+
+class FallbackRecognizer(Protocol):
+    """A recogniser that is replaced by a lesser one where it fails."""
+
+    @property
+    def level(self) -> str:
+        """Who listens now, by name."""
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Why each one before was left, in order."""
+
+
+def speech_status(
+    options: MotionOptions,
+    source: AudioSource,
+    recognizer: FallbackRecognizer,
+    speech: Speech,
+    settings: Mapping[str, float],
+) -> SpeechStatus:
+    """The speech side as it is now. settings: those that were changed since the start, by name."""
+    return SpeechStatus(
+        sound=source.name,
+        recognizer=recognizer.level,
+        fallback_level=_LEVELS.index(recognizer.level) - _LEVELS.index(options.engine),
+        fallback_reasons=recognizer.reasons,
+        engine=options.engine,
+        weights=options.weights,
+        strategy=options.strategy,
+        settings={**options.style_settings, **settings},
+        delay_ms=round(speech.delay.total_s * 1e3, 3),
+        n_phonemes=speech.phonemes_planned,
+        n_lost_sound_blocks=source.lost_blocks,
+    )

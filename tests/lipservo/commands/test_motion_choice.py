@@ -1,0 +1,133 @@
+"""How sound becomes motion: what is typed goes before the face's YAML, and that before defaults."""
+
+from dataclasses import fields
+from typing import get_args
+
+import pytest
+import typer
+import yaml
+from places import ROOT
+
+from lipservo.commands.run.motion_choice import takes_motion
+from lipservo.settings import motion_names as names
+from lipservo.settings.motion_names import STRATEGIES as NAMES
+from lipservo.settings.motion_names import STYLE_NAMES, Engine
+from lipservo.settings.motion_settings import MotionSettings
+from lipservo.settings.settings import parse_face
+from lipservo.settings.strict_yaml import SettingsError
+from lipservo.street.motion_options import (
+    ChosenMotion,
+    MotionOptions,
+    make_recognizer,
+    motion_options,
+)
+from lipsync.animpho.selection import STRATEGIES
+from lipsync.errors import UserError
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LONGEST_LOOKAHEAD_S, STRONGEST, Style
+
+FACE = yaml.safe_load((ROOT / "config" / "face_sim.yaml").read_text())
+TYPED = {
+    "engine": "pocketsphinx",
+    "weights": "grid",
+    "strategy": "expected",
+    "lookahead_ms": 50.0,
+    "strength": 0.5,
+    "smoothness": 0.25,
+}
+
+
+def face_with(motion):
+    return parse_face(yaml.safe_dump({**FACE, "motion": motion}), "face.yaml").motion
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(ChosenMotion)])
+def test_every_option_reaches_the_command_that_takes_them(name):
+    heard = []
+
+    @takes_motion
+    def command(*, motion: ChosenMotion) -> None:
+        heard.append(motion)
+
+    app = typer.Typer()
+    app.command()(command)
+    app([f"--{name.replace('_', '-')}", str(TYPED[name])], standalone_mode=False)
+
+    assert heard == [ChosenMotion(**{name: TYPED[name]})]
+
+
+def test_the_yaml_is_used_where_nothing_is_typed():
+    options = motion_options(ChosenMotion(), face_with(TYPED), None)
+
+    assert options == MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 0.5, 0.25))
+
+
+def test_what_is_typed_goes_before_the_yaml():
+    other = {
+        "engine": "network",
+        "weights": "default",
+        "lookahead_ms": 80,
+        "strength": 1.5,
+        "smoothness": 1,
+    }
+
+    options = motion_options(ChosenMotion(**TYPED), face_with(other), None)
+
+    assert options == MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 0.5, 0.25))
+
+
+def test_another_strategy_than_the_yamls_leaves_the_yamls_style_aside():
+    options = motion_options(ChosenMotion(strategy="naive"), face_with({"strength": 0.5}), None)
+
+    assert options == MotionOptions(strategy="naive")
+    assert options.style_settings == {}
+    assert options.live_settings() == {}
+
+
+@pytest.mark.parametrize("strategy", ["naive", "priority"])
+@pytest.mark.parametrize("name", STYLE_NAMES)
+def test_what_a_strategy_ignores_is_refused_typed_or_written(strategy, name):
+    option = f"--{name.replace('_', '-')}"
+
+    with pytest.raises(UserError, match=rf"^{option}: strategy {strategy} ignores it"):
+        motion_options(ChosenMotion(strategy=strategy, **{name: 0.0}), MotionSettings(), None)
+    with pytest.raises(UserError, match=rf"^{option}: strategy {strategy} ignores it"):
+        motion_options(ChosenMotion(**{name: 0.0}), MotionSettings(strategy=strategy), None)
+    with pytest.raises(SettingsError, match=f"strategy {strategy} has no {name}"):
+        face_with({"strategy": strategy, name: 0.0})
+
+
+def test_weights_of_a_yaml_are_found_from_its_folder(tmp_path):
+    (tmp_path / "own.npz").write_bytes((ROOT / "benchmarks/recognizer_held_out.npz").read_bytes())
+
+    options = motion_options(ChosenMotion(), face_with({"weights": "own.npz"}), tmp_path)
+
+    assert options.weights == str(tmp_path / "own.npz")
+
+
+@pytest.mark.parametrize(
+    ("motion", "said"),
+    [
+        ({"strength": 2}, "face.yaml.motion.strength: 2 is outside 0..1.5"),
+        ({"strategy": "best"}, "face.yaml.motion.strategy: 'best' is not known here; use one of"),
+        ({"volume": 1}, "face.yaml.motion.volume: unknown setting"),
+        (None, "face.yaml.motion: None is not settings of its own"),
+    ],
+)
+def test_a_wrong_motion_section_is_refused_with_the_path_of_its_key(motion, said):
+    with pytest.raises(SettingsError) as refused:
+        face_with(motion)
+
+    assert str(refused.value).startswith(said)
+
+
+def test_the_names_and_limits_that_load_at_once_are_those_of_what_they_name():
+    assert set(NAMES) == {LIVE_STRATEGY, *STRATEGIES}
+    for engine in get_args(Engine):
+        assert make_recognizer(engine).level == engine
+    MotionSettings(lookahead_ms=LONGEST_LOOKAHEAD_S * 1e3, strength=STRONGEST, smoothness=1.0)
+    assert names.STRONGEST == STRONGEST
+    assert names.LONGEST_LOOKAHEAD_MS == LONGEST_LOOKAHEAD_S * 1e3
+    assert set(names.STYLES_OF) == set(NAMES)
+    for beyond in ({"lookahead_ms": LONGEST_LOOKAHEAD_S * 1e3 + 1}, {"strength": STRONGEST + 0.01}):
+        with pytest.raises(ValueError, match="outside"):
+            MotionSettings(**beyond)

@@ -1,0 +1,158 @@
+"""`set` as a person types it, while a face plays; and what the face then says of itself."""
+
+import json
+import threading
+import time
+from contextlib import contextmanager
+
+import pytest
+from short_folder import short_folder
+from typer.testing import CliRunner
+
+from firmware_bridge.clock import ManualClock, MonotonicClock
+from firmware_bridge.process.command_queue import CommandQueue, Setting
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.runtime_folder import socket_path
+from lipservo.cli import app
+from lipservo.street.motion_options import MotionOptions
+from lipservo.street.run_face import run_face
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import SILENCE, open_sound
+from lipsync.audio.silence import SilentSource
+from lipsync.errors import UserError
+from lipsync.motion.live_synthesizer import Style
+
+PATIENCE_S = 60.0
+
+
+@pytest.fixture(autouse=True)
+def own_folder(monkeypatch):
+    """Faces of this test only."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    session = short_folder()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
+    monkeypatch.setattr(
+        "firmware_bridge.process.runtime_folder._folders_of_others", lambda: iter(())
+    )
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, list(arguments))
+
+
+@contextmanager
+def playing(motion):
+    """A face with simulated servos that hears silence in this process, until the block ends."""
+    outcomes = []
+    request = RunRequest("face_jaw", SILENCE, motion, quiet=True)
+
+    def play():
+        with open_sound(SILENCE) as source:
+            outcomes.append(run_face(request, source, MonotonicClock(), endless=True))
+
+    thread = threading.Thread(target=play)
+    thread.start()
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not json.loads(invoke("status", "--json").stdout)["faces"]:
+        assert time.monotonic() < give_up_s
+        time.sleep(0.05)
+    try:
+        yield outcomes
+    finally:
+        invoke("stop")
+        thread.join(PATIENCE_S)
+
+
+def test_a_face_says_what_it_plays_and_follows_what_is_set():
+    with playing(MotionOptions(style=Style(0.05, 1.2))) as outcomes:
+        (before,) = json.loads(invoke("status", "--json").stdout)["faces"]
+        done = invoke("set", "strength", "0.25")
+        in_json = invoke("set", "smoothness", "1", "--json")
+        shown = invoke("status").stdout
+    (after,) = outcomes
+
+    assert (before["strategy"], before["sound"], before["engine"]) == (
+        "expected",
+        "silence",
+        "network",
+    )
+    assert before["settings"] == {"lookahead_ms": 50.0, "strength": 1.2, "smoothness": 0.0}
+    assert (done.exit_code, in_json.exit_code) == (0, 0)
+    assert "strength is 0.25 from now on" in done.stdout
+    (answer,) = json.loads(in_json.stdout)["faces"]
+    assert (answer["set"], answer["value"]) == ("smoothness", 1.0)
+    assert "expected, lookahead_ms 50, strength 0.25, smoothness 1" in shown
+    assert after.status.settings == {"lookahead_ms": 50.0, "strength": 0.25, "smoothness": 1.0}
+    assert after.summary.strategy == "expected"
+    assert after.summary.recognizer == after.status.recognizer
+
+
+def test_a_strategy_without_settings_refuses_them_in_one_line():
+    with playing(MotionOptions(strategy="naive")):
+        done = invoke("set", "strength", "0.5")
+
+    assert done.exit_code == 1
+    assert done.stderr.count("\n") == 1
+    assert "'strength': no such setting; strategy naive has none that change" in done.stderr
+
+
+@contextmanager
+def listening(name, settings):
+    """A face that only answers."""
+    over = threading.Event()
+
+    def loop(control):
+        while not over.wait(0.001):
+            control.poll(dict)
+
+    path = socket_path(name)
+    with ControlSocket.bind(path, {"name": name}, CommandQueue(settings)) as control:
+        thread = threading.Thread(target=loop, args=(control,))
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+
+def test_all_faces_are_asked_or_the_one_that_is_named_and_one_refusal_is_a_failure():
+    with listening("tim", {"strength": Setting(1.0, 0.0, 1.5)}), listening("tom", {}):
+        both = invoke("set", "strength", "0.5", "--json")
+        one = invoke("set", "strength", "0.5", "--face", "tim")
+        negative = invoke("set", "strength", "-1", "--face", "tim")
+        nobody = invoke("set", "strength", "0.5", "--face", "tam")
+
+    tim, tom = json.loads(both.stdout)["faces"]
+    assert (tim["value"], "no such setting" in tom["error"]) == (0.5, True)
+    assert (both.exit_code, one.exit_code, negative.exit_code) == (1, 0, 1)
+    assert "strength is -1; allowed: 0 to 1.5" in negative.stderr
+    assert isinstance(nobody.exception, UserError)
+
+
+def test_without_a_face_it_says_so():
+    done = invoke("set", "strength", "0.5")
+
+    assert isinstance(done.exception, UserError)
+    assert "is a face running?" in str(done.exception)
+
+
+class _ShortSilence(SilentSource):
+    duration_s = 0.1
+
+
+@pytest.mark.parametrize(
+    ("motion", "said"),
+    [
+        (MotionOptions(), "strategy expected (lookahead_ms 100, strength 1, smoothness 0)"),
+        (
+            MotionOptions("pocketsphinx", strategy="naive"),
+            "strategy naive; recogniser pocket",
+        ),
+    ],
+)
+def test_the_banner_names_strategy_and_recogniser(capsys, motion, said):
+    with _ShortSilence() as source:
+        run_face(RunRequest("face_jaw", SILENCE, motion), source, ManualClock())
+
+    assert said in capsys.readouterr().err

@@ -1,0 +1,109 @@
+"""The processes of a daemon get the whole request, and follow what is set while they run."""
+
+import json
+import os
+import signal
+from importlib import resources
+from pathlib import Path
+
+import pytest
+from running_daemon import PATIENCE_S, child, own_folder, run, running, wait_for
+from speech import CLIP_PATH
+
+from firmware_bridge.process.control_client import ask
+from lipservo.face.sim_process import simulated_port
+from lipservo.street.motion_options import MotionOptions
+from lipservo.street.run_request import RunRequest, request_of_json
+from lipservo.street.sources import Sound
+from lipsync.motion.live_synthesizer import Style
+
+
+@pytest.fixture(scope="module")
+def typed(tmp_path_factory):
+    """A daemon with every option it has but --sim, --mic and --quiet, and the request they make."""
+    folder = tmp_path_factory.mktemp("typed")
+    with (
+        pytest.MonkeyPatch.context() as monkeypatch,
+        simulated_port(["--config", "face_sim", "--on-time"]) as port,
+        resources.as_file(resources.files("lipsync.models") / "grid_s1.npz") as model,
+    ):
+        own_folder(monkeypatch)
+        control = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo", "typed.sock")
+        control.parent.mkdir(mode=0o700)
+        options = {
+            "--config": "face_sim",
+            "--wav": str(CLIP_PATH),
+            "--model": str(model),
+            "--rate-hz": "50",
+            "--engine": "pocketsphinx",
+            "--weights": "grid",
+            "--strategy": "expected",
+            "--lookahead-ms": "50",
+            "--strength": "1.25",
+            "--smoothness": "0.25",
+            "--control": str(control),
+        }
+        motion = MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 1.25, 0.25))
+        wanted = RunRequest(
+            config="face_sim",
+            sound=Sound("file", str(CLIP_PATH)),
+            motion=motion,
+            model=model,
+            port=port,
+            rate_hz=50.0,
+            control=control,
+            as_json=True,
+        )
+        arguments = [word for option in options.items() for word in option]
+        with running(port, folder, *arguments, "--json") as process:
+            process.wanted = wanted
+            yield process
+
+
+def settings(process):
+    """What the speech side says is set; {} before it has said so."""
+    return ask(process.control, "status", PATIENCE_S)["settings"]
+
+
+def received(process, name):
+    """The request that a child was given, read from its command line in the kernel."""
+    words = Path(f"/proc/{child(process, name)}/cmdline").read_bytes().decode().split("\0")
+    return request_of_json(words[words.index("--request") + 1])
+
+
+def test_the_children_receive_all_that_was_typed(typed):
+    wait_for(lambda: settings(typed))
+    status = ask(typed.control, "status", PATIENCE_S)
+
+    assert received(typed, "bridge") == typed.wanted
+    assert received(typed, "speech") == typed.wanted
+    assert (status["engine"], status["weights"]) == ("pocketsphinx", "grid")
+    assert status["settings"] == {"lookahead_ms": 50.0, "strength": 1.25, "smoothness": 0.25}
+    assert status["sound"] == CLIP_PATH.name
+
+
+def test_what_is_set_reaches_the_speech_side_and_outlives_it(typed):
+    done = run("set", "strength", "0.5", "--control", str(typed.control))
+    wait_for(lambda: settings(typed).get("strength") == 0.5)
+    refused = run("set", "lookahead_ms", "50", "--control", str(typed.control))
+    first = child(typed, "speech")
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: child(typed, "speech") != first)
+    wait_for(lambda: settings(typed).get("strength") == 0.5)
+
+    assert (done.returncode, refused.returncode) == (0, 1)
+    assert "strength is 0.5 from now on" in done.stdout
+    assert "there are: strength (0 to 1.5), smoothness (0 to 1)" in refused.stderr
+    assert refused.stderr.count("\n") == 1
+
+
+def test_json_at_the_end_says_what_was_played(typed):
+    typed.terminate()
+    typed.wait(PATIENCE_S)
+    told = json.loads(typed.out.read_text())
+
+    assert len(told["confirmed"]) == 10
+    assert (told["face_status"]["strategy"], told["face_status"]["engine"]) == (
+        "expected",
+        "pocketsphinx",
+    )

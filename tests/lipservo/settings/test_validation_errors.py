@@ -1,0 +1,134 @@
+"""Every error in a face YAML is one line: where, what, what is allowed."""
+
+import pytest
+from two_servo_face import FACE, errors_in
+
+MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210, XM430-W350"
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "error"),
+    [
+        (
+            "rate_hz: 50",
+            "rate_hz: 50\nstale: {hold_s: 2.0}",
+            "stale: needs hold_s < neutral_s <= limp_s, got 2, 1 and 5",
+        ),
+        (
+            "rate_hz: 50",
+            "rate_hz: 50\ntracking: {error_deg: 0.0}",
+            "tracking.error_deg: 0 is outside 1..360",
+        ),
+        (
+            "    id: 3\n",
+            "    id: 3\n    max_current_ma: 2000\n",
+            "servos.jaw: max_current_ma 2000 is more than an XL330-M288 takes, 1750",
+        ),
+        ("id: 3", "id: 300", "servos.jaw.id: 300 is outside 0..252"),
+        ("id: 3", "id: -1", "servos.jaw.id: -1 is outside 0..252"),
+        ("id: 3", 'id: "3"', "servos.jaw.id: '3' is not a whole number"),
+        ("id: 3", "id: 3.5", "servos.jaw.id: 3.5 is not a whole number"),
+        ("id: 3", "id: 3.0", "servos.jaw.id: 3.0 is not a whole number"),
+        ("id: 3", "id: true", "servos.jaw.id: True is not a whole number"),
+        ("id: 3", "id:", "servos.jaw.id: None is not a whole number"),
+        ("    id: 3\n", "", "servos.jaw.id: is missing"),
+        (
+            "id: 3",
+            "id: 4",
+            "servos: jaw and lip both have id 4; every servo needs its own",
+        ),
+        (
+            "XL330-M288",
+            "XL330-M289",
+            f"servos.jaw.model: 'XL330-M289' is not known here; use one of {MODELS}",
+        ),
+        ("positive: opens", 'positive: ""', "servos.jaw.positive: is empty"),
+        ("positive: opens", "positive: on", "servos.jaw.positive: True is not text"),
+        (
+            "min_deg: -2",
+            "min_deg: 26",
+            "servos.jaw: needs min_deg <= 0 <= max_deg, got 26 and 25.5",
+        ),
+        ("min_deg: -2", "min_deg: 1", "servos.jaw: needs min_deg <= 0 <= max_deg, got 1 and 25.5"),
+        ("min_deg: -2", "min_deg: -181", "servos.jaw.min_deg: -181 is outside -180..180"),
+        ("min_deg: -2", "min_deg: .nan", "servos.jaw.min_deg: nan is not a finite number"),
+        ("min_deg: -2", "min_deg: -2 deg", "servos.jaw.min_deg: '-2 deg' is not a number"),
+        ("min_deg: -2", "min_deg: false", "servos.jaw.min_deg: False is not a number"),
+        (
+            "max_speed_deg_s: 300",
+            "max_speed_deg_s: 0",
+            "servos.jaw.max_speed_deg_s: 0 is outside 1..2298",
+        ),
+        (
+            "    max_speed_deg_s: 300",
+            "    max_speed_deg_s: 300\n    max_sped_deg_s: 300",
+            "servos.jaw.max_sped_deg_s: unknown setting; did you mean max_speed_deg_s?",
+        ),
+        ("sign: -1", "sign: 2", "servos.lip.sign: 2 is neither 1 nor -1"),
+        ("sign: -1", "sign: true", "servos.lip.sign: True is not a whole number"),
+        (
+            "  kind: simulated",
+            "  kind: simulated\n  speed: x",
+            "bus.speed: unknown setting; known here: kind, port, baud_rate, backend",
+        ),
+        (
+            "kind: simulated",
+            "kind: serial",
+            "bus.kind: 'serial' is not known here; use one of simulated, dynamixel",
+        ),
+        ("rate_hz: 50", "rate_hz: 29.9", "rate_hz: 29.9 is outside 30..200"),
+        ("rate_hz: 50", "rate_hz: 201", "rate_hz: 201 is outside 30..200"),
+        ("rate_hz: 50", "rate_hz: 50\nrates: 3", "rates: unknown setting; did you mean rate_hz?"),
+        (
+            "rate_hz: 50",
+            "rate_hz: 50\nvoice: 3",
+            "voice: unknown setting; known here: "
+            "name, rate_hz, servos, bus, calibration, prevent, stale, tracking, motion",
+        ),
+        ("name: test face", "name: 3", "name: 3 is not text"),
+        ("  jaw:", "  Jaw:", "servos.Jaw: 'Jaw' does not have the form ^[a-z][a-z0-9_]*$"),
+        ("  jaw:", "  3:", "servos.3: 3 is not text"),
+        (
+            "face.calibration.yaml",
+            "/etc/face.yaml",
+            r"calibration: '/etc/face.yaml' does not have the form ^[\w.-]+\.yaml$",
+        ),
+    ],
+)
+def test_an_error_is_explained_in_one_line(tmp_path, right, wrong, error):
+    assert right in FACE
+
+    assert errors_in(tmp_path, FACE.replace(right, wrong, 1)) == [f"face.yaml.{error}"]
+
+
+def test_every_error_gets_its_own_line(tmp_path):
+    text = FACE.replace("id: 3", "id: 300").replace("sign: -1", "zign: -1").replace("name", "nome")
+
+    assert errors_in(tmp_path, text) == [
+        "face.yaml.name: is missing",
+        "face.yaml.servos.jaw.id: 300 is outside 0..252",
+        "face.yaml.servos.lip.zign: unknown setting; did you mean sign?",
+        "face.yaml.nome: unknown setting; did you mean name?",
+    ]
+
+
+def test_a_face_needs_at_least_one_servo(tmp_path):
+    text = FACE[: FACE.index("servos:")] + "servos: {}\n"
+
+    assert errors_in(tmp_path, text) == ["face.yaml.servos: needs at least one servo"]
+
+
+def test_an_alias_of_an_alias_of_an_alias_is_shown_short(tmp_path):
+    """Nine of nine of nine, nine times over: 3 GB, were it written out."""
+    bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]\n" for n in range(1, 9)
+    )
+    lines = errors_in(tmp_path, FACE.replace("name: test face", f"{bomb}name: *a8"))
+    assert len("\n".join(lines)) < 4000
+    assert any("is not text" in line for line in lines)
+
+
+def test_a_mistyped_key_of_a_rule_is_told(tmp_path):
+    rules = FACE + "prevent:\n  - {jonts: {jaw: 1}, above: 2, because: they touch}\n"
+    lines = errors_in(tmp_path, rules)
+    assert "face.yaml.prevent.0.jonts: unknown setting; did you mean joints?" in lines

@@ -1,0 +1,65 @@
+"""One status of the whole face: every part of it documented, put together, unchangeable."""
+
+import json
+import re
+from dataclasses import FrozenInstanceError, asdict, fields
+
+import pytest
+from places import ROOT
+from speaking_status import SPEECH
+
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.loop.status import face_status
+from lipservo.face.assembly import assemble_face, make_bus
+from lipservo.face.servos import bridge_for
+from lipservo.status.face_status import SpeechStatus, Status, whole_status
+
+
+@pytest.fixture(scope="module")
+def of_bridge():
+    face = assemble_face("face_jaw", None)
+    with make_bus(face, ManualClock()) as bus:
+        return face_status(bridge_for(face.settings, bus, MemoryTargetChannel(), rate_hz=30.0))
+
+
+def test_bridge_and_speech_fill_in_every_field_but_what_only_a_supervisor_knows(of_bridge):
+    status = whole_status({**of_bridge, "name": "tom", "port": "/dev/x"}, SPEECH)
+
+    unknown = [name for name, value in status.as_dict().items() if value is None]
+    assert unknown == ["stopped"]
+    assert status.servos == {"jaw": status.servos["jaw"]}
+    assert status.fallback_reasons == SPEECH.fallback_reasons
+    assert asdict(SPEECH).items() <= status.as_dict().items()
+
+
+def test_what_nobody_knows_is_none_and_the_whole_is_json():
+    status = whole_status({"state": "waiting", "stopped": "freeze", "troubles": []}, None)
+
+    told = json.loads(json.dumps(status.as_dict()))
+    assert (told["state"], told["stopped"], told["strategy"]) == (
+        "waiting",
+        "freeze",
+        None,
+    )
+    assert list(told) == [field.name for field in fields(Status)]
+
+
+def test_a_part_that_has_no_field_is_refused():
+    with pytest.raises(TypeError, match="heat"):
+        whole_status({"heat": 3}, None)
+
+
+def test_a_status_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        Status().state = "driven"
+
+
+def test_the_table_in_the_documentation_has_the_fields_in_their_order():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    section = text.split("## Status", 1)[1].split("\n## ", 1)[0]
+    named = re.findall(r"^\| `(\w+)` \| (\w+) \| .+ \|$", section, re.MULTILINE)
+
+    assert [name for name, _ in named] == [field.name for field in fields(Status)]
+    of_speech = {field.name for field in fields(SpeechStatus)}
+    assert {name for name, who in named if who == "speech"} == of_speech

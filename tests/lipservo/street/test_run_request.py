@@ -1,0 +1,95 @@
+"""The request that goes whole to the processes of a face: nothing falls out, nothing slips in."""
+
+import json
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from places import ROOT
+
+from lipservo.settings.motion_names import ENGINES, STRATEGIES
+from lipservo.street.motion_options import MotionOptions
+from lipservo.street.run_request import RequestError, RunRequest, request_json, request_of_json
+from lipservo.street.sources import CLIP, Sound
+from lipsync.motion.live_synthesizer import LONGEST_LOOKAHEAD_S, STRONGEST, Style
+
+HELD_OUT = str(ROOT / "benchmarks" / "recognizer_held_out.npz")
+#: Names of files need not be UTF-8: Python keeps such a byte as a lone surrogate.
+names = st.text(st.characters(exclude_characters="\0"), min_size=1) | st.just("a\udcff b.wav")
+paths = st.builds(Path, names)
+styles = st.builds(
+    Style,
+    lookahead_s=st.floats(0.0, LONGEST_LOOKAHEAD_S),
+    strength=st.floats(0.0, STRONGEST),
+    smoothness=st.floats(0.0, 1.0),
+)
+motions = st.builds(
+    MotionOptions,
+    engine=st.sampled_from(ENGINES),
+    weights=st.sampled_from(["default", "grid", HELD_OUT]),
+    strategy=st.sampled_from(STRATEGIES),
+    style=styles,
+)
+sounds = st.builds(Sound, st.sampled_from(["clip", "file", "microphone", "silence"]), names)
+requests = st.builds(
+    RunRequest,
+    config=names,
+    sound=sounds,
+    motion=motions,
+    model=st.none() | paths,
+    port=st.none() | names,
+    rate_hz=st.none() | st.floats(30.0, 200.0),
+    trace=st.none() | paths,
+    control=st.none() | paths,
+    as_json=st.booleans(),
+    quiet=st.booleans(),
+    dry_run=st.booleans(),
+)
+WHOLE = json.loads(request_json(RunRequest("face_sim", CLIP)))
+
+
+@settings(max_examples=60)  # weights that are named are read
+@given(requests)
+def test_what_is_written_for_another_process_is_read_as_it_was(request):
+    text = request_json(request)
+
+    assert request_of_json(text) == request
+    assert "\n" not in text
+
+
+@pytest.mark.parametrize("name", [field.name for field in fields(RunRequest)])
+def test_a_request_without_a_field_is_refused(name):
+    part = {key: value for key, value in WHOLE.items() if key != name}
+
+    with pytest.raises(RequestError, match=rf"^request\.{name}: is missing$"):
+        request_of_json(json.dumps(part))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"volume": 1}, "request: unknown field 'volume'"),
+        ({"rate_hz": "30"}, "request.rate_hz: '30' is not a number"),
+        ({"rate_hz": True}, "request.rate_hz: True is not a number"),
+        ({"quiet": 1}, "request.quiet: 1 is not true or false"),
+        ({"config": None}, "request.config: None is not text"),
+        ({"model": 3}, "request.model: 3 is not a path"),
+        ({"sound": "clip"}, "request.sound: 'clip' has no fields; needs kind, name"),
+        ({"sound": {"kind": "noise", "name": ""}}, "request.sound.kind: 'noise', not one of clip"),
+        ({"motion": {**WHOLE["motion"], "style": {}}}, "request.motion.style.lookahead_s: is miss"),
+    ],
+)
+def test_a_wrong_field_is_refused_in_one_line_that_names_it(change, said):
+    with pytest.raises(RequestError) as refused:
+        request_of_json(json.dumps({**WHOLE, **change}))
+
+    assert str(refused.value).startswith(said)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "null", "[" * 100_000])
+def test_what_is_no_request_at_all_is_refused(text):
+    with pytest.raises(RequestError, match=r"^request: "):
+        request_of_json(text)

@@ -1,0 +1,113 @@
+"""A `lipservo daemon` at simulated servos, and what a test asks of it."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from short_folder import short_folder
+
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.process.control_client import ask
+
+BAUD_RATE = 1_000_000
+
+
+IDS = range(11, 21)
+
+
+#: Far more than anything here takes, even on a busy machine.
+PATIENCE_S = 120.0
+
+
+LIPSERVO = [sys.executable, "-m", "lipservo"]
+
+
+def own_folder(monkeypatch):
+    """Faces of this test only."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    session = short_folder()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
+
+
+@contextlib.contextmanager
+def running(port, folder, *arguments, errors=None):
+    """A `lipservo daemon` whose servos are driven."""
+    notify, said = folder / "notify.sock", folder / "said.txt"
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd,
+        said.open("w") as log,
+        (folder / "out.txt").open("w") as out,
+    ):
+        systemd.bind(str(notify))
+        systemd.settimeout(PATIENCE_S)
+        with subprocess.Popen(
+            [*LIPSERVO, "daemon", "--port", port, *arguments],
+            stdout=out,
+            stderr=log if errors is None else errors,
+            env={**os.environ, "NOTIFY_SOCKET": str(notify)},
+        ) as process:
+            process.said, process.out = said, folder / "out.txt"
+            try:
+                assert systemd.recv(100) == b"READY=1"
+                (process.control,) = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo").glob("*.sock")
+                yield process
+            finally:
+                process.terminate()
+                try:
+                    process.wait(PATIENCE_S)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+
+
+def wait_for(condition):
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < give_up_s, "nothing happened"
+        time.sleep(0.05)
+
+
+def run(*arguments):
+    return subprocess.run(
+        [*LIPSERVO, *arguments], timeout=PATIENCE_S, check=False, capture_output=True, text=True
+    )
+
+
+def log(process):
+    return process.said.read_text()
+
+
+def child(process, name):
+    """The number of the newest process of that name, from the log."""
+    lines = [line for line in log(process).splitlines() if line.startswith(f"{name} runs")]
+    return int(lines[-1].split()[-1])
+
+
+def torque(port):
+    """torque_enable of every servo, read by a second program once the first is gone."""
+    transport = open_port(port, BAUD_RATE)
+    try:
+        line = Line(transport)
+        return [line.read(each, 64, 1).data[0] for each in IDS]
+    finally:
+        transport.close()
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def all_driven(process):
+    try:
+        states = ask(process.control, "status", PATIENCE_S)["servos"]
+    except OSError:
+        return False
+    return set(states.values()) == {"driven"}
