@@ -39,7 +39,7 @@ QUICK = DecoderSettings(switch_penalty=0.3, closure_penalty=0.15)
 SMOOTH = DecoderSettings()
 
 
-class SwitchDecoder:
+class ViterbiDecoder:
     """Hears one frame of posteriors after the other; see the module's text.
 
     delays: of the heads, rising; delay: D, at least the first of them.

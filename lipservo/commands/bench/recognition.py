@@ -106,7 +106,7 @@ def listening(
     import numpy as np
 
     from lipsync.evaluation.recognition.benchmark import block_costs_s, false_speech, quiet_sounds
-    from lipsync.recognition.sound import read_speech
+    from lipsync.recognition.speech_file import read_speech
 
     utterances = None
     if corpus is not None:
@@ -167,8 +167,8 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
 
 def _maker(engine: Engine, latency_s: float, weights: str) -> Callable[[], LiveRecognizer]:
     """A function that makes the engine itself, without the ladder: a failure must be seen."""
-    from lipsync.recognition.allphone_recognizer import PocketsphinxRecognizer
     from lipsync.recognition.network_recognizer import NetworkRecognizer
+    from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
 
     if engine == "pocketsphinx":
         return lambda: PocketsphinxRecognizer(latency_s)

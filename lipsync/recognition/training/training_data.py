@@ -23,7 +23,7 @@ from lipsync.recognition.features import (
     LevelNormalizer,
     LogMelStream,
 )
-from lipsync.recognition.sound import read_speech
+from lipsync.recognition.speech_file import read_speech
 from lipsync.recognition.training import augmentation, noise
 from lipsync.recognition.training.augmentation import Heard
 

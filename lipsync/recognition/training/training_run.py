@@ -11,10 +11,10 @@ from lipsync.corpus.transcribed import TranscribedUtterance, read_transcribed, w
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.alignment.alignment_cache import AlignedUtterance, align_corpus
 from lipsync.recognition.features import FeatureScale
-from lipsync.recognition.network import NetworkWeights, batch_posteriors
+from lipsync.recognition.network import NetworkWeights, StreamingNetwork
 from lipsync.recognition.training import noise
 from lipsync.recognition.training.augmentation import Heard
-from lipsync.recognition.training.network_training import TrainingError, TrainingPlan, train_network
+from lipsync.recognition.training.network_training import train_network
 from lipsync.recognition.training.training_data import (
     TrainingArray,
     as_array,
@@ -22,6 +22,7 @@ from lipsync.recognition.training.training_data import (
     read_heard,
     training_arrays,
 )
+from lipsync.recognition.training.training_plan import TrainingError, TrainingPlan
 
 #: The scale needs no more than every sixth utterance.
 _SCALE_STEP = 6
@@ -97,7 +98,7 @@ def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) ->
     found: dict[str, float] = {}
     silence = PHONEMES.index(SILENCE)
     for name, array in conditions.items():
-        posteriors = batch_posteriors(weights, array.features.astype(np.float32))
+        posteriors = StreamingNetwork(weights).push(array.features.astype(np.float32))
         for head, delay in enumerate(weights.delays):
             known = array.targets[:, head] >= 0
             targets = array.targets[known, head]

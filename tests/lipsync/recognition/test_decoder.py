@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipsync.phonemes import PHONEMES, VISEME_OF
-from lipsync.recognition.decoder import DecoderSettings, SwitchDecoder
+from lipsync.recognition.decoder import DecoderSettings, ViterbiDecoder
 
 PLAIN = DecoderSettings(
     switch_penalty=0.0, closure_penalty=0.0, closure_bonus=0.0, phone_weight=1.0
@@ -21,7 +21,7 @@ def posteriors(*said):
 
 
 def decode(frames, delays, delay, settings_):
-    decoder = SwitchDecoder(delays, delay, settings_)
+    decoder = ViterbiDecoder(delays, delay, settings_)
     answers = [decoder.push(frame)[0] for frame in frames]
     return [PHONEMES[answer] for answer in answers if answer is not None]
 
@@ -67,7 +67,7 @@ def test_the_label_of_a_frame_comes_when_its_delay_is_over(delays, delay):
     for head, wait in enumerate(delays):
         frames[20 + wait, head, :] = 1e-6
         frames[20 + wait, head, PHONEMES.index("S")] = 1.0
-    decoder = SwitchDecoder(delays, delay, DecoderSettings())
+    decoder = ViterbiDecoder(delays, delay, DecoderSettings())
     for n, frame in enumerate(frames):
         answer, provisional = decoder.push(frame)
         if answer is not None:
@@ -80,7 +80,7 @@ def test_a_quick_head_tells_a_closure_before_it_is_settled():
     frames[:, :, PHONEMES.index("AA")] = 1.0
     frames[12:, 0] = 1e-6
     frames[12:, 0, PHONEMES.index("M")] = 1.0  # the head with delay 2 about frame 10 on
-    decoder = SwitchDecoder((2, 7), 7, DecoderSettings())
+    decoder = ViterbiDecoder((2, 7), 7, DecoderSettings())
     for frame in frames[:13]:
         settled, provisional = decoder.push(frame)
 

@@ -8,14 +8,14 @@ from speech import CLIP_PATH, white_noise
 
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import SILENCE
-from lipsync.recognition.fallback import RecognizerLadder, Rung
-from lipsync.recognition.loudness_recognizer import LoudnessRecognizer, NeutralRecognizer
+from lipsync.recognition.energy_recognizer import EnergyRecognizer, NeutralRecognizer
+from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.weights import WeightsError, load_weights, save_weights
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000
-LOUDNESS = Rung("loudness", LoudnessRecognizer)
+LOUDNESS = FallbackLevel("loudness", EnergyRecognizer)
 
 
 class Throwing(NetworkRecognizer):
@@ -50,14 +50,14 @@ def test_the_first_rung_that_can_be_made_listens():
     def missing():
         raise ImportError("no such library")
 
-    ladder = RecognizerLadder([Rung("network", missing), LOUDNESS], 0.095)
+    ladder = FallbackRecognizer([FallbackLevel("network", missing), LOUDNESS], 0.095)
 
     assert ladder.level == "loudness"
     assert ladder.reasons == ("network: no such library",)
 
 
 def test_a_fault_moves_down_a_rung_and_what_was_final_stays(clip):
-    ladder = RecognizerLadder([Rung("network", lambda: Throwing(1.5)), LOUDNESS], 0.095)
+    ladder = FallbackRecognizer([FallbackLevel("network", lambda: Throwing(1.5)), LOUDNESS], 0.095)
     timeline = listen(ladder, clip)
     sound = listen(NetworkRecognizer(random_weights()), clip[: int(1.49 * RATE_HZ)])
     border_s = sound.final_until_s - 0.01
@@ -72,7 +72,7 @@ def test_a_fault_moves_down_a_rung_and_what_was_final_stays(clip):
 
 
 def test_when_every_rung_fails_the_mouth_is_closed(clip):
-    ladder = RecognizerLadder([Rung("network", lambda: Throwing(0.5))], 0.095)
+    ladder = FallbackRecognizer([FallbackLevel("network", lambda: Throwing(0.5))], 0.095)
     timeline = listen(ladder, clip)
 
     assert ladder.level == "neutral"
@@ -83,8 +83,8 @@ def test_when_every_rung_fails_the_mouth_is_closed(clip):
 def test_a_rung_that_lags_is_left(clip):
     """A clock on which every block takes 15 ms: 1.5 times as long as it lasts."""
     readings = iter(np.arange(0.0, 1e4) * 0.015)
-    ladder = RecognizerLadder(
-        [Rung("network", lambda: NetworkRecognizer(random_weights())), LOUDNESS],
+    ladder = FallbackRecognizer(
+        [FallbackLevel("network", lambda: NetworkRecognizer(random_weights())), LOUDNESS],
         0.095,
         timer_s=lambda: float(next(readings)),
     )
@@ -95,13 +95,13 @@ def test_a_rung_that_lags_is_left(clip):
 
 
 def test_a_rung_slower_than_the_declared_latency_is_not_taken():
-    late = Rung("network", lambda: NetworkRecognizer(random_weights(), 0.145))
+    late = FallbackLevel("network", lambda: NetworkRecognizer(random_weights(), 0.145))
 
-    assert RecognizerLadder([late, LOUDNESS], 0.095).level == "loudness"
+    assert FallbackRecognizer([late, LOUDNESS], 0.095).level == "loudness"
 
 
 def test_reset_goes_back_to_the_best_rung(clip):
-    ladder = RecognizerLadder([Rung("network", lambda: Throwing(0.5)), LOUDNESS], 0.095)
+    ladder = FallbackRecognizer([FallbackLevel("network", lambda: Throwing(0.5)), LOUDNESS], 0.095)
     listen(ladder, clip)
     ladder.reset()
 
@@ -109,10 +109,10 @@ def test_reset_goes_back_to_the_best_rung(clip):
 
 
 def test_loudness_opens_the_jaw_for_speech_and_not_for_steady_noise(clip):
-    spoken = listen(LoudnessRecognizer(), clip)
+    spoken = listen(EnergyRecognizer(), clip)
     assert {"AA", SILENCE} <= {e.phoneme for e in spoken.events}
     noise = white_noise(4.0, -40.0).astype(np.float32)
-    steady = [e for e in listen(LoudnessRecognizer(), noise).events if e.start_s > 1.6]
+    steady = [e for e in listen(EnergyRecognizer(), noise).events if e.start_s > 1.6]
     assert {e.phoneme for e in steady} <= {SILENCE}
 
 
