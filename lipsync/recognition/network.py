@@ -13,6 +13,10 @@ from lipsync.recognition.features import FeatureScale
 
 Array = NDArray[np.float32]
 _TAPS = 3
+#: Rows of one product of matrices. More cost as much a row (4.5 us at 192 channels), but BLAS then
+#: shares the product among threads, and on a computer with other work these wait for each other:
+#: 16 rows took 56 ms in place of 0.1 (2 cores, 16 processes, OpenBLAS).
+_ROWS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +68,7 @@ class StreamingNetwork:
             hidden = self._entry.push(features)
             for layer in self._residuals:
                 hidden = hidden + layer.push(hidden)
-            logits = hidden @ weights.output + weights.output_bias
+            logits = _product(hidden, weights.output) + weights.output_bias
         return _posteriors(logits, weights)
 
 
@@ -96,10 +100,19 @@ class _StreamingLayer:
         in_order = np.roll(self._past, -1 - self._newest, axis=0)
         known = np.concatenate((in_order, frames))
         taps = [known[1 + tap * dilation :][:n] for tap in range(_TAPS)]
-        output: Array = np.concatenate(taps, axis=1) @ self._layer.kernel + self._layer.bias
+        output = _product(np.concatenate(taps, axis=1), self._layer.kernel) + self._layer.bias
         self._past = known[n:].copy()
         self._newest = self._n_past
         return np.maximum(output, np.float32(0.0), out=output)
+
+
+def _product(rows: Array, matrix: Array) -> Array:
+    """`rows @ matrix`, (n, n_in) by (n_in, n_out), a few rows at a time."""
+    n = len(rows)
+    padded = np.zeros((-(-n // _ROWS) * _ROWS, rows.shape[1]), np.float32)
+    padded[:n] = rows
+    product: Array = (padded.reshape(-1, _ROWS, rows.shape[1]) @ matrix).reshape(len(padded), -1)
+    return product[:n]
 
 
 def _posteriors(logits: Array, weights: NetworkWeights) -> Array:

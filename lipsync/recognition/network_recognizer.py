@@ -78,7 +78,7 @@ class NetworkRecognizer:
         self._provisional: list[int] = []  # of the frames after them that a head has spoken about
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Compute the posteriors of the blocks that will be fed next, all in one go.
+        """Compute the scores of the blocks that will be fed next, all in one go.
 
         Raises ValueError for what `feed` refuses; then only `reset` helps.
         """
@@ -90,12 +90,12 @@ class NetworkRecognizer:
             n_silent = self._n_completed(len(silence))
             n_jumped = round(jump_s * FRAMES_PER_S)
             counts.append((block.start_s, n_silent, n_jumped, self._n_completed(len(sound))))
-        posteriors = self._posteriors.push(np.concatenate(samples))
+        scores = self._decoder.scores(self._posteriors.push(np.concatenate(samples)))
         end = 0
         for start_s, n_silent, n_jumped, n_sound in counts:
             first, middle, end = end, end + n_silent, end + n_silent + n_sound
             self._prepared.append(
-                _PreparedBlock(start_s, posteriors[first:middle], n_jumped, posteriors[middle:end])
+                _PreparedBlock(start_s, scores[first:middle], n_jumped, scores[middle:end])
             )
 
     def feed(self, block: AudioBlock) -> None:
@@ -137,8 +137,8 @@ class NetworkRecognizer:
         self._n_samples += n_samples
         return _n_frames(self._n_samples) - n_before
 
-    def _decode(self, posteriors: Array) -> None:
-        for frame in posteriors:
+    def _decode(self, scores: Array) -> None:
+        for frame in scores:
             settled, self._provisional = self._decoder.push(frame)
             if settled is not None:
                 self._settled.append(settled)
@@ -147,7 +147,7 @@ class NetworkRecognizer:
 
 @dataclass(frozen=True, slots=True)
 class _PreparedBlock:
-    """Posteriors (n, n_heads, n_phonemes) that one block completes, and a jump in time of frames.
+    """Scores (n, n_heads, n_phonemes) of the frames that a block completes, and frames jumped over.
 
     In order: the silence heard in place of a gap, the jump over the rest of it, the block's sound.
     """

@@ -22,7 +22,7 @@ def posteriors(*said):
 
 def decode(frames, delays, delay, settings_):
     decoder = ViterbiDecoder(delays, delay, settings_)
-    answers = [decoder.push(frame)[0] for frame in frames]
+    answers = [decoder.push(decoder.scores(frame))[0] for frame in frames]
     return [PHONEMES[answer] for answer in answers if answer is not None]
 
 
@@ -69,7 +69,7 @@ def test_the_label_of_a_frame_comes_when_its_delay_is_over(delays, delay):
         frames[20 + wait, head, PHONEMES.index("S")] = 1.0
     decoder = ViterbiDecoder(delays, delay, DecoderSettings())
     for n, frame in enumerate(frames):
-        answer, provisional = decoder.push(frame)
+        answer, provisional = decoder.push(decoder.scores(frame))
         if answer is not None:
             assert (PHONEMES[answer] == "S") == (n - delay == 20)
             assert len(provisional) == delay - delays[0]
@@ -82,7 +82,7 @@ def test_a_quick_head_tells_a_closure_before_it_is_settled():
     frames[12:, 0, PHONEMES.index("M")] = 1.0  # the head with delay 2 about frame 10 on
     decoder = ViterbiDecoder((2, 7), 7, DecoderSettings())
     for frame in frames[:13]:
-        settled, provisional = decoder.push(frame)
+        settled, provisional = decoder.push(decoder.scores(frame))
 
     assert PHONEMES[settled] == "AA"
     assert PHONEMES[provisional[-1]] == "M"
