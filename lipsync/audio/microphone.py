@@ -19,7 +19,7 @@ from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 
 #: Sound that waited longer than this is not worth showing any more; the oldest is dropped.
 QUEUE_S = 2.0
-#: A clock of the sound card that claims a longer gap than this is not believed.
+#: A clock of the sound card that reports a longer gap than this is ignored.
 LONGEST_GAP_S = 10.0
 #: soxr's "LQ" is flat to 6 kHz and holds back at most 20 ms; "HQ" gains 1.5 kHz for 37 ms (48 kHz).
 RESAMPLING = "LQ"

@@ -1,4 +1,4 @@
-"""`lipservo bench recognition` and `bench listening`: how well it hears, and what that costs."""
+"""`lipservo bench recognition` and `bench listening`: the accuracy of a recogniser, and what it costs."""
 
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
@@ -166,7 +166,7 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
 
 
 def _maker(engine: Engine, latency_s: float, weights: str) -> Callable[[], LiveRecognizer]:
-    """A function that makes the engine itself, without the ladder: a failure must be seen."""
+    """A function that makes the engine itself, without fallback levels: a failure must be seen."""
     from lipsync.recognition.network_recognizer import NetworkRecognizer
     from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
 

@@ -1,4 +1,4 @@
-"""How well a recogniser hears, against forced alignment, in the scoring classes of `phonemes`.
+"""How accurate a recogniser is, against forced alignment, in the scoring classes of `phonemes`.
 
 Frames are 10 ms. 'all' counts every frame, 'speech' those whose reference is not silence.
 """
@@ -14,7 +14,7 @@ from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 
 Labels = NDArray[np.int64]
 
-#: A hit may lie this many frames beside: the yardstick's own boundaries are not better.
+#: A hit may lie this many frames beside: the boundaries of forced alignment are not better.
 SLACK_FRAMES = 2
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
