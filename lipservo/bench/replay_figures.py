@@ -1,34 +1,24 @@
 """The figures of `lipservo bench replay`: how much faster than sound a file is replayed."""
 
+import math
+import time
 from pathlib import Path
 from statistics import median
 
 import numpy as np
 import soundfile
 
-from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.clock import ManualClock
 from lipservo.commands.options import DEFAULT_FACE
+from lipservo.street.motion_options import make_recognizer
 from lipservo.street.run_face import Performance
 from lipsync.audio.file import FileSource
 from lipsync.audio.silence import SilenceAfter
+from lipsync.audio_block import BLOCK_S
+from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 
 #: Length of the file that is made of a shorter recording.
 REPLAYED_S = 20.0
-
-
-class _TimedClock:
-    """A `ManualClock` that is not taken for one: sound is fed block by block, as to a live face."""
-
-    def __init__(self) -> None:
-        self._clock = ManualClock()
-
-    def now(self) -> float:
-        """Where the clock was left."""
-        return self._clock.now()
-
-    def sleep_until(self, time_s: float) -> None:
-        """Jump to `time_s`."""
-        self._clock.sleep_until(time_s)
 
 
 def repeated(recording: Path, path: Path, duration_s: float = REPLAYED_S) -> Path:
@@ -39,23 +29,36 @@ def repeated(recording: Path, path: Path, duration_s: float = REPLAYED_S) -> Pat
 
 
 def replay_figures(recording: Path, n_times: int) -> dict[str, float]:
-    """Medians of sound seconds in a second, loading included, and of their ratio.
+    """Sound seconds in a second, medians: of a replay, loading included; of the recogniser alone.
 
-    Each time the recording is replayed as `lipservo replay` does, and with the sound fed block by
-    block, one after the other, so that what else the machine does slows both.
+    The recogniser prepares the file ahead as in a replay, and gets it block by block as live; one
+    after the other each time, so that what else the machine does slows both alike.
     """
-    replayed, by_blocks = [], []
+    replays, ahead, by_blocks = [], [], []
     for _ in range(n_times):
-        by_blocks.append(_speed(recording, _TimedClock()))
-        replayed.append(_speed(recording, ManualClock()))
+        replays.append(_replay_speed(recording))
+        by_blocks.append(_recognizer_speed(recording, is_ahead=False))
+        ahead.append(_recognizer_speed(recording, is_ahead=True))
     return {
-        "replay_speed": median(replayed),
-        "replay_speed_block_by_block": median(by_blocks),
-        "replay_speed_ratio": median(a / b for a, b in zip(replayed, by_blocks, strict=True)),
+        "replay_speed": median(replays),
+        "recognizer_speed_ahead": median(ahead),
+        "recognizer_speed_block_by_block": median(by_blocks),
+        "recognizer_speed_ratio": median(a / b for a, b in zip(ahead, by_blocks, strict=True)),
     }
 
 
-def _speed(recording: Path, clock: Clock) -> float:
+def _replay_speed(recording: Path) -> float:
     performance = Performance(DEFAULT_FACE, None, None, None, live=False, quiet=True)
     with SilenceAfter(FileSource(recording)) as source:
-        return performance.play(source, clock).summary.speed
+        return performance.play(source, ManualClock()).summary.speed
+
+
+def _recognizer_speed(recording: Path, *, is_ahead: bool) -> float:
+    recognizer = make_recognizer()
+    stream = RecognizerStream(recognizer)
+    with SilenceAfter(FileSource(recording)) as source:
+        sound = SoundAhead(source, recognizer) if is_ahead else source
+        began_s = time.perf_counter()
+        for step in range(1, math.ceil(source.duration_s / BLOCK_S) + 1):
+            stream.feed(sound.blocks(step * BLOCK_S))
+        return source.duration_s / (time.perf_counter() - began_s)

@@ -112,7 +112,8 @@ def _product(rows: Array, matrix: Array) -> Array:
     padded = np.zeros((-(-n // _ROWS) * _ROWS, rows.shape[1]), np.float32)
     padded[:n] = rows
     product: Array = (padded.reshape(-1, _ROWS, rows.shape[1]) @ matrix).reshape(len(padded), -1)
-    return product[:n]
+    whole: Array = product[:n]
+    return whole
 
 
 def _posteriors(logits: Array, weights: NetworkWeights) -> Array:

@@ -1,4 +1,4 @@
-"""`lipservo bench recognition` and `bench listening`: the accuracy of a recogniser, and what it costs."""
+"""`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost."""
 
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources

@@ -19,7 +19,7 @@ def replay(
     times: Annotated[int, typer.Option(min=1, help="The median of so many replays counts.")] = 5,
     as_json: Json = False,
 ) -> None:
-    """Measure the speed of `replay`, and of the same with the sound fed block by block as live."""
+    """Measure the speed of `replay`, and of its recogniser with sound ahead and without."""
     from lipservo.bench.replay_figures import repeated, replay_figures
 
     if sound is not None:

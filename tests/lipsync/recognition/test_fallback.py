@@ -31,6 +31,10 @@ class Throwing(NetworkRecognizer):
         super().feed(block)
 
 
+def failing(at_s):
+    return FallbackLevel("network", lambda: Throwing(at_s))
+
+
 @pytest.fixture(scope="module")
 def clip():
     return soundfile.read(CLIP_PATH, dtype="float32")[0][: 3 * RATE_HZ]
@@ -74,7 +78,7 @@ def test_a_fault_falls_back_a_level_and_what_was_final_stays(clip):
 
 
 def test_when_every_level_fails_the_mouth_is_closed(clip):
-    recognizer = FallbackRecognizer([FallbackLevel("network", lambda: Throwing(0.5))], 0.095)
+    recognizer = FallbackRecognizer([failing(0.5)], 0.095)
     timeline = listen(recognizer, clip)
 
     assert recognizer.level == "neutral"

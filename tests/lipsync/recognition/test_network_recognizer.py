@@ -164,7 +164,7 @@ def test_a_gap_is_silence_and_time_stays_right(clip, gap_s):
 
 @pytest.mark.parametrize("rate_hz", [8_000, 44_100, 48_000])
 def test_another_rate_is_heard_at_the_same_times(clip, rate_hz):
-    """soxr itself holds back some sound: the end of what is known may lag by that, not its times."""
+    """soxr itself holds back some sound: what is known may end earlier by that, its times stay."""
     samples = soxr.resample(clip, RATE_HZ, rate_hz).astype(np.float32)
     n_block = rate_hz // 100
     timeline, updates = listen(
