@@ -57,7 +57,7 @@ class MicrophoneSource:
     """A live `AudioSource`; it listens from `__enter__` to `__exit__`.
 
     `device`: an index, (part of) a name, or None for the system's default. What is lost, because
-    the computer read too late or the device overran, is heard as silence of the same length, so
+    the computer read too late or the device overran, becomes silence of the same length, so
     that sound time goes on being right. Sound that has arrived counts, not the clock: pass
     `until_s=inf` to `blocks` for all of it. Raises SoundError for no PortAudio, no or unknown
     device, a device that refuses to open, and one that is unplugged.

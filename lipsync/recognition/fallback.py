@@ -1,4 +1,4 @@
-"""What listens when a recogniser fails or is too slow: the next one of a list of fallback levels.
+"""Fallback levels: the recogniser that takes over when one fails or is too slow.
 
 Levels from the best down: network, pocketsphinx, energy (the jaw only), neutral. A level that
 raises, or takes longer than the sound lasts, is left until `reset`; the next one takes over at the
@@ -63,7 +63,7 @@ class FallbackRecognizer:
 
     @property
     def level(self) -> str:
-        """The name of the level that listens now."""
+        """The name of the level in use."""
         return self._levels[self._current].name if self._current < len(self._levels) else "neutral"
 
     @property
@@ -93,7 +93,7 @@ class FallbackRecognizer:
             self._judge(self._timer_s() - began_s, len(block.samples) / block.sample_rate_hz)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
-        """Let the level that listens work on blocks that will be fed next; never raises for it."""
+        """Let the level in use work on blocks that will be fed next; never raises for it."""
         if not isinstance(self._recognizer, PreparingRecognizer):
             return
         try:

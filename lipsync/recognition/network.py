@@ -100,7 +100,8 @@ class _StreamingLayer:
         in_order = np.roll(self._past, -1 - self._newest, axis=0)
         known = np.concatenate((in_order, frames))
         taps = [known[1 + tap * dilation :][:n] for tap in range(_TAPS)]
-        output = _product(np.concatenate(taps, axis=1), self._layer.kernel) + self._layer.bias
+        product = _product(np.concatenate(taps, axis=1), self._layer.kernel)
+        output: Array = product + self._layer.bias
         self._past = known[n:].copy()
         self._newest = self._n_past
         return np.maximum(output, np.float32(0.0), out=output)
@@ -112,8 +113,7 @@ def _product(rows: Array, matrix: Array) -> Array:
     padded = np.zeros((-(-n // _ROWS) * _ROWS, rows.shape[1]), np.float32)
     padded[:n] = rows
     product: Array = (padded.reshape(-1, _ROWS, rows.shape[1]) @ matrix).reshape(len(padded), -1)
-    whole: Array = product[:n]
-    return whole
+    return product[:n]
 
 
 def _posteriors(logits: Array, weights: NetworkWeights) -> Array:

@@ -149,7 +149,7 @@ class NetworkRecognizer:
 class _PreparedBlock:
     """Scores (n, n_heads, n_phonemes) of the frames that a block completes, and frames jumped over.
 
-    In order: the silence heard in place of a gap, the jump over the rest of it, the block's sound.
+    In order: the silence put in place of a gap, the jump over the rest of it, the block's sound.
     """
 
     start_s: float

@@ -1,4 +1,4 @@
-"""How many of the P, B, M and F, V that are spoken the mouth closes for, by what it hears."""
+"""How many of the P, B, M and F, V that are spoken the mouth closes for, by recognised phonemes."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

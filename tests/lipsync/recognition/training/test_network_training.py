@@ -13,7 +13,7 @@ from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.alignment.alignment_cache import read_alignments
 from lipsync.recognition.network import StreamingNetwork
 from lipsync.recognition.training import augmentation, noise
-from lipsync.recognition.training.augmentation import Heard
+from lipsync.recognition.training.augmentation import LabelledSamples
 from lipsync.recognition.training.training_data import (
     NO_TARGET,
     delayed,
@@ -91,7 +91,9 @@ def test_labels_stay_with_their_sound_at_another_speed():
     samples[RATE_HZ:] = 0.3 * np.sin(np.arange(RATE_HZ) * 0.5)
     labels = np.repeat([PHONEMES.index(SILENCE), PHONEMES.index("AA")], 100)
     for seed in range(8):
-        heard = augmentation._at_speed(np.random.default_rng(seed), Heard(samples, labels))
+        heard = augmentation._at_speed(
+            np.random.default_rng(seed), LabelledSamples(samples, labels)
+        )
         onset_s = np.flatnonzero(np.abs(heard.samples) > 0.05)[0] / RATE_HZ
         assert np.flatnonzero(np.diff(heard.labels))[0] / 100 == pytest.approx(onset_s, abs=0.02)
 
@@ -106,14 +108,14 @@ def test_a_head_learns_the_label_of_as_many_frames_ago_as_it_waits():
 @pytest.fixture(scope="module")
 def small_arrays(clip):
     labels = np.random.default_rng(0).integers(0, len(PHONEMES), len(clip) // 160)
-    clean = [Heard(clip, labels)] * 2
+    clean = [LabelledSamples(clip, labels)] * 2
     scale = feature_scale(clean)
     return training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3), scale
 
 
 def test_the_same_seed_makes_the_same_arrays(clip, small_arrays):
     labels = np.random.default_rng(0).integers(0, len(PHONEMES), len(clip) // 160)
-    clean = [Heard(clip, labels)] * 2
+    clean = [LabelledSamples(clip, labels)] * 2
     again = training_arrays(clean, small_arrays[1], (2, 7), n_heavy=1, seed=3, n_processes=2)
 
     for first, second in zip(small_arrays[0], again, strict=True):
