@@ -11,15 +11,17 @@ import sys
 from pathlib import Path
 
 from firmware_bridge.clock import ManualClock
-from lipservo.street.run_face import Performance
-from lipservo.street.sources import open_source
+from lipservo.street.run_face import run_face
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import CLIP, Sound, open_sound
 
 
 def main(recording: Path | None) -> None:
     """Play the recording through recogniser, synthesiser, calibration, gate and servos."""
-    face = Performance("face_sim", None, None, None, live=False, quiet=True)
-    with open_source(recording, None) as source:
-        summary = face.play(source, ManualClock()).summary
+    sound = CLIP if recording is None else Sound("file", str(recording))
+    request = RunRequest("face_sim", sound, quiet=True)
+    with open_sound(sound) as source:
+        summary = run_face(request, source, ManualClock()).summary
     print(f"{summary.source}: {summary.duration_s:.2f} s of sound")
     print(f"{summary.phonemes} phonemes moved the mouth")
     print(f"{summary.frames_sent} goals were sent to every servo")

@@ -24,7 +24,7 @@ from lipsync.evaluation.motion.scoring import (
 )
 from lipsync.evaluation.motion.splits import Part, read_parts, words_part
 from lipsync.evaluation.motion.timing import method_times
-from lipsync.evaluation.recognition.heard_phonemes import heard_by
+from lipsync.evaluation.recognition.recognized_file import recognize_file
 from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PhonemeEvent
@@ -229,7 +229,7 @@ def _listener(engine: Engine) -> Callable[[Utterance], Heard]:
     """What a live recogniser hears in a sentence's sound; made when it is first asked."""
 
     def listen(utterance: Utterance) -> Heard:
-        heard = heard_by(recognizer(), utterance.sound_path)
+        heard = recognize_file(recognizer(), utterance.sound_path)
         if recognizer().level != engine:
             raise BenchError(f"{engine} gave up: {'; '.join(recognizer().reasons)}")
         return heard

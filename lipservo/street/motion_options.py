@@ -29,7 +29,7 @@ from lipsync.motion.live_synthesizer import (
     StyleError,
 )
 from lipsync.phonemes import LiveRecognizer
-from lipsync.recognition.fallback import RecognizerLadder, Rung
+from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, SHIPPED, check_weights, find_weights
 
 #: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
@@ -150,19 +150,19 @@ def make_recognizer(
     engine: Engine = DEFAULT_ENGINE,
     timer_s: Callable[[], float] | None = None,
     weights: str = DEFAULT_WEIGHTS,
-) -> RecognizerLadder:
-    """The live recogniser, from the engine's rung of the ladder down.
+) -> FallbackRecognizer:
+    """The live recogniser: the engine's, and the levels below it to fall back to.
 
-    timer_s: a clock in seconds, to see that a rung takes longer than the sound lasts; None where
+    timer_s: a clock in seconds, to see that a level takes longer than the sound lasts; None where
     nobody waits for it.
     """
-    rungs = (
-        Rung("network", lambda: _network(weights)),
-        Rung("pocketsphinx", _pocketsphinx),
-        Rung("loudness", _loudness),
+    levels = (
+        FallbackLevel("network", lambda: _network(weights)),
+        FallbackLevel("pocketsphinx", _pocketsphinx),
+        FallbackLevel("energy", _energy),
     )
-    first = [rung.name for rung in rungs].index(engine)
-    return RecognizerLadder(rungs[first:], LATENCY_S, timer_s)
+    first = [level.name for level in levels].index(engine)
+    return FallbackRecognizer(levels[first:], LATENCY_S, timer_s)
 
 
 def _network(weights: str) -> LiveRecognizer:
@@ -172,15 +172,15 @@ def _network(weights: str) -> LiveRecognizer:
 
 
 def _pocketsphinx() -> LiveRecognizer:
-    from lipsync.recognition.allphone_recognizer import PocketsphinxRecognizer
+    from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
 
     return PocketsphinxRecognizer(_POCKETSPHINX_LATENCY_S)
 
 
-def _loudness() -> LiveRecognizer:
-    from lipsync.recognition.loudness_recognizer import LoudnessRecognizer
+def _energy() -> LiveRecognizer:
+    from lipsync.recognition.energy_recognizer import EnergyRecognizer
 
-    return LoudnessRecognizer()
+    return EnergyRecognizer()
 
 
 def adjust(synthesizer: Synthesizer, changes: Mapping[str, float]) -> None:

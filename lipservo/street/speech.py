@@ -15,6 +15,7 @@ from lipservo.street.delay import PUBLISH_PERIOD_S, Delay
 from lipsync.audio.source import AudioSource
 from lipsync.face.synthesizer import Synthesizer
 from lipsync.phonemes import SILENCE, LiveRecognizer
+from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 
 Array = NDArray[np.float64]
 
@@ -42,7 +43,8 @@ class Speech:
         channel: TargetChannel,
     ) -> None:
         self._source = source
-        self._recognizer = recognizer
+        self._sound = SoundAhead(source, recognizer)
+        self._recognition = RecognizerStream(recognizer)
         self._synthesizer = synthesizer
         self._calibration = calibration
         self._channel = channel
@@ -121,14 +123,15 @@ class Speech:
         clock_s = now_s - zero_s
         self._zero_s = zero_s
         # A device gives what has arrived, whatever the clock says.
-        for block in self._source.blocks(math.inf if self._source.is_live else clock_s):
-            self._recognizer.feed(block)
-            self._heard_until_s = block.end_s
+        blocks = self._sound.blocks(math.inf if self._source.is_live else clock_s)
+        step = self._recognition.feed(blocks)
+        if blocks:
+            self._heard_until_s = blocks[-1].end_s
         if self._source.is_live:
             self._arrival.observe(now_s, clock_s - self._heard_until_s)
             if not self._arrivals or self._arrivals[-1][0] < self._heard_until_s:
                 self._arrivals.append((self._heard_until_s, now_s - self._heard_until_s))
-        for update in self._recognizer.updates():
+        for update in step.updates:
             self._synthesizer.push(update)
 
     def _targets(self, sound_s: float, zero_s: float) -> ServoTargets:

@@ -9,7 +9,7 @@ from lipservo.street.speech import Speech
 from lipsync.audio.source import AudioSource
 
 #: Recognisers from the best down; each takes over where the one before it fails.
-_LEVELS: Final = ("network", "pocketsphinx", "loudness", "neutral")
+_LEVELS: Final = ("network", "pocketsphinx", "energy", "neutral")
 
 
 class FallbackRecognizer(Protocol):

@@ -46,7 +46,7 @@ def ignore(_line: str) -> None:
 def read_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[Samples, int]:
     """The whole file as samples (n,) float32 mono in [-1, 1], and its own sample rate in hertz.
 
-    `warn` hears in one line that the file is shorter than its header says. Raises SoundError for
+    `warn` is told in one line that the file is shorter than its header says. Raises SoundError for
     what `FileSource` refuses, here wherever in the file it is.
     """
     path = Path(path)
@@ -77,7 +77,7 @@ class FileSource:
 
         The samples are those of a source that began at 0 (to rounding, where it is resampled); what
         lies before is passed over without decoding, but for Ogg and MP3, which have to be decoded.
-        warn: hears in one line that the file is shorter than its header says, now, and what was
+        warn: is told in one line that the file is shorter than its header says, now, and what was
         wrong with the sound that was played, when the source is left.
         """
         self._path = Path(path)
@@ -246,17 +246,17 @@ def _mono(chunk: Samples) -> Samples:
 
 def _checked_duration_s(path: Path, warn: Warn) -> float:
     """Decode the file's beginning; its length in whole samples at 16 kHz, in s, or SoundError."""
-    n_frames, heard = 0, False
+    n_frames, has_sound = 0, False
     with open_sound(path) as sound:
         for chunk in _mono_chunks(path, sound):
             n_frames += len(chunk)
-            heard = heard or bool(np.any(chunk))
+            has_sound = has_sound or bool(np.any(chunk))
             if n_frames >= CHECKED_S * sound.samplerate:
                 n_frames = sound.frames
-                heard = True  # or not yet: who waits a minute to speak is no mistake
+                has_sound = True  # or not yet: a minute of silence before speech is allowed
                 break
         duration_s = n_frames / float(sound.samplerate)
-        _refuse_nothing(path, duration_s, heard)
+        _refuse_nothing(path, duration_s, has_sound)
         _tell_cut_short(path, sound, n_frames, warn)
     if duration_s > LONGEST_S:
         raise SoundError(
@@ -278,7 +278,7 @@ def _tell_cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int, warn:
         )
 
 
-def _refuse_nothing(path: Path, duration_s: float, heard: bool) -> None:
+def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
     if duration_s == 0.0:
         raise SoundError(f"{path}: holds no sound (0 samples); record or export it again")
     if duration_s < SHORTEST_S:
@@ -286,7 +286,7 @@ def _refuse_nothing(path: Path, duration_s: float, heard: bool) -> None:
             f"{path}: {duration_s * 1000:.1f} ms of sound is too short; "
             f"at least {SHORTEST_S * 1000:.0f} ms are needed"
         )
-    if not heard:
+    if not has_sound:
         raise SoundError(
             f"{path}: holds only digital silence (every sample is zero); check how it was recorded"
         )

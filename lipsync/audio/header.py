@@ -17,7 +17,7 @@ SLOWEST_RATE_HZ, FASTEST_RATE_HZ = 4_000, 192_000
 #: More than any recorder writes; a header that says more is damaged.
 MOST_CHANNELS = 32
 LONGEST_S = 1_000 * 3600.0
-#: One analysis window of a recogniser; nothing can be heard in less.
+#: One analysis window of a recogniser; nothing can be recognised in less.
 SHORTEST_S = 0.025
 #: What programs write as a size before they know it (ffmpeg, arecord, sox into a pipe).
 _UNKNOWN_BYTES = 0x7FFF_F000

@@ -19,7 +19,7 @@ from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 
 #: Sound that waited longer than this is not worth showing any more; the oldest is dropped.
 QUEUE_S = 2.0
-#: A clock of the sound card that claims a longer gap than this is not believed.
+#: A clock of the sound card that reports a longer gap than this is ignored.
 LONGEST_GAP_S = 10.0
 #: soxr's "LQ" is flat to 6 kHz and holds back at most 20 ms; "HQ" gains 1.5 kHz for 37 ms (48 kHz).
 RESAMPLING = "LQ"
@@ -57,7 +57,7 @@ class MicrophoneSource:
     """A live `AudioSource`; it listens from `__enter__` to `__exit__`.
 
     `device`: an index, (part of) a name, or None for the system's default. What is lost, because
-    the computer read too late or the device overran, is heard as silence of the same length, so
+    the computer read too late or the device overran, becomes silence of the same length, so
     that sound time goes on being right. Sound that has arrived counts, not the clock: pass
     `until_s=inf` to `blocks` for all of it. Raises SoundError for no PortAudio, no or unknown
     device, a device that refuses to open, and one that is unplugged.

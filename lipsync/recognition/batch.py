@@ -11,22 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.phonemes import PHONEMES, PhonemeEvent
-from lipsync.recognition.decoder import (
-    SILENCE_INDEX,
-    SMOOTH,
-    best_heads,
-    change_penalties,
-    log_scores,
-)
-from lipsync.recognition.features import (
-    FRAMES_PER_S,
-    HOP,
-    WINDOW,
-    LevelNormalizer,
-    LogMelStream,
-)
-from lipsync.recognition.network import NetworkWeights, batch_posteriors
-from lipsync.recognition.network_recognizer import INAUDIBLE, LATENCY_S, frames_of_delay
+from lipsync.recognition.decoder import SMOOTH, best_heads, change_penalties, log_scores
+from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
+from lipsync.recognition.network import NetworkWeights
+from lipsync.recognition.network_recognizer import LATENCY_S, frames_of_delay
+from lipsync.recognition.posteriors import PosteriorStream
 
 Array = NDArray[np.float32]
 
@@ -62,21 +51,13 @@ def recording_posteriors(weights: NetworkWeights, samples: Array, n_frames: int)
     """
     padded = np.zeros((n_frames - 1) * HOP + WINDOW, np.float32)
     padded[: len(samples)] = samples
-    frames = LogMelStream().push(padded)
-    posteriors = batch_posteriors(weights, LevelNormalizer(weights.scale).push(frames))
-    audible = frames.max(axis=1) >= INAUDIBLE
-    for head, delay in enumerate(weights.delays):
-        # Each head speaks about a frame of its own.
-        silent = np.flatnonzero(~audible[: n_frames - delay]) + delay
-        posteriors[silent, head] = 0.0
-        posteriors[silent, head, SILENCE_INDEX] = 1.0
-    return posteriors
+    return PosteriorStream(weights).push(padded)
 
 
 def _settled(posteriors: Array, delays: tuple[int, ...], delay: int) -> NDArray[np.int64]:
     """(n_recordings, n_frames, n_heads, n_phonemes) -> (n_recordings, n_frames - delay).
 
-    What `SwitchDecoder` settles: `delay` frames after a frame, by the best path through the frames
+    What `ViterbiDecoder` settles: `delay` frames after a frame, by the best path through the frames
     heard since.
     """
     scores = log_scores(posteriors, SMOOTH)

@@ -1,9 +1,9 @@
-"""From posteriors to phonemes: what is said now, without flicker, and in time for closures.
+"""From posteriors to phonemes by Viterbi search, in time for closures.
 
 At the delay D the phoneme of frame n - D is settled when frame n was heard. For every frame of the
 stretch in between the best head that has spoken about it is taken (the one with the longest delay).
 A Viterbi search with a penalty for every change of phoneme runs over all of it: the frames after
-n - D, heard by the quick heads, smooth what is settled without waiting any longer.
+n - D, known from the quick heads, smooth what is settled without waiting any longer.
 """
 
 from dataclasses import dataclass
@@ -39,8 +39,8 @@ QUICK = DecoderSettings(switch_penalty=0.3, closure_penalty=0.15)
 SMOOTH = DecoderSettings()
 
 
-class SwitchDecoder:
-    """Hears one frame of posteriors after the other; see the module's text.
+class ViterbiDecoder:
+    """Takes one frame of scores after the other; see the module's text.
 
     delays: of the heads, rising; delay: D, at least the first of them.
     """
@@ -63,15 +63,18 @@ class SwitchDecoder:
         self._best = np.zeros(len(PHONEMES), np.float32)
         self._n_heard = 0
 
-    def push(self, posteriors: Array) -> tuple[int | None, list[int]]:
-        """Hear posteriors (n_heads, n_phonemes) of one frame.
+    def scores(self, posteriors: Array) -> Array:
+        """What `push` takes, of posteriors (..., n_heads, n_phonemes); the same shape."""
+        return log_scores(posteriors, self._settings)
+
+    def push(self, scores: Array) -> tuple[int | None, list[int]]:
+        """Take the scores (n_heads, n_phonemes) of one frame.
 
         The phoneme (its number in `PHONEMES`) now settled, None before the first, and those of
         the frames after it that a head has spoken about.
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
-        scores = log_scores(posteriors, self._settings)
         for head, delay in enumerate(self._delays):
             if delay <= min(n, self._delay):
                 self._recent[(n - delay) % length, head] = scores[head]
@@ -84,32 +87,31 @@ class SwitchDecoder:
             self._recent[f % length, self._head_at_age[n - f - self._delays[0]]]
             for f in range(first, newest + 1)
         ]
-        best = self._step(self._best, frames[0])[0]
+        leader = self._best.argmax()
+        best = np.maximum(self._best, self._best[leader] - self._penalties) + frames[0]
         if oldest >= 0:
             self._best = best - best.max()
         path = self._path(best, frames[1:])
         return (path[0], path[1:]) if oldest >= 0 else (None, path)
 
     def _path(self, best: Array, frames: list[Array]) -> list[int]:
-        """The best way through the frames, the one before them included."""
-        sources = []
+        """The best way through the frames, the one before them included.
+
+        In each frame a phoneme stays, or comes from the best one at the penalty of a change.
+        """
+        steps = []
         for scores in frames:
-            best, source = self._step(best, scores)
-            sources.append(source)
+            leader = int(best.argmax())
+            changed = best[leader] - self._penalties
+            steps.append((best >= changed, leader))
+            best = np.maximum(best, changed) + scores
         state = int(best.argmax())
         path = [state]
-        for source in reversed(sources):
-            state = int(source[state])
+        for stays, leader in reversed(steps):
+            if not stays[state]:
+                state = leader
             path.append(state)
         return path[::-1]
-
-    def _step(self, best: Array, scores: Array) -> tuple[Array, NDArray[np.int64]]:
-        """One frame further: stay, or change from the best phoneme at the penalty."""
-        leader = int(best.argmax())
-        changed = best[leader] - self._penalties
-        stays = best >= changed
-        source = np.where(stays, _STATES, leader)
-        return np.where(stays, best, changed) + scores, source
 
 
 def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
@@ -137,7 +139,6 @@ def log_scores(posteriors: Array, settings: DecoderSettings) -> Array:
     return blended
 
 
-_STATES = np.arange(len(PHONEMES))
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _IS_CLOSURE = np.isin(_CLASS_OF, _CLOSERS)
 _MEMBERSHIP: Array = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]

@@ -1,4 +1,4 @@
-"""What the network hears: 40 log-mel bands every 10 ms, freed of loudness and of the microphone.
+"""Features of the network: 40 log-mel bands every 10 ms, normalised for level and microphone.
 
 Recipe: pre-emphasis 0.97, 25 ms Hamming window, 10 ms hop, 512-point FFT, 40 mel bands from 60 to
 7600 Hz, natural log of power + 1e-7 (design measurement, recogniser.md). On top of it the level: a
@@ -58,7 +58,7 @@ def log_mel(emphasised: Array) -> Array:
 
 
 class LogMelStream:
-    """Samples in pieces of any size, log-mel frames out as soon as their 25 ms are heard."""
+    """Samples in pieces of any size, log-mel frames out as soon as their 25 ms are complete."""
 
     def __init__(self) -> None:
         self._last_sample = np.float32(0.0)

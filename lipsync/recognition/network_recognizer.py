@@ -1,34 +1,41 @@
-"""The recogniser of the live path: features, network, decoder, in NumPy, 10 ms at a time."""
+"""The recogniser of the live path: posteriors of a network and a Viterbi decoder, in NumPy."""
 
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
-from lipsync.recognition.belief import FrameBelief
-from lipsync.recognition.decoder import QUICK, SILENCE_INDEX, SMOOTH, DecoderSettings, SwitchDecoder
-from lipsync.recognition.features import FRAMES_PER_S, LevelNormalizer, LogMelStream
-from lipsync.recognition.intake import SoundIntake
-from lipsync.recognition.network import NetworkWeights, StreamingNetwork
+from lipsync.recognition.audio_input import AudioInput
+from lipsync.recognition.decoder import (
+    QUICK,
+    SILENCE_INDEX,
+    SMOOTH,
+    DecoderSettings,
+    ViterbiDecoder,
+)
+from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
+from lipsync.recognition.network import NetworkWeights
+from lipsync.recognition.posteriors import PosteriorStream
+from lipsync.recognition.update_builder import UpdateBuilder
 
 Array = NDArray[np.float32]
 
 LATENCY_S = 0.095
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025
-#: Where no band reaches this log power there is no sound: digital silence gives -16.1, white noise
-#: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
-#: no band above -13 and 13 % none above -11 (20 LibriSpeech utterances, measured).
-INAUDIBLE = -15.5
+#: Sound that is worked on at once where nobody waits for it: 64 frames make one matrix product.
+_AHEAD_S = 0.64
 
 
 class NetworkRecognizer:
-    """A `LiveRecognizer`; hears any rate, any block size, gaps as silence.
+    """A `PreparingRecognizer`; takes any rate and block size, gaps as silence.
 
-    latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may change its
-    mind only about what is not final. Memory stays bounded as long as `updates` is called.
+    latency_s: 25 ms plus so many frames as a head of the network waits, or more. It may revise only
+    what is not final. Memory stays bounded as long as `updates` is called.
     settings: of the decoder; None for those that fit the latency.
     """
 
@@ -52,65 +59,110 @@ class NetworkRecognizer:
         """At sound time t the phonemes before t - latency_s are settled."""
         return _WINDOW_S + self._delay / FRAMES_PER_S
 
+    @property
+    def ahead_s(self) -> float:
+        """How much sound `prepare` is best given at once."""
+        return _AHEAD_S
+
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
-        self._intake = SoundIntake()
-        self._log_mel = LogMelStream()
-        self._normalizer = LevelNormalizer(self._weights.scale)
-        self._network = StreamingNetwork(self._weights)
-        self._decoder = SwitchDecoder(self._weights.delays, self._delay, self._settings)
-        self._belief = FrameBelief(FRAMES_PER_S, self._delay + 1)
-        # Of the last frames, the newest last: whether there was anything to hear.
-        self._audible = deque([True] * (self._weights.delays[-1] + 1), self._weights.delays[-1] + 1)
+        self._input = AudioInput()
+        self._posteriors = PosteriorStream(self._weights)
+        self._n_samples = 0  # at 16 kHz, that the posteriors were computed from
+        self._prepared: deque[_PreparedBlock] = deque()
+        self._decoder = ViterbiDecoder(self._weights.delays, self._delay, self._settings)
+        self._updates = UpdateBuilder(FRAMES_PER_S, self._delay + 1)
         self._n_heard = 0  # frames whose window was heard, those jumped over among them
-        self._n_said = 0
-        self._settled: list[int] = []  # from the belief's border on
-        self._open: list[int] = []  # the frames after them that a head has spoken about
+        self._n_reported = 0
+        self._settled: list[int] = []  # phonemes from the first frame not final on
+        self._provisional: list[int] = []  # of the frames after them that a head has spoken about
+
+    def prepare(self, blocks: Sequence[AudioBlock]) -> None:
+        """Compute the scores of the blocks that will be fed next, all in one go.
+
+        Raises ValueError for what `feed` refuses; then only `reset` helps.
+        """
+        samples: list[Array] = []
+        counts: list[tuple[float, int, int, int]] = []
+        for block in blocks:
+            silence, jump_s, sound = self._input.take(block)
+            samples += [silence, sound]
+            n_silent = self._n_completed(len(silence))
+            n_jumped = round(jump_s * FRAMES_PER_S)
+            counts.append((block.start_s, n_silent, n_jumped, self._n_completed(len(sound))))
+        scores = self._decoder.scores(self._posteriors.push(np.concatenate(samples)))
+        end = 0
+        for start_s, n_silent, n_jumped, n_sound in counts:
+            first, middle, end = end, end + n_silent, end + n_silent + n_sound
+            self._prepared.append(
+                _PreparedBlock(start_s, scores[first:middle], n_jumped, scores[middle:end])
+            )
 
     def feed(self, block: AudioBlock) -> None:
-        """Hear the next block: any size, any rate; a gap before it is heard as silence.
+        """Take the next block: any size, any rate; a gap before it counts as silence.
 
-        Raises ValueError for a block that starts before the last one's end, and for another rate
-        than the stream began with.
+        Raises ValueError for a block that starts before the last one's end, for another rate than
+        the stream began with, and for another block than the one prepared.
         """
-        silence, jump_s, samples = self._intake.take(block)
-        if len(silence) > 0:
-            self._hear(silence)
-        if jump_s > 0.0:
-            n_frames = round(jump_s * FRAMES_PER_S)
-            # All that the decoder still holds is silence by now.
-            self._settled.extend([SILENCE_INDEX] * n_frames)
-            self._n_heard += n_frames
-        self._hear(samples)
+        if not self._prepared:
+            self.prepare([block])
+        prepared = self._prepared.popleft()
+        if prepared.start_s != block.start_s:
+            raise ValueError(
+                f"the block starts at {block.start_s} s, the one prepared at {prepared.start_s} s"
+            )
+        self._decode(prepared.silence)
+        # All that the decoder still holds is silence by now.
+        self._settled.extend([SILENCE_INDEX] * prepared.n_jumped)
+        self._n_heard += prepared.n_jumped
+        self._decode(prepared.sound)
 
     def updates(self) -> list[PhonemeUpdate]:
         """One update if a frame's window was completed since the last call, else none."""
-        if self._n_heard == self._n_said:
+        if self._n_heard == self._n_reported:
             return []
-        self._n_said = self._n_heard
-        border = self._belief.border
-        known = self._settled + self._open
+        self._n_reported = self._n_heard
+        n_final = self._updates.n_final
+        known = self._settled + self._provisional
         # The newest frame's window reaches 15 ms beyond its end; one frame more has been heard.
-        n_missing = self._n_heard + 1 - border - len(known)
+        n_missing = self._n_heard + 1 - n_final - len(known)
         known += [known[-1] if known else SILENCE_INDEX] * n_missing
-        update = self._belief.update([PHONEMES[index] for index in known])
-        del self._settled[: self._belief.border - border]
+        update = self._updates.update([PHONEMES[index] for index in known])
+        del self._settled[: self._updates.n_final - n_final]
         return [update]
 
-    def _hear(self, samples: Array) -> None:
-        for frame in self._log_mel.push(samples):
-            posteriors = self._network.push(self._normalizer.push(frame[None]))[0]
-            self._audible.append(bool(frame.max() >= INAUDIBLE))
-            for head, delay in enumerate(self._weights.delays):
-                if not self._audible[-1 - delay]:  # each head speaks about a frame of its own
-                    posteriors[head] = 0.0
-                    posteriors[head, SILENCE_INDEX] = 1.0
-            settled, self._open = self._decoder.push(posteriors)
+    def _n_completed(self, n_samples: int) -> int:
+        """How many frames so many more samples complete."""
+        n_before = _n_frames(self._n_samples)
+        self._n_samples += n_samples
+        return _n_frames(self._n_samples) - n_before
+
+    def _decode(self, scores: Array) -> None:
+        for frame in scores:
+            settled, self._provisional = self._decoder.push(frame)
             if settled is not None:
                 self._settled.append(settled)
             self._n_heard += 1
 
 
+@dataclass(frozen=True, slots=True)
+class _PreparedBlock:
+    """Scores (n, n_heads, n_phonemes) of the frames that a block completes, and frames jumped over.
+
+    In order: the silence put in place of a gap, the jump over the rest of it, the block's sound.
+    """
+
+    start_s: float
+    silence: Array
+    n_jumped: int
+    sound: Array
+
+
 def frames_of_delay(latency_s: float) -> int:
     """How many frames are heard after one before it is settled."""
     return int((latency_s - _WINDOW_S) * FRAMES_PER_S + 1e-6)
+
+
+def _n_frames(n_samples: int) -> int:
+    """Whole windows in so many samples."""
+    return max(0, (n_samples - WINDOW) // HOP + 1)

@@ -4,7 +4,7 @@ from lipservo.status.face_status import SpeechStatus
 
 SPEECH = SpeechStatus(
     sound="talk.wav",
-    recognizer="loudness",
+    recognizer="energy",
     fallback_level=2,
     fallback_reasons=("network: broken", "pocketsphinx: missing"),
     engine="network",

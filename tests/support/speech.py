@@ -1,4 +1,4 @@
-"""Speech and noise for the tests of everything that listens."""
+"""Speech, tones and noise for the tests of sound and recognition."""
 
 from importlib import resources
 from pathlib import Path
@@ -12,6 +12,19 @@ from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
 CLIP_PATH = Path(str(resources.files("lipservo.clips") / "welcome.flac"))
 #: The clip's phones as flite says that it spoke them: `flite -psdur`, ax written as AH.
 CLIP_LABELS_PATH = DATA / "welcome.TextGrid"
+TONE_HZ = 440.0
+
+
+def tone(rate_hz: int, duration_s: float = 0.5) -> NDArray[np.float64]:
+    """A sine of `TONE_HZ` at half of full scale."""
+    n_samples = round(duration_s * rate_hz)
+    return 0.5 * np.sin(2 * np.pi * TONE_HZ * np.arange(n_samples) / rate_hz)
+
+
+def cut_short(path: Path, share: float) -> None:
+    """Leave only this share of a file's bytes."""
+    whole = path.read_bytes()
+    path.write_bytes(whole[: round(len(whole) * share)])
 
 
 def white_noise(duration_s: float, level_db: float) -> NDArray[np.float64]:

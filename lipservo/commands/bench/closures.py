@@ -14,7 +14,7 @@ from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
 
 if TYPE_CHECKING:
-    from lipsync.evaluation.recognition.heard_closures import Closure
+    from lipsync.evaluation.recognition.closure_hits import Closure
     from lipsync.phonemes import PhonemeEvent
 
 
@@ -43,7 +43,7 @@ def closures(
     """
     from lipservo.face.assembly import load_face_model
     from lipservo.street.motion_options import LATENCY_S
-    from lipsync.evaluation.recognition.heard_closures import closure_figures, heard_closures
+    from lipsync.evaluation.recognition.closure_hits import closure_figures, closure_hits
     from lipsync.recognition.network_recognizer import NetworkRecognizer
 
     recognizer = NetworkRecognizer(find_weights(weights), LATENCY_S)
@@ -52,9 +52,7 @@ def closures(
     with progress_bar(quiet=quiet) as advance:
         if corpus is None:
             with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-                found = heard_closures(
-                    clip, _clip_phones(clip), recognizer, face, lookahead_ms / 1e3
-                )
+                found = closure_hits(clip, _clip_phones(clip), recognizer, face, lookahead_ms / 1e3)
         else:
             from lipservo.bench.aligned_corpus import aligned, selected
 
@@ -62,9 +60,7 @@ def closures(
             alignments = aligned(utterances, cache, None, advance)
             for number, utterance in enumerate(utterances, start=1):
                 phones = alignments[utterance.name].events()
-                found += heard_closures(
-                    utterance.sound, phones, recognizer, face, lookahead_ms / 1e3
-                )
+                found += closure_hits(utterance.sound, phones, recognizer, face, lookahead_ms / 1e3)
                 advance("closing", number, len(utterances))
     figures = closure_figures(found)
     settings = {"weights": weights, "lookahead_ms": lookahead_ms, "machine": machine_class()}
@@ -81,7 +77,7 @@ def closures(
 def _clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
     """The bundled clip's phones, from its text."""
     from lipsync.recognition.alignment.forced_alignment import align
-    from lipsync.recognition.sound import read_speech
+    from lipsync.recognition.speech_file import read_speech
 
     text = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
     return align(read_speech(clip), text).phones

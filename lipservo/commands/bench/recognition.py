@@ -1,4 +1,4 @@
-"""`lipservo bench recognition` and `bench listening`: how well it hears, and what that costs."""
+"""`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost."""
 
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
@@ -104,7 +104,7 @@ def listening(
     import numpy as np
 
     from lipsync.evaluation.recognition.benchmark import block_costs_s, false_speech, quiet_sounds
-    from lipsync.recognition.sound import read_speech
+    from lipsync.recognition.speech_file import read_speech
 
     utterances = None
     if corpus is not None:
@@ -164,9 +164,9 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
 
 
 def _maker(engine: Engine, latency_s: float, weights: str) -> Callable[[], LiveRecognizer]:
-    """A function that makes the engine itself, without the ladder: a failure must be seen."""
-    from lipsync.recognition.allphone_recognizer import PocketsphinxRecognizer
+    """A function that makes the engine itself, without fallback levels: a failure must be seen."""
     from lipsync.recognition.network_recognizer import NetworkRecognizer
+    from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
 
     if engine == "pocketsphinx":
         return lambda: PocketsphinxRecognizer(latency_s)

@@ -48,7 +48,7 @@ def _align_corpus(
 ) -> None:
     from lipsync.corpus.transcribed import read_transcribed
     from lipsync.recognition.alignment.alignment_cache import align_corpus
-    from lipsync.recognition.alignment.text_score import LEAST_SCORE
+    from lipsync.recognition.alignment.goodness_of_pronunciation import LEAST_SCORE
 
     if output is None or output.suffix.lower() != ".jsonl":
         raise typer.BadParameter("name a file for the alignments, X.jsonl", param_hint="--output")
@@ -87,19 +87,19 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
     from lipservo.street.sources import warn
     from lipsync.recognition.alignment.forced_alignment import AlignmentError
     from lipsync.recognition.alignment.forced_alignment import align as force_align
-    from lipsync.recognition.alignment.text_score import (
+    from lipsync.recognition.alignment.goodness_of_pronunciation import (
         DOUBTFUL_SCORE,
         LEAST_SCORE,
         USUAL_SCORES,
-        text_score,
+        goodness_of_pronunciation,
     )
-    from lipsync.recognition.sound import read_speech
+    from lipsync.recognition.speech_file import read_speech
 
     if output is not None:
         check_phone_file(output, inputs=[sound])
     samples = read_speech(sound, warn)
     alignment = force_align(samples, _text(text))
-    score = text_score(samples, alignment.phones)
+    score = goodness_of_pronunciation(samples, alignment.phones)
     if score < LEAST_SCORE:
         raise AlignmentError(
             f"{sound}: this text is not what is said there: it scores {score:.2f}, what is said "

@@ -39,8 +39,8 @@ def recognize(
     """
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
-    from lipservo.street.heard_phonemes import heard_events
     from lipservo.street.phone_file import check_phone_file, write_phone_file
+    from lipservo.street.recognized_phonemes import recognized_events
     from lipservo.street.sources import DEFAULT_MICROPHONE, open_microphone
     from lipservo.street.sources import warn as warn_of_sound
     from lipsync.audio.file import FileSource
@@ -59,7 +59,7 @@ def recognize(
         MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
 
     try:
-        for event in heard_events(source, engine, weights, warn):
+        for event in recognized_events(source, engine, weights, warn):
             if output is not None:
                 events.append(event)
             if as_json:
@@ -122,7 +122,7 @@ def train_recognizer(
     """Learn the recogniser's weights (needs the extra `train`: torch)."""
     check_extra("torch", "train-recognizer")
     from lipsync.corpus.transcribed import read_names
-    from lipsync.recognition.training.network_training import TrainingPlan
+    from lipsync.recognition.training.training_plan import TrainingPlan
     from lipsync.recognition.training.training_run import TrainingRun, run_training
     from lipsync.recognition.weights import find_weights, is_weights, save_weights
 

@@ -1,1 +1,1 @@
-"""How well and how soon a recogniser hears."""
+"""How accurate and how quick a recogniser is."""

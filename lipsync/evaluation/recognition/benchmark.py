@@ -9,11 +9,11 @@ import numpy as np
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.evaluation.recognition.conditions import Condition
-from lipsync.evaluation.recognition.driver import listen
 from lipsync.evaluation.recognition.scoring import Score, phone_sequence
+from lipsync.evaluation.recognition.stream_observers import label_frames
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.alignment.alignment_cache import LABELLED, AlignedUtterance
-from lipsync.recognition.sound import read_speech
+from lipsync.recognition.speech_file import read_speech
 from lipsync.recognition.training import noise
 
 #: Recordings that speak at once in babble noise.
@@ -66,9 +66,9 @@ def measure(
     condition: Condition | None = None,
     progress: Callable[[str], None] = lambda _name: None,
 ) -> Figures:
-    """Listen to every utterance aligned at the default beams or labelled, from silence on.
+    """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
 
-    Alignments that needed the retry are no yardstick: they are counted, not scored.
+    Alignments that needed the second try are no reference: they are counted, not scored.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -82,13 +82,12 @@ def measure(
         samples = read_speech(utterance.sound)
         if condition is not None:
             samples = condition.apply(samples, utterance.name, voices)
-        recognizer.reset()
-        heard = listen(recognizer, samples)
+        heard, block_costs = label_frames(recognizer, samples)
         score.add(heard.labels, alignments[utterance.name].labels(len(heard.labels)))
         duration_s += len(samples) / SAMPLE_RATE_HZ
         n_revisions += heard.n_revisions
         n_said += len(phone_sequence(heard.labels))
-        costs.append(heard.cost_s)
+        costs.append(np.array(block_costs.costs_s))
         progress(utterance.name)
     all_costs = np.concatenate(costs) if costs else np.zeros(1)
     return Figures(
@@ -112,8 +111,7 @@ def false_speech(recognizer: LiveRecognizer, samples: np.ndarray) -> float:
     from lipsync.phonemes import SILENCE
     from lipsync.recognition.alignment.alignment_cache import PHONEME_INDEX
 
-    recognizer.reset()
-    labels = listen(recognizer, samples.astype(np.float32)).labels
+    labels = label_frames(recognizer, samples.astype(np.float32))[0].labels
     return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
 
 
@@ -136,9 +134,6 @@ def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, n_passes: int
     What other programs cost on a shared machine (caches emptied, memory slowed) goes away with the
     least; what this block costs by itself stays.
     """
-    passes = []
-    for _ in range(n_passes):
-        recognizer.reset()
-        passes.append(listen(recognizer, samples).cost_s)
+    passes = [label_frames(recognizer, samples)[1].costs_s for _ in range(n_passes)]
     least: np.ndarray = np.min(passes, axis=0)
     return least

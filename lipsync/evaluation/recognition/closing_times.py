@@ -7,18 +7,19 @@ look-ahead was spent; so a mouth may begin to close before the voice stops.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
 from lipsync.face.model import FaceModel
 from lipsync.motion.lip_closure import lip_gap_of
 from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
 from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.float32]
@@ -76,23 +77,43 @@ class ClosingBench:
         """Play samples (n,) from silence on; the mouth from `from_s` to the end."""
         self._recognizer.reset()
         self._synthesizer.reset()
-        openings, resting = [], []
         n_behind = math.ceil(self.delay_s / BLOCK_S - 1e-6)
         padded = np.concatenate((samples, np.zeros(n_behind * _HOP, np.float32)))
-        for number in range(len(padded) // _HOP):
-            start = number * _HOP
-            self._recognizer.feed(AudioBlock(padded[start : start + _HOP], start / SAMPLE_RATE_HZ))
-            for update in self._recognizer.updates():
-                self._synthesizer.push(update)
-            if number + 1 >= n_behind:
-                face = self._synthesizer.coefficients_at((number + 1 - n_behind) * BLOCK_S)
-                openings.append(self._width_mm(face) - self._rest_mm)
-                resting.append(self._synthesizer.is_resting)
+        watch = _MouthObserver(self._synthesizer, n_behind, self.opening_mm)
+        whole = padded[: len(padded) // _HOP * _HOP]
+        RecognizerStream(self._recognizer, (watch,)).run(blocks_of(whole))
         first = round(from_s / BLOCK_S)
-        return Mouth(np.array(openings[first:]), np.array(resting[first:]))
+        return Mouth(np.array(watch.openings_mm[first:]), np.array(watch.resting[first:]))
+
+    def opening_mm(self, face: Array) -> float:
+        """Lip gap of a face (n_components,) beyond the one at rest."""
+        return self._width_mm(face) - self._rest_mm
 
     def _width_mm(self, face: Array) -> float:
         return float(np.linalg.norm(self._gap.at_mean_mm + face @ self._gap.per_face))
+
+
+class _MouthObserver:
+    """The mouth at each step of the recogniser's stream, `n_behind` steps behind the sound."""
+
+    def __init__(
+        self, synthesizer: LiveSynthesizer, n_behind: int, opening_mm: Callable[[Array], float]
+    ) -> None:
+        self.openings_mm: list[float] = []
+        self.resting: list[bool] = []
+        self._synthesizer = synthesizer
+        self._opening_mm = opening_mm
+        self._number = -n_behind
+
+    def observe(self, step: StreamStep) -> None:
+        """Move the mouth by what became known."""
+        self._number += 1
+        for update in step.updates:
+            self._synthesizer.push(update)
+        if self._number >= 0:
+            face = self._synthesizer.coefficients_at(self._number * BLOCK_S)
+            self.openings_mm.append(self._opening_mm(face))
+            self.resting.append(self._synthesizer.is_resting)
 
 
 def closing_figures(

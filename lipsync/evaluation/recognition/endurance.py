@@ -1,6 +1,5 @@
 """Hours of speech without a pause: a recogniser must not grow, neither in memory nor in cost."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -8,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
-from lipsync.evaluation.recognition.driver import listen
+from lipsync.evaluation.recognition.stream_observers import label_frames
 from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
+from lipsync.recognition.streaming import RecognizerStream, StreamStep
 
 Samples = NDArray[np.float32]
 
@@ -45,8 +45,7 @@ class Endurance:
 
 def without_pauses(recognizer: LiveRecognizer, samples: Samples) -> Samples:
     """The samples (n,) without the 10 ms frames that the recogniser calls silent."""
-    recognizer.reset()
-    labels = listen(recognizer, samples).labels
+    labels = label_frames(recognizer, samples)[0].labels
     frames = samples[: len(labels) * _HOP].reshape(-1, _HOP)
     spoken: Samples = frames[labels != PHONEMES.index(SILENCE)].ravel()
     return spoken
@@ -66,26 +65,44 @@ def endure(
     """
     recognizer.reset()
     n_blocks = round(duration_s / BLOCK_S)
-    costs_s = np.full(n_blocks, np.inf, np.float32)
+    watch = _Watch(n_blocks, resident_mb, progress)
     loop = np.resize(speech, len(speech) // _HOP * _HOP).reshape(-1, _HOP)
-    settled_mb, heard_until_s = resident_mb(), 0.0
-    for number in range(n_blocks):
-        block = AudioBlock(loop[number % len(loop)], number * BLOCK_S)
-        began_ns = time.thread_time_ns()
-        recognizer.feed(block)
-        updates = recognizer.updates()
-        costs_s[number] = (time.thread_time_ns() - began_ns) * 1e-9
-        heard_until_s = updates[-1].heard_until_s if updates else heard_until_s
-        if number == round(SETTLED_S / BLOCK_S):
-            settled_mb = resident_mb()
-        if number % _BLOCKS_PER_REPORT == 0:
-            progress(number, n_blocks)
+    RecognizerStream(recognizer, (watch,)).run(
+        AudioBlock(loop[number % len(loop)], number * BLOCK_S) for number in range(n_blocks)
+    )
     quarter = max(1, n_blocks // 4)
     return Endurance(
         sound_s=n_blocks * BLOCK_S,
-        settled_mb=settled_mb,
+        settled_mb=watch.settled_mb,
         end_mb=resident_mb(),
-        first_quarter_s=float(np.median(costs_s[:quarter])),
-        last_quarter_s=float(np.median(costs_s[-quarter:])),
-        clock_error_s=n_blocks * BLOCK_S - heard_until_s,
+        first_quarter_s=float(np.median(watch.costs_s[:quarter])),
+        last_quarter_s=float(np.median(watch.costs_s[-quarter:])),
+        clock_error_s=n_blocks * BLOCK_S - watch.heard_until_s,
     )
+
+
+class _Watch:
+    """Costs of all blocks in memory laid out beforehand; the memory of the process at 10 min."""
+
+    def __init__(
+        self,
+        n_blocks: int,
+        resident_mb: Callable[[], float],
+        progress: Callable[[int, int], None],
+    ) -> None:
+        self.costs_s = np.full(n_blocks, np.inf, np.float32)
+        self.heard_until_s = 0.0
+        self.settled_mb = resident_mb()
+        self._resident_mb = resident_mb
+        self._progress = progress
+        self._n_seen = 0
+
+    def observe(self, step: StreamStep) -> None:
+        number, self._n_seen = self._n_seen, self._n_seen + 1
+        self.costs_s[number] = step.cost_s
+        if step.updates:
+            self.heard_until_s = step.updates[-1].heard_until_s
+        if number == round(SETTLED_S / BLOCK_S):
+            self.settled_mb = self._resident_mb()
+        if number % _BLOCKS_PER_REPORT == 0:
+            self._progress(number, len(self.costs_s))

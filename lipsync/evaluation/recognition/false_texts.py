@@ -6,10 +6,14 @@ import numpy as np
 
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.recognition.alignment.forced_alignment import AlignmentError, align
+from lipsync.recognition.alignment.goodness_of_pronunciation import (
+    DOUBTFUL_SCORE,
+    LEAST_SCORE,
+    goodness_of_pronunciation,
+)
 from lipsync.recognition.alignment.pronunciation import PronunciationError
-from lipsync.recognition.alignment.text_score import DOUBTFUL_SCORE, LEAST_SCORE, text_score
 from lipsync.recognition.network import NetworkWeights
-from lipsync.recognition.sound import read_speech
+from lipsync.recognition.speech_file import read_speech
 
 #: The false text is one of so many that are nearest in length: aligners refuse others by that.
 _NEAREST = 5
@@ -38,7 +42,9 @@ def score_texts(
         scores: dict[str, float | None] = {}
         for kind, text in texts_of(utterance, utterances, rng).items():
             try:
-                scores[kind] = text_score(samples, align(samples, text).phones, weights)
+                scores[kind] = goodness_of_pronunciation(
+                    samples, align(samples, text).phones, weights
+                )
             except (AlignmentError, PronunciationError):
                 scores[kind] = None
         yield scores

@@ -1,4 +1,4 @@
-"""How well a recogniser hears, against forced alignment, in the scoring classes of `phonemes`.
+"""How accurate a recogniser is, against forced alignment, in the scoring classes of `phonemes`.
 
 Frames are 10 ms. 'all' counts every frame, 'speech' those whose reference is not silence.
 """
@@ -14,7 +14,7 @@ from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 
 Labels = NDArray[np.int64]
 
-#: A hit may lie this many frames beside: the yardstick's own boundaries are not better.
+#: A hit may lie this many frames beside: the boundaries of forced alignment are not better.
 SLACK_FRAMES = 2
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
@@ -25,7 +25,7 @@ _SILENT_CLASS, _CLOSED_CLASS = VISEME_OF[SILENCE], VISEME_OF["P"]
 class Score:
     """Counts, added up over utterances; every figure is a quotient of two of them.
 
-    `confusion` (n_visemes, n_visemes): frames by reference and heard class.
+    `confusion` (n_visemes, n_visemes): frames by class of reference and hypothesis.
     """
 
     n_frames: int = 0
@@ -34,7 +34,7 @@ class Score:
     n_speech_phones_right: int = 0
     n_slack_right: int = 0
     n_closures: int = 0
-    n_closures_heard: int = 0
+    n_closures_found: int = 0
     n_closures_said: int = 0
     n_closures_true: int = 0
     n_phones: int = 0
@@ -44,19 +44,19 @@ class Score:
         default_factory=lambda: np.zeros((len(VISEME_CLASSES),) * 2, np.int64)
     )
 
-    def add(self, heard: Labels, reference: Labels) -> None:
+    def add(self, hypothesis: Labels, reference: Labels) -> None:
         """Count one utterance: phoneme numbers (n,) as in `PHONEMES`."""
         is_speech = reference != _SILENCE_INDEX
-        right = heard == reference
-        heard_class, true_class = _CLASS_OF[heard], _CLASS_OF[reference]
-        self.n_frames += len(heard)
+        right = hypothesis == reference
+        hypothesis_class, true_class = _CLASS_OF[hypothesis], _CLASS_OF[reference]
+        self.n_frames += len(hypothesis)
         self.n_speech += int(is_speech.sum())
         self.n_phones_right += int(right.sum())
         self.n_speech_phones_right += int(right[is_speech].sum())
-        self.n_slack_right += int(_right_nearby(heard_class, true_class)[is_speech].sum())
-        np.add.at(self.confusion, (true_class, heard_class), 1)
-        self._add_closures(heard_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
-        said, spoken = phone_sequence(heard), phone_sequence(reference)
+        self.n_slack_right += int(_right_nearby(hypothesis_class, true_class)[is_speech].sum())
+        np.add.at(self.confusion, (true_class, hypothesis_class), 1)
+        self._add_closures(hypothesis_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
+        said, spoken = phone_sequence(hypothesis), phone_sequence(reference)
         self.n_phones += len(spoken)
         self.n_edits += edit_distance(said, spoken)
         self.phone_all_by_utterance.append(float(right.mean()))
@@ -72,7 +72,7 @@ class Score:
                 int(visemes_right.sum() - visemes_right[_SILENT_CLASS]), self.n_speech
             ),
             "viseme_speech_slack20": _share(self.n_slack_right, self.n_speech),
-            "closure_recall": _share(self.n_closures_heard, self.n_closures),
+            "closure_recall": _share(self.n_closures_found, self.n_closures),
             "closure_precision": _share(self.n_closures_true, self.n_closures_said),
             "per": _share(self.n_edits, self.n_phones),
         }
@@ -86,7 +86,7 @@ class Score:
 
     def _add_closures(self, said: NDArray[np.bool_], spoken: NDArray[np.bool_]) -> None:
         self.n_closures += len(_runs(spoken))
-        self.n_closures_heard += _n_touched(_runs(spoken), said)
+        self.n_closures_found += _n_touched(_runs(spoken), said)
         self.n_closures_said += len(_runs(said))
         self.n_closures_true += _n_touched(_runs(said), spoken)
 
@@ -109,11 +109,11 @@ def edit_distance(said: Sequence[int], spoken: Sequence[int]) -> int:
     return int(costs[-1])
 
 
-def _right_nearby(heard: Labels, reference: Labels) -> NDArray[np.bool_]:
-    """Whether each heard class is the reference's anywhere within the slack."""
+def _right_nearby(hypothesis: Labels, reference: Labels) -> NDArray[np.bool_]:
+    """Whether each class of the hypothesis is the reference's anywhere within the slack."""
     padded = np.pad(reference, SLACK_FRAMES, constant_values=-1)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * SLACK_FRAMES + 1)
-    nearby: NDArray[np.bool_] = (windows == heard[:, None]).any(axis=1)
+    nearby: NDArray[np.bool_] = (windows == hypothesis[:, None]).any(axis=1)
     return nearby
 
 

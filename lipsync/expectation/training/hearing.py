@@ -15,7 +15,7 @@ from lipsync.corpus.utterance import Utterance
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.batch import TOGETHER, settled_phonemes
 from lipsync.recognition.network import NetworkWeights
-from lipsync.recognition.sound import read_speech
+from lipsync.recognition.speech_file import read_speech
 
 Progress = Callable[[Sequence[Utterance]], Iterable[Utterance]]
 

@@ -1,9 +1,9 @@
 """Alignments of a whole corpus: made in parallel, kept as JSON lines, taken up where they ended.
 
 One line an utterance: name, text, beams, phones [name, first frame, frame after the last], guessed
-words, and the score of the text (text_score.py); or, for one that could not be aligned, name, text
-and error. A failure is kept, so it is counted and not tried again. Where a corpus brings its own
-labels of the phones these are taken, and `beams` says so.
+words, and the score of the text (goodness_of_pronunciation.py); or, for one that could not be
+aligned, name, text and error. A failure is kept, so it is counted and not tried again. Where a
+corpus brings its own labels of the phones these are taken, and `beams` says so.
 
 The file has its name when it is complete. Until then what is done stands in NAME.unfinished, where
 an interrupted run goes on.
@@ -24,7 +24,10 @@ from lipsync.errors import UserError
 from lipsync.output_file import check_output, write_whole
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 from lipsync.recognition.alignment.forced_alignment import FRAMES_PER_S, align
-from lipsync.recognition.alignment.text_score import LEAST_SCORE, text_score
+from lipsync.recognition.alignment.goodness_of_pronunciation import (
+    LEAST_SCORE,
+    goodness_of_pronunciation,
+)
 from lipsync.recognition.scripted import read_phonemes
 
 #: In place of the beams: the phones are those of the corpus's own label files.
@@ -178,7 +181,7 @@ def _known(path: Path | None) -> dict[str, AlignedUtterance]:
 
 def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
     """Read and align one utterance; a user's mistake becomes its `error`."""
-    from lipsync.recognition.sound import read_speech
+    from lipsync.recognition.speech_file import read_speech
 
     if utterance.labels is not None:
         return _labelled(utterance, utterance.labels)
@@ -193,7 +196,7 @@ def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
         alignment.beams,
         _in_frames(alignment.phones),
         alignment.guessed,
-        score=round(text_score(samples, alignment.phones), 3),
+        score=round(goodness_of_pronunciation(samples, alignment.phones), 3),
     )
 
 

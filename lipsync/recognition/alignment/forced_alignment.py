@@ -93,19 +93,19 @@ def _segments(
 ) -> list[tuple[str, list[tuple[str, int, int]]]]:
     """(word, its phones as (name, first frame, n frames)) in order."""
     decoder.set_align_text(" ".join(words))
-    _hear(decoder, pcm)
+    _process(decoder, pcm)
     # Only now: asked after the second pass, pocketsphinx 5.1.1 crashes.
     if decoder.hyp() is None:
         raise RuntimeError("no path through the words")
     decoder.set_alignment()
-    _hear(decoder, pcm)
+    _process(decoder, pcm)
     alignment = decoder.get_alignment()
     if alignment is None:
         raise RuntimeError("no alignment of the phones")
     return [(w.name, [(p.name, p.start, p.duration) for p in w]) for w in alignment.words()]
 
 
-def _hear(decoder: Decoder, pcm: bytes) -> None:
+def _process(decoder: Decoder, pcm: bytes) -> None:
     decoder.start_utt()
     decoder.process_raw(pcm, no_search=False, full_utt=True)
     decoder.end_utt()

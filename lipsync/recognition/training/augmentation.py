@@ -1,4 +1,4 @@
-"""One recording, many ways to hear it: what training does to speech before it learns from it."""
+"""Augmentation of training speech: level, speed, room, noise, line."""
 
 from dataclasses import dataclass
 
@@ -20,22 +20,24 @@ _SPEED = (0.88, 1.12)
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class LabelledSamples:
     """Samples (n,) float32 at 16 kHz and the label of each 10 ms frame."""
 
     samples: Array
     labels: Labels
 
 
-def lightly(rng: np.random.Generator, clean: Heard) -> Heard:
+def augment_lightly(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
     """Only another loudness."""
-    return Heard(_at_level(rng, clean.samples, -12.0, 5.0), clean.labels)
+    return LabelledSamples(_at_level(rng, clean.samples, -12.0, 5.0), clean.labels)
 
 
-def heavily(rng: np.random.Generator, clean: Heard, babble: noise.Noise) -> Heard:
+def augment_heavily(
+    rng: np.random.Generator, clean: LabelledSamples, babble: noise.Noise
+) -> LabelledSamples:
     """Another speed, room, line, noise, loudness: each with its own chance."""
-    heard = _at_speed(rng, clean) if rng.random() < 0.6 else clean
-    samples = heard.samples
+    changed = _at_speed(rng, clean) if rng.random() < 0.6 else clean
+    samples = changed.samples
     if rng.random() < 0.25:
         samples = noise.reverberate(rng, samples)
     if rng.random() < 0.75:
@@ -48,7 +50,7 @@ def heavily(rng: np.random.Generator, clean: Heard, babble: noise.Noise) -> Hear
         samples = noise.lossy(rng, samples)
     if rng.random() < 0.08:
         samples = np.clip(samples * np.float32(10.0 ** rng.uniform(0.3, 1.2)), -1.0, 1.0)
-    return Heard(_at_level(rng, samples, *_GAIN_DB), heard.labels)
+    return LabelledSamples(_at_level(rng, samples, *_GAIN_DB), changed.labels)
 
 
 def no_speech(rng: np.random.Generator, n: int) -> Array:
@@ -62,14 +64,14 @@ def no_speech(rng: np.random.Generator, n: int) -> Array:
     return clipped.astype(np.float32)
 
 
-def _at_speed(rng: np.random.Generator, clean: Heard) -> Heard:
+def _at_speed(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
     """Faster or slower with the pitch, as a tape would."""
     speed = rng.uniform(*_SPEED)
     samples = soxr.resample(clean.samples, round(SAMPLE_RATE_HZ * speed), SAMPLE_RATE_HZ)
     n_frames = len(samples) * FRAMES_PER_S // SAMPLE_RATE_HZ
     sources = ((np.arange(n_frames) + 0.5) * speed).astype(np.int64)
     labels = clean.labels[np.minimum(sources, len(clean.labels) - 1)]
-    return Heard(samples.astype(np.float32), labels)
+    return LabelledSamples(samples.astype(np.float32), labels)
 
 
 def _at_level(rng: np.random.Generator, samples: Array, low_db: float, high_db: float) -> Array:

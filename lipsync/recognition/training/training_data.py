@@ -1,6 +1,6 @@
 """From aligned speech to the arrays that the network learns from.
 
-Every utterance is heard in several ways (`augmentation`); each way of the whole corpus is one long
+Every utterance is augmented several times (`augmentation`); each copy of the corpus is one long
 array, every utterance beginning as a stream does, with a fresh level and mean.
 """
 
@@ -23,9 +23,9 @@ from lipsync.recognition.features import (
     LevelNormalizer,
     LogMelStream,
 )
-from lipsync.recognition.sound import read_speech
+from lipsync.recognition.speech_file import read_speech
 from lipsync.recognition.training import augmentation, noise
-from lipsync.recognition.training.augmentation import Heard
+from lipsync.recognition.training.augmentation import LabelledSamples
 
 #: Targets of frames that a head cannot know yet; torch's cross entropy passes over them.
 NO_TARGET = -100
@@ -38,7 +38,7 @@ _NOISE_S = 4.0
 
 @dataclass(frozen=True, slots=True)
 class TrainingArray:
-    """One way to hear the whole corpus.
+    """One augmented copy of the whole corpus.
 
     features: (n, 40) float16; targets: (n, n_heads), the phoneme's number for each head's delay.
     """
@@ -47,16 +47,16 @@ class TrainingArray:
     targets: NDArray[np.int64]
 
 
-def read_heard(utterance: TranscribedUtterance, aligned: AlignedUtterance) -> Heard:
+def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) -> LabelledSamples:
     """The utterance's samples, with a tail of silence, and labels."""
     samples = read_speech(utterance.sound)
     samples = np.concatenate((samples, np.zeros(round(_TAIL_S * SAMPLE_RATE_HZ), np.float32)))
-    return Heard(samples, aligned.labels(len(samples) // HOP))
+    return LabelledSamples(samples, aligned.labels(len(samples) // HOP))
 
 
-def feature_scale(recordings: Iterable[Heard]) -> FeatureScale:
+def feature_scale(recordings: Iterable[LabelledSamples]) -> FeatureScale:
     """What is typical of these recordings."""
-    return FeatureScale.of(LogMelStream().push(heard.samples) for heard in recordings)
+    return FeatureScale.of(LogMelStream().push(each.samples) for each in recordings)
 
 
 def delayed(labels: NDArray[np.int64], n_frames: int, delays: Sequence[int]) -> NDArray[np.int64]:
@@ -69,19 +69,19 @@ def delayed(labels: NDArray[np.int64], n_frames: int, delays: Sequence[int]) -> 
 
 
 def as_array(
-    recordings: Iterable[Heard], scale: FeatureScale, delays: Sequence[int]
+    recordings: Iterable[LabelledSamples], scale: FeatureScale, delays: Sequence[int]
 ) -> TrainingArray:
-    """All recordings one after the other, each heard as a stream of its own."""
+    """All recordings one after the other, each as a stream of its own."""
     features, targets = [], []
-    for heard in recordings:
-        frames = LevelNormalizer(scale).push(LogMelStream().push(heard.samples))
+    for each in recordings:
+        frames = LevelNormalizer(scale).push(LogMelStream().push(each.samples))
         features.append(frames.astype(np.float16))
-        targets.append(delayed(heard.labels, len(frames), delays))
+        targets.append(delayed(each.labels, len(frames), delays))
     return TrainingArray(np.concatenate(features), np.concatenate(targets))
 
 
 def training_arrays(
-    clean: Sequence[Heard],
+    clean: Sequence[LabelledSamples],
     scale: FeatureScale,
     delays: Sequence[int],
     *,
@@ -90,7 +90,7 @@ def training_arrays(
     n_processes: int = 1,
     progress: Callable[[int], None] = lambda _n: None,
 ) -> list[TrainingArray]:
-    """The corpus heard lightly once and heavily `n_heavy` times; the same seed, the same arrays."""
+    """One lightly augmented copy, `n_heavy` heavily; the same seed gives the same arrays."""
     jobs = [(copy, seed, scale, tuple(delays)) for copy in range(1 + n_heavy)]
     arrays: list[TrainingArray] = []
     _SHARED[:] = clean
@@ -107,24 +107,24 @@ def training_arrays(
     return arrays
 
 
-_SHARED: list[Heard] = []
+_SHARED: list[LabelledSamples] = []
 
 
 def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingArray:
     copy, seed, scale, delays = job
-    return as_array(_ways(_SHARED, copy, seed), scale, delays)
+    return as_array(_augmented(_SHARED, copy, seed), scale, delays)
 
 
-def _ways(clean: Sequence[Heard], copy: int, seed: int) -> Iterable[Heard]:
-    babble = noise.babble([heard.samples for heard in clean[:: max(1, len(clean) // 200)]])
+def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
+    babble = noise.babble([each.samples for each in clean[:: max(1, len(clean) // 200)]])
     silence = PHONEMES.index(SILENCE)
-    for index, heard in enumerate(clean):
+    for index, each in enumerate(clean):
         rng = np.random.default_rng([seed, copy, index])
         if copy == 0:
-            yield augmentation.lightly(rng, heard)
+            yield augmentation.augment_lightly(rng, each)
         else:
-            yield augmentation.heavily(rng, heard, babble)
+            yield augmentation.augment_heavily(rng, each, babble)
         if index % _UTTERANCES_PER_NOISE == 0:
             n_frames = round(_NOISE_S * FRAMES_PER_S)
             samples = augmentation.no_speech(rng, n_frames * HOP)
-            yield Heard(samples, np.full(n_frames, silence))
+            yield LabelledSamples(samples, np.full(n_frames, silence))

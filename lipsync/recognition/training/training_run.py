@@ -11,17 +11,18 @@ from lipsync.corpus.transcribed import TranscribedUtterance, read_transcribed, w
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.alignment.alignment_cache import AlignedUtterance, align_corpus
 from lipsync.recognition.features import FeatureScale
-from lipsync.recognition.network import NetworkWeights, batch_posteriors
+from lipsync.recognition.network import NetworkWeights, StreamingNetwork
 from lipsync.recognition.training import noise
-from lipsync.recognition.training.augmentation import Heard
-from lipsync.recognition.training.network_training import TrainingError, TrainingPlan, train_network
+from lipsync.recognition.training.augmentation import LabelledSamples
+from lipsync.recognition.training.network_training import train_network
 from lipsync.recognition.training.training_data import (
     TrainingArray,
     as_array,
     feature_scale,
-    read_heard,
+    read_labelled,
     training_arrays,
 )
+from lipsync.recognition.training.training_plan import TrainingError, TrainingPlan
 
 #: The scale needs no more than every sixth utterance.
 _SCALE_STEP = 6
@@ -66,7 +67,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     training = [u for u in usable if u.speaker not in run.validation]
     if not training:
         raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
-    clean = [read_heard(u, alignments[u.name]) for u in training]
+    clean = [read_labelled(u, alignments[u.name]) for u in training]
     scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
     arrays = training_arrays(
         clean,
@@ -79,8 +80,8 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     )
     validation = [u for u in usable if u.speaker in run.validation]
     step = max(1, len(validation) // _MOST_VALIDATION)
-    heard = [read_heard(u, alignments[u.name]) for u in validation[::step]]
-    conditions = _conditions(heard, scale, plan.delays)
+    recordings = [read_labelled(u, alignments[u.name]) for u in validation[::step]]
+    conditions = _conditions(recordings, scale, plan.delays)
     return train_network(
         arrays,
         scale,
@@ -97,7 +98,7 @@ def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) ->
     found: dict[str, float] = {}
     silence = PHONEMES.index(SILENCE)
     for name, array in conditions.items():
-        posteriors = batch_posteriors(weights, array.features.astype(np.float32))
+        posteriors = StreamingNetwork(weights).push(array.features.astype(np.float32))
         for head, delay in enumerate(weights.delays):
             known = array.targets[:, head] >= 0
             targets = array.targets[known, head]
@@ -138,16 +139,16 @@ def _aligned(
 
 
 def _conditions(
-    heard: Sequence[Heard], scale: FeatureScale, delays: Sequence[int]
+    recordings: Sequence[LabelledSamples], scale: FeatureScale, delays: Sequence[int]
 ) -> dict[str, TrainingArray]:
     """The validation utterances clean, in white noise at 10 dB, and 30 dB lower; none: nothing."""
-    if not heard:
+    if not recordings:
         return {}
     rng = np.random.default_rng(0)
     noisy = [
         replace(h, samples=noise.add_noise(h.samples, noise.white(rng, len(h.samples)), 10.0))
-        for h in heard
+        for h in recordings
     ]
-    quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in heard]
-    ways = {"clean": heard, "white_10db": noisy, "level_-30db": quiet}
+    quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in recordings]
+    ways = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
     return {name: as_array(way, scale, delays) for name, way in ways.items()}

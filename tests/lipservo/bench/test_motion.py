@@ -147,7 +147,7 @@ def said(phonemes: str) -> tuple[PhonemeEvent, ...]:
 def test_misses_and_times_are_those_of_the_phonemes_that_were_heard(folder, model, monkeypatch):
     """No B follows a B in the corpus: who hears nothing else misses every one but the first."""
     heard = Heard(said("SIL B B B SIL"), (), 0.095)
-    monkeypatch.setattr("lipservo.bench.motion_figures.heard_by", lambda *_: heard)
+    monkeypatch.setattr("lipservo.bench.motion_figures.recognize_file", lambda *_: heard)
     for phonemes, missed in (("true", 0.0), ("recognized", 1.0)):
         (row,) = bench(
             "--corpus", folder, "--model", model, "--lookahead-ms", "0",
@@ -162,7 +162,7 @@ def test_the_miss_rate_of_a_split_is_that_of_all_its_folds(folder, monkeypatch):
     """In the first fold two of two phonemes are missed, in the second none of six."""
     by_fold = {"s0": "B B", "s1": "B B", "s2": "B AA T UW", "s3": "B AA T UW"}
     monkeypatch.setattr(
-        "lipservo.bench.motion_figures.heard_by",
+        "lipservo.bench.motion_figures.recognize_file",
         lambda _, recording: Heard(said(f"SIL {by_fold[recording.stem]} SIL"), (), 0.095),
     )
     (row,) = bench(

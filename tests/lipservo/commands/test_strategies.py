@@ -56,7 +56,7 @@ def test_each_strategy_moves_the_mouth_in_its_own_way(sound, tmp_path):
         assert abs(jaw_deg[-1]) < 0.5, strategy
     for strategy, (header, _) in traces.items():
         assert (header["strategy"], header["weights"]) == (strategy, "default")
-        assert header["recognizer"] in ("network", "pocketsphinx", "loudness")
+        assert header["recognizer"] in ("network", "pocketsphinx", "energy")
         assert bool(header["settings"]) is (strategy == "expected")
     delays_s = {strategy: header["delay_s"] for strategy, (header, _) in traces.items()}
     # The paper's play a phoneme once it is over: 350 ms of look-ahead in place of 100.

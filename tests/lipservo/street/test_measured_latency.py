@@ -14,7 +14,7 @@ from lipservo.street.street import make_street
 from lipservo.street.summary import Tally
 from lipsync.audio.silence import SilentSource
 from lipsync.audio_block import AudioBlock
-from lipsync.recognition.loudness_recognizer import LoudnessRecognizer
+from lipsync.recognition.energy_recognizer import EnergyRecognizer
 
 RATE_HZ = 50.0
 
@@ -39,7 +39,7 @@ class LiveSilence:
     def __exit__(self, *exc): ...
 
 
-class Stalling(LoudnessRecognizer):
+class Stalling(EnergyRecognizer):
     """A recogniser that takes half a second over one block of each second."""
 
     def __init__(self, clock):
@@ -69,7 +69,7 @@ def measured(source_of, recognizer_of):
 
 
 def undisturbed(_clock):
-    return LoudnessRecognizer()
+    return EnergyRecognizer()
 
 
 def test_where_all_is_in_time_the_measured_latency_is_the_declared_one():

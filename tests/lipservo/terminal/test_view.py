@@ -53,7 +53,7 @@ def test_at_rest_the_shipped_mouth_is_closed_straight_and_symmetrical():
 
 
 STATUS = Status(
-    name="face", sound="clip", strategy="expected", recognizer="loudness", fallback_level=2
+    name="face", sound="clip", strategy="expected", recognizer="energy", fallback_level=2
 )
 JOINTS = [Joint("jaw", 1, -2.0, 25.0, 300.0), Joint("lower_lip_right", 2, -40.0, 40.0, 300.0)]
 
@@ -98,7 +98,7 @@ def test_the_view_shows_the_phoneme_and_every_servo():
 
 
 def test_the_view_names_the_strategy_and_who_listens():
-    assert "expected, loudness, fallback 2" in shown(100)
+    assert "expected, energy, fallback 2" in shown(100)
 
 
 @pytest.mark.parametrize("width", [80, 60, 45, 30, 26])

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipsync.phonemes import PHONEMES, VISEME_OF
-from lipsync.recognition.decoder import DecoderSettings, SwitchDecoder
+from lipsync.recognition.decoder import DecoderSettings, ViterbiDecoder
 
 PLAIN = DecoderSettings(
     switch_penalty=0.0, closure_penalty=0.0, closure_bonus=0.0, phone_weight=1.0
@@ -21,8 +21,8 @@ def posteriors(*said):
 
 
 def decode(frames, delays, delay, settings_):
-    decoder = SwitchDecoder(delays, delay, settings_)
-    answers = [decoder.push(frame)[0] for frame in frames]
+    decoder = ViterbiDecoder(delays, delay, settings_)
+    answers = [decoder.push(decoder.scores(frame))[0] for frame in frames]
     return [PHONEMES[answer] for answer in answers if answer is not None]
 
 
@@ -67,9 +67,9 @@ def test_the_label_of_a_frame_comes_when_its_delay_is_over(delays, delay):
     for head, wait in enumerate(delays):
         frames[20 + wait, head, :] = 1e-6
         frames[20 + wait, head, PHONEMES.index("S")] = 1.0
-    decoder = SwitchDecoder(delays, delay, DecoderSettings())
+    decoder = ViterbiDecoder(delays, delay, DecoderSettings())
     for n, frame in enumerate(frames):
-        answer, provisional = decoder.push(frame)
+        answer, provisional = decoder.push(decoder.scores(frame))
         if answer is not None:
             assert (PHONEMES[answer] == "S") == (n - delay == 20)
             assert len(provisional) == delay - delays[0]
@@ -80,9 +80,9 @@ def test_a_quick_head_tells_a_closure_before_it_is_settled():
     frames[:, :, PHONEMES.index("AA")] = 1.0
     frames[12:, 0] = 1e-6
     frames[12:, 0, PHONEMES.index("M")] = 1.0  # the head with delay 2 about frame 10 on
-    decoder = SwitchDecoder((2, 7), 7, DecoderSettings())
+    decoder = ViterbiDecoder((2, 7), 7, DecoderSettings())
     for frame in frames[:13]:
-        settled, provisional = decoder.push(frame)
+        settled, provisional = decoder.push(decoder.scores(frame))
 
     assert PHONEMES[settled] == "AA"
     assert PHONEMES[provisional[-1]] == "M"

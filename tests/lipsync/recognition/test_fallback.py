@@ -8,14 +8,14 @@ from speech import CLIP_PATH, white_noise
 
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import SILENCE
-from lipsync.recognition.fallback import RecognizerLadder, Rung
-from lipsync.recognition.loudness_recognizer import LoudnessRecognizer, NeutralRecognizer
+from lipsync.recognition.energy_recognizer import EnergyRecognizer, NeutralRecognizer
+from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.weights import WeightsError, load_weights, save_weights
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000
-LOUDNESS = Rung("loudness", LoudnessRecognizer)
+ENERGY = FallbackLevel("energy", EnergyRecognizer)
 
 
 class Throwing(NetworkRecognizer):
@@ -29,6 +29,10 @@ class Throwing(NetworkRecognizer):
         if block.start_s >= self._fails_at_s:
             raise FloatingPointError("a fault")
         super().feed(block)
+
+
+def failing(at_s):
+    return FallbackLevel("network", lambda: Throwing(at_s))
 
 
 @pytest.fixture(scope="module")
@@ -46,24 +50,26 @@ def listen(recognizer, samples, start_s=0.0):
     return timeline
 
 
-def test_the_first_rung_that_can_be_made_listens():
+def test_the_first_level_that_can_be_made_listens():
     def missing():
         raise ImportError("no such library")
 
-    ladder = RecognizerLadder([Rung("network", missing), LOUDNESS], 0.095)
+    recognizer = FallbackRecognizer([FallbackLevel("network", missing), ENERGY], 0.095)
 
-    assert ladder.level == "loudness"
-    assert ladder.reasons == ("network: no such library",)
+    assert recognizer.level == "energy"
+    assert recognizer.reasons == ("network: no such library",)
 
 
-def test_a_fault_moves_down_a_rung_and_what_was_final_stays(clip):
-    ladder = RecognizerLadder([Rung("network", lambda: Throwing(1.5)), LOUDNESS], 0.095)
-    timeline = listen(ladder, clip)
+def test_a_fault_falls_back_a_level_and_what_was_final_stays(clip):
+    recognizer = FallbackRecognizer(
+        [FallbackLevel("network", lambda: Throwing(1.5)), ENERGY], 0.095
+    )
+    timeline = listen(recognizer, clip)
     sound = listen(NetworkRecognizer(random_weights()), clip[: int(1.49 * RATE_HZ)])
     border_s = sound.final_until_s - 0.01
 
-    assert ladder.level == "loudness"
-    assert "a fault" in ladder.reasons[0]
+    assert recognizer.level == "energy"
+    assert "a fault" in recognizer.reasons[0]
     before = [e.phoneme for e in timeline.events if (e.end_s or math.inf) <= border_s]
     assert before == [e.phoneme for e in sound.events if (e.end_s or math.inf) <= border_s]
     after = {e.phoneme for e in timeline.events if e.start_s > 1.6}
@@ -71,52 +77,54 @@ def test_a_fault_moves_down_a_rung_and_what_was_final_stays(clip):
     assert timeline.final_until_s > 2.8
 
 
-def test_when_every_rung_fails_the_mouth_is_closed(clip):
-    ladder = RecognizerLadder([Rung("network", lambda: Throwing(0.5))], 0.095)
-    timeline = listen(ladder, clip)
+def test_when_every_level_fails_the_mouth_is_closed(clip):
+    recognizer = FallbackRecognizer([failing(0.5)], 0.095)
+    timeline = listen(recognizer, clip)
 
-    assert ladder.level == "neutral"
+    assert recognizer.level == "neutral"
     assert timeline.event_at(2.0).phoneme == SILENCE
     assert timeline.final_until_s == pytest.approx(3.0)
 
 
-def test_a_rung_that_lags_is_left(clip):
+def test_a_level_that_is_too_slow_is_left(clip):
     """A clock on which every block takes 15 ms: 1.5 times as long as it lasts."""
     readings = iter(np.arange(0.0, 1e4) * 0.015)
-    ladder = RecognizerLadder(
-        [Rung("network", lambda: NetworkRecognizer(random_weights())), LOUDNESS],
+    recognizer = FallbackRecognizer(
+        [FallbackLevel("network", lambda: NetworkRecognizer(random_weights())), ENERGY],
         0.095,
         timer_s=lambda: float(next(readings)),
     )
-    listen(ladder, clip[: int(1.2 * RATE_HZ)])
+    listen(recognizer, clip[: int(1.2 * RATE_HZ)])
 
-    assert ladder.level == "loudness"
-    assert ladder.reasons == ("network: took 1.48 s for 0.99 s of sound",)
-
-
-def test_a_rung_slower_than_the_declared_latency_is_not_taken():
-    late = Rung("network", lambda: NetworkRecognizer(random_weights(), 0.145))
-
-    assert RecognizerLadder([late, LOUDNESS], 0.095).level == "loudness"
+    assert recognizer.level == "energy"
+    assert recognizer.reasons == ("network: took 1.48 s for 0.99 s of sound",)
 
 
-def test_reset_goes_back_to_the_best_rung(clip):
-    ladder = RecognizerLadder([Rung("network", lambda: Throwing(0.5)), LOUDNESS], 0.095)
-    listen(ladder, clip)
-    ladder.reset()
+def test_a_level_slower_than_the_declared_latency_is_not_taken():
+    late = FallbackLevel("network", lambda: NetworkRecognizer(random_weights(), 0.145))
 
-    assert (ladder.level, ladder.reasons) == ("network", ())
+    assert FallbackRecognizer([late, ENERGY], 0.095).level == "energy"
 
 
-def test_loudness_opens_the_jaw_for_speech_and_not_for_steady_noise(clip):
-    spoken = listen(LoudnessRecognizer(), clip)
+def test_reset_goes_back_to_the_best_level(clip):
+    recognizer = FallbackRecognizer(
+        [FallbackLevel("network", lambda: Throwing(0.5)), ENERGY], 0.095
+    )
+    listen(recognizer, clip)
+    recognizer.reset()
+
+    assert (recognizer.level, recognizer.reasons) == ("network", ())
+
+
+def test_energy_opens_the_jaw_for_speech_and_not_for_steady_noise(clip):
+    spoken = listen(EnergyRecognizer(), clip)
     assert {"AA", SILENCE} <= {e.phoneme for e in spoken.events}
     noise = white_noise(4.0, -40.0).astype(np.float32)
-    steady = [e for e in listen(LoudnessRecognizer(), noise).events if e.start_s > 1.6]
+    steady = [e for e in listen(EnergyRecognizer(), noise).events if e.start_s > 1.6]
     assert {e.phoneme for e in steady} <= {SILENCE}
 
 
-def test_the_neutral_rung_takes_anything():
+def test_the_neutral_level_takes_anything():
     neutral = NeutralRecognizer()
     neutral.feed(AudioBlock(np.full(10, np.nan, np.float32), 5.0))
 

@@ -13,7 +13,7 @@ from lipsync.evaluation.recognition.endurance import endure
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.batch import settled_phonemes
 from lipsync.recognition.features import LevelNormalizer, LogMelStream, log_mel
-from lipsync.recognition.network import StreamingNetwork, batch_posteriors
+from lipsync.recognition.network import StreamingNetwork
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.timeline import PhonemeTimeline
 
@@ -68,7 +68,7 @@ def test_the_stream_equals_the_batch(clip):
     stream = StreamingNetwork(WEIGHTS)
     streamed = np.concatenate([stream.push(features[n : n + 1]) for n in range(len(features))])
 
-    assert np.abs(streamed - batch_posteriors(WEIGHTS, features)).max() < 1e-5
+    assert np.abs(streamed - StreamingNetwork(WEIGHTS).push(features)).max() < 1e-5
 
 
 @pytest.mark.parametrize("n_block", [1, 37, 160, 4_000])
@@ -164,7 +164,7 @@ def test_a_gap_is_silence_and_time_stays_right(clip, gap_s):
 
 @pytest.mark.parametrize("rate_hz", [8_000, 44_100, 48_000])
 def test_another_rate_is_heard_at_the_same_times(clip, rate_hz):
-    """soxr itself holds back some sound: the end of the belief may lag by that, not its times."""
+    """soxr itself holds back some sound: what is known may end earlier by that, its times stay."""
     samples = soxr.resample(clip, RATE_HZ, rate_hz).astype(np.float32)
     n_block = rate_hz // 100
     timeline, updates = listen(
@@ -219,7 +219,7 @@ def test_an_hour_of_sound_leaves_no_more_behind_than_a_minute(clip):
     for n in range(120):
         recognizer.feed(AudioBlock(clip[:16_000], n * 30.0))
         recognizer.updates()
-        kept.append(len(recognizer._settled) + len(recognizer._open))
+        kept.append(len(recognizer._settled) + len(recognizer._provisional))
 
     assert kept[-1] == kept[2] < 20
 

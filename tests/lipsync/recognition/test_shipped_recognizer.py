@@ -26,7 +26,7 @@ from lipsync.evaluation.recognition.closing_times import (
     vowel_cuts,
     with_gap,
 )
-from lipsync.evaluation.recognition.heard_phonemes import heard_by
+from lipsync.evaluation.recognition.recognized_file import recognize_file
 from lipsync.face.model import load_shipped_model
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
@@ -120,7 +120,7 @@ def test_files_of_all_kinds_are_heard_alike(
     if is_stereo:
         samples = np.stack((1.2 * samples, 0.8 * samples), axis=1)
     soundfile.write(tmp_path / name, samples, rate_hz, subtype=subtype)
-    heard = heard_by(NetworkRecognizer(weights), tmp_path / name)
+    heard = recognize_file(NetworkRecognizer(weights), tmp_path / name)
 
     assert viseme_accuracy(phoneme_frames(heard.events, 400), truth) > least
 

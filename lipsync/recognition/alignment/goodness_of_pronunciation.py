@@ -1,10 +1,10 @@
-"""Whether a text is what was said: an alignment's phones against what the network hears.
+"""Whether a text is what was said: an alignment's phones against the network's posteriors.
 
-Forced alignment lays any text over any sound as long as it finds a way through. The score is the
-mean over frames of log p(aligned phone) - log p(likeliest phone), the "goodness of pronunciation"
-of Witt and Young (Speech Communication 30, 2000) with the posteriors of a network: 0 where every
-phone aligned is the one heard, lower the less they agree. docs/recognition.md says how the border
-was found, and how often it errs.
+Forced alignment lays any text over any sound as long as it finds a path. The score is the mean
+over frames of log p(aligned phone) - log p(likeliest phone), the "goodness of pronunciation" of
+Witt and Young (Speech Communication 30, 2000) with the posteriors of a network: 0 where every
+phone aligned is the likeliest, lower the less they agree. docs/recognition.md says how the limits
+were found, and how often they err.
 """
 
 from functools import cache
@@ -28,7 +28,7 @@ USUAL_SCORES = "-0.2 to -0.8"
 _SMALLEST = 1e-6
 
 
-def text_score(
+def goodness_of_pronunciation(
     samples: NDArray[np.float32],
     phones: tuple[PhonemeEvent, ...],
     weights: NetworkWeights | None = None,

@@ -1,9 +1,9 @@
-"""Speech or not, from loudness alone: the door in front of a recogniser that babbles in noise.
+"""Voice activity from the level alone, for recognisers that find phonemes in noise.
 
 The noise floor is the lowest level of the last second or so (minimum statistics, after R. Martin,
 "Noise power spectral density estimation", IEEE Trans. Speech and Audio Processing 9(5), 2001):
 between two sounds speech falls back to the noise, steady noise stays where it is. So a steady sound
-becomes floor within `FLOOR_WINDOW_S`, a held note too: loudness cannot tell them apart.
+becomes floor within `FLOOR_WINDOW_S`, a held note too: the level cannot tell them apart.
 """
 
 import math
@@ -51,11 +51,11 @@ def _parabolas(n_samples: int) -> NDArray[np.float32]:
     return np.linalg.qr(powers)[0].astype(np.float32)
 
 
-class SpeechGate:
-    """Hears the level of one 10 ms frame after the other and says whether speech is going on.
+class VoiceActivityDetector:
+    """Takes the level of one 10 ms frame after the other and says whether speech is going on.
 
-    It opens `OPEN_AFTER_S` after the first loud frame, so a listener that wants the onset keeps a
-    pre-roll, and closes `HANG_OVER_S` after the last one.
+    Speech begins `OPEN_AFTER_S` after the first loud frame, so a recogniser that needs the onset
+    keeps a pre-roll, and ends `HANG_OVER_S` after the last one.
     """
 
     def __init__(self) -> None:
@@ -77,7 +77,7 @@ class SpeechGate:
         """The noise floor now."""
         return min(self._step_minima_db)
 
-    def hear(self, frame_db: float) -> bool:
+    def push(self, frame_db: float) -> bool:
         """Take the next frame's level; True while speech is going on."""
         self._follow_floor(frame_db)
         above_floor_db = CLOSE_ABOVE_FLOOR_DB if self._is_open else OPEN_ABOVE_FLOOR_DB

@@ -3,7 +3,7 @@ import pytest
 import soundfile
 from speech import CLIP_PATH, white_noise
 
-from lipsync.recognition.noise_gate import FRAMES_PER_S, SpeechGate, level_db
+from lipsync.recognition.voice_activity import FRAMES_PER_S, VoiceActivityDetector, level_db
 
 FRAME = 160
 
@@ -14,8 +14,8 @@ def levels_db(samples):
 
 
 def open_frames(samples):
-    gate = SpeechGate()
-    return np.array([gate.hear(db) for db in levels_db(samples)])
+    gate = VoiceActivityDetector()
+    return np.array([gate.push(db) for db in levels_db(samples)])
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +84,10 @@ def test_a_click_does_not_open_the_gate():
 
 def test_a_stop_closure_does_not_close_the_gate_and_a_pause_does():
     loud, quiet = -20.0, -80.0
-    gate = SpeechGate()
+    gate = VoiceActivityDetector()
 
     def hear(level, duration_s):
-        return [gate.hear(level) for _ in range(round(duration_s * FRAMES_PER_S))]
+        return [gate.push(level) for _ in range(round(duration_s * FRAMES_PER_S))]
 
     hear(quiet, 1.5)
     assert hear(loud, 0.2) == [False] * 2 + [True] * 18

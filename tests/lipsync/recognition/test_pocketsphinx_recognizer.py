@@ -14,7 +14,7 @@ from speech import (
 
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.recognition.allphone_recognizer import PocketsphinxRecognizer
+from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
 from lipsync.recognition.scripted import read_phonemes
 from lipsync.textgrid import LabelError
 from lipsync.timeline import PhonemeTimeline
@@ -44,7 +44,7 @@ def listen(samples, *, n_block=160, ask_every_s=0.01, latency_s=0.15):
     return updates
 
 
-def believed(updates):
+def events_of(updates):
     timeline = PhonemeTimeline(horizon_s=math.inf)
     for update in updates:
         timeline.apply(update)
@@ -64,10 +64,10 @@ def test_it_hears_most_visemes_that_the_synthetic_voice_spoke(clip_updates):
     n_frames = 861
     truth = phoneme_frames(read_phonemes(CLIP_LABELS_PATH), n_frames)
 
-    assert viseme_accuracy(phoneme_frames(believed(clip_updates), n_frames), truth) > 0.55
+    assert viseme_accuracy(phoneme_frames(events_of(clip_updates), n_frames), truth) > 0.55
 
 
-def test_it_hears_most_visemes_of_a_real_talker(corpus_dir):
+def test_it_hears_most_visemes_of_a_real_speaker(corpus_dir):
     accuracies = []
     for path in sorted((corpus_dir / "grid_s1" / "labels").glob("*.TextGrid"))[::250]:
         try:
@@ -77,14 +77,14 @@ def test_it_hears_most_visemes_of_a_real_talker(corpus_dir):
         sound_path = corpus_dir / "grid_s1" / "audio" / f"{path.stem}.flac"
         samples = soundfile.read(sound_path, dtype="float32")[0]
         n_frames = len(samples) // 160
-        heard = phoneme_frames(believed(listen(samples)), n_frames)
+        heard = phoneme_frames(events_of(listen(samples)), n_frames)
         accuracies.append(viseme_accuracy(heard, phoneme_frames(labels, n_frames)))
 
     assert len(accuracies) >= 3
     assert np.mean(accuracies) > 0.6
 
 
-def test_each_update_is_a_contiguous_belief_with_its_last_event_open(clip_updates):
+def test_each_update_is_contiguous_with_its_last_event_open(clip_updates):
     for update in clip_updates:
         events = update.events
         assert events[0].start_s <= update.replace_from_s
@@ -118,7 +118,7 @@ def test_an_event_keeps_its_start_when_the_border_passes_it(clip_updates):
         if update.events[0].start_s < update.replace_from_s
     }
 
-    assert starts_told <= {event.start_s for event in believed(clip_updates)}
+    assert starts_told <= {event.start_s for event in events_of(clip_updates)}
 
 
 @pytest.mark.parametrize("n_block", [1, 37, 1_600])
@@ -152,7 +152,7 @@ def test_a_gap_is_silence_and_what_follows_is_at_its_own_time(clip, gap_s):
     for block in [*blocks_of(half, 160), *blocks_of(half, 160, resumed_s)]:
         recognizer.feed(block)
         updates += recognizer.updates()
-    events = believed(updates)
+    events = events_of(updates)
 
     # The pause around the word boundary is heard before the hang-over ends.
     in_gap = [e for e in events if e.start_s >= 2.2 and (e.end_s or math.inf) <= resumed_s]
@@ -163,13 +163,13 @@ def test_a_gap_is_silence_and_what_follows_is_at_its_own_time(clip, gap_s):
 
 
 def first_speech_s(clip):
-    return next(e.start_s for e in believed(listen(clip[:32_000])) if e.phoneme != SILENCE)
+    return next(e.start_s for e in events_of(listen(clip[:32_000])) if e.phoneme != SILENCE)
 
 
 def test_silence_is_one_long_event():
     updates = listen(np.zeros(48_000))
 
-    assert believed(updates) == (PhonemeEvent(SILENCE, 0.0, None),)
+    assert events_of(updates) == (PhonemeEvent(SILENCE, 0.0, None),)
 
 
 @pytest.mark.parametrize("level_db", [-50.0, -26.0])
@@ -183,7 +183,7 @@ def test_talk_without_a_pause_is_cut_after_15_s_and_goes_on(clip):
     """A stretch of the clip with no pause, again and again: more than two utterances' worth."""
     talk = np.tile(clip[int(4.85 * RATE_HZ) : int(5.35 * RATE_HZ)], 64)
     updates = listen(talk, ask_every_s=0.1)
-    events = believed(updates)
+    events = events_of(updates)
 
     silent_s = sum(e.end_s - e.start_s for e in events if e.phoneme == SILENCE and e.end_s)
     assert updates[-1].heard_until_s == pytest.approx(32.0)

@@ -14,10 +14,14 @@ from lipsync.recognition.alignment.alignment_cache import (
     unfinished_of,
 )
 from lipsync.recognition.alignment.forced_alignment import AlignmentError, align, words_of
+from lipsync.recognition.alignment.goodness_of_pronunciation import (
+    DOUBTFUL_SCORE,
+    LEAST_SCORE,
+    goodness_of_pronunciation,
+)
 from lipsync.recognition.alignment.pronunciation import PronunciationError, pronounce
-from lipsync.recognition.alignment.text_score import DOUBTFUL_SCORE, LEAST_SCORE, text_score
 from lipsync.recognition.scripted import read_phonemes
-from lipsync.recognition.sound import read_speech
+from lipsync.recognition.speech_file import read_speech
 from lipsync.recognition.weights import load_weights
 from lipsync.textgrid import read_tier, write_tiers
 
@@ -126,7 +130,9 @@ def test_a_corpus_is_aligned_once_and_failures_are_kept(clip, aligned, tmp_path)
     assert both["7-1-0000"] == first["7-1-0000"]
     assert "does not fit" in both["7-1-0001"].error
     labels = both["8-1-0000"].labels(len(clip) // 160)
-    assert both["8-1-0000"].score == pytest.approx(text_score(clip, aligned.phones), abs=1e-3)
+    assert both["8-1-0000"].score == pytest.approx(
+        goodness_of_pronunciation(clip, aligned.phones), abs=1e-3
+    )
     assert not unfinished_of(path).exists()
     n_said = len(both["8-1-0000"].phones)
     assert n_said == len(aligned.phones)
@@ -170,9 +176,9 @@ def test_a_file_of_the_users_is_not_taken_for_alignments(clip, tmp_path):
 def test_the_score_tells_what_was_said_from_what_was_not(clip, aligned):
     """A voice of a synthesiser, and a text of as many sounds that pocketsphinx does align."""
     other = "the quick brown fox jumps over the lazy dog and then goes home to sleep a while"
-    assert DOUBTFUL_SCORE < text_score(clip, aligned.phones) < 0.0
-    assert text_score(clip, align(clip, other).phones) < LEAST_SCORE
-    assert text_score(np.zeros(16_000, np.float32), ()) == 0.0
+    assert DOUBTFUL_SCORE < goodness_of_pronunciation(clip, aligned.phones) < 0.0
+    assert goodness_of_pronunciation(clip, align(clip, other).phones) < LEAST_SCORE
+    assert goodness_of_pronunciation(np.zeros(16_000, np.float32), ()) == 0.0
 
 
 def test_the_transcripts_of_librispeech_are_not_taken_for_one_anothers(corpus_dir):
@@ -183,12 +189,15 @@ def test_the_transcripts_of_librispeech_are_not_taken_for_one_anothers(corpus_di
     twin = load_weights(ROOT / "benchmarks" / "recognizer_held_out.npz")
     for utterance, other in zip(utterances, utterances[1:] + utterances[:1], strict=True):
         samples = read_speech(utterance.sound)
-        assert text_score(samples, align(samples, utterance.text).phones, twin) > DOUBTFUL_SCORE
+        assert (
+            goodness_of_pronunciation(samples, align(samples, utterance.text).phones, twin)
+            > DOUBTFUL_SCORE
+        )
         try:
             foreign = align(samples, other.text)
         except AlignmentError:
             continue
-        assert text_score(samples, foreign.phones, twin) < LEAST_SCORE
+        assert goodness_of_pronunciation(samples, foreign.phones, twin) < LEAST_SCORE
 
 
 def test_a_damaged_alignment_file_names_its_line(tmp_path):

@@ -1,4 +1,4 @@
-"""The door of a recogniser: blocks of any size and rate in, 16 kHz without holes out."""
+"""The input of a recogniser: blocks of any size and rate in, 16 kHz without gaps out."""
 
 import numpy as np
 import soxr
@@ -8,15 +8,15 @@ from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 
 Array = NDArray[np.float32]
 
-#: Of a longer gap between blocks only this much silence is heard, then time jumps to its end.
+#: Of a longer gap between blocks only this much is filled with silence, then time jumps to its end.
 HEARD_GAP_S = 2.0
 
 
-class SoundIntake:
+class AudioInput:
     """Keeps sound time: what is missing between blocks becomes silence of the same length.
 
-    Sound at another rate is resampled as it comes (soxr), which holds back up to 40 ms of it. What
-    is no number becomes silence, what is beyond full scale is clipped.
+    Sound at another rate is resampled as it comes (soxr), which holds back up to 40 ms of it. NaN
+    and infinity become silence, what is beyond full scale is clipped.
     """
 
     def __init__(self) -> None:
@@ -25,7 +25,7 @@ class SoundIntake:
         self._resampler: soxr.ResampleStream | None = None
 
     def take(self, block: AudioBlock) -> tuple[Array, float, Array]:
-        """Silence to hear first, seconds to jump over after it, and the block's own samples.
+        """Silence that comes first, seconds to jump over after it, and the block's own samples.
 
         The seconds are a multiple of 10 ms. Raises ValueError for a block that starts before the
         last one's end, and for another rate than the stream began with.

@@ -1,7 +1,7 @@
-"""The fallback recogniser: pocketsphinx in allphone mode, streaming, behind a speech gate.
+"""The fallback recogniser: pocketsphinx in allphone mode, behind voice activity detection.
 
-It needs no weights of ours. The gate in front is not optional: pocketsphinx alone called 90 % of
-the frames of faint white noise speech. Nothing of pocketsphinx is seen outside this file.
+It needs no weights of ours. The detector in front is not optional: pocketsphinx alone called 90 %
+of the frames of faint white noise speech. Nothing else imports pocketsphinx for recognition.
 """
 
 from collections import deque
@@ -13,34 +13,34 @@ from pocketsphinx import Decoder, get_model_path
 
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeUpdate
-from lipsync.recognition.belief import FrameBelief
-from lipsync.recognition.noise_gate import (
+from lipsync.recognition.update_builder import UpdateBuilder
+from lipsync.recognition.voice_activity import (
     FRAMES_PER_S,
     HANG_OVER_S,
     OPEN_AFTER_S,
-    SpeechGate,
+    VoiceActivityDetector,
     level_db,
 )
 
 FRAME_SAMPLES = SAMPLE_RATE_HZ // FRAMES_PER_S
 #: Of the decoder's visemes 86 % are what they will stay after 100 ms, 95 % after 150 ms (measured).
 LATENCY_S = 0.15
-#: Sound before the first loud frame that the decoder hears too: weak onsets (F, HH) lie there.
+#: Sound before the first loud frame that is decoded too: weak onsets (F, HH) lie there.
 PRE_ROLL_S = 0.10
 #: A pause of this length ends the utterance, and with it the decoder's memory of it.
 PAUSE_S = 0.30
 #: An utterance without a pause is cut here: the decoder's memory and search grow with its length.
 LONGEST_UTTERANCE_S = 15.0
-#: Of a longer gap between blocks only this much silence is heard, then time jumps to its end; by
-#: then the utterance is over and the gate has forgotten the noise floor.
+#: Of a longer gap between blocks only this much is filled with silence, then time jumps to its end;
+#: by then the utterance is over and the detector has forgotten the noise floor.
 HEARD_GAP_S = 2.0
 
 
 class PocketsphinxRecognizer:
     """A `LiveRecognizer` that loads in 30 ms and costs about 0.5 ms for 10 ms of speech.
 
-    It believes in one phoneme for each 10 ms frame of sound time. What the decoder changes later
-    than `latency_s` is not said.
+    It gives one phoneme for each 10 ms frame of sound time. What the decoder changes later than
+    `latency_s` is not reported.
     Memory stays bounded as long as `updates` is called from time to time.
     """
 
@@ -58,18 +58,18 @@ class PocketsphinxRecognizer:
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
         self._decoder = _AllphoneDecoder()
-        self._gate = SpeechGate()
-        self._belief = FrameBelief(FRAMES_PER_S, self._latency_frames)
+        self._activity = VoiceActivityDetector()
+        self._updates = UpdateBuilder(FRAMES_PER_S, self._latency_frames)
         self._part_frame = np.zeros(0, dtype=np.float32)
         self._n_heard = 0  # whole frames
-        self._n_said = 0  # whole frames heard at the last update
-        # The phonemes from the belief's border on, up to where the utterance has the word.
+        self._n_reported = 0  # whole frames heard at the last update
+        # The phonemes from the first frame not final on, up to where the utterance begins.
         self._settled: list[str] = []
         self._utterance: _Utterance | None = None
         self._recent: deque[NDArray[np.float32]] = deque(maxlen=_frames(PRE_ROLL_S + OPEN_AFTER_S))
 
     def feed(self, block: AudioBlock) -> None:
-        """Hear the next block: any size, at 16 kHz; a gap before it is heard as silence.
+        """Take the next block: any size, at 16 kHz; a gap before it counts as silence.
 
         Raises ValueError for another rate and for a block that starts before the last one's end.
         """
@@ -84,27 +84,27 @@ class PocketsphinxRecognizer:
             )
         if n_missing > 0:
             self._hear_gap(n_missing)
-        self._hear(block.samples)
+        self._process(block.samples)
 
     def updates(self) -> list[PhonemeUpdate]:
         """One update if a whole frame was heard since the last call, else none."""
-        if self._n_heard == self._n_said:
+        if self._n_heard == self._n_reported:
             return []
-        self._n_said = self._n_heard
-        border = self._belief.border
-        update = self._belief.update(self._settled + self._unsettled())
-        del self._settled[: self._belief.border - border]
+        self._n_reported = self._n_heard
+        n_final = self._updates.n_final
+        update = self._updates.update(self._settled + self._unsettled())
+        del self._settled[: self._updates.n_final - n_final]
         return [update]
 
     def _hear_gap(self, n_missing: int) -> None:
         n_heard = min(n_missing, round(HEARD_GAP_S * SAMPLE_RATE_HZ))
-        self._hear(np.zeros(n_heard, dtype=np.float32))
+        self._process(np.zeros(n_heard, dtype=np.float32))
         n_skipped_frames, n_rest = divmod(n_missing - n_heard, FRAME_SAMPLES)
         self._settled.extend([SILENCE] * n_skipped_frames)
         self._n_heard += n_skipped_frames
-        self._hear(np.zeros(n_rest, dtype=np.float32))
+        self._process(np.zeros(n_rest, dtype=np.float32))
 
-    def _hear(self, samples: NDArray[np.float32]) -> None:
+    def _process(self, samples: NDArray[np.float32]) -> None:
         samples = np.concatenate((self._part_frame, samples))
         n_whole = len(samples) - len(samples) % FRAME_SAMPLES
         for frame in samples[:n_whole].reshape(-1, FRAME_SAMPLES):
@@ -112,8 +112,8 @@ class PocketsphinxRecognizer:
         self._part_frame = samples[n_whole:].copy()
 
     def _hear_frame(self, frame: NDArray[np.float32]) -> None:
-        """The gate hears every frame, the decoder those of an utterance and its pre-roll."""
-        was_open, is_open = self._gate.is_open, self._gate.hear(level_db(frame))
+        """The detector gets every frame, the decoder those of an utterance and its pre-roll."""
+        was_open, is_open = self._activity.is_open, self._activity.push(level_db(frame))
         self._recent.append(frame.copy())
         self._n_heard += 1
         if self._utterance is None:
@@ -122,8 +122,8 @@ class PocketsphinxRecognizer:
                 self._begin_utterance()
                 del self._settled[-len(self._recent) :]
             return
-        self._decoder.hear(frame)
-        self._utterance.hear(is_open, n_onset=0 if was_open else len(self._recent))
+        self._decoder.push(frame)
+        self._utterance.push(is_open, n_onset=0 if was_open else len(self._recent))
         if self._utterance.n_closed >= _frames(PAUSE_S - HANG_OVER_S):
             self._end_utterance()
         elif self._utterance.n_frames >= _frames(LONGEST_UTTERANCE_S):
@@ -131,10 +131,10 @@ class PocketsphinxRecognizer:
             self._begin_utterance()
 
     def _begin_utterance(self) -> None:
-        """Let the decoder hear the recent frames first; where they are settled they stay so."""
+        """Give the decoder the recent frames first; where they are settled they stay so."""
         self._decoder.begin()
         for frame in self._recent:
-            self._decoder.hear(frame)
+            self._decoder.push(frame)
         n_recent = len(self._recent)
         self._utterance = _Utterance(self._n_heard - n_recent, [True] * n_recent)
 
@@ -147,7 +147,7 @@ class PocketsphinxRecognizer:
         """The utterance's phonemes, one a frame, from the last settled frame on."""
         if self._utterance is None:
             return []
-        n_settled = self._belief.border + len(self._settled) - self._utterance.first_frame
+        n_settled = self._updates.n_final + len(self._settled) - self._utterance.first_frame
         return self._utterance.phonemes(self._decoder.segments())[n_settled:]
 
 
@@ -163,8 +163,8 @@ class _Utterance:
     def n_frames(self) -> int:
         return len(self.in_speech)
 
-    def hear(self, is_open: bool, n_onset: int) -> None:
-        """One more frame; when the gate opens at it, the `n_onset` before it are speech too."""
+    def push(self, is_open: bool, n_onset: int) -> None:
+        """One more frame; when speech begins at it, the `n_onset` before it are speech too."""
         self.in_speech.append(is_open)
         self.n_closed = 0 if is_open else self.n_closed + 1
         if is_open and n_onset > 0:
@@ -205,7 +205,7 @@ class _AllphoneDecoder:
     def begin(self) -> None:
         self._decoder.start_utt()
 
-    def hear(self, frame: NDArray[np.float32]) -> None:
+    def push(self, frame: NDArray[np.float32]) -> None:
         pcm = np.rint(np.clip(frame, -1.0, 1.0) * np.float32(32767)).astype(np.int16)
         self._decoder.process_raw(pcm.tobytes(), no_search=False, full_utt=False)
 

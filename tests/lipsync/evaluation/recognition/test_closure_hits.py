@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipsync.evaluation.motion.measures import closes
-from lipsync.evaluation.recognition.heard_closures import Closure, closure_figures
+from lipsync.evaluation.recognition.closure_hits import Closure, closure_figures
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.scripted import read_phonemes
 

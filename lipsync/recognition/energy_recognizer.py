@@ -1,4 +1,4 @@
-"""The last resorts of listening: a jaw that follows loudness, and a mouth that stays closed."""
+"""The last fallback levels: a jaw that follows the level of the sound, and a mouth kept closed."""
 
 import math
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
-from lipsync.recognition.belief import FrameBelief
-from lipsync.recognition.intake import SoundIntake
-from lipsync.recognition.noise_gate import FRAMES_PER_S, SpeechGate, level_db
+from lipsync.recognition.audio_input import AudioInput
+from lipsync.recognition.update_builder import UpdateBuilder
+from lipsync.recognition.voice_activity import FRAMES_PER_S, VoiceActivityDetector, level_db
 
 _FRAME_SAMPLES = SAMPLE_RATE_HZ // FRAMES_PER_S
-#: The gate opens 30 ms after the onset; two frames more let a plosive's burst pass.
+#: Voice activity begins 30 ms after the onset; two frames more let a plosive's burst pass.
 LATENCY_S = 0.05
 #: The jaw opens wide within this of the loudest of the last second, as vowels do.
 _WIDE_BELOW_PEAK_DB = 8.0
@@ -19,8 +19,8 @@ _PEAK_FALL_DB = 0.1
 _QUIET, _WIDE = "AH", "AA"
 
 
-class LoudnessRecognizer:
-    """A `LiveRecognizer` that knows loud from quiet: AA, AH and silence are all it says."""
+class EnergyRecognizer:
+    """A `LiveRecognizer` that tells loud from quiet: AA, AH and silence are all it gives."""
 
     def __init__(self) -> None:
         self.reset()
@@ -32,48 +32,48 @@ class LoudnessRecognizer:
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
-        self._intake = SoundIntake()
-        self._gate = SpeechGate()
-        self._belief = FrameBelief(FRAMES_PER_S, round(LATENCY_S * FRAMES_PER_S))
+        self._input = AudioInput()
+        self._activity = VoiceActivityDetector()
+        self._updates = UpdateBuilder(FRAMES_PER_S, round(LATENCY_S * FRAMES_PER_S))
         self._waiting = np.zeros(0, np.float32)
         self._peak_db = -math.inf
         self._heard: list[str] = []
-        self._n_heard = self._n_said = 0
+        self._n_heard = self._n_reported = 0
 
     def feed(self, block: AudioBlock) -> None:
-        """Hear the next block: any size, any rate; a gap before it is heard as silence."""
-        silence, jump_s, samples = self._intake.take(block)
-        self._hear(silence)
+        """Take the next block: any size, any rate; a gap before it counts as silence."""
+        silence, jump_s, samples = self._input.take(block)
+        self._process(silence)
         n_jumped = round(jump_s * FRAMES_PER_S)
         self._heard.extend([SILENCE] * n_jumped)
         self._n_heard += n_jumped
-        self._hear(samples)
+        self._process(samples)
 
     def updates(self) -> list[PhonemeUpdate]:
         """One update if a whole frame was heard since the last call, else none."""
-        if self._n_heard == self._n_said:
+        if self._n_heard == self._n_reported:
             return []
-        self._n_said = self._n_heard
-        border = self._belief.border
-        update = self._belief.update(self._heard)
-        del self._heard[: self._belief.border - border]
+        self._n_reported = self._n_heard
+        n_final = self._updates.n_final
+        update = self._updates.update(self._heard)
+        del self._heard[: self._updates.n_final - n_final]
         return [update]
 
-    def _hear(self, samples: np.ndarray) -> None:
+    def _process(self, samples: np.ndarray) -> None:
         self._waiting = np.concatenate((self._waiting, samples))
         n_whole = len(self._waiting) - len(self._waiting) % _FRAME_SAMPLES
         for frame in self._waiting[:n_whole].reshape(-1, _FRAME_SAMPLES):
             frame_db = level_db(frame)
             self._peak_db = max(frame_db, self._peak_db - _PEAK_FALL_DB)
             is_wide = frame_db > self._peak_db - _WIDE_BELOW_PEAK_DB
-            said = (_WIDE if is_wide else _QUIET) if self._gate.hear(frame_db) else SILENCE
-            self._heard.append(said)
+            phoneme = (_WIDE if is_wide else _QUIET) if self._activity.push(frame_db) else SILENCE
+            self._heard.append(phoneme)
             self._n_heard += 1
         self._waiting = self._waiting[n_whole:].copy()
 
 
 class NeutralRecognizer:
-    """A `LiveRecognizer` that hears nothing: the mouth closes and stays closed. It cannot fail."""
+    """A `LiveRecognizer` that gives silence only: the mouth stays closed. It cannot fail."""
 
     latency_s = 0.0
 
@@ -82,7 +82,7 @@ class NeutralRecognizer:
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
-        self._heard_s = self._said_s = 0.0
+        self._heard_s = self._reported_s = 0.0
 
     def feed(self, block: AudioBlock) -> None:
         """Take note of the time."""
@@ -90,8 +90,8 @@ class NeutralRecognizer:
 
     def updates(self) -> list[PhonemeUpdate]:
         """Silence, from the beginning to what was heard."""
-        if self._heard_s <= self._said_s:
+        if self._heard_s <= self._reported_s:
             return []
-        replace_from_s, self._said_s = self._said_s, self._heard_s
+        replace_from_s, self._reported_s = self._reported_s, self._heard_s
         silence = PhonemeEvent(SILENCE, 0.0, None)
         return [PhonemeUpdate(replace_from_s, self._heard_s, self._heard_s, (silence,))]

@@ -1,4 +1,4 @@
-"""How many of the P, B, M and F, V that are spoken the mouth closes for, by what it hears."""
+"""How many of the P, B, M and F, V that are spoken the mouth closes for, by recognised phonemes."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 from lipsync.corpus.recorded_closures import lip_gaps_mm
 from lipsync.evaluation.motion.measures import CLOSING, closes, is_bilabial
 from lipsync.evaluation.motion.methods import LiveMethod
-from lipsync.evaluation.recognition.heard_phonemes import heard_by
+from lipsync.evaluation.recognition.recognized_file import recognize_file
 from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import TICK_S
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent
@@ -23,7 +23,7 @@ class Closure:
     was_met: bool
 
 
-def heard_closures(
+def closure_hits(
     recording: Path,
     phones: Iterable[PhonemeEvent],
     recognizer: LiveRecognizer,
@@ -35,7 +35,7 @@ def heard_closures(
     A closure is met as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
     4.6 mm, at some instant from 40 ms before the phone to 40 ms after it.
     """
-    heard = heard_by(recognizer, recording)
+    heard = recognize_file(recognizer, recording)
     n_ticks = round((heard.events[-1].end_s or 0.0) / TICK_S)
     times_s = np.arange(n_ticks, dtype=np.float64) * TICK_S
     faces = LiveMethod().faces(model, heard, times_s, lookahead_s)

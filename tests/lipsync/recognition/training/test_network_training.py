@@ -11,15 +11,16 @@ from speech import CLIP_PATH
 from lipsync.evaluation.recognition.conditions import ConditionError, parse_condition
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.alignment.alignment_cache import read_alignments
-from lipsync.recognition.network import batch_posteriors
+from lipsync.recognition.network import StreamingNetwork
 from lipsync.recognition.training import augmentation, noise
-from lipsync.recognition.training.augmentation import Heard
+from lipsync.recognition.training.augmentation import LabelledSamples
 from lipsync.recognition.training.training_data import (
     NO_TARGET,
     delayed,
     feature_scale,
     training_arrays,
 )
+from lipsync.recognition.training.training_plan import TrainingError, TrainingPlan
 from lipsync.textgrid import write_tiers
 
 RATE_HZ = 16_000
@@ -90,7 +91,9 @@ def test_labels_stay_with_their_sound_at_another_speed():
     samples[RATE_HZ:] = 0.3 * np.sin(np.arange(RATE_HZ) * 0.5)
     labels = np.repeat([PHONEMES.index(SILENCE), PHONEMES.index("AA")], 100)
     for seed in range(8):
-        heard = augmentation._at_speed(np.random.default_rng(seed), Heard(samples, labels))
+        heard = augmentation._at_speed(
+            np.random.default_rng(seed), LabelledSamples(samples, labels)
+        )
         onset_s = np.flatnonzero(np.abs(heard.samples) > 0.05)[0] / RATE_HZ
         assert np.flatnonzero(np.diff(heard.labels))[0] / 100 == pytest.approx(onset_s, abs=0.02)
 
@@ -105,14 +108,14 @@ def test_a_head_learns_the_label_of_as_many_frames_ago_as_it_waits():
 @pytest.fixture(scope="module")
 def small_arrays(clip):
     labels = np.random.default_rng(0).integers(0, len(PHONEMES), len(clip) // 160)
-    clean = [Heard(clip, labels)] * 2
+    clean = [LabelledSamples(clip, labels)] * 2
     scale = feature_scale(clean)
     return training_arrays(clean, scale, (2, 7), n_heavy=1, seed=3), scale
 
 
 def test_the_same_seed_makes_the_same_arrays(clip, small_arrays):
     labels = np.random.default_rng(0).integers(0, len(PHONEMES), len(clip) // 160)
-    clean = [Heard(clip, labels)] * 2
+    clean = [LabelledSamples(clip, labels)] * 2
     again = training_arrays(clean, small_arrays[1], (2, 7), n_heavy=1, seed=3, n_processes=2)
 
     for first, second in zip(small_arrays[0], again, strict=True):
@@ -123,14 +126,22 @@ def test_the_same_seed_makes_the_same_arrays(clip, small_arrays):
 @pytest.fixture(scope="module")
 def training():
     pytest.importorskip("torch", reason="training needs the extra `train`")
-    from lipsync.recognition.training import network_training as training
+    from lipsync.recognition.training import network_training
 
-    return training
+    return network_training
 
 
 @pytest.fixture(scope="module")
-def plan(training):
-    return training.TrainingPlan(
+def torch_network():
+    pytest.importorskip("torch", reason="training needs the extra `train`")
+    from lipsync.recognition.training import torch_network
+
+    return torch_network
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return TrainingPlan(
         delays=(2, 7),
         head_weights=(0.5, 0.5),
         dilations=(1, 2),
@@ -144,11 +155,11 @@ def plan(training):
     )
 
 
-def test_the_exported_weights_say_what_torch_says(training, plan, small_arrays):
+def test_the_exported_weights_say_what_torch_says(torch_network, plan, small_arrays):
     import torch
 
     torch.manual_seed(1)
-    network = training.TorchNetwork(plan)
+    network = torch_network.TorchNetwork(plan)
     features = small_arrays[0][0].features[:80].astype(np.float32)
     batch = torch.from_numpy(features.T[None])
     network.train()
@@ -156,9 +167,9 @@ def test_the_exported_weights_say_what_torch_says(training, plan, small_arrays):
     network.eval()
     with torch.no_grad():
         expected = torch.softmax(network(batch)[0], dim=1).permute(2, 0, 1).numpy()
-    weights = training.exported(network, small_arrays[1], plan)
+    weights = torch_network.exported(network, small_arrays[1], plan)
 
-    assert np.abs(batch_posteriors(weights, features) - expected).max() < 1e-5
+    assert np.abs(StreamingNetwork(weights).push(features) - expected).max() < 1e-5
 
 
 def test_a_run_that_was_interrupted_ends_with_the_same_weights(
@@ -196,28 +207,27 @@ def test_learning_lowers_the_loss(training, plan, small_arrays, tmp_path):
     assert log[-1]["loss"] < log[0]["loss"]
 
 
-def test_a_network_started_from_weights_says_what_they_say(training, plan, small_arrays):
+def test_a_network_started_from_weights_says_what_they_say(torch_network, plan, small_arrays):
     arrays, scale = small_arrays
     weights = random_weights(n_channels=8, dilations=(1, 2), delays=(2, 7))
     weights = replace(weights, scale=scale)
-    network = training.started_from(weights, arrays, plan)
-    again = training.exported(network, scale, plan)
+    network = torch_network.started_from(weights, arrays, plan)
+    again = torch_network.exported(network, scale, plan)
     features = arrays[0].features[:80].astype(np.float32)
 
-    assert (
-        np.abs(batch_posteriors(again, features) - batch_posteriors(weights, features)).max() < 1e-3
-    )
+    expected = StreamingNetwork(weights).push(features)
+    assert np.abs(StreamingNetwork(again).push(features) - expected).max() < 1e-3
 
 
-def test_weights_of_another_shape_are_no_start(training, plan, small_arrays):
-    with pytest.raises(training.TrainingError, match="another shape"):
-        training.started_from(random_weights(n_channels=16), small_arrays[0], plan)
+def test_weights_of_another_shape_are_no_start(torch_network, plan, small_arrays):
+    with pytest.raises(TrainingError, match="another shape"):
+        torch_network.started_from(random_weights(n_channels=16), small_arrays[0], plan)
 
 
 @pytest.fixture(scope="module")
-def talker(tmp_path_factory, clip):
+def speaker(tmp_path_factory, clip):
     """Two labelled sentences in the layout of grid_s1."""
-    folder = tmp_path_factory.mktemp("talker")
+    folder = tmp_path_factory.mktemp("speaker")
     tiers = {"words": (("hello", 0.5, 2.5),), "phones": (("SIL", 0.0, 0.5), ("AA", 0.5, 3.0))}
     for name in ("audio", "labels"):
         (folder / name).mkdir()
@@ -228,19 +238,20 @@ def talker(tmp_path_factory, clip):
 
 
 @pytest.mark.usefixtures("training")
-def test_what_is_left_out_is_not_even_read(plan, talker, tmp_path):
+def test_what_is_left_out_is_not_even_read(plan, speaker, tmp_path):
     from lipsync.recognition.training.training_run import TrainingRun, run_training
 
-    (talker / "audio" / "two.flac").write_bytes(b"no sound")
-    run = TrainingRun((talker,), tmp_path, left_out=frozenset({"two"}), n_copies=1, plan=plan)
+    (speaker / "audio" / "two.flac").write_bytes(b"no sound")
+    run = TrainingRun((speaker,), tmp_path, left_out=frozenset({"two"}), n_copies=1, plan=plan)
     weights = run_training(run, lambda *_: None)
 
     assert weights.delays == plan.delays
     assert list(read_alignments(tmp_path / "alignments.jsonl")) == ["one"]
 
 
-def test_a_name_in_two_corpora_is_refused(training, plan, talker, tmp_path):
+@pytest.mark.usefixtures("training")
+def test_a_name_in_two_corpora_is_refused(plan, speaker, tmp_path):
     from lipsync.recognition.training.training_run import TrainingRun, run_training
 
-    with pytest.raises(training.TrainingError, match="'one' is in the corpora twice"):
-        run_training(TrainingRun((talker, talker), tmp_path, plan=plan), lambda *_: None)
+    with pytest.raises(TrainingError, match="'one' is in the corpora twice"):
+        run_training(TrainingRun((speaker, speaker), tmp_path, plan=plan), lambda *_: None)
