@@ -6,6 +6,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
+
 
 class HardwareError(IntFlag):
     """https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#hardware-error-status70 ."""
@@ -32,10 +34,10 @@ class Feedback:
     """
 
     time_s: float
-    positions_deg: NDArray[np.float64]
-    effort: NDArray[np.float64]
+    positions_deg: Array
+    effort: Array
     errors: NDArray[np.uint8]
-    age_s: NDArray[np.float64]
+    age_s: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +51,15 @@ class Health:
     n_unanswered: questions of the tick that it did not answer so far.
     """
 
-    silent_s: NDArray[np.float64]
+    silent_s: Array
     torque_on: NDArray[np.bool_]
     watchdog_tripped: NDArray[np.bool_]
     hardware_errors: NDArray[np.uint8]
-    temperature_degc: NDArray[np.float64]
-    room_degc: NDArray[np.float64]
-    voltage_v: NDArray[np.float64]
-    effort: NDArray[np.float64]
-    current_ma: NDArray[np.float64]
+    temperature_degc: Array
+    room_degc: Array
+    voltage_v: Array
+    effort: Array
+    current_ma: Array
     n_unanswered: NDArray[np.int64]
 
 

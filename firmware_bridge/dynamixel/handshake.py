@@ -14,8 +14,8 @@ from firmware_bridge.joints import named
 _FIRST, _LAST = register("id").address, register("shutdown").end
 #: A servo that is there answers one of five questions even on a bad line; waited for longer each
 #: time, for a busy computer may be late with all of them. Nothing moves yet, so there is time.
-_PATIENCE_S = (0.0, 0.0, 0.01, 0.03, 0.1)
-_TRIES = len(_PATIENCE_S)
+_EXTRA_WAITS_S = (0.0, 0.0, 0.01, 0.03, 0.1)
+_TRIES = len(_EXTRA_WAITS_S)
 _SETUP = "run `lipservo setup-servos`"
 _DOCTOR = "`lipservo doctor` shows every difference between the servos and the YAML"
 
@@ -37,11 +37,11 @@ class ServoIdentity:
 def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdentity | None:
     """Ping and read one servo's settings; None when it does not answer so many times."""
     servo_id = servo.joint.servo_id
-    for patience_s in _PATIENCE_S[:tries]:
-        pong = line.ping(servo_id, patience_s)
+    for extra_wait_s in _EXTRA_WAITS_S[:tries]:
+        pong = line.ping(servo_id, extra_wait_s)
         if pong is None or len(pong.data) != 3:
             continue
-        answer = line.read(servo_id, _FIRST, _LAST - _FIRST, patience_s)
+        answer = line.read(servo_id, _FIRST, _LAST - _FIRST, extra_wait_s)
         if answer is None or len(answer.data) != _LAST - _FIRST:
             continue
         eeprom = {

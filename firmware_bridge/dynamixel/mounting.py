@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import ServoModel
 from firmware_bridge.joints import Joint
 
@@ -67,11 +67,11 @@ class Mounting:
         offset = np.array([servo.zero_offset_deg for servo in servos])
         self._zero = CENTER_PULSE + offset * self._scale
 
-    def pulses(self, joint_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pulses(self, joint_deg: Array) -> Array:
         """Whole pulses, as floats: what is not finite stays so."""
         return np.asarray(np.rint(self._zero + joint_deg * self._scale))
 
-    def joint_deg(self, pulses: NDArray[np.float64]) -> NDArray[np.float64]:
+    def joint_deg(self, pulses: Array) -> Array:
         """Joint degrees; NaN stays NaN."""
         return np.asarray((pulses - self._zero) / self._scale)
 

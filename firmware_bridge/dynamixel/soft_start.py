@@ -35,11 +35,11 @@ class SoftStart:
         self._n_left = np.zeros(len(servos), dtype=np.int8)
 
     @property
-    def soft(self) -> bool:
+    def is_active(self) -> bool:
         """Whether any servo has yet to be told of its full strength."""
         return bool(self._n_left.any())
 
-    def soften(self, line: Line, index: int) -> bool:
+    def apply_soft_limits(self, line: Line, index: int) -> bool:
         """Before torque comes on: slow, weak where there is a cap; whether it confirmed."""
         servo = self._servos[index]
         servo_id, cap = servo.joint.servo_id, servo.current_cap
@@ -50,17 +50,17 @@ class SoftStart:
             wanted.append((_CURRENT, struct.pack("<h", weak)))
         return all(write_verified(line, servo_id, *each) for each in wanted)
 
-    def began(self, index: int, now_s: float) -> None:
+    def note_torque_on(self, index: int, now_s: float) -> None:
         """Torque came on now."""
         self._due_s[index] = now_s + SOFT_FOR_S
         self._n_left[index] = _REPEATS
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Torque is off everywhere."""
         self._due_s[:] = np.inf
         self._n_left[:] = 0
 
-    def harden(self, line: Line) -> None:
+    def restore_full_limits(self, line: Line) -> None:
         """Full speed and strength for those woken a while ago; called again and again."""
         if not np.count_nonzero(self._n_left):
             return

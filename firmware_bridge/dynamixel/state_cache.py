@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.handshake import ServoIdentity
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
 from firmware_bridge.dynamixel.wire.codec import Status
@@ -20,7 +20,7 @@ _MOTION_BLOCK = CommonFrame.block_of(_MOTION)
 _ROOM_DEGC = 45.0
 
 
-class Knowledge:
+class ServoStateCache:
     """The last word of every servo. Every array is (n_servos,), in the face's order.
 
     pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
@@ -99,7 +99,7 @@ class Knowledge:
         self.effort = self.effort.copy()
         self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
 
-    def ages(self, found: Sequence[Status], now_s: float) -> NDArray[np.float64]:
+    def ages(self, found: Sequence[Status], now_s: float) -> Array:
         """How old each servo's part of a reading is; 0 for those just found."""
         if isinstance(found, CommonFrame) and found.ids == self._ids:
             return np.zeros(len(self._ids))

@@ -19,10 +19,10 @@ _LONGEST: Final = 127
 class Watchdogs:
     """Sets the watchdogs of all servos, and notices when our own silence may have tripped them."""
 
-    def __init__(self, ids: Sequence[int], patience_s: float) -> None:
-        """patience_s: how long servos go on without hearing anything; 0 = for ever."""
+    def __init__(self, ids: Sequence[int], timeout_s: float) -> None:
+        """timeout_s: how long servos go on without hearing anything; 0 = for ever."""
         self._ids = tuple(ids)
-        self._setting = min(_LONGEST, int(np.ceil(patience_s / _UNIT_S - 1e-9)))
+        self._setting = min(_LONGEST, int(np.ceil(timeout_s / _UNIT_S - 1e-9)))
         self._spoke_s = 0.0
         self._lapsed = False
 

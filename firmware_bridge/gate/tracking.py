@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.health import Feedback
 from firmware_bridge.joints import Joint
 
@@ -72,19 +73,19 @@ class TrackingMonitor:
     def __init__(self, joints: Sequence[Joint], rule: TrackingRule) -> None:
         self._rule = rule
         self._allowed_deg = np.array([rule.allowed_deg(joint) for joint in joints])
-        self._well_s: NDArray[np.float64] = np.zeros(len(joints))
+        self._well_s: Array = np.zeros(len(joints))
         self._travel = _Travel(len(joints))
-        self.error_deg: NDArray[np.float64] = np.zeros(len(joints))
+        self.error_deg: Array = np.zeros(len(joints))
 
     @property
     def rule(self) -> TrackingRule:
         """What is allowed."""
         return self._rule
 
-    def excuse(self, index: int, until_s: float) -> None:
+    def suspend_until(self, index: int, until_s: float) -> None:
         """One servo need not follow until then: newly woken ones are slow on purpose."""
         self._well_s[index] = until_s
-        self._travel.excuse(index, until_s)
+        self._travel.suspend_until(index, until_s)
 
     def reason(self, index: int) -> str:
         """Why a servo is behind, in words for a log."""
@@ -98,7 +99,7 @@ class TrackingMonitor:
             f"it {made_deg:.0f}: jammed or weak"
         )
 
-    def behind(self, sent_deg: NDArray[np.float64], feedback: Feedback) -> NDArray[np.bool_]:
+    def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
         """Which servos have not followed for too long, (n_servos,)."""
         heard = feedback.age_s == 0.0
         all_heard = np.count_nonzero(heard) == len(heard)  # twice as quick as all()
@@ -130,19 +131,17 @@ class _Travel:
         self._places_deg = np.zeros((2, n))
         self._moved_deg = np.zeros((2, n))
         self._play_deg = np.zeros((2, n))
-        self._excused_s = np.zeros(n)
+        self._suspended_until_s = np.zeros(n)
         self._all_count_s = 0.0
         self._time_s = -math.inf
 
-    def excuse(self, index: int, until_s: float) -> None:
+    def suspend_until(self, index: int, until_s: float) -> None:
         """Nothing that one servo does until then counts."""
-        self._excused_s[index] = until_s
+        self._suspended_until_s[index] = until_s
         self._all_count_s = max(self._all_count_s, until_s)
         self.still[index] = False
 
-    def observe(
-        self, sent_deg: NDArray[np.float64], feedback: Feedback, heard: NDArray[np.bool_] | None
-    ) -> None:
+    def observe(self, sent_deg: Array, feedback: Feedback, heard: NDArray[np.bool_] | None) -> None:
         """See one tick; heard: None = everybody.
 
         In place and not in every tick: all of them pay for this.
@@ -164,6 +163,6 @@ class _Travel:
         travelled_deg += np.abs(moved_deg, out=moved_deg)
         travelled_deg *= math.exp(-elapsed_s / _MEMORY_S)
         if feedback.time_s < self._all_count_s:
-            travelled_deg[:, feedback.time_s < self._excused_s] = 0.0
+            travelled_deg[:, feedback.time_s < self._suspended_until_s] = 0.0
         self.still = self._asked_deg > _ENOUGH_TRAVEL_DEG
         self.still &= self._made_deg < _TRAVEL_SHARE * self._asked_deg

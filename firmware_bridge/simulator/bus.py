@@ -8,6 +8,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.clock import Clock
 from firmware_bridge.health import Feedback, Health
@@ -28,8 +29,8 @@ class Motion:
     """The servos at one write: the goals they held after it, and where they stood. (n_servos,)."""
 
     time_s: float
-    goals_deg: NDArray[np.float64]
-    positions_deg: NDArray[np.float64]
+    goals_deg: Array
+    positions_deg: Array
 
 
 class SimulatedBus:
@@ -48,7 +49,7 @@ class SimulatedBus:
         joints: Sequence[Joint],
         clock: Clock,
         *,
-        start_deg: NDArray[np.float64] | None = None,
+        start_deg: Array | None = None,
         top_speed_deg_s: float = XL330_TOP_SPEED_DEG_S,
         n_remembered: int = 20_000,
     ) -> None:
@@ -75,7 +76,7 @@ class SimulatedBus:
         """The servos at each write, oldest first."""
         return tuple(self._history)
 
-    def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
+    def write_positions(self, positions_deg: Array) -> None:
         """Set every goal that is inside its servo's range; NaN is not."""
         if positions_deg.shape != self._goals_deg.shape:
             raise ValueError(
@@ -178,7 +179,7 @@ class SimulatedBus:
         self._torque_on = self._torque_on.copy()
         self._torque_on[index] = on
 
-    def push_by_hand(self, positions_deg: NDArray[np.float64]) -> None:
+    def push_by_hand(self, positions_deg: Array) -> None:
         """Put limp joints somewhere, (n_servos,), as a person would; held ones do not give."""
         self._move()
         self._positions_deg = np.where(self._torque_on, self._positions_deg, positions_deg)

@@ -4,13 +4,13 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator import group_instructions
-from firmware_bridge.simulator.fault_injector import Afflictions
+from firmware_bridge.simulator.fault_injector import FaultInjector
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.group_instructions import SpanWanted
 from firmware_bridge.simulator.motors import Environment, Motors
@@ -67,7 +67,7 @@ class SimulatedChain:
         faults = tuple(faults)
         self._wire = Wire(rules or WireRules(), faults, seed)
         self._chain_stops = rules is not None and rules.chain_stops
-        self._afflictions = Afflictions(self.servos, self.motors, faults)
+        self._afflictions = FaultInjector(self.servos, self.motors, faults)
         self._parser = FrameParser()
         self._now_s = -1.0
         self._checked_s = 0.0
@@ -84,7 +84,7 @@ class SimulatedChain:
         return not self._afflictions.unplugged
 
     @property
-    def motion(self) -> Callable[[float, NDArray[np.float64]], None] | None:
+    def motion(self) -> Callable[[float, Array], None] | None:
         """Who is told of every step of the motion: its time, and the shafts' positions, (n,).
 
         Steps are 5 ms. Positions are pulses as `Motors` counts them, which is as present_position
@@ -94,7 +94,7 @@ class SimulatedChain:
         return self.motors.motion
 
     @motion.setter
-    def motion(self, observer: Callable[[float, NDArray[np.float64]], None] | None) -> None:
+    def motion(self, observer: Callable[[float, Array], None] | None) -> None:
         self.motors.motion = observer
 
     def unplug(self) -> None:
@@ -142,7 +142,7 @@ class SimulatedChain:
         for servo in self.servos:
             if servo.holds_at_start:
                 servo.start_up(now_s)
-            trip_s = servo.heard_s + servo.patience_s
+            trip_s = servo.heard_s + servo.watchdog_timeout_s
             if trip_s <= now_s:
                 self.motors.advance(trip_s)
                 servo.trip_watchdog()

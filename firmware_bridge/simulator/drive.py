@@ -44,7 +44,9 @@ class Drive:
         self.index = index
         self.motors = motors
         self.table = RegisterMemory(model)
-        self.patience_s = math.inf  # silence after which the watchdog trips; infinity while off
+        self.watchdog_timeout_s = (
+            math.inf
+        )  # silence after which the watchdog trips; infinity while off
         self._memory = self.table.bytes
         self._model = model
         self._stall_ma = model.stall_a * 1e3
@@ -97,7 +99,7 @@ class Drive:
         motors.strength[i] = min(pwm, self._share_of_stall())
         motors.free_speed[i] = pwm * motors.no_load[i]
         motors.moving_speed[i] = table["moving_threshold"] * VELOCITY_UNIT
-        self.set_patience()
+        self.set_watchdog_timeout()
         motors.shown_at_s = -1.0
 
     def _share_of_stall(self) -> float:
@@ -137,7 +139,7 @@ class Drive:
         motors, i = self.motors, self.index
         was_on = self.torque_on
         self._memory[_TORQUE] = on
-        self.set_patience()
+        self.set_watchdog_timeout()
         motors.torque_on[i] = on
         motors.shown_at_s = -1.0
         if on and not was_on:
@@ -173,14 +175,14 @@ class Drive:
     def trip_watchdog(self) -> None:
         """Stop where it is; goals are refused until 0 is written. Torque stays on."""
         self.table["bus_watchdog"] = _WATCHDOG_TRIPPED
-        self.set_patience()
+        self.set_watchdog_timeout()
         self.motors.stop(self.index)
 
-    def set_patience(self) -> None:
+    def set_watchdog_timeout(self) -> None:
         """The watchdog counts while torque is on."""
         setting = self.table["bus_watchdog"]
         armed = setting > 0 and self.torque_on
-        self.patience_s = setting * _WATCHDOG_UNIT_S if armed else math.inf
+        self.watchdog_timeout_s = setting * _WATCHDOG_UNIT_S if armed else math.inf
 
     def refresh(self, booted_s: float) -> None:
         """Bring the registers of the present up to date."""

@@ -13,7 +13,7 @@ from firmware_bridge.simulator.profile import PULSES_PER_DEG
 from firmware_bridge.simulator.servo import SimulatedServo
 
 
-class Afflictions:
+class FaultInjector:
     """Brings the faults of a script upon the servos of a chain, in order of time."""
 
     def __init__(
@@ -96,7 +96,7 @@ class Afflictions:
     def _change_registers(self, servo: SimulatedServo, fault: Fault) -> None:
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind == "torque_lost":
-            servo.let_go()
+            servo.lose_torque()
         elif kind == "id_change":
             servo["id"] = int(fault.amount)
         elif kind == "baud_reset":

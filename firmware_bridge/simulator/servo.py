@@ -96,9 +96,9 @@ class SimulatedServo:
         return self._memory[68] >= 1
 
     @property
-    def patience_s(self) -> float:
+    def watchdog_timeout_s(self) -> float:
         """The silence after which its watchdog trips; infinity while that is off."""
-        return self._drive.patience_s
+        return self._drive.watchdog_timeout_s
 
     def stand_at(self, place: float) -> None:
         """Put the shaft where present_position reads `place`; its goal is there, too."""
@@ -108,7 +108,7 @@ class SimulatedServo:
         """Stop where it is; goals are refused until 0 is written. Torque stays on."""
         self._drive.trip_watchdog()
 
-    def let_go(self) -> None:
+    def lose_torque(self) -> None:
         """Torque off, as if by itself."""
         self._drive.set_torque(on=False)
 

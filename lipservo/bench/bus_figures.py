@@ -21,6 +21,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.servo_supervision import ServoState
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.process.scheduling import on_time
 from firmware_bridge.targets import ServoTargets
 from lipservo.bench.bus_cpu_figures import decode
@@ -156,7 +157,9 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
             channel = MemoryTargetChannel()
             servos = [MountedServo(joint, model) for joint in joints]
             with DynamixelBus(servos, lambda: open_port(str(link), BAUD_RATE)) as bus:
-                bridge = Bridge(bus, joints, channel, rate_hz=_REPLUG_RATE_HZ, tolerant=True)
+                bridge = Bridge(
+                    bus, joints, channel, BridgeSettings(_REPLUG_RATE_HZ, tolerant=True)
+                )
                 bridge.start()
                 back_s = awake_s = 0.0
                 for time_s, late in ticks(clock, _REPLUG_RATE_HZ):

@@ -24,6 +24,7 @@ from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 from lipservo.face.face_life import face_life
@@ -45,7 +46,7 @@ def find_servos(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     transport = open_port(port, first_rate)
     try:
         line = Line(transport)
-        line.patience_s = UNHURRIED_S
+        line.extra_wait_s = UNHURRIED_S
         scanned = scan(line, [first_rate, *SCANNED_RATES])
         rate, found = next((each for each in scanned if each[1]), (0, {}))
         if not found:
@@ -103,7 +104,7 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     transport = open_port(port, rate)
     try:
         line = Line(transport)
-        line.patience_s = UNHURRIED_S
+        line.extra_wait_s = UNHURRIED_S
         place = read_settings(line, servo_id, model, ["present_position"])["present_position"]
     finally:
         transport.close()
@@ -112,8 +113,8 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     servo = MountedServo(joint, model, 1, here_deg)
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     with DynamixelBus([servo], port_opener(port, rate)) as bus:
-        bridge = Bridge(bus, [joint], channel, rate_hz=_NUDGE_RATE_HZ)
-        with face_life("new-face", port, bridge, clock, _NUDGE_RATE_HZ, quiet=True) as life:
+        bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
+        with face_life("new-face", port, bridge, clock, quiet=True) as life:
             life.start()
             start_s = clock.now()
             for time_s, late in life.ticks():

@@ -82,7 +82,6 @@ class Performance:
                     face.settings.servo_port,
                     street.bridge,
                     clock,
-                    rate_hz,
                     quiet=self.quiet,
                 ) as life,
                 self._observers(face, street, source, clock, rate_hz) as observers,

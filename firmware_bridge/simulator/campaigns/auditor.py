@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
@@ -65,7 +65,7 @@ class Auditor:
         self._last: dict[int, int] = {}
         self._parser = FrameParser()
         self._chain: SimulatedChain | None = None
-        self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._before: tuple[Array, Array] | None = None
         self._held = np.zeros(len(servos), dtype=np.bool_)  # torque was on at the step before
         self._before_s = 0.0
         self._creep = _CREEP_DEG_S * per_deg
@@ -152,7 +152,7 @@ class Auditor:
         at_place = abs(servo["goal_position"] - place) <= _PLACE_PULSES
         self.armed_wrongly += not (as_set_up and at_place and servo["bus_watchdog"] > 0)
 
-    def _see_motion(self, time_s: float, position: NDArray[np.float64]) -> None:
+    def _see_motion(self, time_s: float, position: Array) -> None:
         assert self._chain is not None  # it calls
         motors = self._chain.motors
         seen, self._before = self._before, (position.copy(), motors.trajectory.copy())

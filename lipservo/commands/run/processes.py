@@ -15,7 +15,8 @@ import typer
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import inherited_lifeline
 from firmware_bridge.process.log_lines import LogLines
-from firmware_bridge.process.scheduling import StopSignals, die_with_parent, write_from_background
+from firmware_bridge.process.scheduling import die_with_parent, write_from_background
+from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import (
     DEFAULT_FACE,
@@ -55,12 +56,12 @@ def supervise(
 
     What cannot be used, sound and servos included, is refused before anything is armed.
     """
-    from firmware_bridge.process.child import Child, Patience
-    from firmware_bridge.process.last_resort import TorqueRelease
+    from firmware_bridge.process.child import Child, HeartbeatTimeouts
     from firmware_bridge.process.runtime_folder import socket_path
     from firmware_bridge.process.service_notice import ServiceNotice
     from firmware_bridge.process.socket_channel import channel_pair
     from firmware_bridge.process.supervisor import Supervisor
+    from firmware_bridge.process.torque_release import TorqueRelease
     from lipservo.face.assembly import assemble_face, at_port, check_servos
     from lipservo.face.servos import port_opener
     from lipservo.street.sources import open_source
@@ -74,7 +75,7 @@ def supervise(
     servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
     about = {"name": settings.name, "port": port}
     with ExitStack() as stack:
-        signals = stack.enter_context(StopSignals())
+        signals = stack.enter_context(SignalCounter())
         say = _no_log if quiet else stack.enter_context(LogLines())
         listener = ControlSocket.bind(control or socket_path(settings.name), about)
         stack.enter_context(listener)
@@ -90,20 +91,21 @@ def supervise(
         speech += [] if model is None else ["--model", str(model)]
         speech += [] if wav is None else ["--wav", str(wav)]
         speech += [] if mic is None else ["--mic", mic]
-        report = Supervisor(
-            Child("bridge", bridge, inherited, Patience(start_s=30.0, run_s=1.0)),
-            Child("speech", speech, {"{channel}": writer.fileno()}, Patience(60.0, 3.0)),
+        supervisor = Supervisor(
+            Child("bridge", bridge, inherited, HeartbeatTimeouts(start_s=30.0, run_s=1.0)),
+            Child("speech", speech, {"{channel}": writer.fileno()}, HeartbeatTimeouts(60.0, 3.0)),
             listener,
-            lambda patience_s: TorqueRelease(opener, list(servo_names), patience_s=patience_s),
+            lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
             servo_names=servo_names,
             say=say,
             notice=ServiceNotice(say),
-        ).run(signals)
+        )
+        report = supervisor.run(signals)
     if as_json:
-        print_json(report.as_dict())
+        print_json({"exit_status": supervisor.exit_status, **report.as_dict()})
     elif not quiet or report.unconfirmed:
-        MESSAGES.print(f"ended; {report.text()}", soft_wrap=True, highlight=False)
-    return report.status
+        MESSAGES.print(f"ended; {report.line()}", soft_wrap=True, highlight=False)
+    return supervisor.exit_status
 
 
 def bridge_process(
@@ -148,7 +150,6 @@ def bridge_process(
         status = run_bridge(
             bus,
             bridge,
-            rate_hz=rate,
             control=listener,
             lifeline=alive,
             stopped=stopped,
@@ -187,7 +188,7 @@ def speech_process(
 
     face = assemble_face(config, model)
     with ExitStack() as stack:
-        signals = stack.enter_context(StopSignals())
+        signals = stack.enter_context(SignalCounter())
         say = _no_log if quiet else stack.enter_context(LogLines(prefix="speech: "))
         end = stack.enter_context(socket.socket(fileno=channel))
         clock = MonotonicClock()

@@ -110,11 +110,11 @@ def test_goals_are_reached_and_leaving_lets_go(face):
         assert not bus.read().torque_on.any()
 
 
-@pytest.mark.parametrize("senseless", [np.nan, np.inf, 90.0])
-def test_a_goal_that_makes_no_sense_is_kept_from_its_servo_and_noted(face, senseless):
+@pytest.mark.parametrize("invalid", [np.nan, np.inf, 90.0])
+def test_a_goal_that_is_invalid_is_kept_from_its_servo_and_noted(face, invalid):
     with face.bus as bus:
         bus.write_positions(np.zeros(N))
-        bus.write_positions(np.array([1.0, senseless, 1.0, 1.0]))
+        bus.write_positions(np.array([1.0, invalid, 1.0, 1.0]))
         readings = bus.read()
 
         assert eventually(lambda: np.isfinite(bus.read().goals_deg).all(), face.clock)

@@ -1,4 +1,4 @@
-"""The gate's newer powers: acceleration, rules between joints, care of single servos."""
+"""The gate's newer powers: acceleration, rules between joints, supervision of single servos."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from firmware_bridge.gate.limits import Limiter
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
 from firmware_bridge.health import Feedback, Health
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.servo_supervision import ServoCare, ServoState
+from firmware_bridge.loop.servo_supervision import ServoState, ServoSupervision
 
 PERIOD_S = 0.01
 JOINT = Joint("jaw", 1, -10.0, 20.0, 300.0, max_acceleration_deg_s2=6000.0)
@@ -94,13 +94,15 @@ def test_a_rule_must_allow_neutral():
         Prevention([PreventRule((1.0, 0.0), -1.0, "?")], 2)
 
 
-class Ward:
-    """Two servos as care sees them, and what it did to them."""
+class SupervisedServos:
+    """Two servos as supervision sees them, and what it did to them."""
 
     def __init__(self):
-        self.care = ServoCare([Joint(f"j{n}", n, -10.0, 10.0, 100.0) for n in range(2)])
+        self.supervision = ServoSupervision(
+            [Joint(f"j{n}", n, -10.0, 10.0, 100.0) for n in range(2)]
+        )
         for n in range(2):
-            self.care.tried(n, "", time_s=0.0)
+            self.supervision.note_attempt(n, "", time_s=0.0)
         self.done = []
         self.refusals = ["", ""]
         self.values = {
@@ -138,101 +140,103 @@ class Ward:
 
     def look(self, *times_s):
         for time_s in times_s:
-            self.care.look(Health(**self.values), time_s, self)
-        return self.care.states[1]
+            self.supervision.act(Health(**self.values), time_s, self)
+        return self.supervision.states[1]
 
 
 def test_a_servo_with_an_error_is_let_go_cooled_rebooted_and_enabled():
-    ward = Ward()
-    ward.values["hardware_errors"][1] = 0x20
-    assert ward.look(1.0) == ServoState.COOLING
-    assert ward.look(1.5) == ServoState.COOLING
-    assert ward.look(2.1) == ServoState.REBOOTING
-    assert ward.look(3.2) == ServoState.DRIVEN
+    servos = SupervisedServos()
+    servos.values["hardware_errors"][1] = 0x20
+    assert servos.look(1.0) == ServoState.COOLING
+    assert servos.look(1.5) == ServoState.COOLING
+    assert servos.look(2.1) == ServoState.REBOOTING
+    assert servos.look(3.2) == ServoState.DRIVEN
 
-    assert ward.done == [("disable", 1), ("reboot", 1), ("enable", 1)]
-    assert ward.care.driven.tolist() == [True, True]
+    assert servos.done == [("disable", 1), ("reboot", 1), ("enable", 1)]
+    assert servos.supervision.driven.tolist() == [True, True]
 
 
 def test_reboots_are_bounded_and_then_the_servo_stays_limp():
-    ward = Ward()
+    servos = SupervisedServos()
     for round_s in range(0, 100, 10):
-        ward.values["hardware_errors"][1] = 0x20
-        ward.look(*np.arange(round_s, round_s + 9, 0.5))
+        servos.values["hardware_errors"][1] = 0x20
+        servos.look(*np.arange(round_s, round_s + 9, 0.5))
 
-    assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
-    assert [act for act, _ in ward.done].count("reboot") == 3
+    assert servos.supervision.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
+    assert [act for act, _ in servos.done].count("reboot") == 3
 
 
 def test_a_servo_that_does_not_confirm_its_torque_off_is_told_again():
-    ward = Ward()
-    ward.disable = lambda index: ward.done.append(("disable", index))  # nothing comes of it
-    ward.values["hardware_errors"][1] = 0x20
-    ward.look(*np.arange(1.0, 10.0, 0.1))
+    servos = SupervisedServos()
+    servos.disable = lambda index: servos.done.append(("disable", index))  # nothing comes of it
+    servos.values["hardware_errors"][1] = 0x20
+    servos.look(*np.arange(1.0, 10.0, 0.1))
 
-    assert [act for act, _ in ward.done].count("disable") > 10
-    assert ("reboot", 1) not in ward.done
+    assert [act for act, _ in servos.done].count("disable") > 10
+    assert ("reboot", 1) not in servos.done
 
 
 def test_nobody_gets_torque_whom_the_gate_refuses():
-    ward = Ward()
-    ward.values["torque_on"][1] = False
-    ward.refusals[1] = "stopped by a person (limp)"
-    ward.look(*np.arange(1.0, 10.0, 0.1))
+    servos = SupervisedServos()
+    servos.values["torque_on"][1] = False
+    servos.refusals[1] = "stopped by a person (limp)"
+    servos.look(*np.arange(1.0, 10.0, 0.1))
 
-    assert ward.done == []
-    assert "lost its torque" in ward.care.reasons[1]
+    assert servos.done == []
+    assert "lost its torque" in servos.supervision.reasons[1]
 
-    ward.values["hardware_errors"][1] = 0x10
-    ward.look(11.0)
+    servos.values["hardware_errors"][1] = 0x10
+    servos.look(11.0)
 
-    assert ward.done == []
-    assert ward.care.reasons[1] == "electrical shock"
+    assert servos.done == []
+    assert servos.supervision.reasons[1] == "electrical shock"
 
 
 def test_a_silent_servo_gets_no_goals_until_it_answers():
-    ward = Ward()
-    ward.values["silent_s"][1] = 0.6
-    assert ward.look(1.0) == ServoState.WAITING
-    assert ward.look(5.0) == ServoState.WAITING
-    ward.values["silent_s"][1] = 0.0
-    assert ward.look(5.1) == ServoState.DRIVEN
+    servos = SupervisedServos()
+    servos.values["silent_s"][1] = 0.6
+    assert servos.look(1.0) == ServoState.WAITING
+    assert servos.look(5.0) == ServoState.WAITING
+    servos.values["silent_s"][1] = 0.0
+    assert servos.look(5.1) == ServoState.DRIVEN
 
 
 def test_a_hot_servo_moves_less_and_then_not_at_all():
-    ward = Ward()
+    servos = SupervisedServos()
     feedback = Feedback(0.0, np.zeros(2), np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
-    ward.values["room_degc"][:] = [40.0, 5.0]
-    np.testing.assert_allclose(ward.care.scale(feedback, Health(**ward.values)), [1.0, 0.5])
-    ward.values["room_degc"][1] = 0.0
-    assert ward.look(1.0) == ServoState.COOLING
+    servos.values["room_degc"][:] = [40.0, 5.0]
+    np.testing.assert_allclose(
+        servos.supervision.scale(feedback, Health(**servos.values)), [1.0, 0.5]
+    )
+    servos.values["room_degc"][1] = 0.0
+    assert servos.look(1.0) == ServoState.COOLING
 
 
 def test_a_joint_that_works_hard_for_minutes_moves_less():
-    ward = Ward()
+    servos = SupervisedServos()
     effort = np.array([0.2, 0.8])
     for tick in range(6000):
         feedback = Feedback(tick * 0.03, np.zeros(2), effort, np.zeros(2, np.uint8), np.zeros(2))
-        scale = ward.care.scale(feedback, Health(**ward.values))
+        scale = servos.supervision.scale(feedback, Health(**servos.values))
 
     assert scale[0] == 1.0
     assert scale[1] == pytest.approx(0.3)
 
 
 def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
-    ward = Ward()
+    servos = SupervisedServos()
     for tick in range(3000):
         time_s = tick * 0.02
         stands = np.array([5.0, -20.0])  # the second is jammed far from its goal
         feedback = Feedback(time_s, stands, np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
-        ward.care.follow(np.array([5.0, 10.0]), feedback)
-        ward.look(time_s)
+        servos.supervision.check_tracking(np.array([5.0, 10.0]), feedback)
+        servos.look(time_s)
 
-    assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
-    assert [act for act, _ in ward.done].count("enable") == 3
-    assert ward.care.reasons[0] == ""
-    assert "does not follow, 30 deg off for 0.5 s" in ward.care.reasons[1]
-    assert "it stays limp" in ward.care.reasons[1]
+    assert servos.supervision.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
+    assert [act for act, _ in servos.done].count("enable") == 3
+    assert servos.supervision.reasons[0] == ""
+    assert "does not follow, 30 deg off for 0.5 s" in servos.supervision.reasons[1]
+    assert "it stays limp" in servos.supervision.reasons[1]
 
 
 @pytest.mark.parametrize(

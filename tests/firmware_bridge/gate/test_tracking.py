@@ -22,8 +22,8 @@ from lipservo.settings.settings import load_shipped_face
 CLIP = DATA / "traces" / "clip.jsonl.gz"
 FACE = load_shipped_face("face_sim")
 JAW = list(FACE.servos).index("jaw")
-#: Newly woken servos are excused as `ServoCare` does.
-EXCUSED_S = 2.0
+#: Newly woken servos are excused as `ServoSupervision` does.
+SUSPENDED_S = 2.0
 
 
 def clip_deg(rate_hz, strength=1.0):
@@ -57,7 +57,7 @@ def speak(rate_hz=30.0, strength=1.0, faults=(), capped=True):
     with bus:
         for index in range(len(servos)):
             assert bus.enable_torque(index) == ""
-            monitor.excuse(index, clock.now() + EXCUSED_S)
+            monitor.suspend_until(index, clock.now() + SUSPENDED_S)
         times_s, goals_deg = clip_deg(rate_hz, strength)
         start_s = clock.now()
         for time_s, goal_deg in zip(times_s, goals_deg, strict=True):
@@ -77,7 +77,7 @@ def test_a_jaw_that_jams_anywhere_is_noticed_within_five_seconds_of_speech(jamme
 
     assert set(found) == {"jaw"}
     noticed_s, why = found["jaw"]
-    assert noticed_s - max(jammed_s, EXCUSED_S) < 5.0
+    assert noticed_s - max(jammed_s, SUSPENDED_S) < 5.0
     assert "does not move: its goals travelled" in why
 
 
@@ -115,8 +115,8 @@ def jaw_alone(**places):
     behind = False
     for n, (time_s, goal_deg) in enumerate(zip(times_s, goals_deg[:, JAW], strict=True)):
         said = places["place"](n, goal_deg)
-        if "excuse_until_s" in places and n == 0:
-            monitor.excuse(0, places["excuse_until_s"])
+        if "suspend_until_s" in places and n == 0:
+            monitor.suspend_until(0, places["suspend_until_s"])
         age_s = places.get("age_s", lambda _: 0.0)(n)
         behind |= bool(monitor.behind(np.array([goal_deg]), feedback(time_s, [said], age_s))[0])
     return behind
@@ -140,7 +140,7 @@ def test_what_was_not_heard_counts_for_nothing():
 
 
 def test_newly_woken_servos_are_excused():
-    assert not jaw_alone(place=lambda *_: 2.0, excuse_until_s=8.0)
+    assert not jaw_alone(place=lambda *_: 2.0, suspend_until_s=8.0)
 
 
 def test_a_servo_that_is_asked_for_nothing_may_stand_still():

@@ -1,4 +1,4 @@
-"""Signs of life, what must not be lost with them, and logs that stop nobody."""
+"""Heartbeats, what must not be lost with them, and logs that stop nobody."""
 
 import os
 import time
@@ -89,7 +89,7 @@ def test_a_log_that_nobody_reads_stops_nobody_and_says_what_was_lost():
     for n in range(20_000):  # far more than a pipe and the queue hold
         log(f"line {n} of a log\nthat nobody reads")
     began_s = time.monotonic()
-    log.close(patience_s=0.0)
+    log.close(timeout_s=0.0)
     read = b""
     while b"were lost" not in read:
         assert time.monotonic() - began_s < PATIENCE_S

@@ -8,13 +8,13 @@ import pytest
 from dynamixel_chain import MemoryFace
 
 from firmware_bridge.bus import PortError
-from firmware_bridge.process.child import Patience, SilenceWatch
+from firmware_bridge.process.child import HeartbeatMonitor, HeartbeatTimeouts
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.last_resort import TorqueRelease
 from firmware_bridge.process.lifeline import Began, Failed, Ready, Stopped
 from firmware_bridge.process.restarted_child import RestartDelay
 from firmware_bridge.process.service_notice import ServiceNotice
 from firmware_bridge.process.supervisor import Supervisor
+from firmware_bridge.process.torque_release import TorqueRelease
 from firmware_bridge.stopping import StopLevel
 
 #: A round of the loop, as long as it waits at most.
@@ -24,9 +24,9 @@ ROUND_S = 0.05
 class PlayedChild:
     """A process as a supervisor sees it; `alive` ones beat whenever the clock is asked."""
 
-    def __init__(self, name, clock, patience):
+    def __init__(self, name, clock, timeouts):
         self.name, self._clock = name, clock
-        self._silence = SilenceWatch(patience)
+        self._silence = HeartbeatMonitor(timeouts)
         self.pid, self.status, self.said = None, None, []
         self.starts, self.signals = [], []
         self.beats, self.beat_s = True, None
@@ -64,7 +64,7 @@ class PlayedChild:
             if number == signal.SIGKILL:
                 self.status = -9
 
-    def end(self, _patience_s):
+    def end(self, _timeout_s):
         self.pid = None
 
 
@@ -74,8 +74,8 @@ class Rehearsal:
     def __init__(self, path):
         self.servos = MemoryFace(3)
         self.clock = self.servos.clock
-        self.bridge = PlayedChild("bridge", self.clock, Patience(30.0, 1.0))
-        self.speech = PlayedChild("speech", self.clock, Patience(60.0, 3.0))
+        self.bridge = PlayedChild("bridge", self.clock, HeartbeatTimeouts(30.0, 1.0))
+        self.speech = PlayedChild("speech", self.clock, HeartbeatTimeouts(60.0, 3.0))
         self.control = ControlSocket.bind(path)
         self.path, self.said = path, []
         self.unplugged = False
@@ -83,8 +83,8 @@ class Rehearsal:
             self.bridge,
             self.speech,
             self.control,
-            lambda patience_s: TorqueRelease(
-                self._open, [1, 2, 3], patience_s=patience_s, now_s=self.clock.now
+            lambda timeout_s: TorqueRelease(
+                self._open, [1, 2, 3], timeout_s=timeout_s, now_s=self.clock.now
             ),
             servo_names={1: "jaw", 2: "left", 3: "right"},
             say=self.said.append,

@@ -15,14 +15,14 @@ from firmware_bridge.simulator.memory_transport import MemoryTransport
 REVERSED, TIMED, TORQUE_BY_GOAL = 1, 4, 8
 
 
-def moved(bench, goal, patience_s=10.0):
+def moved(bench, goal, timeout_s=10.0):
     """Seconds until it rests at `goal`, which it is given now, with torque on."""
     began_s = bench.now_s
     assert bench.write("goal_position", goal) == 0
     bench.wait(0.01)
     while bench.read("moving_status") & 0x02:  # profile ongoing
         bench.wait(0.01)
-        assert bench.now_s - began_s < patience_s
+        assert bench.now_s - began_s < timeout_s
     return bench.now_s - began_s
 
 

@@ -180,7 +180,7 @@ class LateFirst(DisturbedTransport):
         self.lost = float(len(self.sent) in self.dropped)
         super().write(data)
 
-    def _befall(self, due_s, reply):
+    def _inject(self, due_s, reply):
         self._queue(due_s + (0.025 if len(self.sent) == 1 else 0.0), reply)
 
 
@@ -226,7 +226,7 @@ def test_a_late_acknowledgement_counts_for_the_same_write():
 
 def test_what_is_in_no_hurry_hears_a_late_answer_itself():
     chain = Chain(transport=LateFirst)
-    chain.line.patience_s = 0.06
+    chain.line.extra_wait_s = 0.06
 
     assert chain.line.ping(2).data == b"\xb0\x04\x34"
 

@@ -10,7 +10,7 @@ LATE_S: Final = 0.25
 ANYBODY: Final = -1
 
 
-class OwedAnswers:
+class PendingAnswers:
     """Who owes how many bytes, and until when.
 
     A status packet says who answers and how many bytes it holds, not which question it answers. So
@@ -38,7 +38,7 @@ class OwedAnswers:
         self._n[key] = self._n.get(key, 0) + 1
         self.any = True
 
-    def came(self, servo_id: int, size: int) -> None:
+    def note_arrived(self, servo_id: int, size: int) -> None:
         """An answer of `size` bytes arrived too late for its question."""
         key = (servo_id, size)
         if key in self._n:
