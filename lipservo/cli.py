@@ -8,6 +8,7 @@ import typer
 
 from lipservo.commands.bench import bench
 from lipservo.commands.bench import closures as bench_closures
+from lipservo.commands.bench import line as bench_line
 from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
@@ -35,6 +36,7 @@ app.command("trim", context_settings=_DEGREES)(calibration.trim)
 app.command("jog", context_settings=_DEGREES)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
+bench.app.command("line")(bench_line.line)
 bench.app.command("closures")(bench_closures.closures)
 bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)

@@ -22,7 +22,7 @@ from lipservo.settings.settings import load_shipped_face
 CLIP = DATA / "traces" / "clip.jsonl.gz"
 FACE = load_shipped_face("face_sim")
 JAW = list(FACE.servos).index("jaw")
-#: Newly woken servos are excused as `ServoSupervision` does.
+#: Servos just enabled need not follow, as in `ServoSupervision`.
 SUSPENDED_S = 2.0
 
 
@@ -139,7 +139,7 @@ def test_what_was_not_heard_counts_for_nothing():
     assert not jaw_alone(place=lambda _, goal_deg: goal_deg, age_s=seldom)
 
 
-def test_newly_woken_servos_are_excused():
+def test_servos_just_enabled_need_not_follow():
     assert not jaw_alone(place=lambda *_: 2.0, suspend_until_s=8.0)
 
 
@@ -159,3 +159,30 @@ def test_the_error_that_is_allowed_follows_from_the_range(low_deg, high_deg, all
 
     assert TrackingRule().allowed_deg(joint) == allowed_deg
     assert TrackingRule(error_deg=4.0).allowed_deg(joint) == 4.0
+
+
+ONE_JOINT = [Joint("jaw", 1, -40.0, 40.0, 300.0)]
+
+
+@pytest.mark.parametrize(
+    ("lag_deg", "age_s", "behind"), [(14.9, 0.0, False), (15.1, 0.0, True), (90.0, 1.0, False)]
+)
+def test_only_a_lasting_error_that_was_heard_counts(lag_deg, age_s, behind):
+    monitor = TrackingMonitor(ONE_JOINT, TrackingRule(error_deg=15.0, after_s=0.5))
+    found = []
+    for tick in range(60):
+        age = np.array([age_s])
+        feedback = Feedback(tick * 0.01, np.zeros(1), np.zeros(1), np.zeros(1, np.uint8), age)
+        found.append(bool(monitor.behind(np.array([lag_deg]), feedback)[0]))
+
+    assert found == [behind and tick > 50 for tick in range(60)]
+
+
+def test_quick_motion_that_crosses_its_goal_is_no_failure_to_follow():
+    """25 deg to and fro, always 30 ms late: up to 20 deg behind, but never for half a second."""
+    monitor = TrackingMonitor(ONE_JOINT, TrackingRule())
+    for tick in range(1000):
+        time_s = tick * 0.01
+        goal, place = (25.0 * np.sin(2 * np.pi * 4.0 * s) for s in (time_s, time_s - 0.03))
+        heard = Feedback(time_s, np.array([place]), np.zeros(1), np.zeros(1, np.uint8), np.zeros(1))
+        assert not monitor.behind(np.array([goal]), heard).any()
