@@ -42,7 +42,7 @@ class Feedback:
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What was last heard about each servo's well-being; one servo is asked at a time.
+    """What was last heard about each servo's condition; one servo is asked at a time.
 
     silent_s: how long nothing has come from it. torque_on: as its register says.
     watchdog_tripped: it stopped by itself since it heard nothing.

@@ -3,6 +3,10 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
+from typing import Final
+
+#: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
+PORT_WAIT_S: Final = 30.0
 
 
 class StopLevel(StrEnum):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.control_table import model_by_number, register
 from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import RETURN_DELAY_UNIT_S
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.transport import Transport
 from firmware_bridge.joints import named
@@ -31,7 +32,7 @@ class ServoIdentity:
     @property
     def return_delay_s(self) -> float:
         """How long it waits before it answers."""
-        return self.eeprom["return_delay_time"] * 2e-6
+        return self.eeprom["return_delay_time"] * RETURN_DELAY_UNIT_S
 
 
 def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdentity | None:

@@ -6,7 +6,8 @@ import numpy as np
 
 from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.handshake import ServoIdentity
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.codec import Status
 from firmware_bridge.dynamixel.wire.line import FACTORY_RETURN_DELAY_S
 from firmware_bridge.dynamixel.wire.prepared_packets import CommonFrame
@@ -21,12 +22,12 @@ _ROOM_DEGC = 45.0
 
 
 class ServoStateCache:
-    """The last word of every servo. Every array is (n_servos,), in the face's order.
+    """What every servo said last. Every array is (n_servos,), in the face's order.
 
     pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
     low, high: the servo's own limits in pulses; heard_s: when it answered last;
-    enabled: torque was switched on by us and not confirmed off since. errors and effort are given
-    away without a copy, so they are replaced and never written into.
+    enabled: torque was switched on by us and not confirmed off since. errors and effort are handed
+    out without a copy, so they are replaced and never written into.
     """
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
@@ -64,7 +65,7 @@ class ServoStateCache:
         self.unanswered = np.zeros(n, dtype=np.int64)
 
     def take_identity(self, index: int, said: ServoIdentity, now_s: float) -> None:
-        """Its own limits and manners, as its EEPROM says."""
+        """Its own limits and return delay, as its EEPROM says."""
         self.low[index] = said.eeprom["min_position_limit"]
         self.high[index] = said.eeprom["max_position_limit"]
         self.hottest[index] = said.eeprom["temperature_limit"]

@@ -73,7 +73,7 @@ class TrackingMonitor:
     def __init__(self, joints: Sequence[Joint], rule: TrackingRule) -> None:
         self._rule = rule
         self._allowed_deg = np.array([rule.allowed_deg(joint) for joint in joints])
-        self._well_s: Array = np.zeros(len(joints))
+        self._within_s: Array = np.zeros(len(joints))
         self._travel = _Travel(len(joints))
         self.error_deg: Array = np.zeros(len(joints))
 
@@ -83,8 +83,8 @@ class TrackingMonitor:
         return self._rule
 
     def suspend_until(self, index: int, until_s: float) -> None:
-        """One servo need not follow until then: newly woken ones are slow on purpose."""
-        self._well_s[index] = until_s
+        """One servo need not follow until then: torque that has just come on is slow on purpose."""
+        self._within_s[index] = until_s
         self._travel.suspend_until(index, until_s)
 
     def reason(self, index: int) -> str:
@@ -95,7 +95,7 @@ class TrackingMonitor:
             return f"does not follow, {off_deg:.0f} deg off for {after_s:g} s: jammed or weak"
         asked_deg, made_deg = self._travel.travelled_deg[:, index]
         return (
-            f"does not move: its goals travelled {asked_deg:.0f} deg of late, "
+            f"does not move: its goals travelled {asked_deg:.0f} deg lately, "
             f"it {made_deg:.0f}: jammed or weak"
         )
 
@@ -109,15 +109,15 @@ class TrackingMonitor:
         doubtful = self.error_deg > self._allowed_deg
         doubtful |= self._travel.still
         if not np.count_nonzero(doubtful):  # nearly always so
-            np.maximum(self._well_s, feedback.time_s, out=self._well_s)
+            np.maximum(self._within_s, feedback.time_s, out=self._within_s)
             return doubtful
-        well_s = np.maximum(self._well_s, feedback.time_s)
-        self._well_s = np.where(doubtful, self._well_s, well_s)
-        return feedback.time_s - self._well_s > self._rule.after_s
+        within_s = np.maximum(self._within_s, feedback.time_s)
+        self._within_s = np.where(doubtful, self._within_s, within_s)
+        return feedback.time_s - self._within_s > self._rule.after_s
 
 
 class _Travel:
-    """How far goals and encoders have gone of late.
+    """How far goals and encoders have gone lately.
 
     travelled_deg: (2, n_servos), goals and encoders. still: whose goals travel alone, (n_servos,).
     """
@@ -130,7 +130,7 @@ class _Travel:
         self._less_slack_deg = -self._slack_deg
         self._places_deg = np.zeros((2, n))
         self._moved_deg = np.zeros((2, n))
-        self._play_deg = np.zeros((2, n))
+        self._dragged_deg = np.zeros((2, n))
         self._suspended_until_s = np.zeros(n)
         self._all_count_s = 0.0
         self._time_s = -math.inf
@@ -150,15 +150,19 @@ class _Travel:
         if elapsed_s < _SAMPLE_S:
             return
         self._time_s = feedback.time_s
-        moved_deg, play_deg, travelled_deg = self._moved_deg, self._play_deg, self.travelled_deg
+        moved_deg, dragged_deg, travelled_deg = (
+            self._moved_deg,
+            self._dragged_deg,
+            self.travelled_deg,
+        )
         moved_deg[0], moved_deg[1] = sent_deg, feedback.positions_deg
         moved_deg -= self._places_deg
         if heard is not None:
             moved_deg[:, ~heard] = 0.0
         # A place is dragged along behind by its slack, as by a loose coupling.
-        np.minimum(moved_deg, self._slack_deg, out=play_deg)
-        np.maximum(play_deg, self._less_slack_deg, out=play_deg)
-        moved_deg -= play_deg
+        np.minimum(moved_deg, self._slack_deg, out=dragged_deg)
+        np.maximum(dragged_deg, self._less_slack_deg, out=dragged_deg)
+        moved_deg -= dragged_deg
         self._places_deg += moved_deg
         travelled_deg += np.abs(moved_deg, out=moved_deg)
         travelled_deg *= math.exp(-elapsed_s / _MEMORY_S)

@@ -1,4 +1,4 @@
-"""The way to neutral at the end: in half a second, or as long as the joints' speeds need."""
+"""Easing to neutral at the end: in half a second, or as long as the joints' speeds need."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,7 @@ from firmware_bridge.arrays import Array
 from firmware_bridge.gate.limits import EASE_PEAK_SLOPE, ease
 from firmware_bridge.joints import Joint
 
-#: Time to neutral when the joints can make it: quick for a person waiting, calm for a face.
+#: Time to neutral when the joints can make it: a person waits for it.
 _EASE_S = 0.5
 #: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
 _LONGEST_S = 2.0

@@ -13,10 +13,8 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.report import FaceState
 from firmware_bridge.stop_signals import PreviousHandlers, install_handler, restore_handlers
-from firmware_bridge.stopping import StopLevel, StopReport
+from firmware_bridge.stopping import PORT_WAIT_S, StopLevel, StopReport
 
-#: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
-_WAIT_FOR_PORT_S: Final = 30.0
 #: The end after a second signal or an error: whoever has not confirmed by then is reported.
 _LAST_TRIES_S: Final = 0.5
 #: A trouble is told when it has lasted so long; a servo that misses one answer is none.
@@ -227,7 +225,7 @@ class LifeCycle:
         if self._bridge.state is not FaceState.LETTING_GO:
             return False
         if self._give_up_s is None:
-            self._give_up_s = time_s + _WAIT_FOR_PORT_S
+            self._give_up_s = time_s + PORT_WAIT_S
             self._log(
                 "the port is gone: once it is back, the servos are let go; "
                 "a second signal leaves them as they are"

@@ -1,6 +1,6 @@
-"""Looks after single servos, so that one in trouble does not stop the face.
+"""Supervision of single servos, so that one in trouble does not stop the face.
 
-DRIVEN ──silent, torque lost──▶ WAITING ──answers, wakes──▶ DRIVEN
+DRIVEN ──silent, torque lost──▶ WAITING ──answers, enabled──▶ DRIVEN
    ├──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
    └──does not follow──────────▶ COOLING ──▶ WAITING
                                     └──third time in ten minutes──▶ FAILED, limp for good
@@ -40,7 +40,7 @@ _LEAST_SCALE: Final = 0.3
 #: Heat is looked at so often: a winding knows nothing faster, and every tick would pay for it. A
 #: little less than the 50 ms meant, so that rounding makes no sixth tick of the fifth.
 _HEAT_EVERY_S: Final = 0.049
-#: A woken servo is slow for a second, then has to catch up.
+#: A servo just enabled is slow for a second, then has to catch up.
 _CATCH_UP_S: Final = 2.0
 
 

@@ -10,7 +10,7 @@ from typing import Final
 
 from firmware_bridge.process.lifeline import LifelineWatch, Message, lifeline_pair
 
-#: A watcher that did not look for so long was stopped itself, and cannot blame anybody.
+#: A watcher that did not look for so long was stopped itself: nobody counts as hung.
 _BLIND_S: Final = 0.5
 
 

@@ -102,7 +102,7 @@ class Lifeline:
         self._say(b"R")
 
     def close(self) -> None:
-        """Hang up."""
+        """Close this end."""
         self._end.close()
 
     def _say(self, message: bytes) -> None:
@@ -157,7 +157,7 @@ class LifelineWatch:
         return messages
 
     def close(self) -> None:
-        """Hang up."""
+        """Close this end."""
         self._end.close()
 
 

@@ -20,12 +20,11 @@ from firmware_bridge.process.restarted_child import RestartedChild, WatchedChild
 from firmware_bridge.process.service_notice import ServiceNotice
 from firmware_bridge.process.torque_release import TorqueRelease
 from firmware_bridge.stop_signals import SignalCounter
-from firmware_bridge.stopping import ExitStatus, StopLevel, StopReport
+from firmware_bridge.stopping import PORT_WAIT_S, ExitStatus, StopLevel, StopReport
 
 #: Easing to neutral takes two seconds at most, limp a few packets more.
 _END_S: Final = 5.0
-#: How long a signal's end waits for a port that is gone, and any end for servos that are silent.
-_PORT_TIMEOUT_S: Final = 30.0
+#: How long any end waits for servos that are silent.
 _SERVO_TIMEOUT_S: Final = 3.0
 #: The same for a face that had not come to life: it armed nobody.
 _START_TIMEOUT_S: Final = 2.0
@@ -266,10 +265,10 @@ class Supervisor:
         if not self._ran_well:
             return self._release_s + _START_TIMEOUT_S
         if not self._is_ending:
-            return float("inf") if self._may_restart() else self._release_s + _PORT_TIMEOUT_S
+            return float("inf") if self._may_restart() else self._release_s + PORT_WAIT_S
         if self._signal_s is None:
             return float("inf")  # who stopped it by the socket can ask how it is, and signal
-        return self._signal_s + (_PORT_TIMEOUT_S if self._n_signals == 1 else 0.0)
+        return self._signal_s + (PORT_WAIT_S if self._n_signals == 1 else 0.0)
 
     def _released(self, release: TorqueRelease) -> None:
         self._port_error = ""

@@ -1,4 +1,4 @@
-"""When nobody looks after the servos any more: open the port and let every joint go limp."""
+"""Torque off where no bridge runs any more: open the port and let every joint go limp."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -11,17 +11,13 @@ from numpy.typing import NDArray
 from firmware_bridge.arrays import Array
 from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.clock import Clock
+from firmware_bridge.dynamixel.wire.codec import StatusError
 from firmware_bridge.health import Feedback, Health
-from firmware_bridge.joints import Joint
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 
 #: XL330-M288-T without load at 5 V: 103 rev/min;
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications
 XL330_TOP_SPEED_DEG_S = 618.0
-#: How much farther a servo goes than its joint's limits, so that a joint pushed past them by hand
-#: can still be held where it is. Our choice: a good deal more than any hand moves by accident.
-RANGE_MARGIN_DEG = 5.0
-#: Status error of a goal outside the servo's position limits ("data limit").
-DATA_LIMIT_ERROR = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,8 +56,8 @@ class SimulatedBus:
         """
         n_servos = len(joints)
         self._clock = clock
-        self._min_deg = np.array([joint.min_deg for joint in joints]) - RANGE_MARGIN_DEG
-        self._max_deg = np.array([joint.max_deg for joint in joints]) + RANGE_MARGIN_DEG
+        self._min_deg = np.array([joint.min_deg for joint in joints]) - SERVO_LIMIT_MARGIN_DEG
+        self._max_deg = np.array([joint.max_deg for joint in joints]) + SERVO_LIMIT_MARGIN_DEG
         self._top_speed_deg_s = top_speed_deg_s
         self._positions_deg = np.zeros(n_servos) if start_deg is None else start_deg.copy()
         self._goals_deg = np.zeros(n_servos)
@@ -85,7 +81,7 @@ class SimulatedBus:
         self._move()
         taken = (self._min_deg <= positions_deg) & (positions_deg <= self._max_deg)
         self._goals_deg = np.where(taken, positions_deg, self._goals_deg)
-        self._errors = np.where(taken, 0, DATA_LIMIT_ERROR).astype(np.uint8)
+        self._errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def read(self) -> Readings:
@@ -111,7 +107,7 @@ class SimulatedBus:
         return ()
 
     def look_after(self) -> Health:
-        """Nothing ever ails these servos."""
+        """These servos are always well."""
         n_servos = len(self._goals_deg)
         nothing = np.zeros(n_servos)
         return Health(

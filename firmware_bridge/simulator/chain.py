@@ -7,7 +7,7 @@ import numpy as np
 
 from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
-from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator import group_instructions
 from firmware_bridge.simulator.fault_injector import FaultInjector
@@ -15,7 +15,7 @@ from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.group_instructions import SpanWanted
 from firmware_bridge.simulator.motors import Environment, Motors
 from firmware_bridge.simulator.servo import SimulatedServo
-from firmware_bridge.simulator.wire import BITS_PER_BYTE, Wire, WireCounts, WireRules
+from firmware_bridge.simulator.wire import Wire, WireCounts, WireRules
 
 #: Servos answer a broadcast ping one after another, in the order of their ids. The manual does not
 #: say how far apart; the SDK waits for 14 bytes each.
@@ -168,17 +168,17 @@ class SimulatedChain:
         """Every servo of this baud rate hears one whole instruction."""
         self.counts.instructions += 1
         self.advance(end_s)
-        awake = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
-        self.counts.unheard += not awake
-        for servo in awake:
+        listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
+        self.counts.unheard += not listening
+        for servo in listening:
             servo.heard_s = end_s
         self._wire.until_s = end_s
         instruction, parameters = frame.instruction, frame.parameters
         if frame.packet_id != BROADCAST_ID:
-            awake = [each for each in awake if each.servo_id == frame.packet_id]
+            listening = [each for each in listening if each.servo_id == frame.packet_id]
         if instruction in _GROUP_WRITES:
             blocks = _GROUP_WRITES[instruction](parameters)
-            for servo in awake:
+            for servo in listening:
                 block = blocks.get(servo.servo_id)
                 if block is not None:
                     servo.write(block)
@@ -187,33 +187,33 @@ class SimulatedChain:
             wanted = take_apart(parameters)
             if frame.packet_id != BROADCAST_ID:  # nobody else feels addressed
                 wanted = [each for each in wanted if each.servo_id == frame.packet_id]
-            (self._read_together if fast else self._read_in_turn)(awake, wanted, byte_s)
+            (self._read_together if fast else self._read_in_turn)(listening, wanted, byte_s)
         elif frame.packet_id == BROADCAST_ID:
-            self._broadcast(awake, instruction, parameters, byte_s)
+            self._broadcast(listening, instruction, parameters, byte_s)
         else:
-            for servo in awake:
+            for servo in listening:
                 answer = servo.answer(instruction, parameters, end_s)
                 if answer is not None:
                     self._wire.say(servo, frame.packet_id, answer, end_s, byte_s)
 
     def _broadcast(
-        self, awake: list[SimulatedServo], instruction: int, parameters: bytes, byte_s: float
+        self, listening: list[SimulatedServo], instruction: int, parameters: bytes, byte_s: float
     ) -> None:
         """Nobody answers, but to a ping. A reset of everything is ignored, as the manual says."""
         if instruction == Instruction.FACTORY_RESET and parameters[:1] == b"\xff":
             return
         end_s = self._wire.until_s
-        for servo in sorted(awake, key=lambda each: each.servo_id):
+        for servo in sorted(listening, key=lambda each: each.servo_id):
             answer = servo.answer(instruction, parameters, end_s)
             if instruction == Instruction.PING and answer is not None:
                 slot_s = servo.servo_id * _PING_SLOT_BYTES * byte_s
                 self._wire.say(servo, servo.servo_id, answer, end_s + slot_s, byte_s)
 
     def _read_in_turn(
-        self, awake: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
+        self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
         """Each in its turn; a silent servo leaves a gap of its own length, or stops the rest."""
-        by_id = _by_id(awake)
+        by_id = _by_id(listening)
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
             if not answering:
@@ -227,10 +227,10 @@ class SimulatedChain:
                 self._wire.say(servo, servo_id, said, start_s, byte_s)
 
     def _read_together(
-        self, awake: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
+        self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
         """All in one frame, which ends where somebody is silent."""
-        by_id = _by_id(awake)
+        by_id = _by_id(listening)
         said = []
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
@@ -245,10 +245,10 @@ class SimulatedChain:
             self._wire.say_together(said, missing, self._wire.until_s, byte_s)
 
 
-def _by_id(awake: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
+def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
     """Who answers to which id; more than one when an id was given twice."""
     by_id: dict[int, list[SimulatedServo]] = {}
-    for servo in awake:
+    for servo in listening:
         if servo.answers_reads:
             by_id.setdefault(servo.servo_id, []).append(servo)
     return by_id

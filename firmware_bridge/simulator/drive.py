@@ -5,6 +5,7 @@ import struct
 from typing import Final
 
 from firmware_bridge.dynamixel.control_table import ServoModel, register
+from firmware_bridge.dynamixel.units import WATCHDOG_UNIT_S
 from firmware_bridge.simulator.memory import RegisterMemory
 from firmware_bridge.simulator.motors import FULL_PWM, Motors
 from firmware_bridge.simulator.profile import VELOCITY_UNIT, Profile
@@ -17,7 +18,6 @@ POSITION, EXTENDED_POSITION, CURRENT_BASED_POSITION = 3, 4, 5
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#homing-offset20
 _LARGEST_OFFSET_IN_ONE_TURN: Final = 1024
 _TURN: Final = 4096
-_WATCHDOG_UNIT_S: Final = 0.020
 _WATCHDOG_TRIPPED: Final = -1
 _DRIVE_MODE, _TORQUE = register("drive_mode").address, register("torque_enable").address
 #: realtime_tick .. present_temperature
@@ -182,7 +182,7 @@ class Drive:
         """The watchdog counts while torque is on."""
         setting = self.table["bus_watchdog"]
         armed = setting > 0 and self.torque_on
-        self.watchdog_timeout_s = setting * _WATCHDOG_UNIT_S if armed else math.inf
+        self.watchdog_timeout_s = setting * WATCHDOG_UNIT_S if armed else math.inf
 
     def refresh(self, booted_s: float) -> None:
         """Bring the registers of the present up to date."""

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates, register
+from firmware_bridge.dynamixel.units import RETURN_DELAY_UNIT_S
 from firmware_bridge.dynamixel.wire.codec import ALERT_BIT, Instruction, StatusError
 from firmware_bridge.simulator.drive import SHAPING, Drive
 from firmware_bridge.simulator.motors import Motors
@@ -83,7 +84,7 @@ class SimulatedServo:
     @property
     def return_delay_s(self) -> float:
         """How long it waits before it answers."""
-        return self._memory[9] * 2e-6
+        return self._memory[9] * RETURN_DELAY_UNIT_S
 
     @property
     def torque_on(self) -> bool:

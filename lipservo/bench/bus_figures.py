@@ -145,7 +145,7 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float]:
 
 
 def replug_figures(n_servos: int = 10) -> dict[str, float]:
-    """From the moment a port is back: until every servo is awake again, and at full strength."""
+    """From the moment a port is back: until every servo is driven again, and at full strength."""
     model = servo_models()["XL330-M288"]
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
     with TemporaryDirectory() as folder:
@@ -161,7 +161,7 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
                     bus, joints, channel, BridgeSettings(_REPLUG_RATE_HZ, tolerant=True)
                 )
                 bridge.start()
-                back_s = awake_s = 0.0
+                back_s = driven_s = 0.0
                 for time_s, late in ticks(clock, _REPLUG_RATE_HZ):
                     channel.publish(ServoTargets(time_s, np.zeros(n_servos)))
                     before = bridge.status
@@ -170,11 +170,11 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
                         back_s = link.lstat().st_mtime - time.time() + clock.now()
                     states = bridge.status.servo_states
                     driven = bridge.plugged and all(s is ServoState.DRIVEN for s in states)
-                    if back_s and driven and not awake_s:
-                        awake_s = clock.now()
-                    if awake_s and bus.at_full_strength:
+                    if back_s and driven and not driven_s:
+                        driven_s = clock.now()
+                    if driven_s and bus.at_full_strength:
                         full_s = clock.now()
-                        return {"replug_s": awake_s - back_s, "full_strength_s": full_s - back_s}
+                        return {"replug_s": driven_s - back_s, "full_strength_s": full_s - back_s}
     raise AssertionError("unreachable: ticks never end")
 
 

@@ -20,7 +20,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import PULSES_PER_TURN
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.pty_host import PtyHost

@@ -12,13 +12,14 @@ from calibration.capture.lerobot_ranges import RecordedRange
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import model_by_number, servo_models
-from firmware_bridge.dynamixel.mounting import CENTER_PULSE, PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
     UNHURRIED_S,
     read_settings,
     scan,
 )
+from firmware_bridge.dynamixel.units import CENTER_PULSE, PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint

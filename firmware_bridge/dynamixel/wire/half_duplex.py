@@ -3,12 +3,11 @@
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
-from firmware_bridge.dynamixel.wire.codec import Instruction, Status
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, Instruction, Status
 from firmware_bridge.dynamixel.wire.frames import FrameParser
 from firmware_bridge.dynamixel.wire.latency import LearntLatency
 from firmware_bridge.dynamixel.wire.transport import Transport
 
-BITS_PER_BYTE: Final = 10
 #: An int: looking a member up in its enumeration costs as much as comparing three.
 _STATUS: Final = int(Instruction.STATUS)
 
@@ -17,8 +16,8 @@ class HalfDuplex:
     """Nothing is sent before the computed end of the last transaction. It knows no instruction.
 
     echoes: the adapter gives back what is sent, which is found out by itself and swallowed.
-    extra_wait_s: how long beyond its time an answer is waited for; for commands in no hurry.
-    n_bad: damaged packets heard; heard_noise: something came last time, but nothing of sense.
+    extra_wait_s: how long beyond its time an answer is waited for; for commands outside the loop.
+    n_bad: damaged packets heard; heard_noise: something came last time, but no valid packet.
     """
 
     def __init__(self, transport: Transport, return_delay_s: float) -> None:

@@ -90,7 +90,7 @@ class Line(HalfDuplex):
     def write(
         self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Set bytes of one servo, and hear whether it took them; EEPROM may need patience."""
+        """Set bytes of one servo, and hear whether it took them; EEPROM may need extra_wait_s."""
         request = codec.write(servo_id, address, data)
         if self._acknowledgement_is_ambiguous(servo_id, request):
             self._tell_one(servo_id, request, extra_wait_s)
@@ -164,7 +164,7 @@ class Line(HalfDuplex):
         *,
         exact: bool = False,
     ) -> Status | None:
-        """exact: a refusal does not count either, for it may be owed by an earlier question."""
+        """exact: a refusal does not count either, for it may answer an earlier question."""
         size = codec.EMPTY_STATUS_SIZE + n_data
 
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
@@ -215,7 +215,7 @@ class Line(HalfDuplex):
         self._pending.note(servo_id, 0, request, sent_s)
 
     def _wait_for_pending(self) -> None:
-        """Until nothing can come any more; for what is in no hurry."""
+        """Until nothing can come any more; for commands outside the loop."""
         if self._has_pending():
             self._clock.sleep_until(self._pending.until_s)
             self._pending.expire(self._clock.now())

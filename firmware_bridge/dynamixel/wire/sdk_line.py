@@ -122,7 +122,7 @@ class SdkLine(Line):
     def write(
         self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Set bytes of one servo; the SDK's own patience is 34 ms."""
+        """Set bytes of one servo; the SDK's own wait is 34 ms."""
         del extra_wait_s
         ask = self._packets.writeTxRx
         result, error = self._sdk.call(

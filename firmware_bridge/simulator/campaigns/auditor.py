@@ -11,7 +11,8 @@ import numpy as np
 
 from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator.chain import SimulatedChain
@@ -104,7 +105,7 @@ class Auditor:
         low, high = self._servos[servo_id].pulse_range()
         before = self._last.get(servo_id, goal)
         self._last[servo_id] = goal
-        # A joint found outside its limits is led back in.
+        # A joint found outside its limits is brought back in.
         if not min(low, before) - 1 <= goal <= max(high, before) + 1:
             self.goals_outside += 1
         too_long = abs(goal - before) > self._reach[servo_id] + 1e-6

@@ -5,7 +5,7 @@ import random
 from dataclasses import dataclass
 
 from firmware_bridge.clock import Clock
-from firmware_bridge.dynamixel.wire.codec import Instruction
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, Instruction
 from firmware_bridge.simulator.chain import SimulatedChain
 
 
@@ -59,7 +59,7 @@ class DisturbedTransport:
         self.sent.append(data)
         self._chain.advance(now_s)
         if self.disturbance.echo:
-            self.queue(now_s + len(data) * 10.0 / self.baud_rate, data)
+            self.queue(now_s + len(data) * BITS_PER_BYTE / self.baud_rate, data)
         unknown = data[7] == Instruction.FAST_SYNC_READ and not self.disturbance.fast_sync_read
         if self._rng.random() >= self.disturbance.lost and not unknown:
             self._chain.receive(data, now_s, self.baud_rate)

@@ -52,7 +52,7 @@ def test_a_servo_given_up_by_an_earlier_process_stays_limp():
 )
 def test_a_servo_that_came_back_another_one_gets_no_torque(register, value, why):
     """Switched off and on, or exchanged, while the face runs: it is asked anew, every time."""
-    robot = Robot(Fault("silence", servos=(0,), at_s=(2.0,), lasts_s=2.0), stops=[(8.0, "soft")])
+    robot = Robot(Fault("silence", servos=(0,), at_s=(0.5,), lasts_s=1.0), stops=[(3.7, "soft")])
     found = {}
 
     def exchange():
@@ -60,9 +60,9 @@ def test_a_servo_that_came_back_another_one_gets_no_torque(register, value, why)
         servo.reboot(robot.face.clock.now())
         servo[register] = value
 
-    robot.live(60.0, {3.0: exchange, 7.5: lambda: found.update(troubles=robot.bridge.troubles)})
+    robot.live(60.0, {1.1: exchange, 3.5: lambda: found.update(troubles=robot.bridge.troubles)})
 
-    assert not any(torque[0] for time_s, torque, _ in robot.seen if time_s > 3.1)
+    assert not any(torque[0] for time_s, torque, _ in robot.seen if time_s > 1.2)
     assert why in found["troubles"][0]
 
 
