@@ -71,7 +71,7 @@ def test_a_servo_that_comes_back_is_heard_again():
 def test_lost_packets_are_asked_for_again_without_a_collision():
     face = MemoryFace(10, faults=[Fault("drop_reply", probability=0.05)], seed=4)
     with face.bus:
-        heard = run(face, 10.0, np.zeros(10))
+        heard = run(face, 4.0, np.zeros(10))
 
     obtained = np.mean([feedback.age_s == 0.0 for feedback in heard])
     assert obtained > 0.99  # lost ones are asked again in the same cycle
@@ -81,7 +81,7 @@ def test_lost_packets_are_asked_for_again_without_a_collision():
 def test_damaged_packets_never_become_positions():
     face = MemoryFace(10, faults=[Fault("corrupt_reply", probability=0.2, from_s=0.5)], seed=5)
     with face.bus:
-        heard = run(face, 5.0, np.zeros(10))
+        heard = run(face, 3.0, np.zeros(10))
         places = np.array([feedback.positions_deg for feedback in heard])
 
     assert np.nanmax(np.abs(places)) < 0.1

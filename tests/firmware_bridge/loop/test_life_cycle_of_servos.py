@@ -14,21 +14,21 @@ def test_a_servo_given_up_is_not_switched_on_again_by_a_replug_or_a_silence():
         robot.face.chain.motors.jammed[1] = True
         robot.face.chain.motors.position[1] += 400.0
 
-    unplug = Fault("unplug", at_s=(30.0,), lasts_s=1.0)
-    robot = Robot(unplug, stops=[(40.0, "soft")])
+    unplug = Fault("unplug", at_s=(18.0,), lasts_s=1.0)
+    robot = Robot(unplug, stops=[(25.0, "soft")])
     given_up = {}
     robot.live(
         60.0,
         {
             2.0: lambda: jam(robot),
-            29.0: lambda: given_up.update(robot.bridge.given_up),
+            17.0: lambda: given_up.update(robot.bridge.given_up),
         },
     )
 
     assert "does not follow" in given_up[1]
     assert robot.told.failures == given_up
-    assert not any(torque[1] for time_s, torque, _ in robot.seen if time_s > 29.0)
-    assert all(torque[0] for time_s, torque, _ in robot.seen if 33.0 < time_s < 39.5)
+    assert not any(torque[1] for time_s, torque, _ in robot.seen if time_s > 17.0)
+    assert all(torque[0] for time_s, torque, _ in robot.seen if 21.0 < time_s < 24.5)
 
 
 def test_a_servo_given_up_by_an_earlier_process_stays_limp():
