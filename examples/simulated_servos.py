@@ -16,6 +16,7 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.targets import ServoTargets
 from lipservo.settings.settings import load_shipped_face
@@ -36,8 +37,8 @@ def main() -> None:
     joints = load_shipped_face("face_jaw").joints()
     clock, channel = ManualClock(), MemoryTargetChannel()
     with SimulatedBus(joints, clock) as bus:
-        bridge = Bridge(bus, joints, channel, rate_hz=RATE_HZ)
-        with LifeCycle(bridge, clock, rate_hz=RATE_HZ) as life:
+        bridge = Bridge(bus, joints, channel, BridgeSettings(RATE_HZ))
+        with LifeCycle(bridge, clock) as life:
             life.start()
             for time_s, late in life.ticks():
                 if time_s >= LENGTH_S:

@@ -11,6 +11,7 @@ from typing import Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.errors import BusError, PortError, PortGone, ServoError
 from firmware_bridge.health import Feedback, Health
 
@@ -30,11 +31,11 @@ class Readings:
     """
 
     time_s: float
-    positions_deg: NDArray[np.float64]
-    goals_deg: NDArray[np.float64]
+    positions_deg: Array
+    goals_deg: Array
     torque_on: NDArray[np.bool_]
     errors: NDArray[np.uint8]
-    age_s: NDArray[np.float64]
+    age_s: Array
 
     @property
     def missing(self) -> NDArray[np.bool_]:
@@ -50,7 +51,7 @@ class ServoBus(Protocol):
     PortError when the port fails. Only `TorqueGate` calls `enable_torque`.
     """
 
-    def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
+    def write_positions(self, positions_deg: Array) -> None:
         """Give every servo its next goal, (n_servos,); returns before they arrive.
 
         A servo keeps its old goal when the new one lies outside its own range, or is NaN.

@@ -6,6 +6,8 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
+
 
 class HardwareError(IntFlag):
     """https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#hardware-error-status70 ."""
@@ -32,15 +34,15 @@ class Feedback:
     """
 
     time_s: float
-    positions_deg: NDArray[np.float64]
-    effort: NDArray[np.float64]
+    positions_deg: Array
+    effort: Array
     errors: NDArray[np.uint8]
-    age_s: NDArray[np.float64]
+    age_s: Array
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """What was last heard about each servo's well-being; one servo is asked at a time.
+    """What was last heard about each servo's condition; one servo is asked at a time.
 
     silent_s: how long nothing has come from it. torque_on: as its register says.
     watchdog_tripped: it stopped by itself since it heard nothing.
@@ -49,15 +51,15 @@ class Health:
     n_unanswered: questions of the tick that it did not answer so far.
     """
 
-    silent_s: NDArray[np.float64]
+    silent_s: Array
     torque_on: NDArray[np.bool_]
     watchdog_tripped: NDArray[np.bool_]
     hardware_errors: NDArray[np.uint8]
-    temperature_degc: NDArray[np.float64]
-    room_degc: NDArray[np.float64]
-    voltage_v: NDArray[np.float64]
-    effort: NDArray[np.float64]
-    current_ma: NDArray[np.float64]
+    temperature_degc: Array
+    room_degc: Array
+    voltage_v: Array
+    effort: Array
+    current_ma: Array
     n_unanswered: NDArray[np.int64]
 
 

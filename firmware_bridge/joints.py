@@ -2,6 +2,11 @@
 
 import math
 from dataclasses import dataclass
+from typing import Final
+
+#: A servo's own limits lie so far outside its joint's, so that a joint pushed past its limit by
+#: hand can be held where it is. Our choice: a good deal more than any hand moves by accident.
+SERVO_LIMIT_MARGIN_DEG: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)

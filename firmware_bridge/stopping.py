@@ -1,8 +1,12 @@
-"""How a face is stopped by a person, and what is known of its servos afterwards."""
+"""How a face is stopped, what its servos said afterwards, and the exit status that tells it."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from enum import StrEnum
+from dataclasses import dataclass, field
+from enum import IntEnum, StrEnum
+from typing import Final
+
+#: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
+PORT_WAIT_S: Final = 30.0
 
 
 class StopLevel(StrEnum):
@@ -13,17 +17,28 @@ class StopLevel(StrEnum):
     LIMP = "limp"  # let go now
 
 
+class ExitStatus(IntEnum):
+    """How a process that drove servos ends; 1 and 2 are left to errors and wrong usage."""
+
+    ENDED_WELL = 0
+    #: It ended as asked, but not every servo confirmed to be limp.
+    UNCONFIRMED = 3
+    #: Starting again would not help.
+    CRITICAL_SERVO_FAILED = 4
+
+
 @dataclass(frozen=True, slots=True)
 class StopReport:
     """What the servos themselves said at the end; nothing is claimed for the others.
 
-    confirmed: servos that were read with torque off. unconfirmed: why not, by servo.
-    at_rest: the face had come to neutral before it let go. dry_run: nothing was ever switched on.
+    confirmed: servos, by name, that were read with torque off. unconfirmed: why not, by name.
+    at_rest: whether the face had come to neutral before; None: not known, for whoever switched
+    torque off had not moved it. dry_run: nothing was ever switched on.
     """
 
-    confirmed: tuple[str, ...]
-    unconfirmed: Mapping[str, str]
-    at_rest: bool
+    confirmed: tuple[str, ...] = ()
+    unconfirmed: Mapping[str, str] = field(default_factory=dict)
+    at_rest: bool | None = None
     dry_run: bool = False
 
     @property
@@ -46,8 +61,16 @@ class StopReport:
         lines.append("keep your hands away; `lipservo limp` lets go what can be reached")
         return "\n".join(lines)
 
+    def line(self) -> str:
+        """For a log: who confirmed torque off, which need not be the end of the face."""
+        n = len(self.confirmed)
+        if self.complete:
+            return f"torque off confirmed by all {n} servos"
+        left = named_by_reason(self.unconfirmed)
+        return f"torque off confirmed by {n} servos, NOT by {left}"
+
     def as_dict(self) -> dict[str, object]:
-        """For JSON."""
+        """For JSON, and for whoever asked for the stop."""
         return {
             "complete": self.complete,
             "at_rest": self.at_rest,
@@ -55,6 +78,14 @@ class StopReport:
             "confirmed": list(self.confirmed),
             "unconfirmed": dict(self.unconfirmed),
         }
+
+
+def named_by_reason(unconfirmed: Mapping[str, str]) -> str:
+    """Servos and reasons in words, each reason once: `jaw, left: did not answer` for one."""
+    servos: dict[str, list[str]] = {}
+    for name, why in unconfirmed.items():
+        servos.setdefault(why, []).append(name)
+    return "; ".join(f"{', '.join(names)}: {why}" for why, names in servos.items())
 
 
 def _servos(n: int) -> str:

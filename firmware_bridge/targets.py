@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
+from firmware_bridge.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +14,7 @@ class ServoTargets:
     """
 
     time_s: float
-    positions_deg: NDArray[np.float64]
+    positions_deg: Array
 
 
 class TargetChannel(Protocol):

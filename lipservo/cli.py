@@ -8,6 +8,7 @@ import typer
 
 from lipservo.commands.bench import bench
 from lipservo.commands.bench import closures as bench_closures
+from lipservo.commands.bench import line as bench_line
 from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import replay as bench_replay
 from lipservo.commands.bench import texts as bench_texts
@@ -37,6 +38,7 @@ app.command("jog", context_settings=_NUMBERS)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 bench.app.command("replay")(bench_replay.replay)
+bench.app.command("line")(bench_line.line)
 bench.app.command("closures")(bench_closures.closures)
 bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)

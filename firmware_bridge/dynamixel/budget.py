@@ -2,7 +2,8 @@
 
 from typing import Final
 
-BITS_PER_BYTE: Final = 10
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
+
 #: Sync write of goals; sync read of ten bytes, a frame each; one health read a cycle.
 _WRITE, _WRITE_EACH = 14, 5
 _ASK, _ASK_EACH, _ANSWER_EACH = 14, 1, 21

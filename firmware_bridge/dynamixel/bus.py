@@ -7,12 +7,13 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.handshake import identify_all
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
 from firmware_bridge.dynamixel.soft_start import SoftStart
-from firmware_bridge.dynamixel.state_cache import Knowledge
+from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.torque import TorqueSwitch
 from firmware_bridge.dynamixel.watchdog import Watchdogs
 from firmware_bridge.dynamixel.wire import codec
@@ -73,14 +74,14 @@ class DynamixelBus:
         self._watchdogs = Watchdogs(self._ids, watchdog_s)
         self._strict = strict
         self._mounting = Mounting(servos)
-        self._known = Knowledge(servos)
+        self._cache = ServoStateCache(servos)
         self._soft_start = SoftStart(servos)
         self._goal_write = GoalWrite(self._ids, _GOAL)
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
         self._whole = SpanGroup(self._ids, _GOAL, _MOTION_SIZE)
         self._holding = SpanGroup(self._ids, _TORQUE, 1)
         self._torque = TorqueSwitch(
-            servos, self._known, self._mounting, self._soft_start, self._watchdogs
+            servos, self._cache, self._mounting, self._soft_start, self._watchdogs
         )
         self._turn = 0
         self._line: Line | None = None
@@ -88,7 +89,7 @@ class DynamixelBus:
     @property
     def at_full_strength(self) -> bool:
         """Whether every servo with torque on has been told its full speed and current."""
-        return not self._soft_start.soft
+        return not self._soft_start.is_active
 
     @property
     def line(self) -> Line:
@@ -97,27 +98,27 @@ class DynamixelBus:
             raise PortError("the bus is used outside its `with` block, or its port is gone")
         return self._line
 
-    def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
+    def write_positions(self, positions_deg: Array) -> None:
         """Every goal inside its servo's range; NaN is not, nor is what the servo would refuse."""
-        if positions_deg.shape != self._known.goals.shape:
+        if positions_deg.shape != self._cache.goals.shape:
             raise ValueError(
-                f"expected positions of shape {self._known.goals.shape}, got {positions_deg.shape}"
+                f"expected positions of shape {self._cache.goals.shape}, got {positions_deg.shape}"
             )
         line = self.line
         pulses = self._mounting.pulses(positions_deg)
-        taken = (self._known.low <= pulses) & (pulses <= self._known.high)
+        taken = (self._cache.low <= pulses) & (pulses <= self._cache.high)
         n_taken = np.count_nonzero(taken)
         if n_taken == len(taken):
-            self._known.errors = self._known.no_errors
+            self._cache.errors = self._cache.no_errors
             self._watchdogs.keep(line)
-            self._known.goals = pulses
+            self._cache.goals = pulses
             line.tell(self._goal_write.request(pulses))
             return
-        self._known.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
+        self._cache.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
         if not n_taken:
             return
         self._watchdogs.keep(line)
-        self._known.goals = np.where(taken, pulses, self._known.goals)
+        self._cache.goals = np.where(taken, pulses, self._cache.goals)
         blocks = [(self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)]
         line.tell(codec.sync_write(_GOAL, 4, blocks))
 
@@ -128,20 +129,20 @@ class DynamixelBus:
         for status in found:
             n = self._index[status.servo_id]
             goal, place = struct.unpack_from("<i12xi", status.data)
-            self._known.goals[n], self._known.pulses[n] = goal, place
+            self._cache.goals[n], self._cache.pulses[n] = goal, place
         held = self._holding.ask(line)
         for status in held:
-            self._known.torque[self._index[status.servo_id]] = status.data != b"\0"
+            self._cache.torque[self._index[status.servo_id]] = status.data != b"\0"
         now_s = line.transport.clock.now()
-        ages_s = self._known.ages(found, now_s)
+        ages_s = self._cache.ages(found, now_s)
         # A goal counts as read only when it was: whoever arms relies on it.
-        goals = np.where(ages_s > 0.0, np.nan, self._known.goals)
+        goals = np.where(ages_s > 0.0, np.nan, self._cache.goals)
         return Readings(
             time_s=now_s,
-            positions_deg=self._mounting.joint_deg(self._known.pulses),
+            positions_deg=self._mounting.joint_deg(self._cache.pulses),
             goals_deg=self._mounting.joint_deg(goals),
-            torque_on=self._known.torque.copy(),
-            errors=self._known.errors.copy(),
+            torque_on=self._cache.torque.copy(),
+            errors=self._cache.errors.copy(),
             age_s=ages_s,
         )
 
@@ -149,16 +150,16 @@ class DynamixelBus:
         """One question to all; of a silent servo the last answer, with its age."""
         line = self.line
         found = self._note(self._motion.ask(line))
-        self._known.take_motion(found)
+        self._cache.take_motion(found)
         now_s = line.transport.clock.now()
-        ages_s = self._known.ages(found, now_s)
+        ages_s = self._cache.ages(found, now_s)
         if len(found) < len(self._ids):
-            self._known.unanswered += ages_s > 0.0
+            self._cache.unanswered += ages_s > 0.0
         return Feedback(
             time_s=now_s,
-            positions_deg=self._mounting.joint_deg(self._known.pulses),
-            effort=self._known.effort,
-            errors=self._known.errors,
+            positions_deg=self._mounting.joint_deg(self._cache.pulses),
+            effort=self._cache.effort,
+            errors=self._cache.errors,
             age_s=ages_s,
         )
 
@@ -171,22 +172,22 @@ class DynamixelBus:
         if kind == 0:
             status = line.read(servo_id, _TORQUE, _HEALTH_SIZE)
             if status is not None and len(status.data) == _HEALTH_SIZE:
-                self._known.torque[turn] = status.data[0] == 1
-                self._known.hardware[turn] = status.data[_ERROR_AT]
-                self._known.tripped[turn] = status.data[-1] == 0xFF
+                self._cache.torque[turn] = status.data[0] == 1
+                self._cache.hardware[turn] = status.data[_ERROR_AT]
+                self._cache.tripped[turn] = status.data[-1] == 0xFF
                 self._torque.renew_watchdog(line, turn, status.data[-1])
         else:
             status = line.read(servo_id, _WARMTH, 3)
             if status is not None and len(status.data) == 3:
-                self._known.voltage_v[turn] = int.from_bytes(status.data[:2], "little") / 10.0
-                self._known.temperature_degc[turn] = status.data[2]
-                self._known.room_degc[turn] = self._known.hottest[turn] - status.data[2]
+                self._cache.voltage_v[turn] = int.from_bytes(status.data[:2], "little") / 10.0
+                self._cache.temperature_degc[turn] = status.data[2]
+                self._cache.room_degc[turn] = self._cache.hottest[turn] - status.data[2]
         if status is not None:
             self._note([status])
             for group in (self._motion, self._whole, self._holding):
                 group.trust(servo_id)
-        self._soft_start.harden(line)
-        return self._known.health(line.transport.clock.now())
+        self._soft_start.restore_full_limits(line)
+        return self._cache.health(line.transport.clock.now())
 
     def obstacle(self, index: int) -> str:
         """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
@@ -207,7 +208,7 @@ class DynamixelBus:
     def disable_all(self) -> NDArray[np.bool_]:
         """Torque off to everybody three times, then asked of each until it says so."""
         line = self.line
-        self._soft_start.forget()
+        self._soft_start.cancel()
         request = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in self._ids])
         for _ in range(_LIMP_REPEATS):
             line.tell(request)
@@ -217,11 +218,11 @@ class DynamixelBus:
             for status in self._note(self._holding.ask(line)):
                 n = self._index[status.servo_id]
                 confirmed[n] = status.data == b"\0"
-                self._known.torque[n] = not confirmed[n]
+                self._cache.torque[n] = not confirmed[n]
             if confirmed.all():
                 break
             line.tell(request)
-        self._known.enabled &= ~confirmed
+        self._cache.enabled &= ~confirmed
         return confirmed
 
     def remarks(self) -> Sequence[str]:
@@ -236,8 +237,8 @@ class DynamixelBus:
     def reboot(self, index: int) -> None:
         """Restart one servo and forget what was known of it."""
         self.line.reboot(self._ids[index])
-        self._known.hardware[index] = 0
-        self._known.tripped[index] = False
+        self._cache.hardware[index] = 0
+        self._cache.tripped[index] = False
 
     def reopen(self) -> None:
         """A new handle. Raises PortError."""
@@ -253,7 +254,7 @@ class DynamixelBus:
             raise
         for n, answer in enumerate(said):
             if answer is not None:
-                self._known.take_identity(n, answer, line.transport.clock.now())
+                self._cache.take_identity(n, answer, line.transport.clock.now())
         self._begin(line)
         slow = self._adapter_remark()
         self._remarks = () if slow is None else (slow,)
@@ -261,7 +262,7 @@ class DynamixelBus:
 
     def __exit__(self, *exc: object) -> None:
         try:
-            if self._line is not None and self._known.enabled.any():
+            if self._line is not None and self._cache.enabled.any():
                 self.disable_all()
         except PortError:
             pass  # nobody to tell; the servos' own watchdog stops them
@@ -274,7 +275,7 @@ class DynamixelBus:
     def _begin(self, line: Line) -> None:
         """Use this line from now on, with the deadlines that its slowest servo needs."""
         self._line = line
-        line.return_delay_s = float(self._known.return_delay_s.max())
+        line.return_delay_s = float(self._cache.return_delay_s.max())
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
         for group in (self._motion, self._whole, self._holding):
             group.reset()
@@ -288,5 +289,5 @@ class DynamixelBus:
         """Remember who answered, and with what error."""
         now_s = self.line.transport.clock.now()
         self._watchdogs.spoke(now_s)
-        self._known.note(statuses, now_s)
+        self._cache.note(statuses, now_s)
         return statuses

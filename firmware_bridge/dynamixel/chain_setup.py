@@ -35,7 +35,7 @@ class Plan:
     changes: tuple[Difference, ...]
 
 
-def look_around(line: Line, ids: Sequence[int], baud_rate: int) -> Found:
+def find_servos(line: Line, ids: Sequence[int], baud_rate: int) -> Found:
     """Who answers at the face's rate and the factory's; at the others while one of `ids` lacks.
 
     The slowest, which takes four seconds, only while nobody answers.

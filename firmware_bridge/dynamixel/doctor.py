@@ -68,7 +68,7 @@ def examine(
     latency_timer_ms: what the adapter's driver declares; None: it does not tell, so it is measured.
     """
     wanted_rate = line.baud_rate
-    line.patience_s = UNHURRIED_S
+    line.extra_wait_s = UNHURRIED_S
     ids = [servo.joint.servo_id for servo in servos]
     at_rate: dict[int, tuple[int, int]] = {}
     for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.control_table import model_by_number, register
 from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import RETURN_DELAY_UNIT_S
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.transport import Transport
 from firmware_bridge.joints import named
@@ -14,8 +15,8 @@ from firmware_bridge.joints import named
 _FIRST, _LAST = register("id").address, register("shutdown").end
 #: A servo that is there answers one of five questions even on a bad line; waited for longer each
 #: time, for a busy computer may be late with all of them. Nothing moves yet, so there is time.
-_PATIENCE_S = (0.0, 0.0, 0.01, 0.03, 0.1)
-_TRIES = len(_PATIENCE_S)
+_EXTRA_WAITS_S = (0.0, 0.0, 0.01, 0.03, 0.1)
+_TRIES = len(_EXTRA_WAITS_S)
 _SETUP = "run `lipservo setup-servos`"
 _DOCTOR = "`lipservo doctor` shows every difference between the servos and the YAML"
 
@@ -31,17 +32,17 @@ class ServoIdentity:
     @property
     def return_delay_s(self) -> float:
         """How long it waits before it answers."""
-        return self.eeprom["return_delay_time"] * 2e-6
+        return self.eeprom["return_delay_time"] * RETURN_DELAY_UNIT_S
 
 
 def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdentity | None:
     """Ping and read one servo's settings; None when it does not answer so many times."""
     servo_id = servo.joint.servo_id
-    for patience_s in _PATIENCE_S[:tries]:
-        pong = line.ping(servo_id, patience_s)
+    for extra_wait_s in _EXTRA_WAITS_S[:tries]:
+        pong = line.ping(servo_id, extra_wait_s)
         if pong is None or len(pong.data) != 3:
             continue
-        answer = line.read(servo_id, _FIRST, _LAST - _FIRST, patience_s)
+        answer = line.read(servo_id, _FIRST, _LAST - _FIRST, extra_wait_s)
         if answer is None or len(answer.data) != _LAST - _FIRST:
             continue
         eeprom = {

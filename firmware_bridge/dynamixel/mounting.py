@@ -2,20 +2,13 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import ServoModel
+from firmware_bridge.dynamixel.units import CENTER_PULSE, PULSES_PER_DEG
 from firmware_bridge.joints import Joint
-
-#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#goal-position116
-PULSES_PER_TURN: Final = 4096
-CENTER_PULSE: Final = 2048
-_PULSES_PER_DEG: Final = PULSES_PER_TURN / 360.0
-#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-velocity112 : 0.229 rev/min
-VELOCITY_UNIT_DEG_S: Final = 0.229 * 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,9 +42,7 @@ class MountedServo:
 
     def pulse(self, joint_deg: float) -> int:
         """The position register's value for a joint angle."""
-        return round(
-            CENTER_PULSE + self.sign * (joint_deg + self.zero_offset_deg) * _PULSES_PER_DEG
-        )
+        return round(CENTER_PULSE + self.sign * (joint_deg + self.zero_offset_deg) * PULSES_PER_DEG)
 
     def pulse_range(self) -> tuple[int, int]:
         """The joint's soft limits in pulses, the smaller first."""
@@ -63,15 +54,15 @@ class Mounting:
     """All servos of a face at once. Arrays are (n_servos,)."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
-        self._scale = np.array([servo.sign * _PULSES_PER_DEG for servo in servos])
+        self._scale = np.array([servo.sign * PULSES_PER_DEG for servo in servos])
         offset = np.array([servo.zero_offset_deg for servo in servos])
         self._zero = CENTER_PULSE + offset * self._scale
 
-    def pulses(self, joint_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pulses(self, joint_deg: Array) -> Array:
         """Whole pulses, as floats: what is not finite stays so."""
         return np.asarray(np.rint(self._zero + joint_deg * self._scale))
 
-    def joint_deg(self, pulses: NDArray[np.float64]) -> NDArray[np.float64]:
+    def joint_deg(self, pulses: Array) -> Array:
         """Joint degrees; NaN stays NaN."""
         return np.asarray((pulses - self._zero) / self._scale)
 

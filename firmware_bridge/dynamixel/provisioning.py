@@ -9,18 +9,17 @@ from typing import Final
 
 from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import PULSES_PER_DEG, PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG
 
-#: The servo's own limits lie this far outside the joint's, so that a joint pushed past its limit by
-#: hand can be held where it is; as in `firmware_bridge.simulator.bus`.
-LIMIT_MARGIN_DEG: Final = 5.0
 #: Rates worth trying, the likely ones first: asked for, factory, usual ones.
 SCANNED_RATES: Final = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)
 #: Not in the manual; generous.
 _EEPROM_WRITE_S: Final = 0.05
 _TRIES: Final = 3
-#: An answer that comes this late is still waited for; who sets up or examines is in no hurry.
+#: An answer that comes this late is still waited for, outside the loop: setting up, examining.
 UNHURRIED_S: Final = 0.06
 #: What changes how a servo is spoken to is written last, in this order.
 _LAST: Final = {"id": 1, "baud_rate": 2}
@@ -42,7 +41,7 @@ class Difference:
 def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
     """EEPROM values by register name for a servo in its place."""
     low, high = servo.pulse_range()
-    margin = round(LIMIT_MARGIN_DEG * PULSES_PER_TURN / 360.0)
+    margin = round(SERVO_LIMIT_MARGIN_DEG * PULSES_PER_DEG)
     code = next(code for code, rate in baud_rates().items() if rate == baud_rate)
     cap = servo.current_cap
     return {

@@ -7,14 +7,16 @@ from typing import Final
 import numpy as np
 
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.mounting import VELOCITY_UNIT_DEG_S, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import VELOCITY_UNIT_DEG_S
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.verified_write import write_verified
 
 _PROFILE: Final = register("profile_acceleration").address
 _CURRENT: Final = register("goal_current").address
-#: Newly woken servos go no faster, and those with a current cap pull no harder, for a while.
+#: A servo whose torque has just come on goes no faster, and pulls no harder where it has a current
+#: cap, for a while.
 _SOFT_DEG_S: Final = 60.0
 _SOFT_STRENGTH: Final = 0.3
 SOFT_FOR_S: Final = 1.0
@@ -27,7 +29,7 @@ _REPEAT_S: Final = 0.1
 
 
 class SoftStart:
-    """Knows which servos are still soft, and hardens them when their time has come."""
+    """Knows which servos are still limited, and lifts the limits when their time has come."""
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
         self._servos = tuple(servos)
@@ -35,11 +37,11 @@ class SoftStart:
         self._n_left = np.zeros(len(servos), dtype=np.int8)
 
     @property
-    def soft(self) -> bool:
+    def is_active(self) -> bool:
         """Whether any servo has yet to be told of its full strength."""
         return bool(self._n_left.any())
 
-    def soften(self, line: Line, index: int) -> bool:
+    def apply_soft_limits(self, line: Line, index: int) -> bool:
         """Before torque comes on: slow, weak where there is a cap; whether it confirmed."""
         servo = self._servos[index]
         servo_id, cap = servo.joint.servo_id, servo.current_cap
@@ -50,18 +52,18 @@ class SoftStart:
             wanted.append((_CURRENT, struct.pack("<h", weak)))
         return all(write_verified(line, servo_id, *each) for each in wanted)
 
-    def began(self, index: int, now_s: float) -> None:
+    def note_torque_on(self, index: int, now_s: float) -> None:
         """Torque came on now."""
         self._due_s[index] = now_s + SOFT_FOR_S
         self._n_left[index] = _REPEATS
 
-    def forget(self) -> None:
+    def cancel(self) -> None:
         """Torque is off everywhere."""
         self._due_s[:] = np.inf
         self._n_left[:] = 0
 
-    def harden(self, line: Line) -> None:
-        """Full speed and strength for those woken a while ago; called again and again."""
+    def restore_full_limits(self, line: Line) -> None:
+        """Full speed and strength a second after torque came on; call it again and again."""
         if not np.count_nonzero(self._n_left):
             return
         now_s = line.transport.clock.now()

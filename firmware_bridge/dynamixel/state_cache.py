@@ -3,10 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.handshake import ServoIdentity
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.codec import Status
 from firmware_bridge.dynamixel.wire.line import FACTORY_RETURN_DELAY_S
 from firmware_bridge.dynamixel.wire.prepared_packets import CommonFrame
@@ -20,13 +21,13 @@ _MOTION_BLOCK = CommonFrame.block_of(_MOTION)
 _ROOM_DEGC = 45.0
 
 
-class Knowledge:
-    """The last word of every servo. Every array is (n_servos,), in the face's order.
+class ServoStateCache:
+    """What every servo said last. Every array is (n_servos,), in the face's order.
 
     pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
     low, high: the servo's own limits in pulses; heard_s: when it answered last;
-    enabled: torque was switched on by us and not confirmed off since. errors and effort are given
-    away without a copy, so they are replaced and never written into.
+    enabled: torque was switched on by us and not confirmed off since. errors and effort are handed
+    out without a copy, so they are replaced and never written into.
     """
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
@@ -64,7 +65,7 @@ class Knowledge:
         self.unanswered = np.zeros(n, dtype=np.int64)
 
     def take_identity(self, index: int, said: ServoIdentity, now_s: float) -> None:
-        """Its own limits and manners, as its EEPROM says."""
+        """Its own limits and return delay, as its EEPROM says."""
         self.low[index] = said.eeprom["min_position_limit"]
         self.high[index] = said.eeprom["max_position_limit"]
         self.hottest[index] = said.eeprom["temperature_limit"]
@@ -99,7 +100,7 @@ class Knowledge:
         self.effort = self.effort.copy()
         self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
 
-    def ages(self, found: Sequence[Status], now_s: float) -> NDArray[np.float64]:
+    def ages(self, found: Sequence[Status], now_s: float) -> Array:
         """How old each servo's part of a reading is; 0 for those just found."""
         if isinstance(found, CommonFrame) and found.ids == self._ids:
             return np.zeros(len(self._ids))

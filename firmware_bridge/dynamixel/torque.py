@@ -8,7 +8,7 @@ from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.handshake import identify, mismatches
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
 from firmware_bridge.dynamixel.soft_start import SoftStart
-from firmware_bridge.dynamixel.state_cache import Knowledge
+from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.watchdog import Watchdogs
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.verified_write import write_verified
@@ -27,13 +27,13 @@ class TorqueSwitch:
     def __init__(
         self,
         servos: Sequence[MountedServo],
-        known: Knowledge,
+        cache: ServoStateCache,
         mounting: Mounting,
         soft_start: SoftStart,
         watchdogs: Watchdogs,
     ) -> None:
         self._servos = tuple(servos)
-        self._known = known
+        self._cache = cache
         self._mounting = mounting
         self._soft_start = soft_start
         self._watchdogs = watchdogs
@@ -44,7 +44,7 @@ class TorqueSwitch:
 
     def enable(self, line: Line, index: int) -> str:
         """Let it hold where it stands; why it does not, empty: it confirmed."""
-        known, servo_id = self._known, self._servos[index].joint.servo_id
+        cache, servo_id = self._cache, self._servos[index].joint.servo_id
         obstacle, place = self._place_to_hold(line, index)
         if obstacle:
             return obstacle
@@ -53,51 +53,51 @@ class TorqueSwitch:
             return "does not take its bus watchdog"
         if not write_verified(line, servo_id, _GOAL, struct.pack("<i", place)):
             return "does not take the place where it stands as its goal"
-        known.goals[index] = known.pulses[index] = place
-        known.tripped[index] = False
-        if not self._soft_start.soften(line, index):
+        cache.goals[index] = cache.pulses[index] = place
+        cache.tripped[index] = False
+        if not self._soft_start.apply_soft_limits(line, index):
             return "does not take its slow start"
-        known.enabled[index] = True
+        cache.enabled[index] = True
         if not write_verified(line, servo_id, _TORQUE, b"\1"):
             self.disable(line, index)
             return "does not switch its torque on"
-        known.torque[index] = True
+        cache.torque[index] = True
         now_s = line.transport.clock.now()
-        self._soft_start.began(index, now_s)
+        self._soft_start.note_torque_on(index, now_s)
         self._watchdogs.spoke(now_s)
         line.transport.clock.sleep_until(now_s + _STAGGER_S)
         return ""
 
     def keep(self, line: Line, index: int) -> bool:
         """Whether a servo that holds goes on holding where it stands; switches nothing on."""
-        known, servo_id = self._known, self._servos[index].joint.servo_id
+        cache, servo_id = self._cache, self._servos[index].joint.servo_id
         torque = line.read(servo_id, _TORQUE, 1)
         if torque is None or torque.data != b"\1":
             return False
-        known.enabled[index] = known.torque[index] = True
+        cache.enabled[index] = cache.torque[index] = True
         place = self._place(line, servo_id)
         if place is None or not self._watchdogs.start(line, servo_id):
             return False
-        known.goals[index] = known.pulses[index] = place
-        known.tripped[index] = False
+        cache.goals[index] = cache.pulses[index] = place
+        cache.tripped[index] = False
         return write_verified(line, servo_id, _GOAL, struct.pack("<i", place))
 
     def disable(self, line: Line, index: int) -> bool:
         """Torque off; whether it was read back."""
         limp = write_verified(line, self._servos[index].joint.servo_id, _TORQUE, b"\0")
         if limp:
-            self._known.torque[index] = self._known.enabled[index] = False
+            self._cache.torque[index] = self._cache.enabled[index] = False
         return limp
 
     def renew_watchdog(self, line: Line, index: int, found: int) -> None:
         """A watchdog that is off while torque is on protects nobody: set it again."""
         tripped, wanted = 0xFF, self._watchdogs.setting
-        if self._known.enabled[index] and found not in (wanted, tripped):
+        if self._cache.enabled[index] and found not in (wanted, tripped):
             self._watchdogs.start(line, self._servos[index].joint.servo_id)
 
     def _place_to_hold(self, line: Line, index: int) -> tuple[str, int]:
         """What is in the way, or nothing and the place in pulses."""
-        servo, known = self._servos[index], self._known
+        servo, cache = self._servos[index], self._cache
         servo_id = servo.joint.servo_id
         said = identify(line, servo, tries=_TRIES)
         if said is None:
@@ -105,13 +105,13 @@ class TorqueSwitch:
         wrong = mismatches(servo, said)
         if wrong:
             return "; ".join(wrong), 0
-        known.take_identity(index, said, line.transport.clock.now())
-        line.return_delay_s = float(known.return_delay_s.max())
+        cache.take_identity(index, said, line.transport.clock.now())
+        line.return_delay_s = float(cache.return_delay_s.max())
         line.write(servo_id, _LEVEL, b"\2")
         place = self._place(line, servo_id)
         if place is None:
             return "does not say where it stands", 0
-        low, high = int(known.low[index]), int(known.high[index])
+        low, high = int(cache.low[index]), int(cache.high[index])
         if low <= place <= high:
             return "", place
         here_deg, *ends_deg = (self._mounting.one_deg(index, each) for each in (place, low, high))

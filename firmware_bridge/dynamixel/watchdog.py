@@ -6,23 +6,22 @@ from typing import Final
 import numpy as np
 
 from firmware_bridge.dynamixel.control_table import register
+from firmware_bridge.dynamixel.units import WATCHDOG_UNIT_S
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.verified_write import write_verified
 
 _ADDRESS: Final = register("bus_watchdog").address
-#: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#bus-watchdog98
-_UNIT_S: Final = 0.020
 _LONGEST: Final = 127
 
 
 class Watchdogs:
     """Sets the watchdogs of all servos, and notices when our own silence may have tripped them."""
 
-    def __init__(self, ids: Sequence[int], patience_s: float) -> None:
-        """patience_s: how long servos go on without hearing anything; 0 = for ever."""
+    def __init__(self, ids: Sequence[int], timeout_s: float) -> None:
+        """timeout_s: how long servos go on without hearing anything; 0 = for ever."""
         self._ids = tuple(ids)
-        self._setting = min(_LONGEST, int(np.ceil(patience_s / _UNIT_S - 1e-9)))
+        self._setting = min(_LONGEST, int(np.ceil(timeout_s / WATCHDOG_UNIT_S - 1e-9)))
         self._spoke_s = 0.0
         self._lapsed = False
 
@@ -45,7 +44,7 @@ class Watchdogs:
     def spoke(self, now_s: float) -> None:
         """The servos hear us now; whether they heard us in time before is remembered."""
         silence_s = now_s - self._spoke_s
-        self._lapsed |= 0 < self._setting * _UNIT_S <= silence_s
+        self._lapsed |= 0 < self._setting * WATCHDOG_UNIT_S <= silence_s
         self._spoke_s = now_s
 
     def keep(self, line: Line) -> None:

@@ -1,9 +1,8 @@
 """Speeds that can be braked in time, on a grid of steps."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from firmware_bridge.arrays import Array
 
 
 def braking_speed(distance_deg: Array, deceleration_deg_s2: Array, step_s: float) -> Array:

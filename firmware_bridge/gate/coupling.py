@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from firmware_bridge.arrays import Array
 
 _SAME_DEG = 1e-9
 
@@ -30,9 +31,7 @@ class Prevention:
         self._parts = [factors != 0.0 for factors in self._factors]
         self._above = [rule.above for rule in rules]
 
-    def cut(
-        self, from_deg: NDArray[np.float64], to_deg: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def cut(self, from_deg: Array, to_deg: Array) -> Array:
         """The goals to go to instead of `to_deg`, (n_joints,) all.
 
         All joints of a rule stop at the same share of their step. Cutting for one rule may undo

@@ -1,4 +1,4 @@
-"""The last gate before the servos, which trusts nobody: range, speed, finiteness, staleness.
+"""The last gate before the servos; it trusts no input: range, speed, finiteness, staleness.
 
 Nothing here knows what a good motion is. A wrong one comes out slow, inside the
 limits, and counted.
@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.gate.braking import AccelerationLimit
 from firmware_bridge.gate.coupling import Prevention, PreventRule
 from firmware_bridge.joints import Joint
@@ -28,7 +29,7 @@ _STALL_PERIODS = 2.0 + 1e-6
 class Limited:
     """What the gate let through, and where it stepped in. Every array is (n_joints,)."""
 
-    positions_deg: NDArray[np.float64]
+    positions_deg: Array
     range_hits: NDArray[np.bool_]
     rate_hits: NDArray[np.bool_]
     rejected: NDArray[np.bool_]
@@ -48,8 +49,8 @@ class GateCounts:
 class Limiter:
     """Keeps every goal finite, in range, within reach of the last one sent, and out of harm.
 
-    `period_s` is the loop's nominal period. Start it where the joints stand; a joint that starts
-    outside its range is led back into it no faster than it may move.
+    `period_s` is the loop's nominal period. Start it where the joints stand; a goal outside
+    its joint's range is clamped to the range, and reached no faster than the joint may move.
     """
 
     def __init__(
@@ -66,14 +67,14 @@ class Limiter:
         self._rate_hits = np.zeros(n_joints, dtype=np.int64)
         self._rejected = np.zeros(n_joints, dtype=np.int64)
         self._prevented = np.zeros(n_joints, dtype=np.int64)
-        self._nobody = np.zeros(n_joints, dtype=np.bool_)
-        self._nobody.flags.writeable = False  # handed out again and again
+        self._no_joint = np.zeros(n_joints, dtype=np.bool_)
+        self._no_joint.flags.writeable = False  # handed out again and again
         accelerations = np.array([joint.max_acceleration_deg_s2 for joint in joints])
         self._acceleration = AccelerationLimit(accelerations, self._max_speed_deg_s)
         self._prevention = Prevention(prevent, n_joints)
 
     @property
-    def sent_deg(self) -> NDArray[np.float64]:
+    def sent_deg(self) -> Array:
         """The goals let through last, (n_joints,)."""
         return self._sent_deg
 
@@ -92,7 +93,7 @@ class Limiter:
             self._prevented.copy(),
         )
 
-    def start_from(self, positions_deg: NDArray[np.float64], time_s: float) -> None:
+    def start_from(self, positions_deg: Array, time_s: float) -> None:
         """Take the joints' present positions, (n_joints,), as sent.
 
         Raises ValueError unless they are finite.
@@ -103,7 +104,7 @@ class Limiter:
         self._sent_at_s = time_s
         self._acceleration.rest_at(positions_deg)
 
-    def follow(self, joints: NDArray[np.bool_], positions_deg: NDArray[np.float64]) -> None:
+    def follow(self, joints: NDArray[np.bool_], positions_deg: Array) -> None:
         """Take as sent where some joints stand that get no goals; what is not known stays.
 
         joints: which, (n_joints,); positions_deg: (n_joints,), NaN = not known. So the rules
@@ -122,7 +123,7 @@ class Limiter:
         self._sent_deg[index] = position_deg
         self._acceleration.rest_one(index, position_deg)
 
-    def apply(self, positions_deg: NDArray[np.float64], time_s: float) -> Limited:
+    def apply(self, positions_deg: Array, time_s: float) -> Limited:
         """Choose the goals to send at `time_s` when `positions_deg` is wanted.
 
         Not finite: the joint stays at its last goal; a wrong shape makes every joint stay.
@@ -131,10 +132,10 @@ class Limiter:
         which a step is cut short, whatever that does to its acceleration.
         Never raises: on the live path a held mouth is better than a stopped loop.
         """
-        before_deg, nobody = self._sent_deg, self._nobody
-        wanted_deg, rejected = positions_deg, nobody
+        before_deg, no_joint = self._sent_deg, self._no_joint
+        wanted_deg, rejected = positions_deg, no_joint
         if positions_deg.shape != before_deg.shape:
-            wanted_deg, rejected = before_deg, ~nobody
+            wanted_deg, rejected = before_deg, ~no_joint
         elif np.count_nonzero(finite := np.isfinite(positions_deg)) < len(finite):
             wanted_deg, rejected = np.where(finite, positions_deg, before_deg), ~finite
         in_range_deg = _clip(wanted_deg, self._min_deg, self._max_deg)
@@ -155,13 +156,18 @@ class Limiter:
             range_hits=_differ(in_range_deg, wanted_deg),
             rate_hits=_differ(reached_deg, in_range_deg),
             rejected=rejected,
-            prevented=nobody if sent_deg is reached_deg else _differ(sent_deg, reached_deg),
+            prevented=no_joint if sent_deg is reached_deg else _differ(sent_deg, reached_deg),
         )
         self._count(limited)
         self._sent_deg = sent_deg
         # Never back in time: arming takes longer than the tick it happens in.
         self._sent_at_s = max(self._sent_at_s, time_s)
         return limited
+
+    def unchanged(self) -> Limited:
+        """The last goals, for a tick in which nobody gets new ones; no limit is hit."""
+        none = self._no_joint
+        return Limited(self._sent_deg, none, none, none, none)
 
     def _count(self, limited: Limited) -> None:
         """Nearly always there is nothing to count, and looking costs less than adding."""
@@ -171,19 +177,17 @@ class Limiter:
             (limited.rejected, self._rejected),
             (limited.prevented, self._prevented),
         ):
-            if hits is not self._nobody and np.count_nonzero(hits):
+            if hits is not self._no_joint and np.count_nonzero(hits):
                 total += hits
 
 
-def _clip(
-    values: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _clip(values: Array, low: Array, high: Array) -> Array:
     """As np.clip, in a quarter of its time for a face full of joints."""
     clipped = np.maximum(values, low)
     return np.minimum(clipped, high, out=clipped)
 
 
-def _differ(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _differ(a: Array, b: Array) -> NDArray[np.bool_]:
     """Where two goals are not the same."""
     difference = a - b
     return np.abs(difference, out=difference) > _SAME_DEG

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.health import Feedback
 from firmware_bridge.joints import Joint
 
@@ -72,19 +73,19 @@ class TrackingMonitor:
     def __init__(self, joints: Sequence[Joint], rule: TrackingRule) -> None:
         self._rule = rule
         self._allowed_deg = np.array([rule.allowed_deg(joint) for joint in joints])
-        self._well_s: NDArray[np.float64] = np.zeros(len(joints))
+        self._within_s: Array = np.zeros(len(joints))
         self._travel = _Travel(len(joints))
-        self.error_deg: NDArray[np.float64] = np.zeros(len(joints))
+        self.error_deg: Array = np.zeros(len(joints))
 
     @property
     def rule(self) -> TrackingRule:
         """What is allowed."""
         return self._rule
 
-    def excuse(self, index: int, until_s: float) -> None:
-        """One servo need not follow until then: newly woken ones are slow on purpose."""
-        self._well_s[index] = until_s
-        self._travel.excuse(index, until_s)
+    def suspend_until(self, index: int, until_s: float) -> None:
+        """One servo need not follow until then: torque that has just come on is slow on purpose."""
+        self._within_s[index] = until_s
+        self._travel.suspend_until(index, until_s)
 
     def reason(self, index: int) -> str:
         """Why a servo is behind, in words for a log."""
@@ -94,11 +95,11 @@ class TrackingMonitor:
             return f"does not follow, {off_deg:.0f} deg off for {after_s:g} s: jammed or weak"
         asked_deg, made_deg = self._travel.travelled_deg[:, index]
         return (
-            f"does not move: its goals travelled {asked_deg:.0f} deg of late, "
+            f"does not move: its goals travelled {asked_deg:.0f} deg lately, "
             f"it {made_deg:.0f}: jammed or weak"
         )
 
-    def behind(self, sent_deg: NDArray[np.float64], feedback: Feedback) -> NDArray[np.bool_]:
+    def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
         """Which servos have not followed for too long, (n_servos,)."""
         heard = feedback.age_s == 0.0
         all_heard = np.count_nonzero(heard) == len(heard)  # twice as quick as all()
@@ -108,15 +109,15 @@ class TrackingMonitor:
         doubtful = self.error_deg > self._allowed_deg
         doubtful |= self._travel.still
         if not np.count_nonzero(doubtful):  # nearly always so
-            np.maximum(self._well_s, feedback.time_s, out=self._well_s)
+            np.maximum(self._within_s, feedback.time_s, out=self._within_s)
             return doubtful
-        well_s = np.maximum(self._well_s, feedback.time_s)
-        self._well_s = np.where(doubtful, self._well_s, well_s)
-        return feedback.time_s - self._well_s > self._rule.after_s
+        within_s = np.maximum(self._within_s, feedback.time_s)
+        self._within_s = np.where(doubtful, self._within_s, within_s)
+        return feedback.time_s - self._within_s > self._rule.after_s
 
 
 class _Travel:
-    """How far goals and encoders have gone of late.
+    """How far goals and encoders have gone lately.
 
     travelled_deg: (2, n_servos), goals and encoders. still: whose goals travel alone, (n_servos,).
     """
@@ -129,20 +130,18 @@ class _Travel:
         self._less_slack_deg = -self._slack_deg
         self._places_deg = np.zeros((2, n))
         self._moved_deg = np.zeros((2, n))
-        self._play_deg = np.zeros((2, n))
-        self._excused_s = np.zeros(n)
+        self._dragged_deg = np.zeros((2, n))
+        self._suspended_until_s = np.zeros(n)
         self._all_count_s = 0.0
         self._time_s = -math.inf
 
-    def excuse(self, index: int, until_s: float) -> None:
+    def suspend_until(self, index: int, until_s: float) -> None:
         """Nothing that one servo does until then counts."""
-        self._excused_s[index] = until_s
+        self._suspended_until_s[index] = until_s
         self._all_count_s = max(self._all_count_s, until_s)
         self.still[index] = False
 
-    def observe(
-        self, sent_deg: NDArray[np.float64], feedback: Feedback, heard: NDArray[np.bool_] | None
-    ) -> None:
+    def observe(self, sent_deg: Array, feedback: Feedback, heard: NDArray[np.bool_] | None) -> None:
         """See one tick; heard: None = everybody.
 
         In place and not in every tick: all of them pay for this.
@@ -151,19 +150,23 @@ class _Travel:
         if elapsed_s < _SAMPLE_S:
             return
         self._time_s = feedback.time_s
-        moved_deg, play_deg, travelled_deg = self._moved_deg, self._play_deg, self.travelled_deg
+        moved_deg, dragged_deg, travelled_deg = (
+            self._moved_deg,
+            self._dragged_deg,
+            self.travelled_deg,
+        )
         moved_deg[0], moved_deg[1] = sent_deg, feedback.positions_deg
         moved_deg -= self._places_deg
         if heard is not None:
             moved_deg[:, ~heard] = 0.0
         # A place is dragged along behind by its slack, as by a loose coupling.
-        np.minimum(moved_deg, self._slack_deg, out=play_deg)
-        np.maximum(play_deg, self._less_slack_deg, out=play_deg)
-        moved_deg -= play_deg
+        np.minimum(moved_deg, self._slack_deg, out=dragged_deg)
+        np.maximum(dragged_deg, self._less_slack_deg, out=dragged_deg)
+        moved_deg -= dragged_deg
         self._places_deg += moved_deg
         travelled_deg += np.abs(moved_deg, out=moved_deg)
         travelled_deg *= math.exp(-elapsed_s / _MEMORY_S)
         if feedback.time_s < self._all_count_s:
-            travelled_deg[:, feedback.time_s < self._excused_s] = 0.0
+            travelled_deg[:, feedback.time_s < self._suspended_until_s] = 0.0
         self.still = self._asked_deg > _ENOUGH_TRAVEL_DEG
         self.still &= self._made_deg < _TRAVEL_SHARE * self._asked_deg

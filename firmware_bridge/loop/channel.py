@@ -6,8 +6,8 @@ from collections import deque
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.targets import ServoTargets
 
 #: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
@@ -59,23 +59,23 @@ class TargetTrack:
         self._shape = (n_servos,)
         self._n_kept = n_kept
         self._times_s: list[float] = []
-        self._positions_deg: list[NDArray[np.float64]] = []
+        self._positions_deg: list[Array] = []
         self._n_rejected = 0
 
     @property
     def n_rejected(self) -> int:
-        """Records left out because they made no sense."""
+        """Records left out because they were invalid."""
         return self._n_rejected
 
     def push(self, records: Iterable[ServoTargets]) -> None:
         """Take records in the order they were published."""
         for record in records:
-            if self._makes_sense(record):
+            if self._is_valid(record):
                 self._keep(record)
             else:
                 self._n_rejected += 1
 
-    def at(self, time_s: float) -> tuple[NDArray[np.float64] | None, float]:
+    def at(self, time_s: float) -> tuple[Array | None, float]:
         """Positions for `time_s`, (n_servos,), and the age of the newest target due by then.
 
         Linear between targets; beyond the newest along its last slope for `MAX_EXTRAPOLATION_S`,
@@ -92,7 +92,7 @@ class TargetTrack:
             return self._positions_deg[0], age_s
         return self._on_line(n_due - 2, time_s - max(0.0, age_s - MAX_EXTRAPOLATION_S)), age_s
 
-    def _makes_sense(self, record: ServoTargets) -> bool:
+    def _is_valid(self, record: ServoTargets) -> bool:
         return (
             record.positions_deg.shape == self._shape
             and math.isfinite(record.time_s)
@@ -106,7 +106,7 @@ class TargetTrack:
         del self._times_s[: -self._n_kept]
         del self._positions_deg[: -self._n_kept]
 
-    def _on_line(self, left: int, time_s: float) -> NDArray[np.float64]:
+    def _on_line(self, left: int, time_s: float) -> Array:
         """Follow the straight line through targets `left` and `left + 1`, at `time_s`."""
         start_s, end_s = self._times_s[left : left + 2]
         start_deg, end_deg = self._positions_deg[left : left + 2]

@@ -3,21 +3,18 @@
 import contextlib
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator
 from types import FrameType
-from typing import Any, Final, Protocol, Self
+from typing import Final, Self
 
 from firmware_bridge.bus import BusError, ServoError
 from firmware_bridge.clock import Clock, ticks
-from firmware_bridge.health import ServoHealth
 from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.report import FaceState
-from firmware_bridge.stopping import StopLevel, StopReport
+from firmware_bridge.stop_signals import PreviousHandlers, install_handler, restore_handlers
+from firmware_bridge.stopping import PORT_WAIT_S, StopLevel, StopReport
 
-#: What a person, a dropped connection, a service manager or a keyboard ends a program with.
-STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-#: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
-_WAIT_FOR_PORT_S: Final = 30.0
 #: The end after a second signal or an error: whoever has not confirmed by then is reported.
 _LAST_TRIES_S: Final = 0.5
 #: A trouble is told when it has lasted so long; a servo that misses one answer is none.
@@ -26,31 +23,8 @@ _HEALTH_EVERY_S: Final = 10.0
 _REMARKS_EVERY_S: Final = 1.0
 
 
-class LetGo(BaseException):
-    """A second signal: whatever the program is doing, the servos are let go now."""
-
-
-class Control(Protocol):
-    """Where stops are asked for: `ControlSocket`."""
-
-    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
-        """The stop that was asked for, if any; never waits."""
-
-    def report_end(self, report: Mapping[str, object]) -> None:
-        """Tell those who asked for a stop how it ended."""
-
-
-class SignsOfLife(Protocol):
-    """What a supervisor hears: `Lifeline`."""
-
-    def beat(self) -> None:
-        """The loop is alive."""
-
-    def stopped(self, level: StopLevel) -> None:
-        """A person asked for a stop."""
-
-    def failed(self, index: int, reason: str) -> None:
-        """A servo was given up for good."""
+class ImmediateStop(BaseException):
+    """A second signal: whatever the program is doing, torque is switched off now."""
 
 
 class LifeCycle:
@@ -58,7 +32,7 @@ class LifeCycle:
 
     ::
 
-        with bus, LifeCycle(bridge, clock, rate_hz=30.0) as life:
+        with bus, LifeCycle(bridge, clock) as life:
             life.start()
             for time_s, late in life.ticks():
                 bridge.tick(time_s, late)
@@ -73,36 +47,30 @@ class LifeCycle:
         self,
         bridge: Bridge,
         clock: Clock,
+        links: LifeCycleLinks | None = None,
         *,
-        rate_hz: float,
-        control: Control | None = None,
-        lifeline: SignsOfLife | None = None,
-        log: Callable[[str], None] = lambda _line: None,
-        status: Callable[[], Mapping[str, object]] = dict,
-        on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None,
         stopped: StopLevel | None = None,
     ) -> None:
-        """log: one line of what happened; must return at once, as must on_health (every 10 s).
+        """stopped: a person's stop that an earlier process of this face was given.
 
-        status: what the control socket answers. stopped: a person's stop that an earlier process
-        of this face was given; FREEZE: what holds is held, and nothing is armed.
+        FREEZE: what holds is held, and nothing is armed.
         """
+        links = links or LifeCycleLinks()
         self._bridge = bridge
         self._clock = clock
-        self._rate_hz = rate_hz
-        self._grid = ticks(clock, rate_hz)
-        self._control = control
-        self._lifeline = lifeline
-        self._log = log
-        self._status = status
-        self._on_health = on_health
+        self._grid = ticks(clock, bridge.rate_hz)
+        self._control = links.control
+        self._lifeline = links.lifeline
+        self._log = links.log
+        self._status = links.status
+        self._on_health = links.on_health
         self._stopped = stopped
         self._n_signals = 0
-        self._letting_go = False
+        self._is_disabling = False
         self._asked: StopLevel | None = None
         self._by_signal = self._bounded = False
         self._give_up_s: float | None = None
-        self._handlers: dict[int, Any] = {}
+        self._previous_handlers: PreviousHandlers = {}
         self._told_up_to = bridge.n_trouble_changes
         self._trouble_since_s: float | None = None
         self._told_trouble = False
@@ -128,7 +96,7 @@ class LifeCycle:
         if self._stopped is StopLevel.FREEZE:
             self._bridge.start_frozen()
         else:
-            self._bridge.start(self._goes_on)
+            self._bridge.start(self._may_continue)
 
     def stop(self, level: StopLevel = StopLevel.SOFT) -> None:
         """The program has come to its end: bring the face to rest; `ticks` goes on until it is."""
@@ -138,45 +106,41 @@ class LifeCycle:
     def ticks(self) -> Iterator[tuple[float, int]]:
         """(time, ticks missed before it) on the grid, until the face is limp after a stop."""
         for time_s, late in self._grid:
-            self._attend(time_s)
+            self._do_tick_duties(time_s)
             if self._bridge.state is FaceState.ENDED or self._port_is_lost(time_s):
                 return
             yield time_s, late
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            for number in STOP_SIGNALS:
-                # Whoever started us may have asked for some to be ignored, as nohup does.
-                if signal.getsignal(number) is not signal.SIG_IGN:
-                    self._handlers[number] = signal.signal(number, self._on_signal)
+            self._previous_handlers = install_handler(self._on_signal, leave_ignored=True)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, _: object
     ) -> bool:
         try:
-            with contextlib.suppress(LetGo):
+            with contextlib.suppress(ImmediateStop):
                 self._end(kind)
             if self._bridge.state is not FaceState.ENDED:
-                self._let_go()
+                self._disable_all()
         finally:
-            self._letting_go = True  # from here on a signal has nothing left to hurry
+            self._is_disabling = True  # from here on a signal has nothing left to hurry
             self.report = self._bridge.stop_report()
             # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
             if self._control is not None and (self.report.complete or self._lifeline is None):
                 self._control.report_end(self.report.as_dict())
             self._log(self.report.text())
-            for number, handler in self._handlers.items():
-                signal.signal(number, handler)
+            restore_handlers(self._previous_handlers)
         if error is not None and not self.report.complete:
             error.add_note(self.report.text())
         if kind is None and self._bridge.failure:
             raise ServoError(self._bridge.failure)
-        return kind is LetGo
+        return kind is ImmediateStop
 
     def _end(self, kind: type[BaseException] | None) -> None:
         """Softly after a normal end or an error elsewhere; not after one of servos or port."""
-        if kind is not None and issubclass(kind, (LetGo, BusError)):
+        if kind is not None and issubclass(kind, (ImmediateStop, BusError)):
             return
         if self._bridge.state is FaceState.STOPPED:
             return  # never started: nothing was switched on
@@ -188,19 +152,19 @@ class LifeCycle:
         for time_s, late in self.ticks():
             self._bridge.tick(time_s, late)
 
-    def _let_go(self) -> None:
+    def _disable_all(self) -> None:
         """Torque off now, with a few more tries for those who do not confirm."""
-        self._letting_go = True
+        self._is_disabling = True
         self._bridge.stop(StopLevel.LIMP)
         until_s, n_signals = self._clock.now() + _LAST_TRIES_S, self._n_signals
         if n_signals > 1 and not self._bridge.plugged:
-            until_s += _WAIT_FOR_PORT_S
+            until_s += PORT_WAIT_S
             self._log(
                 "the port is gone: once it is back, the servos are let go; "
                 "one more signal leaves them as they are"
             )
         # A grid of its own: an exception may have struck inside the other one.
-        for time_s, late in ticks(self._clock, self._rate_hz):
+        for time_s, late in ticks(self._clock, self._bridge.rate_hz):
             if self._bridge.state is FaceState.ENDED or time_s >= until_s:
                 return
             if self._n_signals > n_signals and not self._bridge.plugged:
@@ -213,28 +177,28 @@ class LifeCycle:
         self.stopped_by_person = True
         if self.signal_number is None:
             self.signal_number = number
-        if self._n_signals > 1 and not self._letting_go:
-            self._letting_go = True
-            raise LetGo
+        if self._n_signals > 1 and not self._is_disabling:
+            self._is_disabling = True
+            raise ImmediateStop
 
-    def _goes_on(self) -> bool:
+    def _may_continue(self) -> bool:
         """Between the servos of a start."""
         if self._lifeline is not None:
             self._lifeline.beat()
         if self._asked is None:
-            self._hear_control()
+            self._poll_control()
         return self._asked is None and not self._n_signals
 
-    def _attend(self, time_s: float) -> None:
-        """Signs of life, stops, and what there is to tell."""
+    def _do_tick_duties(self, time_s: float) -> None:
+        """Heartbeats, stops, and what there is to tell."""
         if self._lifeline is not None:
             self._lifeline.beat()
         if self._n_signals and not self._by_signal:
             self._by_signal = True
             self._log(f"stopping: {signal.Signals(self.signal_number or 0).name}")
             self.stop()
-        self._hear_control()
-        self._tell(time_s)
+        self._poll_control()
+        self._log_changes(time_s)
         if self._on_health is not None and time_s >= self._health_due_s:
             self._health_due_s = time_s + _HEALTH_EVERY_S
             self._on_health(self._bridge.servo_health())
@@ -244,7 +208,7 @@ class LifeCycle:
                 self._n_remarks += 1
                 self._log(remark)
 
-    def _hear_control(self) -> None:
+    def _poll_control(self) -> None:
         level = None if self._control is None else self._control.poll(self._status)
         if level is None:
             return
@@ -269,14 +233,14 @@ class LifeCycle:
         if self._bridge.state is not FaceState.LETTING_GO:
             return False
         if self._give_up_s is None:
-            self._give_up_s = time_s + _WAIT_FOR_PORT_S
+            self._give_up_s = time_s + PORT_WAIT_S
             self._log(
                 "the port is gone: once it is back, the servos are let go; "
                 "two more signals leave them as they are"
             )
         return time_s >= self._give_up_s
 
-    def _tell(self, time_s: float) -> None:
+    def _log_changes(self, time_s: float) -> None:
         """Log lines for what changed; texts are made only then."""
         bridge = self._bridge
         if bridge.plugged is not self._was_plugged:

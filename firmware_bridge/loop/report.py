@@ -6,6 +6,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.gate.limits import GateCounts, StaleLevel
 from firmware_bridge.loop.servo_supervision import ServoState
 
@@ -34,8 +35,8 @@ class TickReport:
 
     time_s: float
     late: int
-    wanted_deg: NDArray[np.float64]
-    sent_deg: NDArray[np.float64]
+    wanted_deg: Array
+    sent_deg: Array
     target_age_s: float
     stale: StaleLevel
     torque_on: bool

@@ -1,21 +1,19 @@
-"""All servos of a face behind gate, limiter and supervision: goals out, word back, help for one."""
+"""All servos of a face behind gate, limiter and supervision: goals out, feedback in."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.bus import Readings, ServoBus, ServoError
-from firmware_bridge.gate.coupling import PreventRule
 from firmware_bridge.gate.limits import Limited, Limiter
-from firmware_bridge.gate.tracking import TrackingRule
 from firmware_bridge.health import Feedback, Health, ServoHealth
 from firmware_bridge.joints import Joint, named
-from firmware_bridge.loop.servo_supervision import ServoCare, ServoState
+from firmware_bridge.loop.servo_supervision import ServoState, ServoSupervision
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.loop.torque_gate import TorqueGate
 from firmware_bridge.loop.torque_off import TorqueOff
-
-Array = NDArray[np.float64]
 
 #: So often everybody is asked where they stand before a start; a lost answer is no reason to fail.
 _READS = 5
@@ -32,19 +30,14 @@ class ServoGroup:
         self,
         bus: ServoBus,
         joints: Sequence[Joint],
-        *,
-        period_s: float,
-        tracking: TrackingRule | None,
-        prevent: Sequence[PreventRule],
-        dry_run: bool,
-        given_up: Mapping[int, str] | None,
+        settings: BridgeSettings,
     ) -> None:
         """Arguments as those of `Bridge`."""
         self._bus = bus
         self._joints = tuple(joints)
-        self.limiter = Limiter(self._joints, period_s=period_s, prevent=prevent)
-        self.gate = TorqueGate(bus, joints, dry_run=dry_run, given_up=given_up)
-        self.care = ServoCare(self._joints, tracking, given_up)
+        self.limiter = Limiter(self._joints, settings.period_s, settings.prevent)
+        self.gate = TorqueGate(bus, joints, dry_run=settings.dry_run, given_up=settings.given_up)
+        self.supervision = ServoSupervision(self._joints, settings.tracking, settings.given_up)
         self.torque_off = TorqueOff(self._joints, self.gate)
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         self._scale = np.ones(len(self._joints))
@@ -59,17 +52,25 @@ class ServoGroup:
     @property
     def lost_critical(self) -> str:
         """A critical servo that was given up, and why; empty: none."""
-        lost = self.care.lost_critical
-        return "" if lost is None else f"{named(self._joints[lost])} {self.care.reasons[lost]}"
+        lost = self.supervision.lost_critical
+        return (
+            "" if lost is None else f"{named(self._joints[lost])} {self.supervision.reasons[lost]}"
+        )
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """A line for each servo that is not driven, with the reason."""
+        reasons = zip(self._joints, self.supervision.reasons, strict=True)
+        return tuple(f"{named(joint)} {why}" for joint, why in reasons if why)
 
     def reopen(self) -> None:
         """Open the port again. Raises PortError."""
         self._bus.reopen()
 
-    def let_go(self, time_s: float = 0.0, why: str = "") -> None:
+    def disable_all(self, time_s: float = 0.0, why: str = "") -> None:
         """Switch everybody off; nobody is driven any more."""
         self.torque_off.begin()
-        self.care.lose_all(time_s, why)
+        self.supervision.mark_all_waiting(time_s, why)
 
     def read(self) -> Readings:
         """Where everybody stands, asked again for those who did not answer."""
@@ -80,19 +81,21 @@ class ServoGroup:
             readings = self._bus.read()
         return readings
 
-    def check(self, indices: Sequence[int], goes_on: Callable[[], bool]) -> None:
+    def check(self, indices: Sequence[int], may_continue: Callable[[], bool]) -> None:
         """Raise ServoError that names those who could not hold now, with the reason."""
-        self._refuse([(i, _asked_often(self.gate.obstacle, i)) for i in indices if goes_on()])
+        self._refuse([(i, _asked_often(self.gate.obstacle, i)) for i in indices if may_continue()])
 
-    def enable(self, indices: Sequence[int], time_s: float, goes_on: Callable[[], bool]) -> None:
+    def enable(
+        self, indices: Sequence[int], time_s: float, may_continue: Callable[[], bool]
+    ) -> None:
         """Let these hold where they stand; with an error, or told to stop, nobody does."""
         found = []
         for index in indices:
-            if not goes_on():
-                self.let_go(time_s)
+            if not may_continue():
+                self.disable_all(time_s)
                 return
             why_not = _asked_often(self.gate.enable, index)
-            self.care.tried(index, why_not, time_s)
+            self.supervision.note_attempt(index, why_not, time_s)
             found.append((index, why_not))
         self._refuse(found)
 
@@ -100,10 +103,12 @@ class ServoGroup:
         """For a frozen face: whoever still has torque goes on holding where it stands."""
         for index in range(len(self._joints)):
             kept = self.gate.keep(index)
-            self.care.tried(index, "" if kept else "lost its torque; not again", time_s)
+            self.supervision.note_attempt(
+                index, "" if kept else "lost its torque; not again", time_s
+            )
         self.limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
 
-    def stay(self, time_s: float) -> None:
+    def hold_position(self, time_s: float) -> None:
         """The goals become the places where the servos stand now, or as near as they can stop.
 
         A moving shaft is behind its goal: it may go on to it, but no farther than it moves while it
@@ -114,17 +119,19 @@ class ServoGroup:
         self.limiter.start_from(np.where(heard, near_deg, self.limiter.sent_deg), time_s)
         self._to_stay = ~heard
 
-    def stay_on(self) -> None:
-        """The same, in every tick after it, for those who were not heard then.
+    def stay_on(self, time_s: float) -> Limited:
+        """The goals of a frozen face again; those not heard then stop as soon as they are.
 
         One that came back a moment before is slow, and may have a long way to its goal.
         """
-        if not self._to_stay.any():
-            return
-        heard, near_deg = self._stopping_places()
-        for index in np.flatnonzero(self._to_stay & heard).tolist():
-            self.limiter.start_one(index, float(near_deg[index]))
-        self._to_stay &= ~heard
+        if self._to_stay.any():
+            heard, near_deg = self._stopping_places()
+            for index in np.flatnonzero(self._to_stay & heard).tolist():
+                self.limiter.start_one(index, float(near_deg[index]))
+            self._to_stay &= ~heard
+        limited = self.limiter.unchanged()
+        self.send(limited, time_s)
+        return limited
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
         """Who was heard just now, and where each comes to a stand, given where it goes."""
@@ -136,21 +143,21 @@ class ServoGroup:
     def send(self, limited: Limited, time_s: float) -> None:
         """Goals to those that are driven; then hear how all are, and help one of them."""
         goals_deg = limited.positions_deg
-        limp = None if self.care.all_driven else ~self.care.driven
+        limp = None if self.supervision.all_driven else ~self.supervision.driven
         if limp is None:
             self._bus.write_positions(goals_deg)
         elif not limp.all():
             self._bus.write_positions(np.where(limp, np.nan, goals_deg))
-        feedback, health = self.hear()
-        self._scale = self.care.scale(feedback, health)
-        self.care.follow(goals_deg, feedback)
+        feedback, health = self.poll()
+        self._scale = self.supervision.scale(feedback, health)
+        self.supervision.check_tracking(goals_deg, feedback)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)
-        enabled = self.care.look(health, time_s, self.gate)
+        enabled = self.supervision.act(health, time_s, self.gate)
         if enabled is not None:
             self.limiter.start_one(enabled, float(self._bus.feedback().positions_deg[enabled]))
 
-    def hear(self) -> tuple[Feedback, Health]:
+    def poll(self) -> tuple[Feedback, Health]:
         """Where everybody stands, and what is known of how they are: one was asked just now."""
         feedback = self._bus.feedback()
         self._health = self._bus.look_after()
@@ -169,13 +176,13 @@ class ServoGroup:
             ServoHealth(
                 name=joint.name,
                 servo_id=joint.servo_id,
-                state=ServoState(int(self.care.states[i])).name.lower(),
+                state=ServoState(int(self.supervision.states[i])).name.lower(),
                 temperature_degc=float(known.temperature_degc[i]),
                 load=float(known.effort[i]),
                 voltage_v=float(known.voltage_v[i]),
                 current_ma=float(ma) if np.isfinite(ma := known.current_ma[i]) else None,
                 hardware_errors=int(known.hardware_errors[i]),
-                n_reboots=int(self.care.n_reboots[i]),
+                n_reboots=int(self.supervision.n_reboots[i]),
                 n_unanswered=int(known.n_unanswered[i]),
                 torque_on=bool(known.torque_on[i]),
             )
@@ -185,7 +192,7 @@ class ServoGroup:
     def _refuse(self, found: Sequence[tuple[int, str]]) -> None:
         lines = [f"{named(self._joints[i])} {why}" for i, why in found if why]
         if lines:
-            self.let_go()
+            self.disable_all()
             raise ServoError("\n".join([*lines, "`lipservo doctor` examines every servo"]))
 
 

@@ -1,6 +1,6 @@
-"""Looks after single servos, so that one in trouble does not stop the face.
+"""Supervision of single servos, so that one in trouble does not stop the face.
 
-DRIVEN ──silent, torque lost──▶ WAITING ──answers, wakes──▶ DRIVEN
+DRIVEN ──silent, torque lost──▶ WAITING ──answers, enabled──▶ DRIVEN
    ├──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
    └──does not follow──────────▶ COOLING ──▶ WAITING
                                     └──third time in ten minutes──▶ FAILED, limp for good
@@ -14,6 +14,7 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
 from firmware_bridge.health import Feedback, HardwareError, Health, describe_errors
 from firmware_bridge.joints import Joint
@@ -39,7 +40,7 @@ _LEAST_SCALE: Final = 0.3
 #: Heat is looked at so often: a winding knows nothing faster, and every tick would pay for it. A
 #: little less than the 50 ms meant, so that rounding makes no sixth tick of the fifth.
 _HEAT_EVERY_S: Final = 0.049
-#: A woken servo is slow for a second, then has to catch up.
+#: A servo just enabled is slow for a second, then has to catch up.
 _CATCH_UP_S: Final = 2.0
 
 
@@ -76,7 +77,7 @@ class TorquePort(Protocol):
         """Never again."""
 
 
-class ServoCare:
+class ServoSupervision:
     """One decision a tick, about the servo that needs it most; arrays are (n_servos,).
 
     reasons: why each servo is not driven, in words; empty while it is, or before it was tried.
@@ -107,7 +108,7 @@ class ServoCare:
         self._next = 0
         for index, why in (given_up or {}).items():
             self.states[index] = ServoState.FAILED
-            self._explain(index, why)
+            self._set_reason(index, why)
 
     @property
     def driven(self) -> NDArray[np.bool_]:
@@ -137,24 +138,24 @@ class ServoCare:
         """Whether every servo is driven, or there is a reason why it is not."""
         return all(self.reasons[i] for i in np.flatnonzero(self.states != ServoState.DRIVEN))
 
-    def tried(self, index: int, why_not: str, time_s: float) -> None:
+    def note_attempt(self, index: int, why_not: str, time_s: float) -> None:
         """Note how an attempt to enable a servo went; empty: it holds its place."""
         self.states[index] = ServoState.WAITING if why_not else ServoState.DRIVEN
         self._until_s[index] = time_s + _RETRY_S
         self._behind[index] = False
-        self._tracking.excuse(index, time_s + _CATCH_UP_S)
-        self._explain(index, why_not)
+        self._tracking.suspend_until(index, time_s + _CATCH_UP_S)
+        self._set_reason(index, why_not)
 
-    def lose_all(self, time_s: float, why: str = "") -> None:
+    def mark_all_waiting(self, time_s: float, why: str = "") -> None:
         """Nobody is driven any more: the port is gone, or all were let go."""
         for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
             self._wait(index, time_s, why)
 
-    def follow(self, sent_deg: NDArray[np.float64], feedback: Feedback) -> None:
+    def check_tracking(self, sent_deg: Array, feedback: Feedback) -> None:
         """Compare the goals sent last with where the servos stand."""
         self._behind = self._tracking.behind(sent_deg, feedback)
 
-    def scale(self, feedback: Feedback, health: Health) -> NDArray[np.float64]:
+    def scale(self, feedback: Feedback, health: Health) -> Array:
         """By how much each joint's amplitude shrinks, 0.3..1: heat now, and heat to come."""
         if self._duty_at_s is not None:
             if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
@@ -169,20 +170,20 @@ class ServoCare:
         self._scale = np.minimum(scale, 1.0, out=scale)
         return self._scale
 
-    def look(self, health: Health, time_s: float, port: TorquePort) -> int | None:
+    def act(self, health: Health, time_s: float, port: TorquePort) -> int | None:
         """Act on one servo at most; the index of one that was enabled just now."""
-        if self._all_well(health):
+        if self._all_normal(health):
             return None
         n = len(self.states)
         for k in range(n):
             index = (self._next + k) % n
-            acted, enabled = self._treat(index, health, time_s, port)
+            acted, enabled = self._act_on(index, health, time_s, port)
             if acted:
                 self._next = index + 1
                 return index if enabled else None
         return None
 
-    def _all_well(self, health: Health) -> bool:
+    def _all_normal(self, health: Health) -> bool:
         """Whether every servo is driven and none needs anything, which is nearly always so.
 
         Counted, which is three times as quick as any().
@@ -198,11 +199,11 @@ class ServoCare:
             or not self.all_driven
         )
 
-    def _treat(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
+    def _act_on(self, i: int, health: Health, time_s: float, port: TorquePort) -> tuple[bool, bool]:
         """Whether anything was done, and whether the servo holds now."""
         state = self.states[i]
         if state == ServoState.DRIVEN:
-            return self._check(i, health, time_s, port), False
+            return self._check_driven(i, health, time_s, port), False
         if time_s < self._until_s[i]:
             return False, False
         if state in (ServoState.COOLING, ServoState.FAILED) and health.torque_on[i]:
@@ -214,33 +215,33 @@ class ServoCare:
             return False, False
         if port.refusal(i):
             if health.hardware_errors[i]:  # told although nothing is done about it now
-                self._explain(i, describe_errors(int(health.hardware_errors[i])))
+                self._set_reason(i, describe_errors(int(health.hardware_errors[i])))
             return False, False
         if state == ServoState.COOLING:
-            return self._revive(i, health, time_s, port), False
+            return self._recover(i, health, time_s, port), False
         if state == ServoState.REBOOTING:
             self.states[i] = ServoState.WAITING
         if health.silent_s[i] >= SILENT_S:
-            self._explain(i, self.reasons[i] or "does not answer; check its power and cable")
+            self._set_reason(i, self.reasons[i] or "does not answer; check its power and cable")
             return False, False
         if health.hardware_errors[i]:
-            self._cool(i, time_s)
+            self._begin_cool_down(i, time_s)
             return True, False
         why_not = port.enable(i)
-        self.tried(i, why_not, time_s)
+        self.note_attempt(i, why_not, time_s)
         return True, not why_not
 
-    def _check(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
+    def _check_driven(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
         if health.silent_s[i] >= SILENT_S:
             self._wait(i, time_s, "does not answer")
             return False
         if health.hardware_errors[i] or health.room_degc[i] <= 0.0:
             error = int(health.hardware_errors[i])
-            self._let_go(i, time_s, port, describe_errors(error) if error else "too hot")
+            self._disable(i, time_s, port, describe_errors(error) if error else "too hot")
             return True
         if self._behind[i]:
-            self._let_go(i, time_s, port, self._tracking.reason(i))
-            self._count(i, time_s, port)
+            self._disable(i, time_s, port, self._tracking.reason(i))
+            self._count_failure(i, time_s, port)
             return True
         if health.watchdog_tripped[i]:
             self._wait(i, time_s, "stopped by its watchdog")
@@ -251,33 +252,33 @@ class ServoCare:
     def _wait(self, i: int, time_s: float, why: str) -> None:
         self.states[i] = ServoState.WAITING
         self._until_s[i] = time_s
-        self._explain(i, why)
+        self._set_reason(i, why)
 
-    def _explain(self, i: int, why: str) -> None:
+    def _set_reason(self, i: int, why: str) -> None:
         if self.reasons[i] != why:
             self.reasons[i] = why
             self.n_changes += 1
 
-    def _let_go(self, i: int, time_s: float, port: TorquePort, why: str) -> None:
+    def _disable(self, i: int, time_s: float, port: TorquePort, why: str) -> None:
         port.disable(i)
-        self._explain(i, why)
-        self._cool(i, time_s)
+        self._set_reason(i, why)
+        self._begin_cool_down(i, time_s)
 
-    def _cool(self, i: int, time_s: float) -> None:
+    def _begin_cool_down(self, i: int, time_s: float) -> None:
         self.states[i] = ServoState.COOLING
         self._until_s[i] = time_s + _COOL_DOWN_S
 
-    def _count(self, i: int, time_s: float, port: TorquePort) -> None:
+    def _count_failure(self, i: int, time_s: float, port: TorquePort) -> None:
         """One more time out of three within ten minutes; then it stays limp."""
         past = self._reboots[i]
         if len(past) == _REBOOTS and time_s - past[0] < _REBOOT_WINDOW_S:
             self.states[i] = ServoState.FAILED
-            self._explain(i, f"{self.reasons[i]}, again and again: it stays limp")
+            self._set_reason(i, f"{self.reasons[i]}, again and again: it stays limp")
             port.give_up(i, self.reasons[i])
             return
         past.append(time_s)
 
-    def _revive(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
+    def _recover(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
         if health.room_degc[i] < _ROOM_TO_WORK_DEGC:
             return False
         if not health.hardware_errors[i]:
@@ -288,7 +289,7 @@ class ServoCare:
             and health.silent_s[i] > SILENT_S
         ):
             return False
-        self._count(i, time_s, port)
+        self._count_failure(i, time_s, port)
         if self.states[i] == ServoState.FAILED:
             return False
         self.n_reboots[i] += 1

@@ -15,7 +15,7 @@ class TorqueGate:
     Is it forbidden for the whole face: a dry run, or a stop by a person, which holds until a person
     starts again? Was this servo given up? Does the servo itself, asked now, agree with the YAML?
     (The last is `ServoBus.obstacle`, and every bus asks it again in `enable_torque`.)
-    Start, waking, replug, re-arming and restart all come through `enable`.
+    Start, the end of a silence, replug and restart all come through `enable`.
     """
 
     def __init__(

@@ -5,22 +5,21 @@ from functools import partial
 
 from firmware_bridge.bus import ServoBus, ServoError
 from firmware_bridge.clock import MonotonicClock
-from firmware_bridge.end_report import ENDED_WELL, NOT_AGAIN, UNCONFIRMED
 from firmware_bridge.health import ServoHealth
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
 from firmware_bridge.process.scheduling import run_on_time
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import ExitStatus, StopLevel
 
 
 def run_bridge(
     bus: ServoBus,
     bridge: Bridge,
     *,
-    rate_hz: float,
     control: ControlSocket,
     lifeline: Lifeline,
     stopped: StopLevel | None,
@@ -34,18 +33,9 @@ def run_bridge(
     cannot start.
     """
     if lifeline.closed:
-        return ENDED_WELL  # the supervisor died before it could be noticed
-    life = LifeCycle(
-        bridge,
-        MonotonicClock(),
-        rate_hz=rate_hz,
-        control=control,
-        lifeline=lifeline,
-        log=log,
-        status=partial(face_status, bridge),
-        on_health=on_health,
-        stopped=stopped,
-    )
+        return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
+    links = LifeCycleLinks(control, lifeline, log, partial(face_status, bridge), on_health)
+    life = LifeCycle(bridge, MonotonicClock(), links, stopped=stopped)
     began = False
     try:
         with bus, life:
@@ -60,6 +50,6 @@ def run_bridge(
         if not bridge.failure:
             raise
         log(str(error))
-        return NOT_AGAIN
+        return ExitStatus.CRITICAL_SERVO_FAILED
     assert life.report is not None
-    return ENDED_WELL if life.report.complete else UNCONFIRMED
+    return ExitStatus.ENDED_WELL if life.report.complete else ExitStatus.UNCONFIRMED

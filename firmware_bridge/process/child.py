@@ -10,23 +10,23 @@ from typing import Final
 
 from firmware_bridge.process.lifeline import LifelineWatch, Message, lifeline_pair
 
-#: A watcher that did not look for so long was stopped itself, and cannot blame anybody.
+#: A watcher that did not look for so long was stopped itself: nobody counts as hung.
 _BLIND_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Patience:
-    """How long a process may give no sign of life: while it starts, and once it runs."""
+class HeartbeatTimeouts:
+    """How long a process may give no heartbeat: while it starts, and once it runs."""
 
     start_s: float
     run_s: float
 
 
-class SilenceWatch:
+class HeartbeatMonitor:
     """How long a process has been silent while somebody looked; times are monotonic seconds."""
 
-    def __init__(self, patience: Patience) -> None:
-        self._patience = patience
+    def __init__(self, timeouts: HeartbeatTimeouts) -> None:
+        self._timeouts = timeouts
         self._since_s = self._looked_s = 0.0
 
     def begin(self, now_s: float) -> None:
@@ -39,9 +39,9 @@ class SilenceWatch:
             self._since_s = now_s
         self._looked_s = now_s
         if beat_s is None:
-            return self._since_s + self._patience.start_s
+            return self._since_s + self._timeouts.start_s
         self._since_s = max(self._since_s, beat_s)
-        return self._since_s + self._patience.run_s
+        return self._since_s + self._timeouts.run_s
 
 
 class Child:
@@ -55,7 +55,7 @@ class Child:
         name: str,
         command: Sequence[str],
         inherited: Mapping[str, int],
-        patience: Patience,
+        timeouts: HeartbeatTimeouts,
     ) -> None:
         """`{lifeline}` in a command stands for a descriptor's number; so do inherited's keys."""
         self.name = name
@@ -63,7 +63,7 @@ class Child:
         self._inherited = dict(inherited)
         self._process: subprocess.Popen[bytes] | None = None
         self._watch: LifelineWatch | None = None
-        self._silence = SilenceWatch(patience)
+        self._silence = HeartbeatMonitor(timeouts)
         self._pidfd = -1
 
     @property
@@ -73,7 +73,7 @@ class Child:
 
     @property
     def has_beaten(self) -> bool:
-        """Whether the newest process has given a sign of life."""
+        """Whether the newest process has given a heartbeat."""
         return self._watch is not None and self._watch.beat_s is not None
 
     def filenos(self) -> list[int]:
@@ -127,13 +127,13 @@ class Child:
             with contextlib.suppress(ProcessLookupError):
                 self._process.send_signal(number)
 
-    def end(self, patience_s: float) -> None:
+    def end(self, timeout_s: float) -> None:
         """Ask it to end, wait for it, and kill it when it does not."""
         if self._process is None:
             return
         self.send(signal.SIGTERM)
         try:
-            self._process.wait(patience_s)
+            self._process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             self.send(signal.SIGKILL)
             self._process.wait()

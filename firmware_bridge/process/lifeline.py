@@ -1,4 +1,4 @@
-"""Signs of life of a process, and the few things its supervisor must know even when it dies.
+"""Heartbeats of a process, and the few things its supervisor must know even when it dies.
 
 A socket pair, one end each. Nothing here waits: a supervisor that does not read loses beats, which
 say nothing new, and no more than that.
@@ -102,7 +102,7 @@ class Lifeline:
         self._say(b"R")
 
     def close(self) -> None:
-        """Hang up."""
+        """Close this end."""
         self._end.close()
 
     def _say(self, message: bytes) -> None:
@@ -124,7 +124,7 @@ class Lifeline:
 
 
 class LifelineWatch:
-    """The supervisor's end. beat_s: time of the newest sign of life; None before the first."""
+    """The supervisor's end. beat_s: time of the newest heartbeat; None before the first."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
@@ -157,7 +157,7 @@ class LifelineWatch:
         return messages
 
     def close(self) -> None:
-        """Hang up."""
+        """Close this end."""
         self._end.close()
 
 

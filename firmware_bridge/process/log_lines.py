@@ -44,9 +44,9 @@ class LogLines:
             self._waiting.append(" ".join(line.splitlines()))
             self._is_new.notify()
 
-    def close(self, patience_s: float = 0.5) -> None:
-        """Wait until all is written, and no longer than `patience_s`."""
-        give_up_s = time.monotonic() + patience_s
+    def close(self, timeout_s: float = 0.5) -> None:
+        """Wait until all is written, and no longer than `timeout_s`."""
+        give_up_s = time.monotonic() + timeout_s
         with self._is_new:
             while (self._waiting or self._busy) and (left_s := give_up_s - time.monotonic()) > 0.0:
                 self._is_new.wait(left_s)

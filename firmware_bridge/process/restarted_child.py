@@ -22,7 +22,7 @@ class WatchedChild(Protocol):
 
     @property
     def has_beaten(self) -> bool:
-        """Whether the newest process has given a sign of life."""
+        """Whether the newest process has given a heartbeat."""
 
     def filenos(self) -> list[int]:
         """What becomes readable when it says something or ends."""
@@ -42,7 +42,7 @@ class WatchedChild(Protocol):
     def send(self, number: signal.Signals) -> None:
         """A signal, if it runs."""
 
-    def end(self, patience_s: float) -> None:
+    def end(self, timeout_s: float) -> None:
         """Ask it to end, wait for it, and kill it when it does not."""
 
 
@@ -72,7 +72,7 @@ class RestartedChild:
 
     @property
     def serves(self) -> bool:
-        """Whether it runs, has given a sign of life, and is not being killed."""
+        """Whether it runs, has given a heartbeat, and is not being killed."""
         return self.child.pid is not None and self.child.has_beaten and not self.is_killed
 
     def start(self, arguments: list[str], now_s: float) -> None:
@@ -87,9 +87,9 @@ class RestartedChild:
         return self.child.read()
 
     def kill_if_hung(self, now_s: float) -> None:
-        """Kill it when it has given no sign of life for too long."""
+        """Kill it when it has given no heartbeat for too long."""
         if now_s >= self.child.hung_at_s(now_s):
-            self.kill("hangs: no sign of life from it")
+            self.kill("hangs: no heartbeat from it")
 
     def kill(self, why: str) -> None:
         """Kill it, once."""
@@ -98,7 +98,7 @@ class RestartedChild:
             self._say(f"{self.child.name} {why}; it is killed")
             self.child.send(signal.SIGKILL)
 
-    def mourn(self, status: int, now_s: float) -> None:
+    def note_end(self, status: int, now_s: float) -> None:
         """It ended with this status: note when it may start again."""
         how = f"signal {-status}" if status < 0 else f"status {status}"
         self._say(f"{self.child.name} died ({how})")

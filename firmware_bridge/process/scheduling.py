@@ -1,17 +1,12 @@
-"""What processes of one face owe each other: to die together, and to be on time."""
+"""Processes of one face die together, and run on time."""
 
 import contextlib
 import ctypes
 import gc
 import os
 import signal
-import socket
 from collections.abc import Iterator
-from types import FrameType
-from typing import Final, Self
-
-#: What asks a program to end: Ctrl-C, a service's stop, a closed terminal, Ctrl-backslash.
-STOP_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+from typing import Final
 
 #: linux/prctl.h: the signal that a process gets when its parent dies.
 _PR_SET_PDEATHSIG: Final = 1
@@ -56,43 +51,3 @@ def run_on_time() -> bool:
     except (OSError, AttributeError):
         return False
     return True
-
-
-class StopSignals:
-    """Counts the signals that ask for an end. Use it as a context manager, in the main thread.
-
-    A handler that only counts cannot leave anything half done, wherever it strikes.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self.last = ""  # its name, for a log
-        self._wake, self._woken = socket.socketpair()
-        self._wake.setblocking(False)
-        self._woken.setblocking(False)
-
-    def fileno(self) -> int:
-        """Readable once a signal has come."""
-        return self._woken.fileno()
-
-    def forget_wake_up(self) -> None:
-        """Be readable only at the next signal."""
-        with contextlib.suppress(OSError):
-            while self._woken.recv(64):
-                pass
-
-    def __enter__(self) -> Self:
-        self._previous = {number: signal.signal(number, self._note) for number in STOP_SIGNALS}
-        self._previous_fd = signal.set_wakeup_fd(self._wake.fileno(), warn_on_full_buffer=False)
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        signal.set_wakeup_fd(self._previous_fd)
-        for number, handler in self._previous.items():
-            signal.signal(number, handler)
-        self._wake.close()
-        self._woken.close()
-
-    def _note(self, number: int, _frame: FrameType | None) -> None:
-        self.count += 1
-        self.last = signal.Signals(number).name

@@ -23,7 +23,7 @@ class ServiceNotice:
         self._now_s = now_s
         self._address = os.environ.get("NOTIFY_SOCKET", "")
         self._ready = False
-        self._complained = False
+        self._has_warned = False
         self._alive_s = float("-inf")
 
     def ready(self) -> None:
@@ -51,6 +51,6 @@ class ServiceNotice:
                 notifier.setblocking(False)
                 notifier.sendto(state.encode(), address)
         except (OSError, ValueError) as error:
-            if not self._complained:
-                self._complained = True
+            if not self._has_warned:
+                self._has_warned = True
                 self._say(f"systemd is not told: NOTIFY_SOCKET={self._address}: {error}")

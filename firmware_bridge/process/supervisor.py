@@ -1,6 +1,6 @@
 """Keeps the processes of one face alive, and the face safe while one of them is not.
 
-One loop, one thread, no sleep: it waits for whatever comes first, a sign of life, an end, a
+One loop, one thread, no sleep: it waits for whatever comes first, a heartbeat, an end, a
 request, a signal, a deadline. A stop by a person is kept here, so that it outlives every process.
 
     RUNNING ──dead, or hung and killed──▶ RELEASING ──torque is off──▶ WAITING ──▶ RUNNING
@@ -14,22 +14,20 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Final
 
-from firmware_bridge.end_report import ENDED_WELL, NOT_AGAIN, UNCONFIRMED, EndReport
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.last_resort import TorqueRelease
 from firmware_bridge.process.lifeline import Began, Failed, Ready, Stopped
 from firmware_bridge.process.restarted_child import RestartedChild, WatchedChild
-from firmware_bridge.process.scheduling import StopSignals
 from firmware_bridge.process.service_notice import ServiceNotice
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.process.torque_release import TorqueRelease
+from firmware_bridge.stop_signals import SignalCounter
+from firmware_bridge.stopping import PORT_WAIT_S, ExitStatus, StopLevel, StopReport
 
 #: Easing to neutral takes two seconds at most, limp a few packets more.
 _END_S: Final = 5.0
-#: How long a signal's end waits for a port that is gone, and any end for servos that are silent.
-_PORT_PATIENCE_S: Final = 30.0
-_SERVO_PATIENCE_S: Final = 3.0
+#: How long any end waits for servos that are silent.
+_SERVO_TIMEOUT_S: Final = 3.0
 #: The same for a face that had not come to life: it armed nobody.
-_START_PATIENCE_S: Final = 2.0
+_START_TIMEOUT_S: Final = 2.0
 #: Longer than any recovery takes that gets on: then systemd may try.
 _RECOVERY_S: Final = 60.0
 _LONGEST_WAIT_S: Final = 0.25
@@ -81,9 +79,11 @@ class Supervisor:
         self._failed: dict[int, str] = {}
         self._zero_s: float | None = None
         self._well_s = float("-inf")
-        self.report: EndReport | None = None
+        self.report: StopReport | None = None
+        #: With what the process should end; once there is a report.
+        self.exit_status = int(ExitStatus.ENDED_WELL)
 
-    def run(self, signals: StopSignals) -> EndReport:
+    def run(self, signals: SignalCounter) -> StopReport:
         """Until the face is stopped, or cannot go on. The children are gone afterwards."""
         try:
             while (report := self.step(time.monotonic(), signals.count, signals.last)) is None:
@@ -94,17 +94,17 @@ class Supervisor:
         finally:
             self._speech.child.end(_CHILD_END_S)
             self._bridge.child.end(_END_S)
-        self._control.report_end(report.as_dict())
+        self._control.report_end({"exit_status": self.exit_status, **report.as_dict()})
         return report
 
-    def step(self, now_s: float, n_signals: int = 0, signal_name: str = "") -> EndReport | None:
+    def step(self, now_s: float, n_signals: int = 0, signal_name: str = "") -> StopReport | None:
         """Do all that is due at monotonic `now_s`; the report once the face has ended.
 
         n_signals: how often the process was asked to end so far.
         """
         bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
-        self._hear()
-        self._heed_signals(n_signals, signal_name, now_s)
+        self._read_messages()
+        self._handle_signals(n_signals, signal_name, now_s)
         self._serve_control()
         self._watch_speech(speech_status, now_s)
         self._watch_bridge(bridge_status, now_s)
@@ -136,7 +136,7 @@ class Supervisor:
         control = [] if self._bridge.serves else self._control.filenos()
         return [*self._bridge.child.filenos(), *self._speech.child.filenos(), *control]
 
-    def _hear(self) -> None:
+    def _read_messages(self) -> None:
         for message in self._bridge.read():
             match message:
                 case Stopped(level):
@@ -160,7 +160,7 @@ class Supervisor:
         if self._is_ending and not was_ending:
             self._speech.child.send(signal.SIGTERM)
 
-    def _heed_signals(self, n_signals: int, name: str, now_s: float) -> None:
+    def _handle_signals(self, n_signals: int, name: str, now_s: float) -> None:
         """The first: to rest and limp. The second: limp at once. The third waits for no port."""
         if n_signals == self._n_signals:
             return
@@ -189,7 +189,7 @@ class Supervisor:
         speech = self._speech
         if ended is not None:
             if not self._is_ending:
-                speech.mourn(ended, now_s)
+                speech.note_end(ended, now_s)
         elif speech.child.pid is not None:
             speech.kill_if_hung(now_s)
         elif not self._is_ending and now_s >= speech.due_s:
@@ -219,11 +219,11 @@ class Supervisor:
 
     def _bridge_ended(self, status: int, now_s: float) -> None:
         self._last_status = status
-        if status == ENDED_WELL:
-            self.report = EndReport(ENDED_WELL, tuple(self._servo_names.values()))
+        if status == ExitStatus.ENDED_WELL:
+            self._finish(StopReport(tuple(self._servo_names.values())), status)
             return
-        self._bridge.mourn(status, now_s)
-        if self._stop is StopLevel.FREEZE and status != NOT_AGAIN:
+        self._bridge.note_end(status, now_s)
+        if self._stop is StopLevel.FREEZE and status != ExitStatus.CRITICAL_SERVO_FAILED:
             self._phase = _Phase.WAITING  # what is held stays held
         else:
             self._begin_release(now_s)
@@ -231,11 +231,12 @@ class Supervisor:
     def _may_restart(self) -> bool:
         """A bridge that fails at its first start has said why; trying again would not help."""
         failed_at_start = not self._ran_well and self._last_status > 0
-        return self._last_status not in (NOT_AGAIN, UNCONFIRMED) and not failed_at_start
+        hopeless = (ExitStatus.CRITICAL_SERVO_FAILED, ExitStatus.UNCONFIRMED)
+        return self._last_status not in hopeless and not failed_at_start
 
     def _begin_release(self, now_s: float) -> None:
         self._phase = _Phase.RELEASING
-        self._release = self._make_release(_SERVO_PATIENCE_S if self._is_ending else 0.0)
+        self._release = self._make_release(_SERVO_TIMEOUT_S if self._is_ending else 0.0)
         self._release_s = now_s
 
     def _drop_release(self) -> None:
@@ -255,18 +256,19 @@ class Supervisor:
                 self._say(f"torque cannot be switched off yet: {self._port_error}")
             if now_s >= self._give_up_s():
                 why = dict.fromkeys(self._servo_names.values(), self._port_error)
-                status = UNCONFIRMED if self._is_ending else max(self._last_status, 1)
-                self._finish(EndReport(status, (), why))
+                failed = max(self._last_status, 1)
+                status = ExitStatus.UNCONFIRMED if self._is_ending else failed
+                self._finish(StopReport((), why), status)
 
     def _give_up_s(self) -> float:
         """How long a port that is gone is waited for."""
         if not self._ran_well:
-            return self._release_s + _START_PATIENCE_S
+            return self._release_s + _START_TIMEOUT_S
         if not self._is_ending:
-            return float("inf") if self._may_restart() else self._release_s + _PORT_PATIENCE_S
+            return float("inf") if self._may_restart() else self._release_s + PORT_WAIT_S
         if self._signal_s is None:
             return float("inf")  # who stopped it by the socket can ask how it is, and signal
-        return self._signal_s + (_PORT_PATIENCE_S if self._n_signals <= 2 else 0.0)
+        return self._signal_s + (PORT_WAIT_S if self._n_signals <= 2 else 0.0)
 
     def _released(self, release: TorqueRelease) -> None:
         self._port_error = ""
@@ -274,17 +276,17 @@ class Supervisor:
         names = self._servo_names
         confirmed = tuple(names[each] for each in release.confirmed)
         unconfirmed = {names[each]: why for each, why in release.unconfirmed.items()}
-        status = UNCONFIRMED if unconfirmed else ENDED_WELL
-        if not self._is_ending and self._last_status != UNCONFIRMED:
+        status: int = ExitStatus.UNCONFIRMED if unconfirmed else ExitStatus.ENDED_WELL
+        if not self._is_ending and self._last_status != ExitStatus.UNCONFIRMED:
             status = self._last_status
-        report = EndReport(status, confirmed, unconfirmed)
-        self._say(report.text())
+        report = StopReport(confirmed, unconfirmed)
+        self._say(report.line())
         if self._is_ending or not self._may_restart():
-            self._finish(report)
+            self._finish(report, status)
 
-    def _finish(self, report: EndReport) -> None:
+    def _finish(self, report: StopReport, status: int) -> None:
         self._drop_release()
-        self.report = report
+        self.report, self.exit_status = report, int(status)
 
     def _tell_service(self, now_s: float) -> None:
         """Alive: the bridge's loop is, or its recovery gets on, or waits for a lost port."""

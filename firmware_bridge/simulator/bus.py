@@ -8,19 +8,16 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.clock import Clock
+from firmware_bridge.dynamixel.wire.codec import StatusError
 from firmware_bridge.health import Feedback, Health
-from firmware_bridge.joints import Joint
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 
 #: XL330-M288-T without load at 5 V: 103 rev/min;
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications
 XL330_TOP_SPEED_DEG_S = 618.0
-#: How much farther a servo goes than its joint's limits, so that a joint pushed past them by hand
-#: can still be held where it is. Our choice: a good deal more than any hand moves by accident.
-RANGE_MARGIN_DEG = 5.0
-#: Status error of a goal outside the servo's position limits ("data limit").
-DATA_LIMIT_ERROR = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +25,8 @@ class Motion:
     """The servos at one write: the goals they held after it, and where they stood. (n_servos,)."""
 
     time_s: float
-    goals_deg: NDArray[np.float64]
-    positions_deg: NDArray[np.float64]
+    goals_deg: Array
+    positions_deg: Array
 
 
 class SimulatedBus:
@@ -48,7 +45,7 @@ class SimulatedBus:
         joints: Sequence[Joint],
         clock: Clock,
         *,
-        start_deg: NDArray[np.float64] | None = None,
+        start_deg: Array | None = None,
         top_speed_deg_s: float = XL330_TOP_SPEED_DEG_S,
         n_remembered: int = 20_000,
     ) -> None:
@@ -59,8 +56,8 @@ class SimulatedBus:
         """
         n_servos = len(joints)
         self._clock = clock
-        self._min_deg = np.array([joint.min_deg for joint in joints]) - RANGE_MARGIN_DEG
-        self._max_deg = np.array([joint.max_deg for joint in joints]) + RANGE_MARGIN_DEG
+        self._min_deg = np.array([joint.min_deg for joint in joints]) - SERVO_LIMIT_MARGIN_DEG
+        self._max_deg = np.array([joint.max_deg for joint in joints]) + SERVO_LIMIT_MARGIN_DEG
         self._top_speed_deg_s = top_speed_deg_s
         self._positions_deg = np.zeros(n_servos) if start_deg is None else start_deg.copy()
         self._goals_deg = np.zeros(n_servos)
@@ -75,7 +72,7 @@ class SimulatedBus:
         """The servos at each write, oldest first."""
         return tuple(self._history)
 
-    def write_positions(self, positions_deg: NDArray[np.float64]) -> None:
+    def write_positions(self, positions_deg: Array) -> None:
         """Set every goal that is inside its servo's range; NaN is not."""
         if positions_deg.shape != self._goals_deg.shape:
             raise ValueError(
@@ -84,7 +81,7 @@ class SimulatedBus:
         self._move()
         taken = (self._min_deg <= positions_deg) & (positions_deg <= self._max_deg)
         self._goals_deg = np.where(taken, positions_deg, self._goals_deg)
-        self._errors = np.where(taken, 0, DATA_LIMIT_ERROR).astype(np.uint8)
+        self._errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def read(self) -> Readings:
@@ -110,7 +107,7 @@ class SimulatedBus:
         return ()
 
     def look_after(self) -> Health:
-        """Nothing ever ails these servos."""
+        """These servos are always well."""
         n_servos = len(self._goals_deg)
         nothing = np.zeros(n_servos)
         return Health(
@@ -178,7 +175,7 @@ class SimulatedBus:
         self._torque_on = self._torque_on.copy()
         self._torque_on[index] = on
 
-    def push_by_hand(self, positions_deg: NDArray[np.float64]) -> None:
+    def push_by_hand(self, positions_deg: Array) -> None:
         """Put limp joints somewhere, (n_servos,), as a person would; held ones do not give."""
         self._move()
         self._positions_deg = np.where(self._torque_on, self._positions_deg, positions_deg)

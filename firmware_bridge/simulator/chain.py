@@ -4,18 +4,18 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
-from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator import group_instructions
-from firmware_bridge.simulator.fault_injector import Afflictions
+from firmware_bridge.simulator.fault_injector import FaultInjector
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.group_instructions import SpanWanted
 from firmware_bridge.simulator.motors import Environment, Motors
 from firmware_bridge.simulator.servo import SimulatedServo
-from firmware_bridge.simulator.wire import BITS_PER_BYTE, Wire, WireCounts, WireRules
+from firmware_bridge.simulator.wire import Wire, WireCounts, WireRules
 
 #: Servos answer a broadcast ping one after another, in the order of their ids. The manual does not
 #: say how far apart; the SDK waits for 14 bytes each.
@@ -67,7 +67,7 @@ class SimulatedChain:
         faults = tuple(faults)
         self._wire = Wire(rules or WireRules(), faults, seed)
         self._chain_stops = rules is not None and rules.chain_stops
-        self._afflictions = Afflictions(self.servos, self.motors, faults)
+        self._afflictions = FaultInjector(self.servos, self.motors, faults)
         self._parser = FrameParser()
         self._now_s = -1.0
         self._checked_s = 0.0
@@ -84,7 +84,7 @@ class SimulatedChain:
         return not self._afflictions.unplugged
 
     @property
-    def motion(self) -> Callable[[float, NDArray[np.float64]], None] | None:
+    def motion(self) -> Callable[[float, Array], None] | None:
         """Who is told of every step of the motion: its time, and the shafts' positions, (n,).
 
         Steps are 5 ms. Positions are pulses as `Motors` counts them, which is as present_position
@@ -94,7 +94,7 @@ class SimulatedChain:
         return self.motors.motion
 
     @motion.setter
-    def motion(self, observer: Callable[[float, NDArray[np.float64]], None] | None) -> None:
+    def motion(self, observer: Callable[[float, Array], None] | None) -> None:
         self.motors.motion = observer
 
     def unplug(self) -> None:
@@ -142,7 +142,7 @@ class SimulatedChain:
         for servo in self.servos:
             if servo.holds_at_start:
                 servo.start_up(now_s)
-            trip_s = servo.heard_s + servo.patience_s
+            trip_s = servo.heard_s + servo.watchdog_timeout_s
             if trip_s <= now_s:
                 self.motors.advance(trip_s)
                 servo.trip_watchdog()
@@ -168,17 +168,17 @@ class SimulatedChain:
         """Every servo of this baud rate hears one whole instruction."""
         self.counts.instructions += 1
         self.advance(end_s)
-        awake = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
-        self.counts.unheard += not awake
-        for servo in awake:
+        listening = [s for s in self.servos if s.baud_rate == baud_rate and s.deaf_until_s <= end_s]
+        self.counts.unheard += not listening
+        for servo in listening:
             servo.heard_s = end_s
         self._wire.until_s = end_s
         instruction, parameters = frame.instruction, frame.parameters
         if frame.packet_id != BROADCAST_ID:
-            awake = [each for each in awake if each.servo_id == frame.packet_id]
+            listening = [each for each in listening if each.servo_id == frame.packet_id]
         if instruction in _GROUP_WRITES:
             blocks = _GROUP_WRITES[instruction](parameters)
-            for servo in awake:
+            for servo in listening:
                 block = blocks.get(servo.servo_id)
                 if block is not None:
                     servo.write(block)
@@ -187,33 +187,33 @@ class SimulatedChain:
             wanted = take_apart(parameters)
             if frame.packet_id != BROADCAST_ID:  # nobody else feels addressed
                 wanted = [each for each in wanted if each.servo_id == frame.packet_id]
-            (self._read_together if fast else self._read_in_turn)(awake, wanted, byte_s)
+            (self._read_together if fast else self._read_in_turn)(listening, wanted, byte_s)
         elif frame.packet_id == BROADCAST_ID:
-            self._broadcast(awake, instruction, parameters, byte_s)
+            self._broadcast(listening, instruction, parameters, byte_s)
         else:
-            for servo in awake:
+            for servo in listening:
                 answer = servo.answer(instruction, parameters, end_s)
                 if answer is not None:
                     self._wire.say(servo, frame.packet_id, answer, end_s, byte_s)
 
     def _broadcast(
-        self, awake: list[SimulatedServo], instruction: int, parameters: bytes, byte_s: float
+        self, listening: list[SimulatedServo], instruction: int, parameters: bytes, byte_s: float
     ) -> None:
         """Nobody answers, but to a ping. A reset of everything is ignored, as the manual says."""
         if instruction == Instruction.FACTORY_RESET and parameters[:1] == b"\xff":
             return
         end_s = self._wire.until_s
-        for servo in sorted(awake, key=lambda each: each.servo_id):
+        for servo in sorted(listening, key=lambda each: each.servo_id):
             answer = servo.answer(instruction, parameters, end_s)
             if instruction == Instruction.PING and answer is not None:
                 slot_s = servo.servo_id * _PING_SLOT_BYTES * byte_s
                 self._wire.say(servo, servo.servo_id, answer, end_s + slot_s, byte_s)
 
     def _read_in_turn(
-        self, awake: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
+        self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
         """Each in its turn; a silent servo leaves a gap of its own length, or stops the rest."""
-        by_id = _by_id(awake)
+        by_id = _by_id(listening)
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
             if not answering:
@@ -227,10 +227,10 @@ class SimulatedChain:
                 self._wire.say(servo, servo_id, said, start_s, byte_s)
 
     def _read_together(
-        self, awake: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
+        self, listening: list[SimulatedServo], wanted: list[SpanWanted], byte_s: float
     ) -> None:
         """All in one frame, which ends where somebody is silent."""
-        by_id = _by_id(awake)
+        by_id = _by_id(listening)
         said = []
         for servo_id, address, size in wanted:
             answering = by_id.get(servo_id)
@@ -245,10 +245,10 @@ class SimulatedChain:
             self._wire.say_together(said, missing, self._wire.until_s, byte_s)
 
 
-def _by_id(awake: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
+def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
     """Who answers to which id; more than one when an id was given twice."""
     by_id: dict[int, list[SimulatedServo]] = {}
-    for servo in awake:
+    for servo in listening:
         if servo.answers_reads:
             by_id.setdefault(servo.servo_id, []).append(servo)
     return by_id

@@ -5,6 +5,7 @@ import struct
 from typing import Final
 
 from firmware_bridge.dynamixel.control_table import ServoModel, register
+from firmware_bridge.dynamixel.units import WATCHDOG_UNIT_S
 from firmware_bridge.simulator.memory import RegisterMemory
 from firmware_bridge.simulator.motors import FULL_PWM, Motors
 from firmware_bridge.simulator.profile import VELOCITY_UNIT, Profile
@@ -17,7 +18,6 @@ POSITION, EXTENDED_POSITION, CURRENT_BASED_POSITION = 3, 4, 5
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#homing-offset20
 _LARGEST_OFFSET_IN_ONE_TURN: Final = 1024
 _TURN: Final = 4096
-_WATCHDOG_UNIT_S: Final = 0.020
 _WATCHDOG_TRIPPED: Final = -1
 _DRIVE_MODE, _TORQUE = register("drive_mode").address, register("torque_enable").address
 #: realtime_tick .. present_temperature
@@ -44,7 +44,9 @@ class Drive:
         self.index = index
         self.motors = motors
         self.table = RegisterMemory(model)
-        self.patience_s = math.inf  # silence after which the watchdog trips; infinity while off
+        self.watchdog_timeout_s = (
+            math.inf
+        )  # silence after which the watchdog trips; infinity while off
         self._memory = self.table.bytes
         self._model = model
         self._stall_ma = model.stall_a * 1e3
@@ -97,7 +99,7 @@ class Drive:
         motors.strength[i] = min(pwm, self._share_of_stall())
         motors.free_speed[i] = pwm * motors.no_load[i]
         motors.moving_speed[i] = table["moving_threshold"] * VELOCITY_UNIT
-        self.set_patience()
+        self.set_watchdog_timeout()
         motors.shown_at_s = -1.0
 
     def _share_of_stall(self) -> float:
@@ -137,7 +139,7 @@ class Drive:
         motors, i = self.motors, self.index
         was_on = self.torque_on
         self._memory[_TORQUE] = on
-        self.set_patience()
+        self.set_watchdog_timeout()
         motors.torque_on[i] = on
         motors.shown_at_s = -1.0
         if on and not was_on:
@@ -173,14 +175,14 @@ class Drive:
     def trip_watchdog(self) -> None:
         """Stop where it is; goals are refused until 0 is written. Torque stays on."""
         self.table["bus_watchdog"] = _WATCHDOG_TRIPPED
-        self.set_patience()
+        self.set_watchdog_timeout()
         self.motors.stop(self.index)
 
-    def set_patience(self) -> None:
+    def set_watchdog_timeout(self) -> None:
         """The watchdog counts while torque is on."""
         setting = self.table["bus_watchdog"]
         armed = setting > 0 and self.torque_on
-        self.patience_s = setting * _WATCHDOG_UNIT_S if armed else math.inf
+        self.watchdog_timeout_s = setting * WATCHDOG_UNIT_S if armed else math.inf
 
     def refresh(self, booted_s: float) -> None:
         """Bring the registers of the present up to date."""

@@ -1,4 +1,4 @@
-"""Scripted faults of servos, brought about at their moments and ended when they are over."""
+"""Scripted faults of servos, injected at their moments and ended when they are over."""
 
 import heapq
 import math
@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.dynamixel.units import PULSES_PER_DEG
 from firmware_bridge.simulator.faults import ON_SERVOS, Fault
 from firmware_bridge.simulator.motors import ENCODER_ERROR, SHOCK_ERROR, Motors
-from firmware_bridge.simulator.profile import PULSES_PER_DEG
 from firmware_bridge.simulator.servo import SimulatedServo
 
 
-class Afflictions:
-    """Brings the faults of a script upon the servos of a chain, in order of time."""
+class FaultInjector:
+    """Injects the faults of a script into the servos of a chain, in order of time."""
 
     def __init__(
         self, servos: Sequence[SimulatedServo], motors: Motors, faults: Sequence[Fault]
@@ -96,7 +96,7 @@ class Afflictions:
     def _change_registers(self, servo: SimulatedServo, fault: Fault) -> None:
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind == "torque_lost":
-            servo.let_go()
+            servo.lose_torque()
         elif kind == "id_change":
             servo["id"] = int(fault.amount)
         elif kind == "baud_reset":

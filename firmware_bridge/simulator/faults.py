@@ -112,7 +112,7 @@ class Fault:
             raise ValueError(f"fault {self.kind}: probability {self.probability} is outside 0..1")
 
     def hits(self, index: int, now_s: float, rng: random.Random) -> bool:
-        """Whether it befalls a packet of servo `index` now."""
+        """Whether it hits a packet of servo `index` now."""
         return (
             (not self.servos or index in self.servos)
             and self.from_s <= now_s < self.until_s

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import ServoModel
-from firmware_bridge.simulator.profile import PULSES_PER_DEG, UNBOUNDED, VELOCITY_UNIT, Course
-
-Array = NDArray[np.float64]
+from firmware_bridge.dynamixel.units import PULSES_PER_DEG
+from firmware_bridge.simulator.profile import UNBOUNDED, VELOCITY_UNIT, Course
 
 #: The integration runs on a grid of its own, so that the motion does not depend on who asks when.
 #: Short against any profile; between two points of the grid positions go on in straight lines.

@@ -7,9 +7,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-PULSES_PER_DEG: Final = 4096 / 360.0
+from firmware_bridge.dynamixel.units import PULSES_PER_DEG, VELOCITY_UNIT_DEG_S
+
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108 and the next entry
-VELOCITY_UNIT: Final = 0.229 * 6.0 * PULSES_PER_DEG
+VELOCITY_UNIT: Final = VELOCITY_UNIT_DEG_S * PULSES_PER_DEG
 ACCELERATION_UNIT: Final = 214.577 * 6.0 * PULSES_PER_DEG / 60.0
 #: "Infinite": faster than any motor.
 UNBOUNDED: Final = 1e9

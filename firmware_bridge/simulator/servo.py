@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Final
 
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates, register
+from firmware_bridge.dynamixel.units import RETURN_DELAY_UNIT_S
 from firmware_bridge.dynamixel.wire.codec import ALERT_BIT, Instruction, StatusError
 from firmware_bridge.simulator.drive import SHAPING, Drive
 from firmware_bridge.simulator.motors import Motors
@@ -83,7 +84,7 @@ class SimulatedServo:
     @property
     def return_delay_s(self) -> float:
         """How long it waits before it answers."""
-        return self._memory[9] * 2e-6
+        return self._memory[9] * RETURN_DELAY_UNIT_S
 
     @property
     def torque_on(self) -> bool:
@@ -96,9 +97,9 @@ class SimulatedServo:
         return self._memory[68] >= 1
 
     @property
-    def patience_s(self) -> float:
+    def watchdog_timeout_s(self) -> float:
         """The silence after which its watchdog trips; infinity while that is off."""
-        return self._drive.patience_s
+        return self._drive.watchdog_timeout_s
 
     def stand_at(self, place: float) -> None:
         """Put the shaft where present_position reads `place`; its goal is there, too."""
@@ -108,7 +109,7 @@ class SimulatedServo:
         """Stop where it is; goals are refused until 0 is written. Torque stays on."""
         self._drive.trip_watchdog()
 
-    def let_go(self) -> None:
+    def lose_torque(self) -> None:
         """Torque off, as if by itself."""
         self._drive.set_torque(on=False)
 

@@ -11,7 +11,6 @@ from firmware_bridge.simulator.faults import ON_INSTRUCTIONS, ON_REPLIES, Fault
 from firmware_bridge.simulator.servo import SimulatedServo
 
 #: Start bit, eight data bits, stop bit: https://emanual.robotis.com/docs/en/dxl/protocol2/
-BITS_PER_BYTE: Final = 10
 #: Rounding of sums of byte times; a bit lasts 220 ns at the fastest rate.
 _SAME_S: Final = 1e-9
 #: What an adapter that hears itself sends back before the reply: here a broadcast ping.
@@ -57,7 +56,7 @@ class _Reply:
 
 
 class Wire:
-    """Carries packets at their speed; faults befall them by seeded chance."""
+    """Carries packets at their speed; faults are injected by seeded chance."""
 
     def __init__(self, rules: WireRules, faults: Iterable[Fault], seed: int) -> None:
         self.counts = WireCounts()
@@ -113,7 +112,7 @@ class Wire:
         after_s: float,
         byte_s: float,
     ) -> None:
-        """One status packet, after the servo's return delay; faults may befall it."""
+        """One status packet, after the servo's return delay; faults may be injected."""
         start_s = after_s + servo.return_delay_s
         error, data = answer
         raw = status(said_id, error, data)

@@ -21,6 +21,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.servo_supervision import ServoState
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.process.scheduling import on_time
 from firmware_bridge.targets import ServoTargets
 from lipservo.bench.bus_cpu_figures import decode
@@ -144,7 +145,7 @@ def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float]:
 
 
 def replug_figures(n_servos: int = 10) -> dict[str, float]:
-    """From the moment a port is back: until every servo is awake again, and at full strength."""
+    """From the moment a port is back: until every servo is driven again, and at full strength."""
     model = servo_models()["XL330-M288"]
     joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
     with TemporaryDirectory() as folder:
@@ -156,9 +157,11 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
             channel = MemoryTargetChannel()
             servos = [MountedServo(joint, model) for joint in joints]
             with DynamixelBus(servos, lambda: open_port(str(link), BAUD_RATE)) as bus:
-                bridge = Bridge(bus, joints, channel, rate_hz=_REPLUG_RATE_HZ, tolerant=True)
+                bridge = Bridge(
+                    bus, joints, channel, BridgeSettings(_REPLUG_RATE_HZ, tolerant=True)
+                )
                 bridge.start()
-                back_s = awake_s = 0.0
+                back_s = driven_s = 0.0
                 for time_s, late in ticks(clock, _REPLUG_RATE_HZ):
                     channel.publish(ServoTargets(time_s, np.zeros(n_servos)))
                     before = bridge.status
@@ -167,11 +170,11 @@ def replug_figures(n_servos: int = 10) -> dict[str, float]:
                         back_s = link.lstat().st_mtime - time.time() + clock.now()
                     states = bridge.status.servo_states
                     driven = bridge.plugged and all(s is ServoState.DRIVEN for s in states)
-                    if back_s and driven and not awake_s:
-                        awake_s = clock.now()
-                    if awake_s and bus.at_full_strength:
+                    if back_s and driven and not driven_s:
+                        driven_s = clock.now()
+                    if driven_s and bus.at_full_strength:
                         full_s = clock.now()
-                        return {"replug_s": awake_s - back_s, "full_strength_s": full_s - back_s}
+                        return {"replug_s": driven_s - back_s, "full_strength_s": full_s - back_s}
     raise AssertionError("unreachable: ticks never end")
 
 

@@ -18,6 +18,7 @@ from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.process.scheduling import on_time
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
@@ -87,7 +88,7 @@ def _driven_servos(rate_hz: float) -> Iterator[Tick]:
         simulated_port(options) as port,
         DynamixelBus(servos, lambda: open_port(port, _BAUD_RATE)) as bus,
     ):
-        bridge = Bridge(bus, joints, channel, rate_hz=rate_hz, tolerant=True)
+        bridge = Bridge(bus, joints, channel, BridgeSettings(rate_hz, tolerant=True))
         bridge.start()
 
         def tick(time_s: float, late: int) -> None:

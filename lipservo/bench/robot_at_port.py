@@ -20,7 +20,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import PULSES_PER_TURN
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.pty_host import PtyHost
@@ -93,9 +94,9 @@ class RobotAtPort:
             self.seen.append(Look(now_s, self.torque, self.chain.motors.position.copy()))
             time.sleep(_LOOK_S)
 
-    def look_until(self, condition: Callable[[], bool], patience_s: float) -> bool:
+    def look_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
         """Watch the servos until something is so; whether it came to be."""
-        give_up_s = time.monotonic() + patience_s
+        give_up_s = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > give_up_s:
                 return False

@@ -18,10 +18,9 @@ from typing import Final
 import numpy as np
 import soundfile
 
-from firmware_bridge.end_report import UNCONFIRMED
 from firmware_bridge.process.control_client import stop_and_wait
-from firmware_bridge.process.scheduling import STOP_SIGNALS
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stop_signals import STOP_SIGNALS
+from firmware_bridge.stopping import ExitStatus, StopLevel
 from lipservo.bench.robot_at_port import FACE, RobotAtPort, kill_all, robot_at_port
 from lipservo.bench.signal_cases import (
     COMMANDS,
@@ -121,9 +120,9 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
             robot.look(_AGAIN_S)
             ended_s = time.monotonic()
             process.send_signal(number)
-    patience_s = _PORT_GONE_S if case.moment is Moment.UNPLUGGED and not case.twice else _GONE_S
-    if not robot.look_until(lambda: process.poll() is not None, patience_s):
-        outcome.broken.append(f"did not end within {patience_s:g} s")
+    timeout_s = _PORT_GONE_S if case.moment is Moment.UNPLUGGED and not case.twice else _GONE_S
+    if not robot.look_until(lambda: process.poll() is not None, timeout_s):
+        outcome.broken.append(f"did not end within {timeout_s:g} s")
     robot.look(_WATCH_S)
     _judge_limp(case, robot, ended_s, outcome)
     _judge_words(case, command, robot, process, outcome)
@@ -236,7 +235,7 @@ def _judge_words(
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
     if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
-        return (UNCONFIRMED,)
+        return (ExitStatus.UNCONFIRMED,)
     if case.ending is Ending.STOP:
         return (0,)
     number = signal.Signals[f"SIG{case.ending}"].value

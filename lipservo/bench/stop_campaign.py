@@ -38,8 +38,8 @@ MOMENTS_S: Final = (0.0, 0.15, 0.6)
 #: Who stops: a client of the control socket, or a signal to the daemon (two of them: limp).
 WAYS: Final = ("socket", "signal")
 
-#: A daemon is awake when all its servos hold; it takes seconds on a busy machine.
-_AWAKE_S: Final = 60.0
+#: A daemon has started when all its servos hold; it takes seconds on a busy machine.
+_START_S: Final = 60.0
 #: The plug is out for so long after the stop.
 _PLUG_OUT_S: Final = 1.5
 #: Torque must be off so long after the servos can be reached again.
@@ -161,7 +161,7 @@ def _go_wrong(case: StopCase, face: _Face) -> float:
         os.kill(face.child("bridge"), signal.SIGKILL)
     elif case.condition == "second_face":
         second = _start_daemon(robot, "second.sock")
-        if second.wait(_AWAKE_S) == 0:
+        if second.wait(_START_S) == 0:
             raise RuntimeError("a second face was started at a port that is in use")
     return time.monotonic()
 
@@ -194,7 +194,7 @@ def _judge_limp(robot: RobotAtPort, stopped_s: float, since_s: float, outcome: S
 
 
 def _judge_frozen(face: _Face, since_s: float, outcome: StopOutcome) -> None:
-    """Held or limp, but where it was; what ails a servo meanwhile is told; nobody gets torque."""
+    """Held or limp, but where it was; trouble of a servo meanwhile is told; nobody gets torque."""
     robot = face.robot
     robot.look(max(0.0, since_s + _BRAKES_S - time.monotonic()))
     watched_s = time.monotonic()
@@ -214,14 +214,14 @@ def _judge_frozen(face: _Face, since_s: float, outcome: StopOutcome) -> None:
 
 @contextlib.contextmanager
 def _speaking_face() -> Iterator[_Face]:
-    """A daemon that has woken all its servos and moves them."""
+    """A daemon that has enabled all its servos and moves them."""
     with robot_at_port() as robot:
         face = _Face(robot, _start_daemon(robot, "control.sock"))
-        awake = robot.look_until(
-            lambda: bool(robot.torque.all()) or face.daemon.poll() is not None, _AWAKE_S
+        started = robot.look_until(
+            lambda: bool(robot.torque.all()) or face.daemon.poll() is not None, _START_S
         )
-        if not awake or face.daemon.poll() is not None:
-            raise RuntimeError(f"the face did not wake: {robot.last_said}")
+        if not started or face.daemon.poll() is not None:
+            raise RuntimeError(f"the servos were not enabled: {robot.last_said}")
         robot.look(1.0)  # into the soft start and the first words
         yield face
 

@@ -20,6 +20,7 @@ from firmware_bridge.dynamixel.wire.transport import Transport
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.targets import ServoTargets
 
 N_SERVOS: Final = 20
@@ -148,7 +149,7 @@ class OwnTick:
         self.bus = DynamixelBus(
             servos, lambda: _Unhurried(open_port(port, _BAUD_RATE, self._clock))
         )
-        self.bridge = Bridge(self.bus, joints, self._channel, rate_hz=_RATE_HZ)
+        self.bridge = Bridge(self.bus, joints, self._channel, BridgeSettings(_RATE_HZ))
 
     def prepare(self, n: int) -> None:
         """The next grid time, and a target for the moment after it."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.command_queue import CommandQueue
 from firmware_bridge.process.control_socket import ControlSocket
@@ -44,7 +45,6 @@ def face_life(
     port: str | None,
     bridge: Bridge,
     clock: Clock,
-    rate_hz: float,
     *,
     quiet: bool = False,
     control: ControlOptions | None = None,
@@ -55,7 +55,7 @@ def face_life(
     Raises ControlError where no socket can be made.
     """
     if isinstance(clock, ManualClock):
-        with LifeCycle(bridge, clock, rate_hz=rate_hz) as life:
+        with LifeCycle(bridge, clock) as life:
             yield life
         return
     with ExitStack() as stack:
@@ -68,17 +68,13 @@ def face_life(
         healths = health_log(name, port, log, os.environ)
         if healths is not None:
             stack.enter_context(healths)
-        yield stack.enter_context(
-            LifeCycle(
-                bridge,
-                clock,
-                rate_hz=rate_hz,
-                control=listener,
-                log=log,
-                status=partial(face_status, bridge),
-                on_health=None if healths is None else healths.offer,
-            )
+        links = LifeCycleLinks(
+            control=listener,
+            log=log,
+            status=partial(face_status, bridge),
+            on_health=None if healths is None else healths.offer,
         )
+        yield stack.enter_context(LifeCycle(bridge, clock, links))
 
 
 def say(line: str) -> None:

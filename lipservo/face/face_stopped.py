@@ -1,7 +1,6 @@
 """How a command ends after a person has stopped its face."""
 
-from firmware_bridge.end_report import UNCONFIRMED
-from firmware_bridge.stopping import StopReport
+from firmware_bridge.stopping import ExitStatus, StopReport
 
 
 class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no error
@@ -21,5 +20,5 @@ class FaceStopped(Exception):  # noqa: N818 - what a person asked for is no erro
 def exit_status(report: StopReport, signal_number: int | None) -> int:
     """0; after a signal 128 + its number, as shells count; 3 when a servo did not confirm."""
     if not report.complete:
-        return UNCONFIRMED
+        return ExitStatus.UNCONFIRMED
     return 0 if signal_number is None else 128 + signal_number

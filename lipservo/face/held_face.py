@@ -16,7 +16,7 @@ from firmware_bridge.bus import BusError, PortError, PortGone, ServoBus
 from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.budget import budget
 from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.life_cycle import LetGo, LifeCycle
+from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 from lipservo.face.face_life import face_life
@@ -174,7 +174,7 @@ class HeldFace:
     def _arm(self) -> None:
         with ExitStack() as leaving:
             self._life = leaving.enter_context(
-                face_life(self._name, self._port, self._bridge, self._clock, self.rate_hz)
+                face_life(self._name, self._port, self._bridge, self._clock)
             )
             self._ticks = self._life.ticks()
             self._life.start()
@@ -198,7 +198,7 @@ class HeldFace:
         if life is None or life.report is None:
             return
         overtaken = life.stopped_by_person and isinstance(error, BusError)
-        if isinstance(error, LetGo) or overtaken:
+        if isinstance(error, ImmediateStop) or overtaken:
             raise FaceStopped(life.report, life.signal_number) from error
 
     def _lead_all(self, whole_deg: Array) -> None:

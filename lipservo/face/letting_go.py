@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from firmware_bridge.end_report import named_by_reason
 from firmware_bridge.errors import BusError
 from firmware_bridge.process.control_client import RunningFace, ask, stop_and_wait
 from firmware_bridge.process.control_socket import knock
@@ -21,7 +20,7 @@ from firmware_bridge.process.port_holders import (
     ports_held_by,
     with_children,
 )
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import StopLevel, named_by_reason
 
 #: Easing takes 2 s, a bridge that hangs in it is noticed and its servos let go in as much again.
 _END_S = 10.0
@@ -106,13 +105,13 @@ def release(port: str, rate: int | None = None, ids: Sequence[int] = (), *, say:
     # Loaded only here: whoever stops a face that hears waits for none of it.
     from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
     from firmware_bridge.dynamixel.wire.serial_transport import open_port
-    from firmware_bridge.process.last_resort import release_port
+    from firmware_bridge.process.torque_release import release_port
 
     outcome = Outcome(port, port)
     _free(port, say)
     rates = SCANNED_RATES if rate is None else (rate,)
     try:
-        found = release_port(lambda each: open_port(port, each), rates, ids, patience_s=_PORT_S)
+        found = release_port(lambda each: open_port(port, each), rates, ids, timeout_s=_PORT_S)
     except BusError as error:
         outcome.problem = str(error)
         return outcome

@@ -12,18 +12,20 @@ from calibration.capture.lerobot_ranges import RecordedRange
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import model_by_number, servo_models
-from firmware_bridge.dynamixel.mounting import CENTER_PULSE, PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
     UNHURRIED_S,
     read_settings,
     scan,
 )
+from firmware_bridge.dynamixel.units import CENTER_PULSE, PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 from lipservo.face.face_life import face_life
@@ -45,7 +47,7 @@ def find_servos(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     transport = open_port(port, first_rate)
     try:
         line = Line(transport)
-        line.patience_s = UNHURRIED_S
+        line.extra_wait_s = UNHURRIED_S
         scanned = scan(line, [first_rate, *SCANNED_RATES])
         rate, found = next((each for each in scanned if each[1]), (0, {}))
         if not found:
@@ -103,7 +105,7 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     transport = open_port(port, rate)
     try:
         line = Line(transport)
-        line.patience_s = UNHURRIED_S
+        line.extra_wait_s = UNHURRIED_S
         place = read_settings(line, servo_id, model, ["present_position"])["present_position"]
     finally:
         transport.close()
@@ -112,8 +114,8 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     servo = MountedServo(joint, model, 1, here_deg)
     channel, clock = MemoryTargetChannel(), MonotonicClock()
     with DynamixelBus([servo], port_opener(port, rate)) as bus:
-        bridge = Bridge(bus, [joint], channel, rate_hz=_NUDGE_RATE_HZ)
-        with face_life("new-face", port, bridge, clock, _NUDGE_RATE_HZ, quiet=True) as life:
+        bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
+        with face_life("new-face", port, bridge, clock, quiet=True) as life:
             life.start()
             start_s = clock.now()
             for time_s, late in life.ticks():

@@ -21,6 +21,7 @@ from firmware_bridge.gate.coupling import PreventRule
 from firmware_bridge.gate.limits import StaleRule
 from firmware_bridge.gate.tracking import TrackingRule
 from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.memory_transport import MemoryTransport
@@ -67,13 +68,15 @@ def bridge_for(
         bus,
         face.joints(),
         channel,
-        rate_hz=rate_hz or face.rate_hz,
-        stale=StaleRule(face.stale.hold_s, face.stale.neutral_s, face.stale.limp_s),
-        tracking=TrackingRule(face.tracking.error_deg, face.tracking.after_s),
-        prevent=prevent_rules(face),
-        tolerant=tolerant,
-        dry_run=dry_run,
-        given_up=given_up,
+        BridgeSettings(
+            rate_hz=rate_hz or face.rate_hz,
+            stale=StaleRule(face.stale.hold_s, face.stale.neutral_s, face.stale.limp_s),
+            tracking=TrackingRule(face.tracking.error_deg, face.tracking.after_s),
+            prevent=prevent_rules(face),
+            tolerant=tolerant,
+            dry_run=dry_run,
+            given_up=given_up or {},
+        ),
     )
 
 

@@ -80,7 +80,6 @@ def run_face(
                 face.settings.servo_port,
                 street.bridge,
                 clock,
-                rate_hz,
                 quiet=request.quiet,
                 control=ControlOptions(request.control, run.commands, run.describe),
             ) as life,

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from firmware_bridge.end_report import NOT_AGAIN, UNCONFIRMED
 from firmware_bridge.process.port_holders import END_OF_HUNG
 from firmware_bridge.process.runtime_folder import SERVICE_FOLDER
+from firmware_bridge.stopping import ExitStatus
 from lipservo.cli import app
 
 CONFIG = resources.files("lipservo.config")
@@ -63,7 +63,8 @@ def test_the_unit_gives_the_face_time_to_come_to_rest_and_restarts_it():
 def test_a_stop_by_a_person_is_not_undone_by_systemd():
     prevented = SETTINGS["RestartPreventExitStatus"].split()
 
-    assert {str(UNCONFIRMED), str(NOT_AGAIN), END_OF_HUNG.name} == set(prevented)
+    final = (ExitStatus.UNCONFIRMED, ExitStatus.CRITICAL_SERVO_FAILED)
+    assert {*(str(int(each)) for each in final), END_OF_HUNG.name} == set(prevented)
 
 
 def test_a_login_user_who_may_open_the_port_finds_the_face_and_nobody_else_does():

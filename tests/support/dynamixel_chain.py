@@ -1,5 +1,7 @@
 """A face on a simulated chain, for the tests of everything that speaks to servos."""
 
+import numpy as np
+
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
@@ -44,3 +46,22 @@ class MemoryFace:
             self.written.append((time_s, data))
 
         return MemoryTransport(self.chain, self.clock, BAUD_RATE, tap=tap)
+
+
+def run(face, seconds, goal_deg, rate_hz=100.0):
+    """Write the same goal and listen for a while; the feedback of every tick."""
+    heard = []
+    end_s = face.clock.now() + seconds
+    while face.clock.now() < end_s:
+        tick_s = face.clock.now() + 1.0 / rate_hz
+        face.bus.write_positions(np.asarray(goal_deg, dtype=float))
+        heard.append(face.bus.feedback())
+        face.bus.look_after()
+        face.clock.sleep_until(tick_s)
+    return heard
+
+
+def enable_all(face):
+    """Torque on in every servo."""
+    for index in range(len(face.servos)):
+        assert face.bus.enable_torque(index) == ""

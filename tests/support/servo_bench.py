@@ -17,10 +17,11 @@ class Bench:
         self.servo = self.chain.servos[0]
         self.now_s = 0.0
 
-    def wait(self, seconds):
+    def wait(self, seconds, step_s=0.01):
+        """The chain itself goes on in steps of 5 ms, whatever is asked for at once."""
         end_s = self.now_s + seconds
         while self.now_s < end_s - 1e-9:
-            self.now_s = min(self.now_s + 0.01, end_s)
+            self.now_s = min(self.now_s + step_s, end_s)
             self.chain.advance(self.now_s)
 
     def ask(self, instruction, parameters=b""):

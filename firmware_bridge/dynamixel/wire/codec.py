@@ -17,6 +17,8 @@ from typing import Final, NamedTuple
 
 from fastcrc import crc16 as _crc16
 
+#: On the wire: start bit, eight data bits, stop bit.
+BITS_PER_BYTE: Final = 10
 HEADER: Final = b"\xff\xff\xfd\x00"
 #: x^16 + x^15 + x^2 + 1, start 0, not reflected: what Dynamixel calls CRC-16 (IBM/ANSI).
 crc16 = _crc16.umts

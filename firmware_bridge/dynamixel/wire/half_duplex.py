@@ -3,12 +3,11 @@
 from collections.abc import Callable, Sequence
 from typing import Final, Protocol
 
-from firmware_bridge.dynamixel.wire.codec import Instruction, Status
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, Instruction, Status
 from firmware_bridge.dynamixel.wire.frames import FrameParser
 from firmware_bridge.dynamixel.wire.latency import LearntLatency
 from firmware_bridge.dynamixel.wire.transport import Transport
 
-BITS_PER_BYTE: Final = 10
 #: An int: looking a member up in its enumeration costs as much as comparing three.
 _STATUS: Final = int(Instruction.STATUS)
 
@@ -17,8 +16,8 @@ class HalfDuplex:
     """Nothing is sent before the computed end of the last transaction. It knows no instruction.
 
     echoes: the adapter gives back what is sent, which is found out by itself and swallowed.
-    patience_s: how long beyond its time an answer is waited for; for commands in no hurry.
-    n_bad: damaged packets heard; heard_noise: something came last time, but nothing of sense.
+    extra_wait_s: how long beyond its time an answer is waited for; for commands outside the loop.
+    n_bad: damaged packets heard; heard_noise: something came last time, but no valid packet.
     """
 
     def __init__(self, transport: Transport, return_delay_s: float) -> None:
@@ -27,7 +26,7 @@ class HalfDuplex:
         self.return_delay_s = return_delay_s
         self.byte_s = BITS_PER_BYTE / transport.baud_rate
         self.latency = LearntLatency()
-        self.patience_s = 0.0
+        self.extra_wait_s = 0.0
         self.echoes = False
         self.n_bad = 0
         self.heard_noise = False
@@ -58,7 +57,7 @@ class HalfDuplex:
         self._sent_s = begin_s + len(request) * self.byte_s
         return self._sent_s
 
-    def _converse(
+    def _transact(
         self,
         request: bytes,
         reply_size: int,
@@ -66,16 +65,16 @@ class HalfDuplex:
         is_over: Callable[[bytes], bool] = lambda _: False,
         *,
         n_turns: int = 1,
-        patience_s: float = 0.0,
+        extra_wait_s: float = 0.0,
     ) -> Sequence[Status]:
         """Send, then read until `take` is content or the time of the reply is over."""
         transport, clock = self.transport, self._clock
-        if self.patience_s > patience_s:
-            patience_s = self.patience_s
+        if self.extra_wait_s > extra_wait_s:
+            extra_wait_s = self.extra_wait_s
         transport.discard_input()
         due_s = self._send(request) + reply_size * self.byte_s
         wire_end_s = due_s + n_turns * self.return_delay_s
-        deadline_s = wire_end_s + self.latency.slack_s + patience_s
+        deadline_s = wire_end_s + self.latency.slack_s + extra_wait_s
         clock.sleep_until(due_s)
         heard = transport.read(deadline_s)
         while True:
@@ -89,11 +88,11 @@ class HalfDuplex:
                 if statuses is not None:
                     self._heard = stream
                     self._quiet_s = clock.now()
-                    if not patience_s:
+                    if not extra_wait_s:
                         self.latency.learn(self._quiet_s - due_s)
                     self.heard_noise = False
                     return statuses
-            if stream and not patience_s:
+            if stream and not extra_wait_s:
                 rest_s = max(wire_end_s, clock.now()) + self.latency.rest_slack_s
                 deadline_s = min(deadline_s, rest_s)
             more = transport.read(deadline_s)

@@ -16,7 +16,7 @@ _MARGIN_S: Final = 0.001
 
 
 class LearntLatency:
-    """Follows the largest delays seen of late: up by half a step at once, down slowly."""
+    """Follows the largest recent delays: up by half a step at once, down slowly."""
 
     def __init__(self) -> None:
         self._high_s = _UNKNOWN_S

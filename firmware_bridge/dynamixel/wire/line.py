@@ -6,7 +6,7 @@ from typing import Final
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, MAX_ID, Status
 from firmware_bridge.dynamixel.wire.half_duplex import HalfDuplex
-from firmware_bridge.dynamixel.wire.owed_answers import ANYBODY, OwedAnswers
+from firmware_bridge.dynamixel.wire.pending_answers import ANYBODY, PendingAnswers
 from firmware_bridge.dynamixel.wire.prepared_packets import GoalWrite, SpanRead
 from firmware_bridge.dynamixel.wire.transport import Transport
 
@@ -32,17 +32,17 @@ class Line(HalfDuplex):
     ) -> None:
         """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
         super().__init__(transport, return_delay_s)
-        self._owed = OwedAnswers()
+        self._pending = PendingAnswers()
 
-    def ping(self, servo_id: int, patience_s: float = 0.0) -> Status | None:
+    def ping(self, servo_id: int, extra_wait_s: float = 0.0) -> Status | None:
         """Model number (2 bytes) and firmware version (1)."""
         request = codec.ping(servo_id)
-        if self._owes() and self._owed.looks_like(servo_id, _PONG_SIZE, request):
-            status = self.read(servo_id, 0, _IDENTITY_SIZE, patience_s)
+        if self._has_pending() and self._pending.looks_like(servo_id, _PONG_SIZE, request):
+            status = self.read(servo_id, 0, _IDENTITY_SIZE, extra_wait_s)
             if status is None or len(status.data) != _IDENTITY_SIZE:
                 return None
             return status._replace(data=status.data[:2] + status.data[-1:])
-        return self._ask_one(servo_id, request, _PONG_SIZE, patience_s)
+        return self._ask_one(servo_id, request, _PONG_SIZE, extra_wait_s)
 
     def ping_each(self, servo_id: int) -> list[Status]:
         """Every answer to one ping: two servos of one id give two, unless they spoil each other."""
@@ -50,13 +50,13 @@ class Line(HalfDuplex):
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
             return self._statuses(stream) if last else None
 
-        if self._owes() and self._owed.free_size((servo_id,), _PONG_SIZE) != _PONG_SIZE:
-            self._wait_for_owed()
+        if self._has_pending() and self._pending.free_size((servo_id,), _PONG_SIZE) != _PONG_SIZE:
+            self._wait_for_pending()
         request = codec.ping(servo_id)
         n_bytes = 2 * (codec.EMPTY_STATUS_SIZE + _PONG_SIZE)
-        statuses = self._converse(request, n_bytes, take, patience_s=FACTORY_RETURN_DELAY_S)
+        statuses = self._transact(request, n_bytes, take, extra_wait_s=FACTORY_RETURN_DELAY_S)
         if not statuses:
-            self._owed.note(servo_id, _PONG_SIZE, request, self._clock.now())
+            self._pending.note(servo_id, _PONG_SIZE, request, self._clock.now())
         return [s for s in statuses if s.servo_id == servo_id and len(s.data) == _PONG_SIZE]
 
     def ping_all(self) -> list[Status]:
@@ -68,35 +68,35 @@ class Line(HalfDuplex):
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
             return self._statuses(stream) if last else None
 
-        self._wait_for_owed()
+        self._wait_for_pending()
         request = codec.ping(BROADCAST_ID)
         n_bytes = (MAX_ID + 1) * (codec.EMPTY_STATUS_SIZE + _PONG_SIZE)
-        statuses = self._converse(request, n_bytes, take)
-        self._owed.note(ANYBODY, _PONG_SIZE, request, self._clock.now())
+        statuses = self._transact(request, n_bytes, take)
+        self._pending.note(ANYBODY, _PONG_SIZE, request, self._clock.now())
         return [status for status in statuses if len(status.data) == _PONG_SIZE]
 
     def read(
-        self, servo_id: int, address: int, size: int, patience_s: float = 0.0
+        self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """`size` bytes of one servo. patience_s: waited for longer than an answer should take."""
-        if self._owes():
+        """`size` bytes of one servo. extra_wait_s: waited for longer than an answer should take."""
+        if self._has_pending():
             span = SpanRead((servo_id,), address, size, fast=False)
-            wide = span.widened(self._owed.free_size(span.ids, size))
+            wide = span.widened(self._pending.free_size(span.ids, size))
             request = codec.read(servo_id, wide.address, wide.size)
-            status = self._ask_one(servo_id, request, wide.size, patience_s, exact=True)
+            status = self._ask_one(servo_id, request, wide.size, extra_wait_s, exact=True)
             return None if status is None else span.cut([status], wide.address)[0]
-        return self._ask_one(servo_id, codec.read(servo_id, address, size), size, patience_s)
+        return self._ask_one(servo_id, codec.read(servo_id, address, size), size, extra_wait_s)
 
     def write(
-        self, servo_id: int, address: int, data: bytes, patience_s: float = 0.0
+        self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Set bytes of one servo, and hear whether it took them; EEPROM may need patience."""
+        """Set bytes of one servo, and hear whether it took them; EEPROM may need extra_wait_s."""
         request = codec.write(servo_id, address, data)
         if self._acknowledgement_is_ambiguous(servo_id, request):
-            self._tell_one(servo_id, request, patience_s)
+            self._tell_one(servo_id, request, extra_wait_s)
             status = self.read(servo_id, address, len(data))
             return status._replace(data=b"") if status is not None and status.data == data else None
-        return self._ask_one(servo_id, request, 0, patience_s)
+        return self._ask_one(servo_id, request, 0, extra_wait_s)
 
     def reboot(self, servo_id: int) -> Status | None:
         """Restart one servo. None also when its answer could not be told from another."""
@@ -112,14 +112,14 @@ class Line(HalfDuplex):
 
     def sync_read(self, span: SpanRead) -> Sequence[Status]:
         """The statuses that came, in the order asked; none is waited for beyond its time."""
-        if not self._owes():
+        if not self._has_pending():
             return self._ask_span(span)
         if span.fast:
             n, frame = len(span.ids), span.answer_size
-            wider = self._owed.free_size((BROADCAST_ID,), frame, step=n)
+            wider = self._pending.free_size((BROADCAST_ID,), frame, step=n)
             wide = span.widened(span.size + (wider - frame) // n)
         else:
-            wide = span.widened(self._owed.free_size(span.ids, span.size))
+            wide = span.widened(self._pending.free_size(span.ids, span.size))
         statuses = self._ask_span(wide)
         return statuses if wide.size == span.size else span.cut(statuses, wide.address)
 
@@ -132,8 +132,8 @@ class Line(HalfDuplex):
                 statuses = self._salvage(span, stream)
             return statuses if last or len(statuses) == n else None
 
-        statuses = self._converse(span.request, span.reply_size, take, span.is_over, n_turns=n)
-        if self._owed.any:
+        statuses = self._transact(span.request, span.reply_size, take, span.is_over, n_turns=n)
+        if self._pending.any:
             self._note_late(self._heard, asked_size=span.answer_size)
         if len(statuses) != n:
             self._note_missing(span, statuses)
@@ -150,21 +150,21 @@ class Line(HalfDuplex):
         """Who of those asked may answer yet; a common frame comes as a whole."""
         now_s = self._clock.now()
         if span.fast:
-            self._owed.note(BROADCAST_ID, span.answer_size, span.request, now_s)
+            self._pending.note(BROADCAST_ID, span.answer_size, span.request, now_s)
             return
         for servo_id in {*span.ids} - {status.servo_id for status in statuses}:
-            self._owed.note(servo_id, span.size, span.request, now_s)
+            self._pending.note(servo_id, span.size, span.request, now_s)
 
     def _ask_one(
         self,
         servo_id: int,
         request: bytes,
         n_data: int,
-        patience_s: float = 0.0,
+        extra_wait_s: float = 0.0,
         *,
         exact: bool = False,
     ) -> Status | None:
-        """exact: a refusal does not count either, for it may be owed by an earlier question."""
+        """exact: a refusal does not count either, for it may answer an earlier question."""
         size = codec.EMPTY_STATUS_SIZE + n_data
 
         def take(stream: bytes, *, last: bool) -> list[Status] | None:
@@ -180,42 +180,42 @@ class Line(HalfDuplex):
             ]
             return found[:1] if found or last else None
 
-        found = self._converse(request, size, take, patience_s=patience_s)
-        if self._owed.any:
+        found = self._transact(request, size, take, extra_wait_s=extra_wait_s)
+        if self._pending.any:
             self._note_late(self._heard, asked_size=n_data)
         if not found:
-            self._owed.note(servo_id, n_data, request, self._clock.now())
+            self._pending.note(servo_id, n_data, request, self._clock.now())
             return None
         return found[0]
 
-    def _owes(self) -> bool:
+    def _has_pending(self) -> bool:
         """Whether an answer to an earlier question may come yet; takes note of those that have."""
-        if not self._owed.any:
+        if not self._pending.any:
             return False
         self._note_late(self.transport.discard_input(), asked_size=None)
-        return self._owed.expire(self._clock.now())
+        return self._pending.expire(self._clock.now())
 
     def _note_late(self, stream: bytes, asked_size: int | None) -> None:
         """Cross off what came for earlier questions; not what may answer the one just asked."""
         for status in self._statuses(stream):
             if len(status.data) != asked_size:
-                self._owed.came(status.servo_id, len(status.data))
+                self._pending.note_arrived(status.servo_id, len(status.data))
 
     def _acknowledgement_is_ambiguous(self, servo_id: int, request: bytes) -> bool:
         """All acknowledgements look alike; one for the same bytes, written again, is as good."""
-        if self.patience_s:
-            self._wait_for_owed()
-        return self._owes() and self._owed.looks_like(servo_id, 0, request)
+        if self.extra_wait_s:
+            self._wait_for_pending()
+        return self._has_pending() and self._pending.looks_like(servo_id, 0, request)
 
-    def _tell_one(self, servo_id: int, request: bytes, patience_s: float) -> None:
+    def _tell_one(self, servo_id: int, request: bytes, extra_wait_s: float) -> None:
         """Send, and leave the line to whatever it is answered with."""
         sent_s = self._send(request)
-        answer_s = codec.EMPTY_STATUS_SIZE * self.byte_s + self.return_delay_s + patience_s
+        answer_s = codec.EMPTY_STATUS_SIZE * self.byte_s + self.return_delay_s + extra_wait_s
         self._quiet_s = sent_s + answer_s
-        self._owed.note(servo_id, 0, request, sent_s)
+        self._pending.note(servo_id, 0, request, sent_s)
 
-    def _wait_for_owed(self) -> None:
-        """Until nothing can come any more; for what is in no hurry."""
-        if self._owes():
-            self._clock.sleep_until(self._owed.until_s)
-            self._owed.expire(self._clock.now())
+    def _wait_for_pending(self) -> None:
+        """Until nothing can come any more; for commands outside the loop."""
+        if self._has_pending():
+            self._clock.sleep_until(self._pending.until_s)
+            self._pending.expire(self._clock.now())

@@ -96,9 +96,9 @@ class SdkLine(Line):
         self._sdk = transport
         self._packets = PacketHandler(2.0)
 
-    def ping(self, servo_id: int, patience_s: float = 0.0) -> Status | None:
+    def ping(self, servo_id: int, extra_wait_s: float = 0.0) -> Status | None:
         """Model number (2 bytes) and firmware version, which the SDK leaves out, as 0."""
-        del patience_s  # the SDK's own is 34 ms
+        del extra_wait_s  # the SDK's own is 34 ms
         ask = self._packets.ping
         number, result, error = self._sdk.call(lambda: ask(self._sdk.handler, servo_id))
         return Status(servo_id, error, struct.pack("<HB", number, 0)) if not result else None
@@ -109,10 +109,10 @@ class SdkLine(Line):
         return [Status(each, 0, struct.pack("<HB", *said)) for each, said in found.items()]
 
     def read(
-        self, servo_id: int, address: int, size: int, patience_s: float = 0.0
+        self, servo_id: int, address: int, size: int, extra_wait_s: float = 0.0
     ) -> Status | None:
         """`size` bytes of one servo."""
-        del patience_s
+        del extra_wait_s
         ask = self._packets.readTxRx
         data, result, error = self._sdk.call(
             lambda: ask(self._sdk.handler, servo_id, address, size)
@@ -120,10 +120,10 @@ class SdkLine(Line):
         return Status(servo_id, error, bytes(data)) if result == COMM_SUCCESS else None
 
     def write(
-        self, servo_id: int, address: int, data: bytes, patience_s: float = 0.0
+        self, servo_id: int, address: int, data: bytes, extra_wait_s: float = 0.0
     ) -> Status | None:
-        """Set bytes of one servo; the SDK's own patience is 34 ms."""
-        del patience_s
+        """Set bytes of one servo; the SDK's own wait is 34 ms."""
+        del extra_wait_s
         ask = self._packets.writeTxRx
         result, error = self._sdk.call(
             lambda: ask(self._sdk.handler, servo_id, address, len(data), list(data))

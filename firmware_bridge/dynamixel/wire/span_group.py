@@ -34,7 +34,7 @@ class SpanGroup:
         self.reset()
 
     def reset(self) -> None:
-        """Think well of everybody again."""
+        """Forget who was silent."""
         self._proven = False
         self._ever_proven = False
         self._n_refused = 0
@@ -109,7 +109,7 @@ class SpanGroup:
             self._prepare()
 
     def _judge(self, span: SpanRead, statuses: Sequence[Status], again: Sequence[Status]) -> None:
-        """Who is to blame for what is missing; `again` answered only when asked a second time."""
+        """Decide which servos count as silent; `again` answered only when asked a second time."""
         at_once = {status.servo_id for status in statuses}
         late = {status.servo_id for status in again}
         answered = at_once | late
@@ -120,12 +120,12 @@ class SpanGroup:
         for servo_id in answered:
             changed |= self._silent[servo_id] >= _SUSPECT_AFTER
             self._silent[servo_id] = 0
-        # Those behind the first silent one may only have been cut off. Nor are all to blame where
+        # Those behind the first silent one may only have been cut off. Nor are all silent where
         # nobody answers at all: line or computer stood still, and come back with everybody.
         first_only = span.fast or not answered
-        blamed = [each for each in cut_off[:1] if each in missing] if first_only else missing
+        silent_now = [each for each in cut_off[:1] if each in missing] if first_only else missing
         most = _ABSENT_AFTER if answered else _SUSPECT_AFTER
-        for servo_id in blamed:
+        for servo_id in silent_now:
             self._silent[servo_id] = max(
                 self._silent[servo_id], min(self._silent[servo_id] + 1, most)
             )

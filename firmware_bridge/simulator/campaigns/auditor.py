@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.mounting import PULSES_PER_TURN, MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.units import PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
 from firmware_bridge.simulator.chain import SimulatedChain
@@ -67,7 +68,7 @@ class Auditor:
         self._last: dict[int, int] = {}
         self._parser = FrameParser()
         self._chain: SimulatedChain | None = None
-        self._before: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._before: tuple[Array, Array] | None = None
         self._held = np.zeros(len(servos), dtype=np.bool_)  # torque was on at the step before
         self._before_s = 0.0
         self._creep = _CREEP_DEG_S * per_deg
@@ -106,7 +107,7 @@ class Auditor:
         low, high = self._servos[servo_id].pulse_range()
         before = self._last.get(servo_id, goal)
         self._last[servo_id] = goal
-        # A joint found outside its limits is led back in.
+        # A joint found outside its limits is brought back in.
         if not min(low, before) - 1 <= goal <= max(high, before) + 1:
             self.goals_outside += 1
         too_long = abs(goal - before) > self._reach[servo_id] + 1e-6
@@ -154,7 +155,7 @@ class Auditor:
         at_place = abs(servo["goal_position"] - place) <= _PLACE_PULSES
         self.armed_wrongly += not (as_set_up and at_place and servo["bus_watchdog"] > 0)
 
-    def _see_motion(self, time_s: float, position: NDArray[np.float64]) -> None:
+    def _see_motion(self, time_s: float, position: Array) -> None:
         assert self._chain is not None  # it calls
         motors = self._chain.motors
         seen, self._before = self._before, (position.copy(), motors.trajectory.copy())

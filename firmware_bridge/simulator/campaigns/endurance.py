@@ -12,6 +12,7 @@ from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.simulator.campaigns.auditor import Auditor
 from firmware_bridge.simulator.campaigns.fault_campaign import BAUD_RATE, face, wanted_deg
 from firmware_bridge.simulator.face import chain_for
@@ -94,7 +95,7 @@ def endure(
     )
     channel = MemoryTargetChannel()
     joints = [servo.joint for servo in servos]
-    bridge = Bridge(bus, joints, channel, rate_hz=rate_hz, tolerant=True)
+    bridge = Bridge(bus, joints, channel, BridgeSettings(rate_hz, tolerant=True))
     warm_at, report_every = int(n_cycles * _WARM_SHARE), max(1, n_cycles // _REPORTS)
     warm, begun_s, n_done = (0.0, 0), time.process_time(), 0
 
@@ -117,7 +118,7 @@ def endure(
             replugs=bridge.status.n_unplugged,
         )
 
-    with bus, LifeCycle(bridge, clock, rate_hz=rate_hz) as life:
+    with bus, LifeCycle(bridge, clock) as life:
         life.start()
         for time_s, late in life.ticks():
             if n_done == warm_at:

@@ -17,7 +17,9 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.servo_supervision import ServoState
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.simulator.campaigns.auditor import Auditor
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
@@ -190,11 +192,12 @@ def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
     )
     channel = MemoryTargetChannel()
     joints = [servo.joint for servo in servos]
-    bridge = Bridge(bus, joints, channel, rate_hz=case.rate_hz, tolerant=not case.strict)
+    settings = BridgeSettings(case.rate_hz, tolerant=not case.strict)
+    bridge = Bridge(bus, joints, channel, settings)
     control = _Stop(case.stop, clock, auditor)
     error, recovered_s, unknown = "", math.nan, 0
     try:
-        with bus, LifeCycle(bridge, clock, rate_hz=case.rate_hz, control=control) as life:
+        with bus, LifeCycle(bridge, clock, LifeCycleLinks(control=control)) as life:
             life.start()
             for time_s, late in life.ticks():
                 if time_s > end_s:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from firmware_bridge.dynamixel.chain_setup import Plan
     from firmware_bridge.dynamixel.mounting import MountedServo
     from firmware_bridge.dynamixel.wire.line import Line
-    from lipservo.face.stop_signals import HeldSignals
+    from firmware_bridge.stop_signals import DeferredSignals
 
 
 @dataclass(slots=True)
@@ -59,9 +59,9 @@ def setup_servos(
     When all of them answer at their own ids, nobody is unplugged. Else connect one at a time:
     without JOINTS it asks for one after another, with one joint it asks nothing.
     """
+    from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.face.assembly import load_settings
     from lipservo.face.servos import mounted_servos
-    from lipservo.face.stop_signals import StopRequested, held_signals
 
     settings, _ = load_settings(config)
     servos = {servo.joint.name: servo for servo in mounted_servos(settings)}
@@ -71,7 +71,7 @@ def setup_servos(
     asked = [servos[name] for name in joints or servos]
     work = _Work(port_of(port, settings.bus.port), settings.bus.baud_rate, dry_run, as_json)
     status, error = 0, ""
-    with held_signals() as signals:
+    with DeferredSignals() as signals:
         try:
             _set_up(work, asked, signals, ask=joints is None or len(asked) > 1)
         except StopRequested as stop:
@@ -85,17 +85,17 @@ def setup_servos(
 
 
 def _set_up(
-    work: _Work, servos: list["MountedServo"], signals: "HeldSignals", *, ask: bool
+    work: _Work, servos: list["MountedServo"], signals: "DeferredSignals", *, ask: bool
 ) -> None:
     from firmware_bridge.dynamixel.chain_setup import (
         chain_is_complete,
-        look_around,
+        find_servos,
         plan_alone,
         plan_chain,
     )
 
     with _line(work) as line:
-        found = look_around(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
+        found = find_servos(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
         if chain_is_complete(servos, found):
             work.plans = plan_chain(line, servos, found, work.baud_rate)
             for plan in work.plans:
@@ -111,12 +111,12 @@ def _set_up(
         question = f"Connect the servo of {name!r} alone, then press Enter"
         typer.prompt(question, "", show_default=False, err=True)
         with _line(work) as line:
-            found = look_around(line, [servo.joint.servo_id], work.baud_rate)
+            found = find_servos(line, [servo.joint.servo_id], work.baud_rate)
             work.plans.append(plan_alone(line, servo, found, work.baud_rate))
             _carry_out(work, line, work.plans[-1], signals)
 
 
-def _carry_out(work: _Work, line: "Line", plan: "Plan", signals: "HeldSignals") -> None:
+def _carry_out(work: _Work, line: "Line", plan: "Plan", signals: "DeferredSignals") -> None:
     """Write one servo's changes, register by register; a signal waits for the register."""
     from firmware_bridge.dynamixel.provisioning import set_up
 
@@ -182,7 +182,7 @@ def _line(work: _Work) -> Iterator["Line"]:
     transport = open_port(work.port, work.baud_rate)
     try:
         line = Line(transport)
-        line.patience_s = UNHURRIED_S
+        line.extra_wait_s = UNHURRIED_S
         yield line
     finally:
         transport.close()

@@ -14,7 +14,8 @@ import typer
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import inherited_lifeline
 from firmware_bridge.process.log_lines import LogLines
-from firmware_bridge.process.scheduling import StopSignals, die_with_parent, write_from_background
+from firmware_bridge.process.scheduling import die_with_parent, write_from_background
+from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.run.supervision import no_log
 from lipservo.status.status_board import StatusBoard
@@ -80,7 +81,6 @@ def bridge_process(
         status = run_bridge(
             bus,
             bridge,
-            rate_hz=rate,
             control=listener,
             lifeline=alive,
             stopped=stopped,
@@ -115,7 +115,7 @@ def speech_process(
     asked = request_of_json(request)
     face = assemble_face(asked.config, asked.model)
     with ExitStack() as stack:
-        signals = stack.enter_context(StopSignals())
+        signals = stack.enter_context(SignalCounter())
         say = no_log if asked.quiet else stack.enter_context(LogLines(prefix="speech: "))
         end = stack.enter_context(socket.socket(fileno=channel))
         shared = stack.enter_context(StatusBoard.adopt(board))

@@ -2,11 +2,11 @@
 
 import sys
 from contextlib import ExitStack
+from typing import TYPE_CHECKING
 
-from firmware_bridge.end_report import EndReport
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.log_lines import LogLines
-from firmware_bridge.process.scheduling import StopSignals
+from firmware_bridge.stop_signals import SignalCounter
 from lipservo.status.face_status import Status, whole_status
 from lipservo.status.status_board import StatusBoard
 from lipservo.street.run_commands import shared_commands
@@ -15,18 +15,21 @@ from lipservo.street.sources import open_sound
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
 
+if TYPE_CHECKING:
+    from firmware_bridge.process.supervisor import Supervisor
+
 
 def supervise(request: RunRequest) -> int:
     """Run bridge and speech as processes until stopped; the exit status.
 
     What cannot be used, sound and servos included, is refused before anything is armed.
     """
-    from firmware_bridge.process.child import Child, Patience
-    from firmware_bridge.process.last_resort import TorqueRelease
+    from firmware_bridge.process.child import Child, HeartbeatTimeouts
     from firmware_bridge.process.runtime_folder import socket_path
     from firmware_bridge.process.service_notice import ServiceNotice
     from firmware_bridge.process.socket_channel import channel_pair
     from firmware_bridge.process.supervisor import Supervisor
+    from firmware_bridge.process.torque_release import TorqueRelease
     from lipservo.face.assembly import assemble_face, at_port, check_servos
     from lipservo.face.servos import port_opener
 
@@ -46,7 +49,7 @@ def supervise(request: RunRequest) -> int:
     servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
     about = {"name": settings.name, "port": port}
     with ExitStack() as stack:
-        signals = stack.enter_context(StopSignals())
+        signals = stack.enter_context(SignalCounter())
         say = no_log if request.quiet else stack.enter_context(LogLines())
         say(str(request.motion))
         board = stack.enter_context(StatusBoard.create())
@@ -62,30 +65,36 @@ def supervise(request: RunRequest) -> int:
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
         of_speech = {"{channel}": writer.fileno()}
         ours = {"{board}": board.fileno()}
-        report = Supervisor(
-            Child("bridge", bridge, {**of_bridge, **ours}, Patience(start_s=30.0, run_s=1.0)),
+        supervisor = Supervisor(
+            Child(
+                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)
+            ),
             Child(
                 "speech",
                 [*command, "speech-process", *shared],
                 {**of_speech, **ours},
-                Patience(60.0, 3.0),
+                HeartbeatTimeouts(60.0, 3.0),
             ),
             listener,
-            lambda patience_s: TorqueRelease(opener, list(servo_names), patience_s=patience_s),
+            lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
             servo_names=servo_names,
             say=say,
             notice=ServiceNotice(say),
-        ).run(signals)
-        _tell_end(request, report, whole_status({**about, "state": "ended"}, board.speech()))
-    return report.status
+        )
+        supervisor.run(signals)
+        _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))
+    return supervisor.exit_status
 
 
 def no_log(_line: str) -> None:
     """What --quiet asks for."""
 
 
-def _tell_end(request: RunRequest, report: EndReport, status: Status) -> None:
+def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:
+    report = supervisor.report
+    assert report is not None
     if request.as_json:
-        print_json({**report.as_dict(), "face_status": status.as_dict()})
+        ended = {"exit_status": supervisor.exit_status, **report.as_dict()}
+        print_json({**ended, "face_status": status.as_dict()})
     elif not request.quiet or report.unconfirmed:
-        MESSAGES.print(f"ended; {report.text()}", soft_wrap=True, highlight=False)
+        MESSAGES.print(f"ended; {report.line()}", soft_wrap=True, highlight=False)

@@ -26,7 +26,7 @@ SERVOS = mounted_servos(FACE)
 IDS = [servo.joint.servo_id for servo in SERVOS]
 N = len(SERVOS)
 #: Far more than anything here takes, even on a busy machine.
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 MAKERS = {"own": (open_port, Line), "sdk": (SdkTransport, SdkLine)}
 
 
@@ -37,14 +37,14 @@ def port():
 
 
 @pytest.fixture(autouse=True)
-def patience(monkeypatch):
+def long_timeouts(monkeypatch):
     """The SDK waits for 34 ms; a computer that runs other tests meanwhile may need more."""
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 100)
 
 
 def eventually(condition, clock, period_s=0.02):
     """Real lines lose a sample when the computer is busy: ask again, as the bridge does."""
-    give_up_s = time.monotonic() + PATIENCE_S
+    give_up_s = time.monotonic() + TIMEOUT_S
     while not condition():
         assert time.monotonic() < give_up_s, "it never came true"
         clock.sleep_until(clock.now() + period_s)
@@ -110,11 +110,11 @@ def test_goals_are_reached_and_leaving_lets_go(face):
         assert not bus.read().torque_on.any()
 
 
-@pytest.mark.parametrize("senseless", [np.nan, np.inf, 90.0])
-def test_a_goal_that_makes_no_sense_is_kept_from_its_servo_and_noted(face, senseless):
+@pytest.mark.parametrize("invalid", [np.nan, np.inf, 90.0])
+def test_a_goal_that_is_invalid_is_kept_from_its_servo_and_noted(face, invalid):
     with face.bus as bus:
         bus.write_positions(np.zeros(N))
-        bus.write_positions(np.array([1.0, senseless, 1.0, 1.0]))
+        bus.write_positions(np.array([1.0, invalid, 1.0, 1.0]))
         readings = bus.read()
 
         assert eventually(lambda: np.isfinite(bus.read().goals_deg).all(), face.clock)

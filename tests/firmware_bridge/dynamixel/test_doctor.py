@@ -4,7 +4,6 @@ import random
 import struct
 
 import pytest
-from disturbed_transport import DisturbedTransport
 from dynamixel_chain import BAUD_RATE, MemoryFace
 
 from firmware_bridge.clock import ManualClock
@@ -13,12 +12,15 @@ from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.shared_id import shares_id
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.simulator.campaigns.disturbed_transport import Disturbance, DisturbedTransport
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.memory_transport import MemoryTransport
 
 
 def examined(face, rate_hz=30.0, latency_timer_ms=1, seed=0, **disturbances):
-    port = DisturbedTransport(face.chain, face.clock, random.Random(seed), **disturbances)
+    port = DisturbedTransport(
+        face.chain, face.clock, random.Random(seed), Disturbance(**disturbances)
+    )
     line = Line(port, return_delay_s=0.0)
     found = list(examine(line, face.servos, rate_hz, latency_timer_ms))
     # These faces have no current limits, which is another finding.
@@ -36,7 +38,7 @@ def test_an_adapter_that_echoes_is_a_finding_and_no_fault():
 
 
 def test_servos_without_fast_reads_are_a_finding_and_no_fault():
-    found = examined(MemoryFace(3), fast=False)
+    found = examined(MemoryFace(3), fast_sync_read=False)
 
     assert found[Severity.BAD] == []
     (line,) = found[Severity.WARNING]
@@ -46,7 +48,7 @@ def test_servos_without_fast_reads_are_a_finding_and_no_fault():
 @pytest.mark.parametrize("seed", range(8))
 def test_a_healthy_face_stays_healthy_behind_a_bad_adapter(seed):
     """Ten in a hundred answers 25 ms late, echo, no fast reads, noise around every fifth."""
-    bad = {"late": 0.1, "echo": True, "fast": False, "stray": 0.2}
+    bad = {"late": 0.1, "echo": True, "fast_sync_read": False, "stray": 0.2}
     found = examined(MemoryFace(10), seed=seed, **bad)
 
     assert found[Severity.BAD] == []
@@ -142,12 +144,13 @@ def test_two_servos_of_one_id_that_answer_one_after_another_are_seen():
 
 
 @pytest.mark.parametrize(
-    "disturbance", [{"late": 0.1}, {"stray": 0.2}, {"echo": True}, {"lost": 0.2}]
+    "disturbance",
+    [Disturbance(late=0.1), Disturbance(stray=0.2), Disturbance(echo=True), Disturbance(lost=0.2)],
 )
 def test_one_servo_on_a_bad_line_is_not_taken_for_two(disturbance):
     for seed in range(10):
         face = MemoryFace(2)
-        port = DisturbedTransport(face.chain, face.clock, random.Random(seed), **disturbance)
+        port = DisturbedTransport(face.chain, face.clock, random.Random(seed), disturbance)
 
         assert not any(shares_id(Line(port, 0.0), each) for each in (1, 2))
 

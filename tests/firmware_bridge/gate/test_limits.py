@@ -80,11 +80,11 @@ def test_the_step_counts_from_the_last_goal_sent_not_from_the_last_one_asked_for
     assert limited.positions_deg[0] == pytest.approx(6.0)
 
 
-@pytest.mark.parametrize("senseless", [math.nan, math.inf, -math.inf])
-def test_a_joint_without_a_finite_goal_stays_and_the_others_go_on(senseless):
+@pytest.mark.parametrize("invalid", [math.nan, math.inf, -math.inf])
+def test_a_joint_without_a_finite_goal_stays_and_the_others_go_on(invalid):
     limiter = Limiter([JAW, LIP], PERIOD_S)
     limiter.start_from(np.array([10.0, 10.0]), 0.0)
-    limited = limiter.apply(np.array([senseless, 11.0]), PERIOD_S)
+    limited = limiter.apply(np.array([invalid, 11.0]), PERIOD_S)
 
     np.testing.assert_array_equal(limited.positions_deg, [10.0, 11.0])
     np.testing.assert_array_equal(limited.rejected, [True, False])
@@ -111,7 +111,7 @@ def test_hits_are_counted_by_kind_and_joint():
     limiter = Limiter([JAW, LIP], PERIOD_S)
     limiter.start_from(np.array([0.0, 0.0]), 0.0)
     limiter.apply(np.array([50.0, 1.0]), 1 * PERIOD_S)  # jaw: too far and too fast
-    limiter.apply(np.array([math.nan, 30.0]), 2 * PERIOD_S)  # jaw: senseless; lip: too fast
+    limiter.apply(np.array([math.nan, 30.0]), 2 * PERIOD_S)  # jaw: invalid; lip: too fast
 
     np.testing.assert_array_equal(limiter.counts.range_hits, [1, 0])
     np.testing.assert_array_equal(limiter.counts.rate_hits, [1, 1])
@@ -119,7 +119,7 @@ def test_hits_are_counted_by_kind_and_joint():
 
 
 @pytest.mark.parametrize("start_deg", [np.array([math.nan]), np.array([0.0, 0.0])])
-def test_the_gate_does_not_start_from_positions_that_make_no_sense(start_deg):
+def test_the_gate_does_not_start_from_positions_that_are_invalid(start_deg):
     with pytest.raises(ValueError, match="one finite angle a joint"):
         Limiter([JAW], PERIOD_S).start_from(start_deg, 0.0)
 

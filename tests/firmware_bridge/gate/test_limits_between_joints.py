@@ -1,4 +1,4 @@
-"""The gate's newer powers: acceleration, rules between joints, care of single servos."""
+"""Acceleration limits, and rules between joints."""
 
 import numpy as np
 import pytest
@@ -8,15 +8,10 @@ from hypothesis import strategies as st
 from firmware_bridge.gate.braking import braking_speed
 from firmware_bridge.gate.coupling import Prevention, PreventRule
 from firmware_bridge.gate.limits import Limiter
-from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
-from firmware_bridge.health import Feedback, Health
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.servo_supervision import ServoCare, ServoState
 
 PERIOD_S = 0.01
 JOINT = Joint("jaw", 1, -10.0, 20.0, 300.0, max_acceleration_deg_s2=6000.0)
-
-ONE_JOINT = [Joint("jaw", 1, -40.0, 40.0, 300.0)]
 
 
 def steps(limiter, wanted):
@@ -92,168 +87,3 @@ def test_a_rule_broken_by_hand_may_be_left_but_not_entered_further():
 def test_a_rule_must_allow_neutral():
     with pytest.raises(ValueError, match="does not fit"):
         Prevention([PreventRule((1.0, 0.0), -1.0, "?")], 2)
-
-
-class Ward:
-    """Two servos as care sees them, and what it did to them."""
-
-    def __init__(self):
-        self.care = ServoCare([Joint(f"j{n}", n, -10.0, 10.0, 100.0) for n in range(2)])
-        for n in range(2):
-            self.care.tried(n, "", time_s=0.0)
-        self.done = []
-        self.refusals = ["", ""]
-        self.values = {
-            "silent_s": np.zeros(2),
-            "torque_on": np.ones(2, dtype=bool),
-            "watchdog_tripped": np.zeros(2, dtype=bool),
-            "hardware_errors": np.zeros(2, dtype=np.uint8),
-            "temperature_degc": np.full(2, 30.0),
-            "room_degc": np.full(2, 40.0),
-            "voltage_v": np.full(2, 5.0),
-            "effort": np.zeros(2),
-            "current_ma": np.zeros(2),
-            "n_unanswered": np.zeros(2, dtype=np.int64),
-        }
-
-    def refusal(self, index):
-        return self.refusals[index]
-
-    def enable(self, index):
-        self.done.append(("enable", index))
-        self.values["torque_on"][index] = True
-        return ""
-
-    def disable(self, index):
-        self.done.append(("disable", index))
-        self.values["torque_on"][index] = False
-        return True
-
-    def give_up(self, index, because):
-        self.refusals[index] = because
-
-    def reboot(self, index):
-        self.done.append(("reboot", index))
-        self.values["hardware_errors"][index] = 0
-
-    def look(self, *times_s):
-        for time_s in times_s:
-            self.care.look(Health(**self.values), time_s, self)
-        return self.care.states[1]
-
-
-def test_a_servo_with_an_error_is_let_go_cooled_rebooted_and_enabled():
-    ward = Ward()
-    ward.values["hardware_errors"][1] = 0x20
-    assert ward.look(1.0) == ServoState.COOLING
-    assert ward.look(1.5) == ServoState.COOLING
-    assert ward.look(2.1) == ServoState.REBOOTING
-    assert ward.look(3.2) == ServoState.DRIVEN
-
-    assert ward.done == [("disable", 1), ("reboot", 1), ("enable", 1)]
-    assert ward.care.driven.tolist() == [True, True]
-
-
-def test_reboots_are_bounded_and_then_the_servo_stays_limp():
-    ward = Ward()
-    for round_s in range(0, 100, 10):
-        ward.values["hardware_errors"][1] = 0x20
-        ward.look(*np.arange(round_s, round_s + 9, 0.5))
-
-    assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
-    assert [act for act, _ in ward.done].count("reboot") == 3
-
-
-def test_a_servo_that_does_not_confirm_its_torque_off_is_told_again():
-    ward = Ward()
-    ward.disable = lambda index: ward.done.append(("disable", index))  # nothing comes of it
-    ward.values["hardware_errors"][1] = 0x20
-    ward.look(*np.arange(1.0, 10.0, 0.1))
-
-    assert [act for act, _ in ward.done].count("disable") > 10
-    assert ("reboot", 1) not in ward.done
-
-
-def test_nobody_gets_torque_whom_the_gate_refuses():
-    ward = Ward()
-    ward.values["torque_on"][1] = False
-    ward.refusals[1] = "stopped by a person (limp)"
-    ward.look(*np.arange(1.0, 10.0, 0.1))
-
-    assert ward.done == []
-    assert "lost its torque" in ward.care.reasons[1]
-
-    ward.values["hardware_errors"][1] = 0x10
-    ward.look(11.0)
-
-    assert ward.done == []
-    assert ward.care.reasons[1] == "electrical shock"
-
-
-def test_a_silent_servo_gets_no_goals_until_it_answers():
-    ward = Ward()
-    ward.values["silent_s"][1] = 0.6
-    assert ward.look(1.0) == ServoState.WAITING
-    assert ward.look(5.0) == ServoState.WAITING
-    ward.values["silent_s"][1] = 0.0
-    assert ward.look(5.1) == ServoState.DRIVEN
-
-
-def test_a_hot_servo_moves_less_and_then_not_at_all():
-    ward = Ward()
-    feedback = Feedback(0.0, np.zeros(2), np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
-    ward.values["room_degc"][:] = [40.0, 5.0]
-    np.testing.assert_allclose(ward.care.scale(feedback, Health(**ward.values)), [1.0, 0.5])
-    ward.values["room_degc"][1] = 0.0
-    assert ward.look(1.0) == ServoState.COOLING
-
-
-def test_a_joint_that_works_hard_for_minutes_moves_less():
-    ward = Ward()
-    effort = np.array([0.2, 0.8])
-    for tick in range(6000):
-        feedback = Feedback(tick * 0.03, np.zeros(2), effort, np.zeros(2, np.uint8), np.zeros(2))
-        scale = ward.care.scale(feedback, Health(**ward.values))
-
-    assert scale[0] == 1.0
-    assert scale[1] == pytest.approx(0.3)
-
-
-def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
-    ward = Ward()
-    for tick in range(3000):
-        time_s = tick * 0.02
-        stands = np.array([5.0, -20.0])  # the second is jammed far from its goal
-        feedback = Feedback(time_s, stands, np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
-        ward.care.follow(np.array([5.0, 10.0]), feedback)
-        ward.look(time_s)
-
-    assert ward.care.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
-    assert [act for act, _ in ward.done].count("enable") == 3
-    assert ward.care.reasons[0] == ""
-    assert "does not follow, 30 deg off for 0.5 s" in ward.care.reasons[1]
-    assert "it stays limp" in ward.care.reasons[1]
-
-
-@pytest.mark.parametrize(
-    ("lag_deg", "age_s", "behind"), [(14.9, 0.0, False), (15.1, 0.0, True), (90.0, 1.0, False)]
-)
-def test_only_a_lasting_error_that_was_heard_counts(lag_deg, age_s, behind):
-    monitor = TrackingMonitor(ONE_JOINT, TrackingRule(error_deg=15.0, after_s=0.5))
-    found = []
-    for tick in range(60):
-        age = np.array([age_s])
-        feedback = Feedback(tick * 0.01, np.zeros(1), np.zeros(1), np.zeros(1, np.uint8), age)
-        found.append(bool(monitor.behind(np.array([lag_deg]), feedback)[0]))
-
-    assert found == [behind and tick > 50 for tick in range(60)]
-
-
-def test_quick_motion_that_crosses_its_goal_is_no_failure_to_follow():
-    """25 deg to and fro, always 30 ms late: up to 20 deg behind, but never for half a second."""
-    monitor = TrackingMonitor(ONE_JOINT, TrackingRule())
-    for tick in range(1000):
-        time_s = tick * 0.01
-        goal, place = (25.0 * np.sin(2 * np.pi * 4.0 * s) for s in (time_s, time_s - 0.03))
-        heard = Feedback(time_s, np.array([place]), np.zeros(1), np.zeros(1, np.uint8), np.zeros(1))
-        assert not monitor.behind(np.array([goal]), heard).any()

@@ -10,6 +10,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
@@ -26,7 +27,7 @@ class Face:
         self.clock = ManualClock()
         self.bus = SimulatedBus([JAW, LIP], self.clock, start_deg=np.array(start_deg))
         self.channel = MemoryTargetChannel()
-        self.bridge = Bridge(self.bus, [JAW, LIP], self.channel, rate_hz=RATE_HZ)
+        self.bridge = Bridge(self.bus, [JAW, LIP], self.channel, BridgeSettings(RATE_HZ))
         self._grid = ticks(self.clock, RATE_HZ)
 
     def tick(self, wanted_deg=None):
@@ -119,7 +120,7 @@ def test_goals_are_limited_in_range_and_speed_and_the_report_says_so(face):
     np.testing.assert_array_equal(report.rate_hits, [True, False])
 
 
-def test_senseless_targets_are_counted_and_change_nothing(face):
+def test_invalid_targets_are_counted_and_change_nothing(face):
     face.bridge.start()
     face.ticks(10, [10.0, 10.0])
     report = face.tick([math.nan, 0.0])
@@ -241,7 +242,7 @@ def test_a_slow_joint_gets_the_time_it_needs_but_never_more_than_two_seconds(spe
     slow = Joint("slow", 1, min_deg=-20.0, max_deg=20.0, max_speed_deg_s=speed_deg_s)
     clock = ManualClock()
     with SimulatedBus([slow], clock, start_deg=np.array([20.0])) as bus:
-        bridge = Bridge(bus, [slow], MemoryTargetChannel(), rate_hz=RATE_HZ)
+        bridge = Bridge(bus, [slow], MemoryTargetChannel(), BridgeSettings(RATE_HZ))
         bridge.start()
         bridge.stop(StopLevel.SOFT)
         for time_s, late in ticks(clock, RATE_HZ):
@@ -295,7 +296,7 @@ def test_a_frozen_face_stays_where_it_is_held_and_listens_to_nobody(face):
 
 
 def test_a_dry_run_never_switches_torque_on(face):
-    bridge = Bridge(face.bus, [JAW, LIP], face.channel, rate_hz=RATE_HZ, dry_run=True)
+    bridge = Bridge(face.bus, [JAW, LIP], face.channel, BridgeSettings(RATE_HZ, dry_run=True))
     face.bridge = bridge
     bridge.start()
     face.ticks(700, [20.0, 20.0])

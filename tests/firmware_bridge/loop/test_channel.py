@@ -68,7 +68,7 @@ def test_a_single_target_is_held():
 
 
 @pytest.mark.parametrize(
-    "senseless",
+    "invalid",
     [
         targets(1.05, math.nan),
         targets(1.05, math.inf),
@@ -78,8 +78,8 @@ def test_a_single_target_is_held():
         targets(math.inf, 1.0),
     ],
 )
-def test_records_that_make_no_sense_are_left_out_and_counted(senseless):
-    track = track_of(targets(1.0, 10.0), senseless, targets(1.1, 20.0))
+def test_records_that_are_invalid_are_left_out_and_counted(invalid):
+    track = track_of(targets(1.0, 10.0), invalid, targets(1.1, 20.0))
 
     np.testing.assert_allclose(track.at(1.05)[0], [15.0])
     assert track.n_rejected == 1

@@ -1,4 +1,4 @@
-"""Signs of life, what must not be lost with them, and logs that stop nobody."""
+"""Heartbeats, what must not be lost with them, and logs that stop nobody."""
 
 import os
 import time
@@ -10,7 +10,7 @@ from firmware_bridge.process.lifeline import Began, Failed, Lifeline, Ready, Sto
 from firmware_bridge.process.log_lines import LogLines
 from firmware_bridge.stopping import StopLevel
 
-PATIENCE_S = 60.0
+TIMEOUT_S = 60.0
 
 
 def test_beats_are_counted_by_their_time_and_the_rest_is_heard_in_its_order():
@@ -89,15 +89,15 @@ def test_a_log_that_nobody_reads_stops_nobody_and_says_what_was_lost():
     for n in range(20_000):  # far more than a pipe and the queue hold
         log(f"line {n} of a log\nthat nobody reads")
     began_s = time.monotonic()
-    log.close(patience_s=0.0)
+    log.close(timeout_s=0.0)
     read = b""
     while b"were lost" not in read:
-        assert time.monotonic() - began_s < PATIENCE_S
+        assert time.monotonic() - began_s < TIMEOUT_S
         read += os.read(reading, 65_536)
         log("more")
 
     assert read.startswith(b"face: ")
     assert b"line 0 of a log that nobody reads\n" in read[:100]
-    log.close(PATIENCE_S)
+    log.close(TIMEOUT_S)
     os.close(reading)
     os.close(writing)

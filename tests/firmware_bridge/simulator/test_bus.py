@@ -3,8 +3,9 @@ import pytest
 
 from firmware_bridge.bus import PortError
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.joints import Joint
-from firmware_bridge.simulator.bus import DATA_LIMIT_ERROR, RANGE_MARGIN_DEG, SimulatedBus
+from firmware_bridge.dynamixel.wire.codec import StatusError
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
+from firmware_bridge.simulator.bus import SimulatedBus
 
 JAW = Joint("jaw", 1, min_deg=-2.0, max_deg=25.0, max_speed_deg_s=300.0)
 LIP = Joint("lip", 2, min_deg=-30.0, max_deg=40.0, max_speed_deg_s=400.0)
@@ -83,16 +84,16 @@ def test_torque_comes_on_where_the_servo_stands_whatever_goal_it_remembers(bus, 
     assert bus.read().torque_on.all()
 
 
-@pytest.mark.parametrize("goal_deg", [25.0 + RANGE_MARGIN_DEG + 0.01, -7.01, np.nan, np.inf])
+@pytest.mark.parametrize("goal_deg", [25.0 + SERVO_LIMIT_MARGIN_DEG + 0.01, -7.01, np.nan, np.inf])
 def test_a_goal_outside_the_servos_range_is_refused_by_that_servo_alone(bus, goal_deg):
     bus.write_positions(np.array([10.0, 10.0]))
     bus.write_positions(np.array([goal_deg, 12.0]))
     readings = bus.read()
 
     np.testing.assert_array_equal(readings.goals_deg, [10.0, 12.0])
-    np.testing.assert_array_equal(readings.errors, [DATA_LIMIT_ERROR, 0])
+    np.testing.assert_array_equal(readings.errors, [StatusError.DATA_LIMIT, 0])
 
-    bus.write_positions(np.array([25.0 + RANGE_MARGIN_DEG, 12.0]))
+    bus.write_positions(np.array([25.0 + SERVO_LIMIT_MARGIN_DEG, 12.0]))
 
     np.testing.assert_array_equal(bus.read().errors, [0, 0])
 

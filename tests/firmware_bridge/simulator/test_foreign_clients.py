@@ -26,7 +26,7 @@ def port():
 
 
 @pytest.fixture(autouse=True)
-def patience(monkeypatch):
+def long_timeouts(monkeypatch):
     """The SDK waits for 34 ms; a computer that runs other tests meanwhile may need more."""
     monkeypatch.setattr("dynamixel_sdk.port_handler.LATENCY_TIMER", 250)
 

@@ -148,10 +148,10 @@ def test_a_stalled_servo_grows_hot_and_cools_when_let_go():
     bench = Bench()
     bench.write("torque_enable", 1)
     bench.chain.motors.load[0] = 0.7
-    bench.wait(30.0)
+    bench.wait(30.0, step_s=1.0)
     hot = bench.read("present_temperature")
     bench.write("torque_enable", 0)
-    bench.wait(300.0)
+    bench.wait(300.0, step_s=1.0)
 
     assert hot > 30
     assert bench.read("present_temperature") <= hot - 4

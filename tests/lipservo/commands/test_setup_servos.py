@@ -5,7 +5,6 @@ import random
 import signal
 
 import pytest
-from disturbed_transport import DisturbedTransport
 from typer.testing import CliRunner
 
 from firmware_bridge.bus import PortGone
@@ -14,6 +13,7 @@ from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.provisioning import wanted_settings
 from firmware_bridge.dynamixel.wire.codec import Instruction
 from firmware_bridge.dynamixel.wire.frames import FrameParser
+from firmware_bridge.simulator.campaigns.disturbed_transport import Disturbance, DisturbedTransport
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.face import chain_for
 from lipservo.cli import app
@@ -40,7 +40,8 @@ class Bench:
 
     def open(self):
         rng = random.Random(self.seed)
-        port = DisturbedTransport(self.chain, self.clock, rng, sent=self.sent, **self.disturbances)
+        by = Disturbance(**self.disturbances)
+        port = DisturbedTransport(self.chain, self.clock, rng, by, sent=self.sent)
         write = port.write
 
         def watched(data):
@@ -276,7 +277,7 @@ def test_a_port_that_vanishes_midway_says_what_is_left_in_one_line(wired):
 def test_late_replies_an_echo_and_noise_change_nothing_of_what_is_written(monkeypatch, seed):
     bench = Bench(
         monkeypatch, chain_for(SERVOS, BAUD_RATE), seed,
-        late=0.1, echo=True, fast=False, stray=0.2,
+        late=0.1, echo=True, fast_sync_read=False, stray=0.2,
     )  # fmt: skip
     spoil(bench.chain)
     done = bench.run()

@@ -41,15 +41,19 @@ def enduring(port, tmp_path_factory):
             yield process
 
 
+@pytest.fixture(scope="module")
+def free_port():
+    """Servos for daemons that end, one after another."""
+    with simulated_port(["--config", "face_sim", "--on-time"]) as port:
+        yield port
+
+
 @pytest.fixture
-def daemon(tmp_path, monkeypatch):
-    """A daemon of its own, at servos of its own."""
+def daemon(free_port, tmp_path, monkeypatch):
+    """A daemon of its own."""
     own_folder(monkeypatch)
-    with (
-        simulated_port(["--config", "face_sim", "--on-time"]) as port,
-        running(port, tmp_path) as process,
-    ):
-        process.port = port
+    with running(free_port, tmp_path) as process:
+        process.port = free_port
         yield process
 
 
@@ -99,7 +103,7 @@ def test_what_a_daemon_cannot_do_is_refused_before_a_servo_is_spoken_to(argument
     assert said in str(done.exception)
 
 
-def test_stop_ends_the_face_limp_and_says_who_confirmed_it(tmp_path, monkeypatch):
+def test_stop_ends_the_face_limp_and_says_who_confirmed_it(free_port, tmp_path, monkeypatch):
     """Nobody reads what the daemon says: its log is a full pipe, as after Ctrl-S."""
     own_folder(monkeypatch)
     reading, writing = os.pipe()
@@ -108,16 +112,13 @@ def test_stop_ends_the_face_limp_and_says_who_confirmed_it(tmp_path, monkeypatch
         while True:
             os.write(writing, b"x" * 1000)
     os.set_blocking(writing, True)
-    with (
-        simulated_port(["--config", "face_sim", "--on-time"]) as port,
-        running(port, tmp_path, "--json", errors=writing) as daemon,
-    ):
+    with running(free_port, tmp_path, "--json", errors=writing) as daemon:
         (face,) = json.loads(run("status", "--json").stdout)["faces"]
-        assert (face["port"], face["pid"]) == (port, daemon.pid)
+        assert (face["port"], face["pid"]) == (free_port, daemon.pid)
         done = run("stop", "--json")
         (stopped,) = json.loads(done.stdout)["faces"]
         assert daemon.wait(PATIENCE_S) == 0
-        assert torque(port) == [0] * 10
+        assert torque(free_port) == [0] * 10
     os.close(reading)
     os.close(writing)
 

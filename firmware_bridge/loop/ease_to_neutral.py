@@ -1,25 +1,23 @@
-"""The way to neutral at the end: in half a second, or as long as the joints' speeds need."""
+"""Easing to neutral at the end: in half a second, or as long as the joints' speeds need."""
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from firmware_bridge.arrays import Array
 from firmware_bridge.gate.limits import EASE_PEAK_SLOPE, ease
 from firmware_bridge.joints import Joint
 
-#: Time to neutral when the joints can make it: quick for a person waiting, calm for a face.
+#: Time to neutral when the joints can make it: a person waits for it.
 _EASE_S = 0.5
 #: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
 _LONGEST_S = 2.0
 
 
-class WayToRest:
+class EaseToNeutral:
     """From where the joints stand, (n_joints,) degrees, to neutral, with rest at both ends."""
 
-    def __init__(
-        self, joints: Sequence[Joint], start_deg: NDArray[np.float64], start_s: float
-    ) -> None:
+    def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
         self._start_deg = start_deg
@@ -28,11 +26,11 @@ class WayToRest:
         #: Whether every joint was told to be at neutral, which is where it goes limp.
         self.arrived = False
 
-    def at(self, time_s: float) -> NDArray[np.float64]:
+    def at(self, time_s: float) -> Array:
         """Where the joints should be, (n_joints,) degrees."""
         return self._start_deg * (1.0 - ease((time_s - self._start_s) / self._lasts_s))
 
-    def over(self, sent_deg: NDArray[np.float64], time_s: float) -> bool:
+    def over(self, sent_deg: Array, time_s: float) -> bool:
         """Whether the joints were sent to neutral, or have been on their way for too long."""
         elapsed_s = time_s - self._start_s
         self.arrived = elapsed_s >= self._lasts_s and not sent_deg.any()

@@ -1,4 +1,4 @@
-"""When nobody looks after the servos any more: open the port and let every joint go limp."""
+"""Torque off where no bridge runs any more: open the port and let every joint go limp."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -33,13 +33,13 @@ class TorqueRelease:
         open_transport: Callable[[], Transport],
         ids: Sequence[int],
         *,
-        patience_s: float = 0.0,
+        timeout_s: float = 0.0,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """patience_s: how long servos are asked again that do not answer; three times at least."""
+        """timeout_s: how long servos are asked again that do not answer; three times at least."""
         self._open_transport = open_transport
         self._ids = tuple(ids)
-        self._patience_s = patience_s
+        self._timeout_s = timeout_s
         self._now_s = now_s
         self._line: Line | None = None
         self._opened_s = 0.0
@@ -93,7 +93,7 @@ class TorqueRelease:
         if self._n_rounds:
             tell_all_limp(line, list(self.unconfirmed))
         waited_s = self._now_s() - self._opened_s
-        enough = self._n_rounds >= _REPEATS and waited_s >= self._patience_s
+        enough = self._n_rounds >= _REPEATS and waited_s >= self._timeout_s
         if not self.unconfirmed or enough:
             self.close()
             self.done = True
@@ -146,15 +146,15 @@ def release_port(
     rates: Sequence[int],
     ids: Sequence[int] = (),
     *,
-    patience_s: float = 0.0,
+    timeout_s: float = 0.0,
 ) -> Released:
     """Torque off at a port: everybody is told at every rate, whoever is found is asked.
 
     ids: must be found, at the first rate. A chain has one rate: the others are not searched once
-    servos were found. Waits up to `patience_s` for the port. Raises PortError when it cannot be
+    servos were found. Waits up to `timeout_s` for the port. Raises PortError when it cannot be
     opened.
     """
-    transport = _opened(open_transport, rates[0], patience_s)
+    transport = _opened(open_transport, rates[0], timeout_s)
     try:
         line = Line(transport)
         for rate in dict.fromkeys(rates):
@@ -183,8 +183,8 @@ def _asked_often(line: Line, servo_id: int) -> str:
     return why
 
 
-def _opened(open_transport: Callable[[int], Transport], rate: int, patience_s: float) -> Transport:
-    give_up_s = time.monotonic() + patience_s
+def _opened(open_transport: Callable[[int], Transport], rate: int, timeout_s: float) -> Transport:
+    give_up_s = time.monotonic() + timeout_s
     while True:
         try:
             return open_transport(rate)

@@ -10,11 +10,11 @@ LATE_S: Final = 0.25
 ANYBODY: Final = -1
 
 
-class OwedAnswers:
-    """Who owes how many bytes, and until when.
+class PendingAnswers:
+    """Whose answer of how many bytes may still come, and until when.
 
     A status packet says who answers and how many bytes it holds, not which question it answers. So
-    a question whose answer would look like one that is owed must be asked in another length.
+    a question whose answer would look like a pending one must be asked in another length.
     any: whether there may be something; `expire` makes it exact.
     """
 
@@ -26,7 +26,7 @@ class OwedAnswers:
 
     @property
     def until_s(self) -> float:
-        """When the last of them can no longer come; minus infinity when nothing is owed."""
+        """When the last of them can no longer come; minus infinity when none is pending."""
         return max(self._until_s.values(), default=float("-inf"))
 
     def note(self, servo_id: int, size: int, request: bytes, now_s: float) -> None:
@@ -38,7 +38,7 @@ class OwedAnswers:
         self._n[key] = self._n.get(key, 0) + 1
         self.any = True
 
-    def came(self, servo_id: int, size: int) -> None:
+    def note_arrived(self, servo_id: int, size: int) -> None:
         """An answer of `size` bytes arrived too late for its question."""
         key = (servo_id, size)
         if key in self._n:
@@ -60,9 +60,9 @@ class OwedAnswers:
         return self._requests.get((servo_id, size), request) != request
 
     def free_size(self, ids: Iterable[int], size: int, step: int = 1) -> int:
-        """The least of size, size + step, ... that none of `ids` owes."""
+        """The least of size, size + step, ... that no pending answer of `ids` has."""
         asked = {*ids, ANYBODY}
-        taken = {owed for servo_id, owed in self._until_s if servo_id in asked}
+        taken = {pending for servo_id, pending in self._until_s if servo_id in asked}
         while size in taken:
             size += step
         return size

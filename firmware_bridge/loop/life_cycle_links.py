@@ -1,0 +1,49 @@
+"""Whom the life cycle of a face listens to, and whom it tells what happens."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from firmware_bridge.health import ServoHealth
+from firmware_bridge.stopping import StopLevel
+
+
+class Control(Protocol):
+    """Where stops are asked for: `ControlSocket`."""
+
+    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
+        """The stop that was asked for, if any; never waits."""
+
+    def report_end(self, report: Mapping[str, object]) -> None:
+        """Tell those who asked for a stop how it ended."""
+
+
+class Heartbeat(Protocol):
+    """What a supervisor hears: `Lifeline`."""
+
+    def beat(self) -> None:
+        """The loop is alive."""
+
+    def stopped(self, level: StopLevel) -> None:
+        """A person asked for a stop."""
+
+    def failed(self, index: int, reason: str) -> None:
+        """A servo was given up for good."""
+
+
+def _no_log(_line: str) -> None:
+    """Nobody reads it."""
+
+
+@dataclass(frozen=True, slots=True)
+class LifeCycleLinks:
+    """All of them optional. status: what the control socket answers.
+
+    log: one line of what happened; on_health: every 10 s. Both must return at once.
+    """
+
+    control: Control | None = None
+    lifeline: Heartbeat | None = None
+    log: Callable[[str], None] = _no_log
+    status: Callable[[], Mapping[str, object]] = dict
+    on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None

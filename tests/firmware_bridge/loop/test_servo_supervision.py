@@ -1,0 +1,153 @@
+"""Single servos under supervision: cooled, rebooted, enabled again, given up, spared."""
+
+import numpy as np
+import pytest
+
+from firmware_bridge.health import Feedback, Health
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.servo_supervision import ServoState, ServoSupervision
+
+
+class SupervisedServos:
+    """Two servos as supervision sees them, and what it did to them."""
+
+    def __init__(self):
+        self.supervision = ServoSupervision(
+            [Joint(f"j{n}", n, -10.0, 10.0, 100.0) for n in range(2)]
+        )
+        for n in range(2):
+            self.supervision.note_attempt(n, "", time_s=0.0)
+        self.done = []
+        self.refusals = ["", ""]
+        self.values = {
+            "silent_s": np.zeros(2),
+            "torque_on": np.ones(2, dtype=bool),
+            "watchdog_tripped": np.zeros(2, dtype=bool),
+            "hardware_errors": np.zeros(2, dtype=np.uint8),
+            "temperature_degc": np.full(2, 30.0),
+            "room_degc": np.full(2, 40.0),
+            "voltage_v": np.full(2, 5.0),
+            "effort": np.zeros(2),
+            "current_ma": np.zeros(2),
+            "n_unanswered": np.zeros(2, dtype=np.int64),
+        }
+
+    def refusal(self, index):
+        return self.refusals[index]
+
+    def enable(self, index):
+        self.done.append(("enable", index))
+        self.values["torque_on"][index] = True
+        return ""
+
+    def disable(self, index):
+        self.done.append(("disable", index))
+        self.values["torque_on"][index] = False
+        return True
+
+    def give_up(self, index, because):
+        self.refusals[index] = because
+
+    def reboot(self, index):
+        self.done.append(("reboot", index))
+        self.values["hardware_errors"][index] = 0
+
+    def look(self, *times_s):
+        for time_s in times_s:
+            self.supervision.act(Health(**self.values), time_s, self)
+        return self.supervision.states[1]
+
+
+def test_a_servo_with_an_error_is_let_go_cooled_rebooted_and_enabled():
+    servos = SupervisedServos()
+    servos.values["hardware_errors"][1] = 0x20
+    assert servos.look(1.0) == ServoState.COOLING
+    assert servos.look(1.5) == ServoState.COOLING
+    assert servos.look(2.1) == ServoState.REBOOTING
+    assert servos.look(3.2) == ServoState.DRIVEN
+
+    assert servos.done == [("disable", 1), ("reboot", 1), ("enable", 1)]
+    assert servos.supervision.driven.tolist() == [True, True]
+
+
+def test_reboots_are_bounded_and_then_the_servo_stays_limp():
+    servos = SupervisedServos()
+    for round_s in range(0, 100, 10):
+        servos.values["hardware_errors"][1] = 0x20
+        servos.look(*np.arange(round_s, round_s + 9, 0.5))
+
+    assert servos.supervision.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
+    assert [act for act, _ in servos.done].count("reboot") == 3
+
+
+def test_a_servo_that_does_not_confirm_its_torque_off_is_told_again():
+    servos = SupervisedServos()
+    servos.disable = lambda index: servos.done.append(("disable", index))  # nothing comes of it
+    servos.values["hardware_errors"][1] = 0x20
+    servos.look(*np.arange(1.0, 10.0, 0.1))
+
+    assert [act for act, _ in servos.done].count("disable") > 10
+    assert ("reboot", 1) not in servos.done
+
+
+def test_nobody_gets_torque_whom_the_gate_refuses():
+    servos = SupervisedServos()
+    servos.values["torque_on"][1] = False
+    servos.refusals[1] = "stopped by a person (limp)"
+    servos.look(*np.arange(1.0, 10.0, 0.1))
+
+    assert servos.done == []
+    assert "lost its torque" in servos.supervision.reasons[1]
+
+    servos.values["hardware_errors"][1] = 0x10
+    servos.look(11.0)
+
+    assert servos.done == []
+    assert servos.supervision.reasons[1] == "electrical shock"
+
+
+def test_a_silent_servo_gets_no_goals_until_it_answers():
+    servos = SupervisedServos()
+    servos.values["silent_s"][1] = 0.6
+    assert servos.look(1.0) == ServoState.WAITING
+    assert servos.look(5.0) == ServoState.WAITING
+    servos.values["silent_s"][1] = 0.0
+    assert servos.look(5.1) == ServoState.DRIVEN
+
+
+def test_a_hot_servo_moves_less_and_then_not_at_all():
+    servos = SupervisedServos()
+    feedback = Feedback(0.0, np.zeros(2), np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
+    servos.values["room_degc"][:] = [40.0, 5.0]
+    np.testing.assert_allclose(
+        servos.supervision.scale(feedback, Health(**servos.values)), [1.0, 0.5]
+    )
+    servos.values["room_degc"][1] = 0.0
+    assert servos.look(1.0) == ServoState.COOLING
+
+
+def test_a_joint_that_works_hard_for_minutes_moves_less():
+    servos = SupervisedServos()
+    effort = np.array([0.2, 0.8])
+    for tick in range(6000):
+        feedback = Feedback(tick * 0.03, np.zeros(2), effort, np.zeros(2, np.uint8), np.zeros(2))
+        scale = servos.supervision.scale(feedback, Health(**servos.values))
+
+    assert scale[0] == 1.0
+    assert scale[1] == pytest.approx(0.3)
+
+
+def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
+    servos = SupervisedServos()
+    for tick in range(3000):
+        time_s = tick * 0.02
+        stands = np.array([5.0, -20.0])  # the second is jammed far from its goal
+        feedback = Feedback(time_s, stands, np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
+        servos.supervision.check_tracking(np.array([5.0, 10.0]), feedback)
+        servos.look(time_s)
+
+    assert servos.supervision.states.tolist() == [ServoState.DRIVEN, ServoState.FAILED]
+    assert [act for act, _ in servos.done].count("enable") == 3
+    assert servos.supervision.reasons[0] == ""
+    assert "does not follow, 30 deg off for 0.5 s" in servos.supervision.reasons[1]
+    assert "it stays limp" in servos.supervision.reasons[1]

@@ -1,0 +1,99 @@
+"""Servos simulated to the byte, driven by a life cycle in virtual time; what they did is kept."""
+
+import numpy as np
+from dynamixel_chain import MemoryFace
+
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
+from firmware_bridge.loop.settings import BridgeSettings
+from firmware_bridge.stopping import StopLevel
+from firmware_bridge.targets import ServoTargets
+
+RATE_HZ = 30.0
+#: Instruction write, address 64, value 1.
+TORQUE_ON = bytes((3, 64, 0, 1))
+
+
+class ScriptedControl:
+    """A control socket in memory: stops by their moments, in seconds; what it was told last."""
+
+    def __init__(self, clock, stops):
+        self.clock, self.stops, self.end = clock, sorted(stops), None
+
+    def poll(self, status):
+        assert "state" in status()
+        if self.stops and self.stops[0][0] <= self.clock.now():
+            return StopLevel(self.stops.pop(0)[1])
+        return None
+
+    def report_end(self, report):
+        self.end = report
+
+
+class SupervisorEnd:
+    """A supervisor's end of the lifeline."""
+
+    def __init__(self):
+        self.n_beats, self.stops, self.failures = 0, [], {}
+
+    def beat(self):
+        self.n_beats += 1
+
+    def stopped(self, level):
+        self.stops.append(level)
+
+    def failed(self, index, reason):
+        self.failures[index] = reason
+
+
+class Robot:
+    """Servos simulated to the byte, given targets without end, on a life cycle in virtual time."""
+
+    def __init__(self, *faults, stops=(), n=3, servos=None, tolerant=True, **options):
+        self.face = MemoryFace(n, servos=servos, faults=faults, strict=not tolerant)
+        self.channel = MemoryTargetChannel()
+        settings = BridgeSettings(RATE_HZ, tolerant=tolerant, **options)
+        self.bridge = Bridge(self.face.bus, self.face.joints, self.channel, settings)
+        self.control, self.told = ScriptedControl(self.face.clock, stops), SupervisorEnd()
+        self.log = []
+        links = LifeCycleLinks(
+            control=self.control,
+            lifeline=self.told,
+            log=self.note,
+            status=lambda: {"state": self.bridge.state.value},
+        )
+        self.life = LifeCycle(self.bridge, self.face.clock, links)
+        self.on_log = lambda _line: None
+        #: (time, torque of each servo, position of each) after every tick.
+        self.seen = []
+
+    def note(self, line):
+        self.log.append(line)
+        self.on_log(line)
+
+    def live(self, until_s, at=None):
+        """From start to end; `at`: what happens at a moment, by its time."""
+        at = dict(at or {})
+        with self.face.bus, self.life as life:
+            life.start()
+            for time_s, late in life.ticks():
+                for moment_s in [m for m in at if m <= time_s]:
+                    at.pop(moment_s)()
+                if time_s > until_s:
+                    break
+                goal_deg = 15.0 * np.sin(2.0 * np.pi * time_s + np.arange(len(self.face.servos)))
+                self.channel.publish(ServoTargets(time_s, goal_deg))
+                self.bridge.tick(time_s, late)
+                torque = [servo.torque_on for servo in self.face.chain.servos]
+                self.seen.append((time_s, torque, self.face.chain.motors.position.copy()))
+        return life.report
+
+    @property
+    def stiff(self):
+        return [servo.index for servo in self.face.chain.servos if servo.torque_on]
+
+    def torque_writes(self, since_s):
+        """Writes of 1 to torque_enable after `since_s`, on the wire."""
+        return [s for s, data in self.face.written if s > since_s and data[7:11] == TORQUE_ON]
