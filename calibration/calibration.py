@@ -1,7 +1,7 @@
 """The map from one model's face motion to one robot's servo angles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 
 import numpy as np
@@ -36,6 +36,24 @@ class Following:
     backlash_deg: Array
     top_speed_deg_s: Array
     bandwidth_hz: Array
+
+    def spread(self, own: Indices, n_servos: int) -> "Following":
+        """The same for a face with more servos: `own` (k,) numbers those that were measured.
+
+        Of the others nothing is known: they count as in time, as tight, and as fast as need be.
+        """
+
+        def wide(values: Array, unknown: float) -> Array:
+            spread = np.full(n_servos, unknown)
+            spread[own] = values
+            return spread
+
+        return Following(
+            wide(self.lag_s, 0.0),
+            wide(self.backlash_deg, 0.0),
+            wide(self.top_speed_deg_s, np.inf),
+            wide(self.bandwidth_hz, np.inf),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,45 +145,6 @@ class Calibration:
             free_deg = free_deg + self.bends @ (x[first] * x[second])
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         return keep_rules(self.rules, kept_deg)
-
-    def for_servos(self, servo_names: Sequence[str]) -> "Calibration":
-        """The same for a face with more servos: those without calibration (neck, eyes) stay at 0.
-
-        Raises CalibrationError where a calibrated servo is not among them.
-        """
-        if tuple(servo_names) == self.servo_names:
-            return self
-        missing = set(self.servo_names) - set(servo_names)
-        if missing:
-            raise CalibrationError(
-                f"calibrated servo {sorted(missing)[0]!r} is not in this face; {_REMEDY}"
-            )
-        own = [servo_names.index(name) for name in self.servo_names]
-
-        def spread(values: Array) -> Array:
-            wide = np.zeros((len(servo_names), *values.shape[1:]))
-            wide[own] = values
-            return np.asarray(wide, dtype=np.float64)
-
-        return replace(
-            self,
-            servo_names=tuple(servo_names),
-            weights=spread(self.weights),
-            bends=spread(self.bends),
-            rest_deg=spread(self.rest_deg),
-            min_deg=spread(self.min_deg),
-            max_deg=spread(self.max_deg),
-            following=self.following
-            and Following(
-                spread(self.following.lag_s),
-                spread(self.following.backlash_deg),
-                spread(self.following.top_speed_deg_s),
-                spread(self.following.bandwidth_hz),
-            ),
-            touch=self.touch and Touch(spread(self.touch.positions_deg), self.touch.current_cap_ma),
-            trim={viseme: spread(degrees) for viseme, degrees in self.trim.items()},
-            rules=tuple(CouplingRule(spread(r.weights), r.at_most_deg) for r in self.rules),
-        )
 
 
 @lru_cache

@@ -182,8 +182,10 @@ def speech_process(
     from firmware_bridge.process.socket_channel import SocketTargetChannel
     from lipservo.face.assembly import assemble_face
     from lipservo.street.motion_options import make_recognizer, make_synthesizer
+    from lipservo.street.recognized_phonemes import RecognizedPhonemes
     from lipservo.street.sources import open_source_or_silence
     from lipservo.street.speech import Speech
+    from lipsync.audio.playback_clock import clock_for
 
     face = assemble_face(config, model)
     with ExitStack() as stack:
@@ -195,19 +197,27 @@ def speech_process(
         source = stack.enter_context(open_source_or_silence(wav, mic, start_s))
         recognizer = make_recognizer(manner.engine, time.perf_counter, manner.weights)
         synthesizer = make_synthesizer(face.model, manner)
-        targets = SocketTargetChannel(end)
-        speech = Speech(source, recognizer, synthesizer, face.calibration, targets)
+        phonemes, names = RecognizedPhonemes(source, recognizer), list(face.settings.servos)
+        speech = Speech(
+            phonemes,
+            clock_for(source),
+            synthesizer,
+            face.calibration,
+            names,
+            SocketTargetChannel(end),
+        )
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:
             say(f"{source.name} goes on at {start_s:.1f} s")
+        speech.begin(zero_s)
         alive.began(zero_s)
         n_said = 0
         for time_s, _ in ticks(clock, 1.0 / _PUBLISH_S):
             alive.beat()
             if signals.count or alive.closed:
                 return
-            speech.advance(time_s, zero_s)
+            speech.advance(time_s)
             for reason in recognizer.reasons[n_said:]:
                 say(f"recogniser left: {reason}")
             n_said = len(recognizer.reasons)

@@ -85,7 +85,7 @@ class ClosingBench:
             for update in self._recognizer.updates():
                 self._synthesizer.push(update)
             if number + 1 >= n_behind:
-                face = self._synthesizer.coefficients_at((number + 1 - n_behind) * BLOCK_S)
+                face = self._synthesizer.frame_at((number + 1 - n_behind) * BLOCK_S).coefficients
                 openings.append(self._width_mm(face) - self._rest_mm)
                 resting.append(self._synthesizer.is_resting)
         first = round(from_s / BLOCK_S)

@@ -303,15 +303,3 @@ def test_a_file_that_names_only_some_servo_models_is_refused(fit):
     text = calibration_text(fit.calibration).replace("    model: XL330-M288\n", "", 1)
     with pytest.raises(CalibrationError, match=r"servos\.jaw\.model is missing"):
         parse_calibration(text, "c.yaml")
-
-
-def test_servos_of_neck_and_eyes_stay_at_zero(fit):
-    names = ("neck_yaw", *SERVOS[::-1], "eye_left")
-    whole = fit.calibration.for_servos(names)
-    frame = MODEL.animphos[5, 2]
-    angles = dict(zip(names, whole.positions_deg(frame), strict=True))
-    assert angles["neck_yaw"] == angles["eye_left"] == 0.0
-    assert [angles[name] for name in SERVOS] == pytest.approx(fit.calibration.positions_deg(frame))
-    assert whole.touch.positions_deg[0] == 0.0
-    with pytest.raises(CalibrationError, match="calibrated servo 'jaw' is not in this face"):
-        fit.calibration.for_servos(SERVOS[1:])

@@ -15,6 +15,7 @@ from firmware_bridge.loop.bridge import TickReport
 from lipservo.status.street_tick import StreetTick
 from lipservo.terminal.mouth_drawing import draw_mouth
 from lipservo.terminal.view import TerminalView
+from lipsync.face.frame import Frame
 from lipsync.face.model import load_shipped_model
 
 
@@ -68,7 +69,7 @@ def tick(phoneme: str, sent_deg: Sequence[float], coefficients: np.ndarray) -> S
         none,
         none,
     )
-    return StreetTick(0.5, phoneme, coefficients, report)
+    return StreetTick(0.5, phoneme, Frame(0.5, coefficients), report)
 
 
 def console_of(width: int, encoding: str = "utf-8") -> tuple[Console, io.BytesIO]:

@@ -1,0 +1,33 @@
+"""Phonemes that a recogniser finds in sound."""
+
+import math
+
+from lipsync.audio.source import AudioSource
+from lipsync.phonemes import LiveRecognizer, PhonemeUpdate
+
+
+class RecognizedPhonemes:
+    """A `PhonemeSource` that feeds the sound of a source to a recogniser."""
+
+    def __init__(self, source: AudioSource, recognizer: LiveRecognizer) -> None:
+        self._source = source
+        self._recognizer = recognizer
+        self._heard_until_s = 0.0
+
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+        return self._recognizer.latency_s
+
+    @property
+    def heard_until_s(self) -> float:
+        """Sound has been heard until then."""
+        return self._heard_until_s
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """Hear the sound that is due at sound time `until_s`; what became known by it."""
+        # A device gives what has arrived, whatever the clock says.
+        for block in self._source.blocks(math.inf if self._source.is_live else until_s):
+            self._recognizer.feed(block)
+            self._heard_until_s = block.end_s
+        return self._recognizer.updates()
