@@ -112,9 +112,9 @@ class OwnPlaybackClock:
     def __init__(self, lead_s: float) -> None:
         self._lead_s = lead_s
         self._zero_s = 0.0
-        # The lag was so much at that time, and goes to `_wanted_s` from there.
+        # The lag was `_lag_s` at `_since_s`, and goes to `_wanted_s` from there.
         self._lag_s = self._wanted_s = 0.0
-        self._since_s = self._asked_s = -math.inf
+        self._since_s = self._asked_s = 0.0
 
     def begin(self, zero_s: float) -> None:
         """The recogniser gets sound time 0 at monotonic `zero_s`; it is played a lead later."""
@@ -125,12 +125,11 @@ class OwnPlaybackClock:
     def played(self, now_s: float, position_s: float) -> None:
         """At monotonic `now_s` sound time `position_s` left the loudspeaker.
 
-        Positions may be in error and reports may come late or out of order: what was asked before
-        is never taken back.
+        Positions may be in error and reports may come late or out of order: a report counts from
+        the last time that was asked for, so that nothing told before is taken back.
         """
-        since_s = max(self._since_s, self._asked_s, now_s)
-        self._lag_s = self._lag_at(since_s)
-        self._since_s = since_s
+        self._lag_s = self._lag_at(self._asked_s)
+        self._since_s = self._asked_s
         self._wanted_s = now_s - self._zero_s - (position_s + self._lead_s)
 
     def sound_s(self, now_s: float) -> float:
