@@ -17,6 +17,7 @@ from lipsync.expectation.context import PhonemeTrack, context_at, track_of
 from lipsync.expectation.expectation import Expectation
 from lipsync.face.frame import Frame
 from lipsync.motion.amount import Amount
+from lipsync.motion.eased_setting import EasedSetting
 from lipsync.motion.rest_plan import AT_REST, is_reached, planned_rest
 from lipsync.motion.tick_plan import TICK_S, TickPlan, tick_of
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
@@ -65,8 +66,7 @@ class ExpectedMotion:
         self._rest = rest
         self._lookahead_s = lookahead_s
         self.known_s = min(lookahead_s, USED_LOOKAHEAD_S)
-        slowness_s = smoothness * _SLOWEST_S
-        self._keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
+        self._smoothness = EasedSetting(smoothness, 1.0)
         self.reset()
 
     @property
@@ -87,6 +87,7 @@ class ExpectedMotion:
         self._wanted = rest
         self._expectations = deque([rest] * _LEAD_TICKS, maxlen=_LEAD_TICKS)
         self._ticks = TickPlan(_Tick(rest, still, rest, still, AT_REST))
+        self._smoothness.settle()
         self._newest_start_s = -math.inf
         self.phonemes_planned = 0
 
@@ -106,6 +107,10 @@ class ExpectedMotion:
         share = time_s / TICK_S - tick_of(time_s) + 1.0
         return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
 
+    def adjust_smoothness(self, smoothness: float) -> None:
+        """Go over to another smoothness, 0 to 1, from the newest tick on."""
+        self._smoothness.change(self._ticks.decided_until_s, smoothness)
+
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme believed at a time, for displays."""
         return self._timeline.event_at(time_s)
@@ -117,7 +122,9 @@ class ExpectedMotion:
         rest = planned_rest(last.rest, *context, begin_s, self.known_s)
         at_rest = is_reached(rest, begin_s)
         wanted = self._extrapolated(self._expected(time_s, *context, at_rest=at_rest))
-        self._wanted = self._keep * self._wanted + (1.0 - self._keep) * wanted
+        slowness_s = self._smoothness.at(time_s) * _SLOWEST_S
+        keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
+        self._wanted = keep * self._wanted + (1.0 - keep) * wanted
         # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
         end_speed = (self._wanted - last.start) / 2.0
         return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)

@@ -1,6 +1,6 @@
 """The live method: the learned expectation, with strength, rest and closures around it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
@@ -54,21 +54,24 @@ class LiveSynthesizer(WrappedSynthesizer):
     """Our strategy over a revisable stream of phonemes."""
 
     def __init__(self, model: FaceModel, style: Style | None = None) -> None:
-        style = style or Style()
-        core = ExpectedMotion(
+        self._style = style or Style()
+        self._expected = ExpectedMotion(
             model.expectation,
             model.rest,
-            lookahead_s=style.lookahead_s,
-            smoothness=style.smoothness,
+            lookahead_s=self._style.lookahead_s,
+            smoothness=self._style.smoothness,
         )
-        scaled = ScaledSynthesizer(core, model.rest, style.strength)
-        self._resting = RestingSynthesizer(scaled, model.rest, core.known_s)
+        known_s = self._expected.known_s
+        self._scaled = ScaledSynthesizer(
+            self._expected, model.rest, self._style.strength, strongest=STRONGEST
+        )
+        self._resting = RestingSynthesizer(self._scaled, model.rest, known_s)
         closing = ClosingSynthesizer(
             self._resting,
             lip_gap_of(model),
             labiodental_gap_mm=model.labiodental_gap_mm,
             tightest_s={p: float(model.tightest_s[PHONEMES.index(p)]) for p in _CLOSING},
-            known_s=core.known_s,
+            known_s=known_s,
         )
         super().__init__(closing)
 
@@ -76,3 +79,16 @@ class LiveSynthesizer(WrappedSynthesizer):
     def is_resting(self) -> bool:
         """Whether the mouth is at rest, or on its way there, because nobody speaks."""
         return self._resting.is_resting
+
+    def adjust(self, name: str, value: float) -> None:
+        """Set `strength` or `smoothness` from the newest face on, eased in over `ADJUSTING_S`.
+
+        What was shown stays as it was. Raises StyleError for another name, or beyond its limits.
+        """
+        if name not in ("strength", "smoothness"):
+            raise StyleError(f"{name} cannot be adjusted; strength and smoothness can")
+        self._style = replace(self._style, **{name: value})
+        if name == "strength":
+            self._scaled.adjust_strength(value)
+        else:
+            self._expected.adjust_smoothness(value)

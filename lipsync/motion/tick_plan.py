@@ -35,6 +35,11 @@ class TickPlan(Generic[Decision]):
         """The last decision."""
         return self._kept[-1]
 
+    @property
+    def decided_until_s(self) -> float:
+        """Until when the motion is decided: the end of the newest tick."""
+        return self._newest * TICK_S
+
     def at(self, time_s: float, decide: Callable[[float, Decision], Decision]) -> Decision | None:
         """The decision for the tick of a time; None for one that is no longer kept.
 
