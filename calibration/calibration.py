@@ -1,7 +1,7 @@
 """The map from one model's face motion to one robot's servo angles."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 
 import numpy as np
@@ -36,6 +36,24 @@ class Following:
     backlash_deg: Array
     top_speed_deg_s: Array
     bandwidth_hz: Array
+
+    def spread(self, own: Indices, n_servos: int) -> "Following":
+        """The same for a face with more servos: `own` (k,) numbers those that were measured.
+
+        Of the others nothing is known: they count as in time, as tight, and as fast as need be.
+        """
+
+        def wide(values: Array, unknown: float) -> Array:
+            spread = np.full(n_servos, unknown)
+            spread[own] = values
+            return spread
+
+        return Following(
+            wide(self.lag_s, 0.0),
+            wide(self.backlash_deg, 0.0),
+            wide(self.top_speed_deg_s, np.inf),
+            wide(self.bandwidth_hz, np.inf),
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,19 +108,20 @@ class Origin:
 class Calibration:
     """Quadratic about the model's rest, within the limits.
 
-    angles = rest_deg + weights @ x + bends @ (x_i x_j), x = coefficients - rest, kept in x_range.
+    angles = rest_deg + weights @ x + quadratic_weights @ (x_i x_j), x = coefficients - rest, kept
+    in x_range.
 
-    weights: (n_servos, n_components), degrees; bends: (n_servos, n_pairs), pairs i <= j row by row,
-    or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,), the angles there;
-    x_range: (2, n_components), least and most that the fit saw; min_deg, max_deg: (n_servos,), the
-    face's limits at the time of the fit. trim: degrees (n_servos,) to add for a viseme class, by
-    the first phoneme of the class. rules: of the face's YAML, never of the file; kept by every
-    pose.
+    weights: (n_servos, n_components), degrees; quadratic_weights: (n_servos, n_pairs), pairs
+    i <= j row by row, or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,),
+    the angles there; x_range: (2, n_components), least and most that the fit saw; min_deg, max_deg:
+    (n_servos,), the face's limits at the time of the fit. trim: degrees (n_servos,) to add for a
+    viseme class, by the first phoneme of the class. rules: of the face's YAML, never of the file;
+    kept by every pose.
     """
 
     servo_names: tuple[str, ...]
     weights: Array
-    bends: Array
+    quadratic_weights: Array
     rest: Array
     rest_deg: Array
     x_range: Array
@@ -122,50 +141,11 @@ class Calibration:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
         x = np.minimum(np.maximum(coefficients - self.rest, self.x_range[0]), self.x_range[1])
         free_deg = self.rest_deg + self.weights @ x
-        if self.bends.shape[1]:
+        if self.quadratic_weights.shape[1]:
             first, second = pairs(len(x))
-            free_deg = free_deg + self.bends @ (x[first] * x[second])
+            free_deg = free_deg + self.quadratic_weights @ (x[first] * x[second])
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         return keep_rules(self.rules, kept_deg)
-
-    def for_servos(self, servo_names: Sequence[str]) -> "Calibration":
-        """The same for a face with more servos: those without calibration (neck, eyes) stay at 0.
-
-        Raises CalibrationError where a calibrated servo is not among them.
-        """
-        if tuple(servo_names) == self.servo_names:
-            return self
-        missing = set(self.servo_names) - set(servo_names)
-        if missing:
-            raise CalibrationError(
-                f"calibrated servo {sorted(missing)[0]!r} is not in this face; {_REMEDY}"
-            )
-        own = [servo_names.index(name) for name in self.servo_names]
-
-        def spread(values: Array) -> Array:
-            wide = np.zeros((len(servo_names), *values.shape[1:]))
-            wide[own] = values
-            return np.asarray(wide, dtype=np.float64)
-
-        return replace(
-            self,
-            servo_names=tuple(servo_names),
-            weights=spread(self.weights),
-            bends=spread(self.bends),
-            rest_deg=spread(self.rest_deg),
-            min_deg=spread(self.min_deg),
-            max_deg=spread(self.max_deg),
-            following=self.following
-            and Following(
-                spread(self.following.lag_s),
-                spread(self.following.backlash_deg),
-                spread(self.following.top_speed_deg_s),
-                spread(self.following.bandwidth_hz),
-            ),
-            touch=self.touch and Touch(spread(self.touch.positions_deg), self.touch.current_cap_ma),
-            trim={viseme: spread(degrees) for viseme, degrees in self.trim.items()},
-            rules=tuple(CouplingRule(spread(r.weights), r.at_most_deg) for r in self.rules),
-        )
 
 
 @lru_cache

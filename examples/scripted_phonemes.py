@@ -33,7 +33,7 @@ def main() -> None:
         time_s = n * STEP_S
         for update in script.updates(time_s):
             synthesizer.push(update)
-        coefficients = synthesizer.coefficients_at(time_s)
+        coefficients = synthesizer.frame_at(time_s).coefficients
         event = synthesizer.event_at(time_s)
         gap_mm = face.model.lip_gap_mm(coefficients)
         jaw_deg = face.calibration.positions_deg(coefficients)[jaw]

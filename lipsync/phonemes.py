@@ -118,6 +118,18 @@ class PhonemeScript(Protocol):
         """What a listener who has heard until `until_s` learns that was not told before."""
 
 
+class PhonemeSource(PhonemeScript, Protocol):
+    """Where the speech side has its phonemes from: a recogniser with its sound, or a script."""
+
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+
+    @property
+    def heard_until_s(self) -> float:
+        """The sound time up to which anything was heard or told."""
+
+
 class LiveRecognizer(Protocol):
     """Phonemes from sound as it comes. What was fed is all it knows: no clock is passed in."""
 

@@ -103,17 +103,17 @@ def _parse(file: Place) -> Calibration:
         if not servo.at("min_deg").number() <= 0.0 <= servo.at("max_deg").number():
             raise CalibrationError(f"{servo.path}: needs min_deg <= 0 <= max_deg")
     weights = np.array([servo.at("weights").numbers(len(rest)) for servo in servos])
-    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     if version > 1:
         rest_deg = np.array([servo.at("rest_deg").number() for servo in servos])
     if any(servo.has("bends") for servo in servos):
         n_pairs = len(pairs(len(rest))[0])
-        bends = np.array([servo.at("bends").numbers(n_pairs) for servo in servos])
+        quadratic_weights = np.array([servo.at("bends").numbers(n_pairs) for servo in servos])
         x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
     return Calibration(
         servo_names=names,
         weights=weights,
-        bends=bends,
+        quadratic_weights=quadratic_weights,
         rest=rest,
         rest_deg=rest_deg,
         x_range=x_range,

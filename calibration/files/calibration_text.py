@@ -75,8 +75,8 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
         f"    rest_deg: {_six(calibration.rest_deg[i])}",
         f"    weights: {_list(calibration.weights[i], _six)}",
     ]
-    if calibration.bends.shape[1]:
-        lines.append(f"    bends: {_list(calibration.bends[i], _six)}")
+    if calibration.quadratic_weights.shape[1]:
+        lines.append(f"    bends: {_list(calibration.quadratic_weights[i], _six)}")
     lines += _following_lines(calibration.following, i)
     return [*lines, f"    hold_out_rms_deg: {_four(calibration.errors.joint_rms_deg[i])}"]
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
-from calibration.run.inverse import Look, MarkersOf, nearest_poses_deg
+from calibration.run.inverse import MarkersOf, ShapeFeatures, nearest_poses_deg
 from lipsync.markers import LIP_MARKERS, MARKER_NAMES
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ class Correspondence:
 
     marker_names: tuple[str, ...]
     human: tuple[int, ...]
-    look: Look
+    shape_features: ShapeFeatures
     corners: tuple[int, int]
 
 
@@ -58,7 +58,7 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
         if upper in names and lower in names
     )
     right, left = (names.index(name) for name in _CORNERS)
-    return Correspondence(names, human, Look(lips, gaps), (right, left))
+    return Correspondence(names, human, ShapeFeatures(lips, gaps), (right, left))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +75,11 @@ class RobotMouth:
         return np.asarray(self.markers_of(np.zeros((1, len(self.limits_deg[0]))))[0])
 
     def nearest_deg(self, wanted: Array) -> Array:
-        """Features (n, n_features) of the look -> (n, n_servos), the poses that come nearest."""
-        look = self.names.look
-        return nearest_poses_deg(self.markers_of, wanted, look, self.limits_deg, rules=self.rules)
+        """Shape features (n, n_features) -> (n, n_servos), the poses that come nearest."""
+        shape_features = self.names.shape_features
+        return nearest_poses_deg(
+            self.markers_of, wanted, shape_features, self.limits_deg, rules=self.rules
+        )
 
     def kept_deg(self, free_deg: Array) -> Array:
         """(n, n_servos) -> the same within limits and rules, as the live path keeps them."""

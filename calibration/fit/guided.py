@@ -130,11 +130,11 @@ def fit_guided(
     x = np.array([pose.coefficients - model.rest for pose in poses if pose.name != CLOSED])
     turned_deg = np.array([made_deg[p.name] - closed_deg for p in poses if p.name != CLOSED])
     weights, left_out_deg = _ridge(x, turned_deg)
-    bends, _, x_range = linear_calibration_parts(len(joints), model.n_components)
+    quadratic_weights, _, x_range = linear_calibration_parts(len(joints), model.n_components)
     return Calibration(
         servo_names=tuple(joint.name for joint in joints),
         weights=weights,
-        bends=bends,
+        quadratic_weights=quadratic_weights,
         rest=model.rest,
         rest_deg=rounded(closed_deg),
         x_range=x_range,

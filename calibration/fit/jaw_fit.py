@@ -81,7 +81,7 @@ def fit_jaw(
     # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
     degrees_per_alpha = float(degrees.alphas @ degrees.degrees / (degrees.alphas @ degrees.alphas))
     weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
-    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     free_deg = (held_out - model.rest) @ weights.T
     mapped_deg = np.clip(free_deg, *limits)
     wanted_deg = degrees.degrees_at(wanted_alpha(held_out))[:, None]
@@ -104,7 +104,7 @@ def fit_jaw(
     calibration = Calibration(
         servo_names=capture.servo_names,
         weights=weights,
-        bends=bends,
+        quadratic_weights=quadratic_weights,
         rest=model.rest,
         rest_deg=rest_deg,
         x_range=x_range,

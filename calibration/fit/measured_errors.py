@@ -36,11 +36,11 @@ class ShapeErrors:
 
     def best_deg(self, targets_mm: Array) -> Array:
         """(n, n_markers, 3) -> (n, n_servos): the poses that come nearest."""
-        return self.mouth.nearest_deg(self.mouth.names.look.features(targets_mm))
+        return self.mouth.nearest_deg(self.mouth.names.shape_features.of(targets_mm))
 
     def apart_mm(self, poses_deg: Array, targets_mm: Array) -> Array:
         """(n,): distance of the face's lips from the targets, rms over the lip markers."""
-        lips = list(self.mouth.names.look.lips)
+        lips = list(self.mouth.names.shape_features.lips)
         return lips_apart_mm(self.mouth.markers_of(poses_deg), targets_mm, lips)
 
 
@@ -112,7 +112,7 @@ def _rows_of(model: FaceModel, viseme: tuple[str, ...]) -> NDArray[np.int64]:
 
 def _signed_gap_mm(on: ShapeErrors, markers_mm: Array) -> Array:
     """(n,): height of the middle of the upper inner lip over the lower; below 0: pressed."""
-    upper, lower = on.mouth.names.look.gaps[0]
+    upper, lower = on.mouth.names.shape_features.gaps[0]
     return np.asarray(markers_mm[:, upper, 1] - markers_mm[:, lower, 1])
 
 

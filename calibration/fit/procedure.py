@@ -81,7 +81,7 @@ class Procedure:
         frames = split_frames(self.model, self.seed)[0]
         frames = frames[:: max(1, len(frames) // _FRAMES)]
         wanted_mm = fit_retargeting(self.model, frames, mouth).targets_mm(frames - self.model.rest)
-        poses_deg = mouth.nearest_deg(mouth.names.look.features(wanted_mm))
+        poses_deg = mouth.nearest_deg(mouth.names.shape_features.of(wanted_mm))
         gaps_mm = np.array([self.model.lip_gap_mm(frame) for frame in frames])
         closed = gaps_mm <= CLOSED_GAP_MM
         n_closed = round(_CLOSED_SHARE * n_poses) if closed.any() else 0

@@ -82,13 +82,13 @@ def _aim(model: FaceModel, frames: Array, mouth: RobotMouth, scale: Array) -> _A
     human_mm = model.markers_mm(frames)[:, human]
     rest_mm = model.markers_mm(model.rest[None])[:, human]
     copies_mm = mouth.neutral_mm() + scale * (human_mm - rest_mm)
-    look = mouth.names.look
-    wanted = look.features(copies_mm, wanted_gaps_mm(human_mm, mouth.names, scale))
+    shape_features = mouth.names.shape_features
+    wanted = shape_features.of(copies_mm, wanted_gaps_mm(human_mm, mouth.names, scale))
     shapes_mm = mouth.markers_of(mouth.nearest_deg(wanted))
     inputs = np.hstack([np.ones((len(frames), 1)), frames - model.rest])
     fit = np.asarray(np.linalg.lstsq(inputs, shapes_mm.reshape(len(frames), -1), rcond=None)[0])
     aims_mm = (inputs @ fit).reshape(shapes_mm.shape)
-    lips = list(look.lips)
+    lips = list(shape_features.lips)
     left_mm = np.sqrt(np.sum((shapes_mm - aims_mm)[:, lips] ** 2, axis=2).mean(axis=1))
     copy_mm = np.sum((shapes_mm - copies_mm)[:, lips] ** 2, axis=2)
     retargeting = Retargeting(fit[0].reshape(-1, 3), fit[1:], scale, float(np.sqrt(copy_mm.mean())))
@@ -97,7 +97,7 @@ def _aim(model: FaceModel, frames: Array, mouth: RobotMouth, scale: Array) -> _A
 
 def wanted_gaps_mm(human_mm: Array, names: Correspondence, scale: Array) -> Array:
     """(n, n_gaps, 3): the talker's at the robot's scale, less what still counts as closed."""
-    gaps_mm = scale * names.look.gaps_mm(human_mm)
+    gaps_mm = scale * names.shape_features.gaps_mm(human_mm)
     gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
     return gaps_mm
 
@@ -112,7 +112,8 @@ def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
     _check_a_mouth(mouth)
     width_mm = human_mm[:, left, 0] - human_mm[:, right, 0]
     size = _width_mm(mouth.neutral_mm(), names) / np.median(width_mm)
-    opening_mm = human_mm[:, names.look.gaps[0][0], 1] - human_mm[:, names.look.gaps[0][1], 1]
+    upper, lower = names.shape_features.gaps[0]
+    opening_mm = human_mm[:, upper, 1] - human_mm[:, lower, 1]
     most_open_mm, least_wide_mm, most_wide_mm = _robot_ranges_mm(mouth)
     up = most_open_mm / np.quantile(opening_mm, _RANGE_QUANTILE)
     human_range_mm = np.diff(np.quantile(width_mm, [1 - _RANGE_QUANTILE, _RANGE_QUANTILE]))[0]
@@ -132,7 +133,7 @@ def _check_a_mouth(mouth: RobotMouth) -> None:
             f"the corners {names[right]} and {names[left]} are {width_mm:.1f} mm apart from right "
             "to left; are they the right points, in millimetres, x to the robot's left?"
         )
-    upper, lower = mouth.names.look.gaps[0]
+    upper, lower = mouth.names.shape_features.gaps[0]
     opening_mm = _robot_ranges_mm(mouth)[0]
     if opening_mm < _LEAST_OPENING_MM:
         raise CalibrationError(
@@ -153,7 +154,7 @@ def _robot_ranges_mm(mouth: RobotMouth) -> tuple[float, float, float]:
     """
     names, limits_deg, markers_of = mouth.names, mouth.limits_deg, mouth.markers_of
     right, left = names.corners
-    upper, lower = names.look.gaps[0]
+    upper, lower = names.shape_features.gaps[0]
 
     def best(measure: Array) -> float:
         """measure: (n_markers * 3,) signs of what should grow."""

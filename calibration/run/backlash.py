@@ -1,23 +1,23 @@
-"""Play in gears and horns, and goals that make up for it."""
+"""Backlash of gears and horns, and goals that make up for it."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: A turn smaller than this is not made up for: goals would chatter by the whole play at every
+#: A turn smaller than this is not made up for: goals would chatter by the whole backlash at every
 #: rounding. About four steps of the encoder (360/4096 degrees).
 _TURN_DEG = 0.35
 
 
 class BacklashCompensation:
-    """Leads every joint by half its play, to the side it is moving to.
+    """Shifts every goal by half the backlash, to the side the joint is moving to.
 
-    feed: one goal after another; the horn then stands at the goal instead of half a play behind.
+    feed: one goal after another; the horn then stands at the goal, not half a backlash behind it.
     """
 
     def __init__(self, backlash_deg: Array) -> None:
-        """backlash_deg: (n_servos,), the whole width of the play."""
+        """backlash_deg: (n_servos,), the whole width of the backlash."""
         self._half_deg = backlash_deg / 2
         self._side = np.ones(len(backlash_deg))
         self._furthest_deg: Array | None = None

@@ -1,4 +1,4 @@
-"""Goals that make the servos be in time: each joint as early as it is late, and its play made up.
+"""Goals that make the servos be in time: each joint as early as it is late, its backlash added.
 
 Streaming; NumPy only, a few microseconds a frame.
 """
@@ -48,7 +48,7 @@ class LagCompensation:
 
 
 class Follower:
-    """Lag and play together, as a calibration knows them; without a `Following`, no change."""
+    """Lag and backlash together, as a calibration knows them; without a `Following`, no change."""
 
     def __init__(
         self, following: Following | None, n_servos: int, period_s: float, *, look_ahead_s: float
@@ -56,9 +56,9 @@ class Follower:
         """look_ahead_s: how much earlier than shown a pose may be asked for."""
         nothing = np.zeros(n_servos)
         lag_s = nothing if following is None else following.lag_s
-        play_deg = nothing if following is None else following.backlash_deg
+        backlash_deg = nothing if following is None else following.backlash_deg
         self._lag = LagCompensation(lag_s, period_s, look_ahead_s=look_ahead_s)
-        self._play = BacklashCompensation(play_deg)
+        self._backlash = BacklashCompensation(backlash_deg)
 
     @property
     def advance_s(self) -> float:
@@ -67,9 +67,9 @@ class Follower:
 
     def feed(self, positions_deg: Array) -> Array:
         """(n_servos,) -> goals (n_servos,); within the limits they are kept by the last gate."""
-        return self._play.feed(self._lag.feed(positions_deg))
+        return self._backlash.feed(self._lag.feed(positions_deg))
 
     def reset(self) -> None:
         """Start anew."""
         self._lag.reset()
-        self._play.reset()
+        self._backlash.reset()

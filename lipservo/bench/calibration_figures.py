@@ -159,10 +159,10 @@ def _score_shapes(
 
     limits = (np.array([j.min_deg for j in joints]), np.array([j.max_deg for j in joints]))
     targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
-    look, lips = fit.names.look, list(LIP_MARKERS)
+    shape_features, lips = fit.names.shape_features, list(LIP_MARKERS)
 
     def best_apart_mm(wanted_mm: Array) -> Array:
-        best_deg = nearest_poses_deg(truth, look.features(wanted_mm), look, limits)
+        best_deg = nearest_poses_deg(truth, shape_features.of(wanted_mm), shape_features, limits)
         return lips_apart_mm(truth(best_deg), wanted_mm, lips)
 
     robot = SimulatedRobot(draw)
@@ -211,10 +211,10 @@ def _guided_apart_mm(
     right, left = fit.names.corners
     size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
     scale = np.full(3, MOST_EXAGGERATION * size)
-    wanted = fit.names.look.features(
+    wanted = fit.names.shape_features.of(
         neutral_mm + scale * (shown_mm - closed_mm), wanted_gaps_mm(shown_mm, fit.names, scale)
     )
-    best_deg = nearest_poses_deg(truth, wanted, fit.names.look, limits)
+    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
     off_deg = np.where([j.name == JAW for j in joints], _PERSON_JAW_DEG, _PERSON_DEG)
     noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
     made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)

@@ -57,7 +57,7 @@ def synthesis_times_ms(
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, tuple(sentence)))
         for event in sentence:
             began_s = time.perf_counter()
-            synthesizer.coefficients_at(event.start_s)
+            synthesizer.frame_at(event.start_s)
             times_ms.append((time.perf_counter() - began_s) * 1e3)
     p50, p95 = np.percentile(times_ms, [50, 95])
     return {"ms_per_phoneme_p50": float(p50), "ms_per_phoneme_p95": float(p95)}

@@ -22,12 +22,11 @@ from lipsync.face.model import FaceModel, load_model, load_shipped_model
 class Face:
     """One robot face and everything that belongs to it, checked against one another.
 
-    mouth_calibration: of the mouth's servos alone, as in its file; calibration: of all joints.
+    calibration: of the mouth's servos, with the face's rules between joints.
     """
 
     settings: FaceSettings
     model: FaceModel
-    mouth_calibration: Calibration
     calibration: Calibration
     joints: tuple[Joint, ...]
 
@@ -57,8 +56,7 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     check_calibration(calibration, model, list(settings.mouth_servos), settings.checksum)
     check_servo_models(calibration, [servo.model for servo in settings.mouth_servos.values()])
     kept = replace(calibration, rules=mouth_rules(settings))
-    whole = kept.for_servos(list(settings.servos))
-    return Face(settings, model, kept, whole, settings.joints())
+    return Face(settings, model, kept, settings.joints())
 
 
 def at_port(face: Face, port: str | None) -> Face:
@@ -80,7 +78,7 @@ def check_servos(face: Face) -> None:
     if face.calibration.origin.servo_memories:
         memories = servo_memories(face.settings)
         if memories:
-            check_servo_memories(face.mouth_calibration, memories)
+            check_servo_memories(face.calibration, memories)
 
 
 def make_bus(face: Face, clock: Clock) -> ServoBus:

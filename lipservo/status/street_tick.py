@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.loop.report import TickReport
+from lipsync.face.frame import Frame
 
 Array = NDArray[np.float64]
 
@@ -20,9 +21,14 @@ class StreetTick:
 
     sound_s: float
     phoneme: str
-    coefficients: Array
+    frame: Frame
     report: TickReport
     captured_s: float | None = None
+
+    @property
+    def coefficients(self) -> Array:
+        """The mouth (n_components,) that was shown."""
+        return self.frame.coefficients
 
 
 class TickObserver(Protocol):

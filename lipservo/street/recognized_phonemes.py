@@ -1,68 +1,37 @@
-"""A source of sound becomes settled phonemes, one after the other."""
+"""Phonemes that a recogniser finds in sound."""
 
 import math
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import replace
 
-from lipservo.settings.motion_names import Engine
-from lipservo.street.motion_options import make_recognizer
-from lipsync.audio.silence import SilenceAfter
 from lipsync.audio.source import AudioSource
-from lipsync.audio_block import BLOCK_S
-from lipsync.phonemes import PhonemeEvent
+from lipsync.phonemes import LiveRecognizer, PhonemeUpdate
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
-from lipsync.recognition.weights import DEFAULT_WEIGHTS
-from lipsync.timeline import PhonemeTimeline
-
-#: How often a microphone is asked for what has come.
-_ASK_EVERY_S = 0.02
 
 
-def recognized_events(
-    source: AudioSource,
-    engine: Engine,
-    weights: str = DEFAULT_WEIGHTS,
-    warn: Callable[[str], None] = lambda _reason: None,
-) -> Iterator[PhonemeEvent]:
-    """Every phoneme of the source with its start and end, as soon as its end is settled.
+class RecognizedPhonemes:
+    """A `PhonemeSource` that feeds the sound of a source to a recogniser."""
 
-    `warn` is told once why a recogniser was left for a lesser one. A file is recognised as fast as
-    the computer can, and to its end; a microphone until nobody asks any more.
-    """
-    length_s = source.duration_s
-    recognizer = make_recognizer(
-        engine, None if length_s is not None else time.perf_counter, weights
-    )
-    sound = source if length_s is None else SilenceAfter(source)
-    ahead, stream = SoundAhead(sound, recognizer), RecognizerStream(recognizer)
-    end_s = math.inf if length_s is None else length_s
-    timeline, told_until_s, heard_s, n_warned = PhonemeTimeline(), 0.0, 0.0, 0
-    with sound:
-        while heard_s < end_s + recognizer.latency_s + 2 * BLOCK_S:
-            heard_s = math.inf if length_s is None else heard_s + BLOCK_S
-            step = stream.feed(ahead.blocks(heard_s))
-            if length_s is None:
-                heard_s = step.blocks[-1].end_s if step.blocks else 0.0
-                time.sleep(0.0 if step.blocks else _ASK_EVERY_S)
-            for reason in recognizer.reasons[n_warned:]:
-                warn(reason)
-                n_warned += 1
-            for update in step.updates:
-                timeline.apply(update)
-            for event in _settled(timeline, told_until_s, end_s):
-                told_until_s = event.end_s or told_until_s
-                yield event
+    def __init__(self, source: AudioSource, recognizer: LiveRecognizer) -> None:
+        self._source = source
+        self._recognizer = recognizer
+        self._sound = SoundAhead(source, recognizer)
+        self._recognition = RecognizerStream(recognizer)
+        self._heard_until_s = 0.0
 
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+        return self._recognizer.latency_s
 
-def _settled(
-    timeline: PhonemeTimeline, told_until_s: float, length_s: float
-) -> Iterator[PhonemeEvent]:
-    """Final events not told yet; the last one is cut at the sound's end."""
-    for event in timeline.events:
-        end_s = min(math.inf if event.end_s is None else event.end_s, length_s)
-        if end_s <= told_until_s + 1e-9 or event.start_s >= length_s:
-            continue
-        # One that reaches what is not final may yet go on, but not beyond the sound's end.
-        if end_s < timeline.final_until_s - 1e-9 or timeline.final_until_s >= length_s:
-            yield replace(event, end_s=end_s)
+    @property
+    def heard_until_s(self) -> float:
+        """Sound has been heard until then."""
+        return self._heard_until_s
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """Hear the sound that is due at sound time `until_s`; what became known by it."""
+        # A device gives what has arrived, whatever the clock says.
+        blocks = self._sound.blocks(math.inf if self._source.is_live else until_s)
+        step = self._recognition.feed(blocks)
+        if blocks:
+            self._heard_until_s = blocks[-1].end_s
+        return list(step.updates)

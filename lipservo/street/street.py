@@ -1,4 +1,4 @@
-"""One tick of the street: sound in, servo goals out. No threads, no sleep, no I/O of its own.
+"""One tick of the street: phonemes in, servo goals out. No threads, no sleep, no I/O of its own.
 
 Live running and `replay` share it; they differ in the clock and in who watches.
 """
@@ -12,10 +12,13 @@ from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.face.assembly import Face
 from lipservo.face.servos import bridge_for
 from lipservo.status.street_tick import StreetTick
+from lipservo.street.recognized_phonemes import RecognizedPhonemes
 from lipservo.street.speech import Speech
+from lipsync.audio.playback_clock import PlaybackClock, clock_for
 from lipsync.audio.source import AudioSource
+from lipsync.face.frame import Frame
 from lipsync.face.synthesizer import Synthesizer
-from lipsync.phonemes import SILENCE, LiveRecognizer
+from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeSource
 
 Array = NDArray[np.float64]
 
@@ -28,29 +31,25 @@ class Street:
         self.speech = speech
         self.bridge = bridge
         self._rest = rest
-        self._zero_s = 0.0
 
     def begin(self, zero_s: float) -> None:
         """The sound begins at monotonic `zero_s`."""
-        self._zero_s = zero_s
-
-    def sound_time_s(self, display_s: float) -> float:
-        """The sound time whose face belongs to monotonic display time `display_s`."""
-        return display_s - self._zero_s - self.speech.lag_s - self.speech.delay.total_s
+        self.speech.begin(zero_s)
 
     def tick(self, time_s: float, late: int) -> StreetTick:
         """Everything that happens at monotonic grid time `time_s`."""
-        self.speech.advance(time_s, self._zero_s)
+        self.speech.advance(time_s)
         report = self.bridge.tick(time_s, late)
-        sound_s = self.sound_time_s(time_s)
-        phoneme, coefficients = self.speech.shown_at(max(0.0, sound_s))
+        sound_s = self.speech.sound_time_s(time_s)
+        phoneme, frame = self.speech.shown_at(max(0.0, sound_s))
         captured_s = self.speech.captured_s(time_s)
-        return StreetTick(sound_s, phoneme, coefficients, report, captured_s)
+        return StreetTick(sound_s, phoneme, frame, report, captured_s)
 
     def rest(self, time_s: float, late: int) -> StreetTick:
         """The same once the face is stopped: nothing is heard any more, the mouth goes to rest."""
         report = self.bridge.tick(time_s, late)
-        return StreetTick(self.sound_time_s(time_s), SILENCE, self._rest, report)
+        sound_s = self.speech.sound_time_s(time_s)
+        return StreetTick(sound_s, SILENCE, Frame(sound_s, self._rest), report)
 
 
 def make_street(
@@ -63,8 +62,24 @@ def make_street(
     *,
     dry_run: bool = False,
 ) -> Street:
-    """Everything between an entered source and an entered bus."""
+    """Everything between an entered source and an entered bus, with a recogniser in it."""
+    phonemes, clock = RecognizedPhonemes(source, recognizer), clock_for(source)
+    return make_street_of(face, phonemes, clock, bus, rate_hz, synthesizer, dry_run=dry_run)
+
+
+def make_street_of(
+    face: Face,
+    phonemes: PhonemeSource,
+    clock: PlaybackClock,
+    bus: ServoBus,
+    rate_hz: float,
+    synthesizer: Synthesizer,
+    *,
+    dry_run: bool = False,
+) -> Street:
+    """Everything between any source of phonemes and an entered bus."""
     channel = MemoryTargetChannel()
-    speech = Speech(source, recognizer, synthesizer, face.calibration, channel)
+    names = list(face.settings.servos)
+    speech = Speech(phonemes, clock, synthesizer, face.calibration, names, channel)
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
     return Street(speech, bridge, face.model.rest)

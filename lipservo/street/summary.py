@@ -93,6 +93,7 @@ class Tally:
         self._lateness = Histogram()
         self._latency = Histogram()
         calibration = street.speech.calibration
+        self._mouth = street.speech.mouth
         self._limits_deg = np.stack([calibration.min_deg, calibration.max_deg])
         self._n_at_limit = np.zeros(len(calibration.servo_names), dtype=np.int64)
         self.frames_sent = 0
@@ -109,7 +110,7 @@ class Tally:
         if self.frames_sent == 0:
             self.first_command_s = seconds_since_process_start()
         self.frames_sent += 1
-        sent_deg = tick.report.sent_deg
+        sent_deg = tick.report.sent_deg[self._mouth]
         at_limit = (np.abs(sent_deg - self._limits_deg) < _AT_LIMIT_DEG).any(axis=0)
         # A joint whose neutral is its limit is there at rest.
         self._n_at_limit += at_limit & (np.abs(sent_deg) > _AT_LIMIT_DEG)

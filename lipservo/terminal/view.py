@@ -15,6 +15,7 @@ from firmware_bridge.joints import Joint
 from lipservo.status.face_status import Status
 from lipservo.status.street_tick import StreetTick
 from lipservo.terminal.mouth_drawing import MOUTH_COLUMNS, draw_mouth
+from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE
 
@@ -92,8 +93,8 @@ class TerminalView:
         tick = self._tick
         if tick is not None and kind is None:
             report = replace(tick.report, sent_deg=np.zeros(len(self._joints)))
-            rest = self._model.rest
-            self.observe(replace(tick, phoneme=SILENCE, coefficients=rest, report=report))
+            rest = Frame(tick.sound_s, self._model.rest)
+            self.observe(replace(tick, phoneme=SILENCE, frame=rest, report=report))
         self._live.stop()
 
     def _draw(self) -> RenderableType:

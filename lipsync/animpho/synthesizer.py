@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
 from lipsync.animpho.selection import Choice, PrioritySelection, SelectionStrategy
 from lipsync.animpho.trajectory import Trajectory, ease
+from lipsync.expectation.context import PhonemeTrack, track_of
+from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate, stand_in
 from lipsync.timeline import PhonemeTimeline
@@ -67,6 +69,7 @@ class PublishedSynthesizer:
         self._strategy = strategy or PrioritySelection()
         self._published_derivatives = published_derivatives
         self.longest_phone_s = longest_phone_s
+        self._track: PhonemeTrack | None = None
         self.reset()
 
     @property
@@ -74,11 +77,19 @@ class PublishedSynthesizer:
         """How much sound after an instant must have been heard before its face is asked for."""
         return self.longest_phone_s
 
+    @property
+    def track(self) -> PhonemeTrack:
+        """The phonemes as they are believed now, end to end; for parts wrapped around this one."""
+        if self._track is None:
+            self._track = track_of(self._timeline.events)
+        return self._track
+
     def reset(self) -> None:
         """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
         rest = self._model.rest
         closed = ease(0.0, SETTLE_S, rest, np.zeros_like(rest), rest)
         self._timeline = PhonemeTimeline()
+        self._track = None
         self._stretches = deque([_Stretch(closed, math.inf, -math.inf)], maxlen=_KEPT)
         self._choice: Choice | None = None
         self._shown_until_s = 0.0
@@ -86,11 +97,12 @@ class PublishedSynthesizer:
         self.misses = 0
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Believe a recogniser; what has been shown stays as it is."""
+        """Take a revision of the phonemes; what has been shown stays as it is."""
         self._timeline.apply(update)
+        self._track = None
 
-    def coefficients_at(self, time_s: float) -> Array:
-        """The face (n_components,) at sound time `time_s`; the same time gives the same face.
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at sound time `time_s`; the same time gives the same frame.
 
         Times may step back by a few phonemes, not more.
         """
@@ -99,8 +111,8 @@ class PublishedSynthesizer:
         self._shown_until_s = max(self._shown_until_s, time_s)
         for stretch in reversed(self._stretches):
             if stretch.trajectory.start_s <= time_s:
-                return stretch.trajectory.at(time_s)[0]
-        return self._model.rest
+                return Frame(time_s, stretch.trajectory.at(time_s)[0])
+        return Frame(time_s, self._model.rest)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme believed at a time, for displays."""
@@ -190,5 +202,5 @@ def render(
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, events))
     n_frames = math.ceil(end_s * rate_hz - 1e-9)
     times_s = np.arange(n_frames) / rate_hz
-    frames = [synthesizer.coefficients_at(float(time_s)) for time_s in times_s]
+    frames = [synthesizer.frame_at(float(time_s)).coefficients for time_s in times_s]
     return np.array(frames).reshape(n_frames, -1)

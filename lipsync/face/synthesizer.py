@@ -2,28 +2,32 @@
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lipsync.face.frame import Frame
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
-
-Array = NDArray[np.float64]
 
 
 class Synthesizer(Protocol):
-    """Phonemes in, faces out: ours or the paper's."""
+    """Phonemes in, frames out. What wraps a synthesiser is one itself."""
 
-    phonemes_planned: int
+    @property
+    def phonemes_planned(self) -> int:
+        """How many phonemes have moved the mouth."""
 
     @property
     def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its face is asked for."""
+        """How much sound after an instant must have been heard before its frame is asked for."""
+
+    def reset(self) -> None:
+        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
 
     def push(self, update: PhonemeUpdate) -> None:
-        """Believe a recogniser; what has been shown stays as it is."""
+        """Take a revision of the phonemes; what has been shown stays as it is."""
 
-    def coefficients_at(self, time_s: float) -> Array:
-        """The face (n_components,) at a sound time; the same time gives the same face."""
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at a sound time; the same time gives the same frame.
+
+        Times ascend, but for a step back of half a second at most.
+        """
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme believed at a time, for displays."""

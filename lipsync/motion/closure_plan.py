@@ -1,11 +1,11 @@
 """When lips must touch: closures planned from the phonemes known now, smooth in time."""
 
-import math
 from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from lipsync.expectation.context import PhonemeTrack
+from lipsync.motion.amount import Amount
 
 #: Lips shut, and lower lip at the upper teeth.
 BILABIALS = ("P", "B", "M")
@@ -19,39 +19,6 @@ PARTING_S = 0.04
 HOLD_S = 0.02
 #: Sums of the same times differ by less.
 _ROUNDING_S = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class Amount:
-    """A cubic from a value and a slope at `start_s` to rest at `goal`; there it stays.
-
-    Hermite's form, so that a new one takes over from any instant of the old one smoothly.
-    touched_s: when the last closure was, or will be, complete; as long as it is held, now.
-    """
-
-    start_s: float
-    duration_s: float
-    value: float
-    slope_per_s: float
-    goal: float
-    touched_s: float = -math.inf
-
-    def at(self, time_s: float) -> tuple[float, float]:
-        """Value and slope per second at a time not before the start."""
-        u = (time_s - self.start_s) / self.duration_s
-        if u >= 1.0:
-            return self.goal, 0.0
-        fall = (1.0 + 2.0 * u) * (1.0 - u) ** 2
-        slope = self.slope_per_s * self.duration_s
-        value = self.goal + (self.value - self.goal) * fall + slope * u * (1.0 - u) ** 2
-        change = 6.0 * u * (u - 1.0) * (self.value - self.goal)
-        change += slope * (1.0 - u) * (1.0 - 3.0 * u)
-        return value, change / self.duration_s
-
-    def smooth(self, time_s: float) -> float:
-        """The value within 0 and 1, with slope 0 at both ends whatever the cubic does there."""
-        value = min(1.0, max(0.0, self.at(time_s)[0]))
-        return value * value * (3.0 - 2.0 * value)
 
 
 OPEN = Amount(0.0, PARTING_S, 0.0, 0.0, 0.0)
@@ -97,7 +64,7 @@ def _is_due(
             moment_s = min(start_s + moments_s[track.phonemes[i]], end_s)
             until_s = moment_s + HOLD_S / 2.0
             if touched_s < start_s - HOLD_S:
-                until_s = max(until_s, end_s)  # heard of late: close late, as long as it goes on
+                until_s = max(until_s, end_s)  # told late: close late, as long as it goes on
             begins_s = moment_s - HOLD_S / 2.0 - CLOSING_S
             if begins_s <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S:
                 return True

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Lips pressed together show this gap, mm. The bar is 1.0; the rest leaves room for the sampling
 #: of a face between two ticks. Closer costs accuracy (docs/motion.md).
-PRESSED_GAP_MM = 0.7
+BILABIAL_GAP_MM = 0.7
 #: What no change of the gap can be told from, as a share of its variance: keeps the inverse finite.
 _RIDGE = 1e-6
 #: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.

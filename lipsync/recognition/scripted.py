@@ -27,7 +27,7 @@ def read_phonemes(path: str | PathLike[str], tier: str = "phones") -> tuple[Phon
 
 
 class ScriptedPhonemes:
-    """A `PhonemeScript` that lets out known events only as a perfect listener would learn them.
+    """A `PhonemeSource` that lets out known events only as a perfect listener would learn them.
 
     Heard until t, it tells the starts before t + `lookahead_s` and the ends not after it, nothing
     more; all it tells is final. Raises ValueError for events out of order or overlapping, and for
@@ -42,9 +42,21 @@ class ScriptedPhonemes:
         self._lookahead_s = lookahead_s
         self._n_over = 0  # events that were told with their end
         self._known_until_s = 0.0
+        self._heard_until_s = 0.0
+
+    @property
+    def latency_s(self) -> float:
+        """What is told is settled at once."""
+        return 0.0
+
+    @property
+    def heard_until_s(self) -> float:
+        """The sound time up to which it was asked."""
+        return self._heard_until_s
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """One update if time went on since the last call, else none."""
+        self._heard_until_s = max(self._heard_until_s, until_s)
         known_until_s = until_s + self._lookahead_s
         if known_until_s <= self._known_until_s:
             return []

@@ -38,7 +38,7 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
     from lipservo.bench import synthesis_figures as measure
-    from lipservo.street.recognized_phonemes import recognized_events
+    from lipservo.street.settled_phonemes import settled_events
     from lipsync.audio.file import FileSource
     from lipsync.face.model import load_shipped_model
 
@@ -56,7 +56,7 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
     ):
         steps = progress.add_task("synthesis", total=4)
         figures |= measure.synthesis_times_ms(
-            model, [list(recognized_events(FileSource(clip), "network"))]
+            model, [list(settled_events(FileSource(clip), "network"))]
         )
         progress.advance(steps)
         known = [] if corpora is None else [corpora / name for name in _REPLAYED]

@@ -40,7 +40,7 @@ def recognize(
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
     from lipservo.street.phone_file import check_phone_file, write_phone_file
-    from lipservo.street.recognized_phonemes import recognized_events
+    from lipservo.street.settled_phonemes import settled_events
     from lipservo.street.sources import DEFAULT_MICROPHONE, open_microphone
     from lipservo.street.sources import warn as warn_of_sound
     from lipsync.audio.file import FileSource
@@ -59,7 +59,7 @@ def recognize(
         MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
 
     try:
-        for event in recognized_events(source, engine, weights, warn):
+        for event in settled_events(source, engine, weights, warn):
             if output is not None:
                 events.append(event)
             if as_json:

@@ -108,9 +108,11 @@ def speech_process(
     from firmware_bridge.process.socket_channel import SocketTargetChannel
     from lipservo.face.assembly import assemble_face
     from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
+    from lipservo.street.recognized_phonemes import RecognizedPhonemes
     from lipservo.street.sources import open_sound
     from lipservo.street.speech import Speech
     from lipservo.street.speech_status import speech_status
+    from lipsync.audio.playback_clock import clock_for
 
     asked = request_of_json(request)
     face = assemble_face(asked.config, asked.model)
@@ -125,12 +127,20 @@ def speech_process(
         source = stack.enter_context(open_sound(asked.sound, start_s))
         recognizer = make_recognizer(asked.motion.engine, time.perf_counter, asked.motion.weights)
         synthesizer = make_synthesizer(face.model, asked.motion)
-        targets = SocketTargetChannel(end)
-        speech = Speech(source, recognizer, synthesizer, face.calibration, targets)
+        phonemes, names = RecognizedPhonemes(source, recognizer), list(face.settings.servos)
+        speech = Speech(
+            phonemes,
+            clock_for(source),
+            synthesizer,
+            face.calibration,
+            names,
+            SocketTargetChannel(end),
+        )
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:
             say(f"{source.name} goes on at {start_s:.1f} s")
+        speech.begin(zero_s)
         alive.began(zero_s)
         n_said = 0
         settings: dict[str, float] = {}
@@ -142,7 +152,7 @@ def speech_process(
             if (wanted := shared.settings()) != settings:
                 adjust(synthesizer, wanted)
                 settings, tell_at_s = wanted, time_s
-            speech.advance(time_s, zero_s)
+            speech.advance(time_s)
             for reason in recognizer.reasons[n_said:]:
                 say(f"recogniser left: {reason}")
             n_said = len(recognizer.reasons)

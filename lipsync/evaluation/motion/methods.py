@@ -13,7 +13,8 @@ from lipsync.baselines.dominance import Dominance, fixed_reference
 from lipsync.baselines.spline import spline_faces, viseme_centres
 from lipsync.expectation.context import contexts, track_of
 from lipsync.face.model import FaceModel
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY, TICK_S, LiveSynthesizer, Style
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer, Style
+from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 
@@ -114,7 +115,7 @@ class PublishedMethod:
         """Faces with every phone known when it begins."""
         synthesizer = self.synthesizer(model)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
-        return np.array([synthesizer.coefficients_at(float(t)) for t in times_s])
+        return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
 
     def synthesizer(self, model: FaceModel) -> PublishedSynthesizer:
         """A fresh one."""
@@ -154,10 +155,10 @@ class LiveMethod:
         for time_s in times_s:
             while n_ticks * TICK_S < time_s - _BORDER_S:
                 _listen(synthesizer, source, n_ticks * TICK_S)
-                synthesizer.coefficients_at(n_ticks * TICK_S)
+                synthesizer.frame_at(n_ticks * TICK_S)
                 n_ticks += 1
             _listen(synthesizer, source, float(time_s))
-            faces.append(synthesizer.coefficients_at(float(time_s)))
+            faces.append(synthesizer.frame_at(float(time_s)).coefficients)
         return np.array(faces)
 
 

@@ -125,5 +125,5 @@ def _live_ms(model: FaceModel, heard: Heard) -> float:
     for frame in range(round(end_s * _FRAMES_HZ)):
         for update in script.updates(frame / _FRAMES_HZ):
             synthesizer.push(update)
-        synthesizer.coefficients_at(frame / _FRAMES_HZ)
+        synthesizer.frame_at(frame / _FRAMES_HZ)
     return (time.perf_counter() - began) * 1e3

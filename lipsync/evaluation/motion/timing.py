@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.evaluation.motion.methods import Heard, LiveMethod, Method, PublishedMethod, script_of
+from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
-from lipsync.motion.live_synthesizer import TICK_S, LiveSynthesizer, Style
+from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
+from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeScript, PhonemeUpdate
 
 
@@ -25,11 +26,12 @@ class Times:
 
 
 class _Synthesizer(Protocol):
-    phonemes_planned: int
+    @property
+    def phonemes_planned(self) -> int: ...
 
     def push(self, update: PhonemeUpdate) -> None: ...
 
-    def coefficients_at(self, time_s: float) -> NDArray[np.float64]: ...
+    def frame_at(self, time_s: float) -> Frame: ...
 
 
 def method_times(
@@ -80,7 +82,7 @@ def _add_times(
         began = time.perf_counter()
         for update in updates:
             synthesizer.push(update)
-        synthesizer.coefficients_at(time_s)
+        synthesizer.frame_at(time_s)
         took_ms = (time.perf_counter() - began) * 1e3
         (phoneme_ms if synthesizer.phonemes_planned > n_planned else frame_ms).append(took_ms)
 

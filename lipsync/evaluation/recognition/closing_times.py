@@ -111,7 +111,7 @@ class _MouthObserver:
         for update in step.updates:
             self._synthesizer.push(update)
         if self._number >= 0:
-            face = self._synthesizer.coefficients_at(self._number * BLOCK_S)
+            face = self._synthesizer.frame_at(self._number * BLOCK_S).coefficients
             self.openings_mm.append(self._opening_mm(face))
             self.resting.append(self._synthesizer.is_resting)
 

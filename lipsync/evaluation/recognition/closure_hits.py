@@ -11,7 +11,7 @@ from lipsync.evaluation.motion.measures import CLOSING, closes, is_bilabial
 from lipsync.evaluation.motion.methods import LiveMethod
 from lipsync.evaluation.recognition.recognized_file import recognize_file
 from lipsync.face.model import FaceModel
-from lipsync.motion.live_synthesizer import TICK_S
+from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent
 
 

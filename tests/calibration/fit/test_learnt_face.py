@@ -70,7 +70,7 @@ def test_positions_are_weights_times_distance_from_rest_within_limits(calibratio
         calibration,
         servo_names=("a", "b"),
         weights=np.array([[2.0, 0.0], [1.0, -1.0]]),
-        bends=np.zeros((2, 0)),
+        quadratic_weights=np.zeros((2, 0)),
         rest=np.array([1.0, 1.0]),
         rest_deg=np.zeros(2),
         x_range=np.array([[-np.inf] * 2, [np.inf] * 2]),
@@ -103,7 +103,7 @@ def mouth(face: SimulatedFace, limits: np.ndarray) -> RobotMouth:
 
 
 def features(face: SimulatedFace, positions_deg: np.ndarray) -> np.ndarray:
-    return correspond(MARKER_NAMES).look.features(marker_positions_mm(face, positions_deg))
+    return correspond(MARKER_NAMES).shape_features.of(marker_positions_mm(face, positions_deg))
 
 
 def test_poses_of_the_face_itself_are_found_again(face):

@@ -25,7 +25,7 @@ from calibration.fit.retargeting import MOST_EXAGGERATION
 from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
-from calibration.run.inverse import Look, nearest_poses_deg
+from calibration.run.inverse import ShapeFeatures, nearest_poses_deg
 from calibration.run.run_time_map import fit_run_time_map
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from calibration.simulated.robot import SimulatedRobot, draw_robot, true_markers_mm
@@ -128,29 +128,34 @@ def linear_face(slopes: np.ndarray):
 def test_nearest_poses_of_a_linear_face_agree_with_scipy():
     rng = np.random.default_rng(3)
     slopes, wanted_mm = rng.normal(size=(4, 12)), 3.0 * rng.normal(size=(6, 4, 3))
-    look = Look(lips=(0, 1, 2, 3), gaps=((0, 1),))
+    shape_features = ShapeFeatures(lips=(0, 1, 2, 3), gaps=((0, 1),))
     found = nearest_poses_deg(
-        linear_face(slopes), look.features(wanted_mm), look, (np.full(4, -2.0), np.full(4, 1.0))
+        linear_face(slopes),
+        shape_features.of(wanted_mm),
+        shape_features,
+        (np.full(4, -2.0), np.full(4, 1.0)),
     )
-    system = look.features(linear_face(slopes)(np.eye(4))).T
+    system = shape_features.of(linear_face(slopes)(np.eye(4))).T
     damped = np.vstack([system, 0.02 * np.eye(4)])
-    for angles, wanted in zip(found, look.features(wanted_mm), strict=True):
+    for angles, wanted in zip(found, shape_features.of(wanted_mm), strict=True):
         expected = lsq_linear(damped, np.r_[wanted, np.zeros(4)], (-2.0, 1.0), method="bvls").x
         assert angles == pytest.approx(expected, abs=1e-4)
 
 
 def test_a_coupling_rule_is_kept_and_steady_frames_follow_one_another():
-    look = Look(lips=(0, 1), gaps=((0, 1),))
+    shape_features = ShapeFeatures(lips=(0, 1), gaps=((0, 1),))
     slopes = np.zeros((2, 6))
     slopes[0, 1], slopes[1, 4] = 1.0, 1.0  # each servo lifts one marker
     wanted_mm = np.tile([[0.0, 4.0, 0.0], [0.0, 4.0, 0.0]], (5, 1, 1))
     wanted_mm[2] = 0.0
     limits = (np.full(2, -9.0), np.full(2, 9.0))
-    wanted = look.features(wanted_mm)
-    free = nearest_poses_deg(linear_face(slopes), wanted, look, limits)
+    wanted = shape_features.of(wanted_mm)
+    free = nearest_poses_deg(linear_face(slopes), wanted, shape_features, limits)
     rule = CouplingRule(np.array([1.0, 1.0]), 6.0)
-    ruled = nearest_poses_deg(linear_face(slopes), wanted, look, limits, rules=(rule,))
-    steady = nearest_poses_deg(linear_face(slopes), wanted, look, limits, steady_mm_per_deg=2.0)
+    ruled = nearest_poses_deg(linear_face(slopes), wanted, shape_features, limits, rules=(rule,))
+    steady = nearest_poses_deg(
+        linear_face(slopes), wanted, shape_features, limits, steady_mm_per_deg=2.0
+    )
     assert free[0] == pytest.approx([4.0, 4.0], abs=0.01)
     assert ruled[0].sum() == pytest.approx(6.0, abs=0.15)
     assert 0.5 < steady[2, 0] < steady[1, 0] < 4.0
@@ -160,12 +165,15 @@ def test_the_run_time_map_finds_a_quadratic_law_again():
     rng = np.random.default_rng(4)
     x = rng.uniform(-5, 5, (400, 2))
     products = np.column_stack([x[:, 0] ** 2, x[:, 0] * x[:, 1], x[:, 1] ** 2])
-    weights, bends = np.array([[1.0, -2.0], [0.5, 3.0]]), np.array([[0.1, 0, 0.2], [0, -0.3, 0]])
-    angles = np.array([1.5, -0.5]) + x @ weights.T + products @ bends.T
-    look = Look(lips=(0, 1), gaps=((0, 1),))
-    found = fit_run_time_map(x, angles, linear_face(rng.normal(size=(2, 6))), look)
+    weights, quadratic_weights = (
+        np.array([[1.0, -2.0], [0.5, 3.0]]),
+        np.array([[0.1, 0, 0.2], [0, -0.3, 0]]),
+    )
+    angles = np.array([1.5, -0.5]) + x @ weights.T + products @ quadratic_weights.T
+    shape_features = ShapeFeatures(lips=(0, 1), gaps=((0, 1),))
+    found = fit_run_time_map(x, angles, linear_face(rng.normal(size=(2, 6))), shape_features)
     assert found.weights == pytest.approx(weights, abs=0.05)
-    assert found.bends == pytest.approx(bends, abs=0.02)
+    assert found.quadratic_weights == pytest.approx(quadratic_weights, abs=0.02)
     assert found.free_deg(x) == pytest.approx(angles, abs=0.3)
 
 
@@ -303,15 +311,3 @@ def test_a_file_that_names_only_some_servo_models_is_refused(fit):
     text = calibration_text(fit.calibration).replace("    model: XL330-M288\n", "", 1)
     with pytest.raises(CalibrationError, match=r"servos\.jaw\.model is missing"):
         parse_calibration(text, "c.yaml")
-
-
-def test_servos_of_neck_and_eyes_stay_at_zero(fit):
-    names = ("neck_yaw", *SERVOS[::-1], "eye_left")
-    whole = fit.calibration.for_servos(names)
-    frame = MODEL.animphos[5, 2]
-    angles = dict(zip(names, whole.positions_deg(frame), strict=True))
-    assert angles["neck_yaw"] == angles["eye_left"] == 0.0
-    assert [angles[name] for name in SERVOS] == pytest.approx(fit.calibration.positions_deg(frame))
-    assert whole.touch.positions_deg[0] == 0.0
-    with pytest.raises(CalibrationError, match="calibrated servo 'jaw' is not in this face"):
-        fit.calibration.for_servos(SERVOS[1:])

@@ -15,7 +15,7 @@ from lipservo.bench.calibration_figures import calibration_figures
 from lipservo.street.delay import PUBLISH_PERIOD_S
 from lipservo.street.speech import Speech
 from lipsync.animpho.synthesizer import PublishedSynthesizer
-from lipsync.audio.silence import SilentSource
+from lipsync.audio.playback_clock import SteadyClock
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.scripted import ScriptedPhonemes
 
@@ -36,35 +36,23 @@ class Published(MemoryTargetChannel):
         super().publish(targets)
 
 
-class PerfectListener:
-    """A live recogniser that knows the script, and tells as much of it as it was fed sound."""
-
-    latency_s = 0.0
-
-    def __init__(self, events):
-        self._script = ScriptedPhonemes(events)
-        self._heard_until_s = 0.0
-
-    def feed(self, block):
-        self._heard_until_s = block.end_s
-
-    def updates(self):
-        return self._script.updates(self._heard_until_s)
-
-
 def published(calibration, stalled_s=(math.inf, math.inf)):
     """Times and positions of a second of SIL AA M AA SIL; nothing is computed while stalled."""
     times = (0.0, 0.3, 0.45, 0.6, 0.75, 1.5)
     spoken = ("SIL", "AA", "M", "AA", "SIL")
     events = [PhonemeEvent(*e, 1.0) for e in zip(spoken, times[:-1], times[1:], strict=True)]
     channel = Published()
-    with SilentSource() as source:
-        speech = Speech(
-            source, PerfectListener(events), PublishedSynthesizer(MODEL), calibration, channel
-        )
-        for n in range(250):
-            if not stalled_s[0] <= n * PUBLISH_PERIOD_S < stalled_s[1]:
-                speech.advance(n * PUBLISH_PERIOD_S, 0.0)
+    speech = Speech(
+        ScriptedPhonemes(events),
+        SteadyClock(),
+        PublishedSynthesizer(MODEL),
+        calibration,
+        [joint.name for joint in JOINTS],
+        channel,
+    )
+    for n in range(250):
+        if not stalled_s[0] <= n * PUBLISH_PERIOD_S < stalled_s[1]:
+            speech.advance(n * PUBLISH_PERIOD_S)
     return speech, channel.targets
 
 

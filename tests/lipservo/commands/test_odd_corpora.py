@@ -101,7 +101,7 @@ def test_a_phoneme_that_the_corpus_lacks_is_played_and_scored(
     synthesizer = LiveSynthesizer(learned)
     phones = spoken(("SIL", 0.4), ("AA", 0.2), ("B", 0.1), ("UW", 0.2), ("SIL", 0.4))
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, phones))
-    faces = [synthesizer.coefficients_at(tick / 100) for tick in range(130)]
+    faces = [synthesizer.frame_at(tick / 100).coefficients for tick in range(130)]
     assert min(learned.lip_gap_mm(face) for face in faces[60:71]) <= 1.0
 
 

@@ -12,7 +12,7 @@ import soundfile
 from places import ROOT
 from speech import CLIP_PATH
 
-from lipservo.street.recognized_phonemes import recognized_events
+from lipservo.street.settled_phonemes import settled_events
 from lipsync.audio.file import FileSource
 from lipsync.recognition import weights
 from lipsync.recognition.alignment.forced_alignment import words_of
@@ -60,7 +60,7 @@ def test_damaged_default_weights_are_made_up_for_and_it_says_so(monkeypatch, tmp
     damaged.write_bytes(b"no weights")
     monkeypatch.setitem(weights.SHIPPED, "default", str(damaged))
     said = []
-    events = list(recognized_events(FileSource(CLIP_PATH), "network", warn=said.append))
+    events = list(settled_events(FileSource(CLIP_PATH), "network", warn=said.append))
     assert len(events) > 20
     assert len(said) == 1
     assert "damaged or no weights file" in said[0]

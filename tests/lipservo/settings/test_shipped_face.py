@@ -16,12 +16,12 @@ def test_every_shipped_face_loads_with_its_calibration(name):
     servos = load_shipped_face(name).servos
     n_servos = {"face_sim": 10, "face_jaw": 1, "face_four": 4, "face_head": 16}
     assert len(face.joints) == len(servos) == n_servos[name]
-    assert face.calibration.servo_names == tuple(servos)
+    assert face.calibration.servo_names == tuple(load_shipped_face(name).mouth_servos)
 
 
 @pytest.mark.parametrize("name", shipped_faces())
 def test_speech_moves_every_shipped_face_rightly(name):
-    """Open vowels open, closures close, round vowels narrow; the rest is still."""
+    """Open vowels open, closures close, round vowels narrow."""
     face = assemble_face(name, None)
     mouth = list(load_shipped_face(name).mouth_servos)
 
@@ -36,19 +36,16 @@ def test_speech_moves_every_shipped_face_rightly(name):
     if "corner_left_out" in mouth:
         for corner in ("corner_left_out", "corner_right_out"):
             assert oo[corner] < ee[corner]
-    for servo in set(face.calibration.servo_names) - set(mouth):
-        assert ah[servo] == oo[servo] == ee[servo] == m[servo] == 0.0
 
 
 @pytest.mark.parametrize("name", shipped_faces())
 def test_the_lips_of_every_shipped_face_open_as_the_speakers_do(name):
     face = assemble_face(name, None)
     mouth = list(load_shipped_face(name).mouth_servos)
-    own = [face.calibration.servo_names.index(servo) for servo in mouth]
     frames = face.model.animphos[::20].reshape(-1, face.model.n_components)
     human_mm = [face.model.lip_gap_mm(frame) for frame in frames]
     robot = simulated_face(face.model.markers_mm(face.model.rest[None])[0], mouth)
-    degrees = np.array([face.calibration.positions_deg(frame)[own] for frame in frames])
+    degrees = np.array([face.calibration.positions_deg(frame) for frame in frames])
     markers_mm = marker_positions_mm(robot, degrees)
     gaps = markers_mm[:, UPPER_INNER_LIP] - markers_mm[:, LOWER_INNER_LIP]
     assert np.corrcoef(human_mm, np.linalg.norm(gaps, axis=1))[0, 1] > 0.95

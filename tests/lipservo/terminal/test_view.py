@@ -16,6 +16,7 @@ from lipservo.status.face_status import Status
 from lipservo.status.street_tick import StreetTick
 from lipservo.terminal.mouth_drawing import draw_mouth
 from lipservo.terminal.view import TerminalView
+from lipsync.face.frame import Frame
 from lipsync.face.model import load_shipped_model
 
 
@@ -72,7 +73,7 @@ def tick(phoneme: str, sent_deg: Sequence[float], coefficients: np.ndarray) -> S
         none,
         none,
     )
-    return StreetTick(0.5, phoneme, coefficients, report)
+    return StreetTick(0.5, phoneme, Frame(0.5, coefficients), report)
 
 
 def console_of(width: int, encoding: str = "utf-8") -> tuple[Console, io.BytesIO]:

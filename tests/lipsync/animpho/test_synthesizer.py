@@ -23,7 +23,7 @@ def around(synthesizer: PublishedSynthesizer, time_s: float) -> tuple[float, flo
     """Jump at a joint, and the speeds just before and after it, on the opening component."""
     step_s = 1e-6
     times_s = (time_s - 2 * step_s, time_s - step_s, time_s, time_s + step_s)
-    a, b, c, d = (synthesizer.coefficients_at(t)[0] for t in times_s)
+    a, b, c, d = (synthesizer.frame_at(t).coefficients[0] for t in times_s)
     return c - b, (b - a) / step_s, (d - c) / step_s
 
 
@@ -66,46 +66,46 @@ def test_a_long_pause_ends_in_closed_lips():
     model = small_model()
     synthesizer = PublishedSynthesizer(model)
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("SIL", 1.0))
-    assert model.lip_gap_mm(synthesizer.coefficients_at(0.55)) > 5.0
+    assert model.lip_gap_mm(synthesizer.frame_at(0.55).coefficients) > 5.0
     for time_s in (0.85, 1.2, 1.59, 30.0):
-        np.testing.assert_allclose(synthesizer.coefficients_at(time_s), model.rest, atol=1e-9)
+        np.testing.assert_allclose(synthesizer.frame_at(time_s).coefficients, model.rest, atol=1e-9)
 
 
 def test_a_short_silence_between_words_is_a_phoneme_like_any_other():
     synthesizer = PublishedSynthesizer(small_model())
     known(synthesizer, ("AA", 0.2), ("SIL", 0.2), ("AA", 0.2))
-    synthesizer.coefficients_at(0.59)
+    synthesizer.frame_at(0.59)
     assert synthesizer.phonemes_planned == 3
 
 
 def test_a_phone_that_goes_on_is_played_for_its_longest_time_and_then_held():
     synthesizer = PublishedSynthesizer(small_model(), longest_phone_s=0.35)
     synthesizer.push(PhonemeUpdate(0.0, 9.0, 8.9, (PhonemeEvent("AA", 0.0, None),)))
-    held = synthesizer.coefficients_at(1.0)
-    np.testing.assert_array_equal(held, synthesizer.coefficients_at(8.0))
+    held = synthesizer.frame_at(1.0).coefficients
+    np.testing.assert_array_equal(held, synthesizer.frame_at(8.0).coefficients)
     assert synthesizer.phonemes_planned == 1
 
 
 def test_the_same_time_gives_the_same_face_also_after_a_look_back():
     synthesizer = PublishedSynthesizer(small_model())
     known(synthesizer, *CHAIN)
-    faces = {t: synthesizer.coefficients_at(t) for t in (0.60, 0.65, 0.80)}
+    faces = {t: synthesizer.frame_at(t).coefficients for t in (0.60, 0.65, 0.80)}
     for time_s, face in faces.items():
-        np.testing.assert_array_equal(face, synthesizer.coefficients_at(time_s))
+        np.testing.assert_array_equal(face, synthesizer.frame_at(time_s).coefficients)
 
 
 def test_what_was_shown_is_not_taken_back_and_what_comes_joins_on():
     synthesizer = PublishedSynthesizer(small_model())
     first = (PhonemeEvent("SIL", 0.0, 0.5), PhonemeEvent("AA", 0.5, None))
     synthesizer.push(PhonemeUpdate(0.0, 0.9, 0.0, first))
-    shown = synthesizer.coefficients_at(0.7)
+    shown = synthesizer.frame_at(0.7).coefficients
     other = (
         PhonemeEvent("SIL", 0.0, 0.4),
         PhonemeEvent("UW", 0.4, 0.72),
         PhonemeEvent("M", 0.72, None),
     )
     synthesizer.push(PhonemeUpdate(0.0, 1.3, 0.0, other))
-    np.testing.assert_array_equal(shown, synthesizer.coefficients_at(0.7))
+    np.testing.assert_array_equal(shown, synthesizer.frame_at(0.7).coefficients)
     jump, before, after = around(synthesizer, 0.85)
     assert abs(jump) < 1e-2
     assert after == pytest.approx(before, rel=1e-3, abs=0.5)
@@ -117,7 +117,7 @@ def test_every_phoneme_of_the_inventory_moves_the_mouth():
             continue
         synthesizer = PublishedSynthesizer(small_model(), NaiveSelection())
         known(synthesizer, ("SIL", 0.4), (phoneme, 0.2), ("AA", 0.2), ("SIL", 0.5))
-        frames = np.array([synthesizer.coefficients_at(0.4 + 0.01 * i) for i in range(20)])
+        frames = np.array([synthesizer.frame_at(0.4 + 0.01 * i).coefficients for i in range(20)])
         assert np.ptp(frames, axis=0).max() > 0.1, phoneme
 
 
@@ -125,7 +125,7 @@ def test_nothing_heard_yet_is_a_closed_mouth():
     model = small_model()
     synthesizer = PublishedSynthesizer(model)
     for time_s in (0.0, 0.1, 100.0):
-        np.testing.assert_array_equal(synthesizer.coefficients_at(time_s), model.rest)
+        np.testing.assert_array_equal(synthesizer.frame_at(time_s).coefficients, model.rest)
 
 
 def test_an_open_last_event_cannot_be_rendered_offline():
@@ -142,10 +142,10 @@ def test_motion_stays_continuous_whatever_arrives(updates):
     for update in updates:
         synthesizer.push(update)
         while shown_s < update.heard_until_s - 0.4:
-            frames.append(synthesizer.coefficients_at(shown_s))
+            frames.append(synthesizer.frame_at(shown_s).coefficients)
             shown_s += 0.001
     for _ in range(700):
-        frames.append(synthesizer.coefficients_at(shown_s))
+        frames.append(synthesizer.frame_at(shown_s).coefficients)
         shown_s += 0.001
     steps = np.abs(np.diff(np.array(frames), axis=0))
     # 50 is the range of the small model; 20 ms is the shortest stretch that is animated.

@@ -9,14 +9,9 @@ from hypothesis import strategies as st
 from spoken_phonemes import spoken
 
 from lipsync.face.model import load_shipped_model
-from lipsync.motion.live_synthesizer import (
-    ADJUSTING_S,
-    STRONGEST,
-    TICK_S,
-    LiveSynthesizer,
-    Style,
-    StyleError,
-)
+from lipsync.motion.eased_setting import ADJUSTING_S
+from lipsync.motion.live_synthesizer import STRONGEST, LiveSynthesizer, Style, StyleError
+from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeUpdate
 
 MODEL = load_shipped_model()
@@ -35,7 +30,7 @@ def shown(style, changes=()):
     for time_s in TIMES_S:
         while left and left[0][0] <= time_s:
             synthesizer.adjust(*left.pop(0)[1:])
-        faces.append(synthesizer.coefficients_at(float(time_s)))
+        faces.append(synthesizer.frame_at(float(time_s)).coefficients)
     return np.array(faces)
 
 
@@ -80,7 +75,7 @@ def test_no_change_makes_the_mouth_jump(several):
     """
     rest_mm = MODEL.markers_mm(MODEL.rest[None])
     excursion_mm = np.linalg.norm(MODEL.markers_mm(STRONGEST_FACES) - rest_mm, axis=2).max()
-    allowed_mm_s = fastest_mm_s(STRONGEST_FACES) + 3.0 * excursion_mm / 0.3
+    allowed_mm_s = fastest_mm_s(STRONGEST_FACES) + 3.0 * excursion_mm / ADJUSTING_S
 
     assert fastest_mm_s(shown(Style(), several)) <= allowed_mm_s
 
@@ -88,11 +83,11 @@ def test_no_change_makes_the_mouth_jump(several):
 def test_a_time_that_was_shown_is_shown_the_same_again_after_a_change():
     synthesizer = LiveSynthesizer(MODEL)
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, SENTENCE))
-    synthesizer.coefficients_at(0.7)
-    before = synthesizer.coefficients_at(0.5)
+    synthesizer.frame_at(0.7)
+    before = synthesizer.frame_at(0.5).coefficients
     synthesizer.adjust("strength", 0.2)
 
-    np.testing.assert_array_equal(synthesizer.coefficients_at(0.5), before)
+    np.testing.assert_array_equal(synthesizer.frame_at(0.5).coefficients, before)
 
 
 def test_a_new_stream_begins_with_what_was_set():
@@ -101,7 +96,7 @@ def test_a_new_stream_begins_with_what_was_set():
     synthesizer.reset()
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, SENTENCE))
 
-    np.testing.assert_array_equal(synthesizer.coefficients_at(0.5), MODEL.rest)
+    np.testing.assert_array_equal(synthesizer.frame_at(0.5).coefficients, MODEL.rest)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,9 @@ from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
 from lipsync.face.model import load_shipped_model
-from lipsync.motion.live_synthesizer import LEAD, TICK_S, LiveSynthesizer, Style, StyleError
+from lipsync.motion.expected_motion import LEAD
+from lipsync.motion.live_synthesizer import LiveSynthesizer, Style, StyleError
+from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 
@@ -21,7 +23,7 @@ def known(synthesizer: LiveSynthesizer, *phones: tuple[str, float]) -> None:
 
 def faces(synthesizer: LiveSynthesizer, start_s: float, end_s: float, step_s=0.001) -> np.ndarray:
     times_s = np.arange(start_s, end_s, step_s)
-    return np.array([synthesizer.coefficients_at(float(t)) for t in times_s])
+    return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
 
 
 @pytest.mark.parametrize("lookahead_s", [0.0, 0.1, 0.2])
@@ -33,7 +35,7 @@ def test_the_future_beyond_the_look_ahead_makes_no_difference(lookahead_s):
     known(b, *same, ("UW", 0.2), ("T", 0.3))
     until_s = 0.60 - lookahead_s - TICK_S
     np.testing.assert_array_equal(faces(a, 0.0, until_s, TICK_S), faces(b, 0.0, until_s, TICK_S))
-    assert not np.array_equal(a.coefficients_at(0.65), b.coefficients_at(0.65))
+    assert not np.array_equal(a.frame_at(0.65).coefficients, b.frame_at(0.65).coefficients)
 
 
 def test_a_phoneme_moves_the_mouth_before_its_end_is_known():
@@ -41,11 +43,11 @@ def test_a_phoneme_moves_the_mouth_before_its_end_is_known():
     synthesizer = LiveSynthesizer(model, Style(0.0))
     events = (PhonemeEvent("SIL", 0.0, 0.5), PhonemeEvent("AA", 0.5, None))
     synthesizer.push(PhonemeUpdate(0.0, 0.6, 0.6, events))
-    assert model.lip_gap_mm(synthesizer.coefficients_at(0.49)) < 0.1
-    assert model.lip_gap_mm(synthesizer.coefficients_at(0.53)) > 5.0
+    assert model.lip_gap_mm(synthesizer.frame_at(0.49).coefficients) < 0.1
+    assert model.lip_gap_mm(synthesizer.frame_at(0.53).coefficients) > 5.0
 
 
-def test_a_step_of_the_expectation_is_gone_ahead_for_one_recorded_frame_and_then_forgotten():
+def test_a_step_of_the_expectation_is_extrapolated_for_one_recorded_frame_and_then_forgotten():
     model = small_model()
     synthesizer = LiveSynthesizer(model, Style(0.0))
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("UW", 0.3), ("SIL", 0.4))
@@ -77,7 +79,7 @@ def test_the_lower_lip_rises_as_far_as_in_the_recordings_in_f_and_v(phoneme, str
     assert min(gaps_mm) <= model.labiodental_gap_mm
 
 
-def test_a_labial_heard_of_late_still_closes_the_lips():
+def test_a_labial_told_late_still_closes_the_lips():
     model = load_shipped_model()
     synthesizer = LiveSynthesizer(model, Style(0.0))
     believed = (PhonemeEvent("SIL", 0.0, 0.4), PhonemeEvent("AA", 0.4, None))
@@ -92,7 +94,7 @@ def test_a_long_pause_ends_in_the_closed_mouth():
     model = load_shipped_model()
     synthesizer = LiveSynthesizer(model)
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("SIL", 2.0))
-    np.testing.assert_allclose(synthesizer.coefficients_at(1.5), model.rest, atol=1e-6)
+    np.testing.assert_allclose(synthesizer.frame_at(1.5).coefficients, model.rest, atol=1e-6)
 
 
 def test_the_mouth_leaves_rest_and_returns_to_it_over_several_ticks():
@@ -105,7 +107,7 @@ def test_the_mouth_leaves_rest_and_returns_to_it_over_several_ticks():
         steps = np.linalg.norm(np.diff(moved, axis=0), axis=1)
         assert way > 1.0
         assert steps.max() < 0.4 * way
-    np.testing.assert_allclose(synthesizer.coefficients_at(0.5), model.rest)
+    np.testing.assert_allclose(synthesizer.frame_at(0.5).coefficients, model.rest)
 
 
 def test_without_look_ahead_the_mouth_leaves_rest_at_the_onset_and_no_tick_later():
@@ -113,8 +115,8 @@ def test_without_look_ahead_the_mouth_leaves_rest_at_the_onset_and_no_tick_later
     synthesizer = LiveSynthesizer(model, Style(0.0))
     known(synthesizer, ("SIL", 0.6), ("AA", 0.3))
     faces(synthesizer, 0.0, 0.59, TICK_S)
-    np.testing.assert_allclose(synthesizer.coefficients_at(0.59), model.rest)
-    assert np.linalg.norm(synthesizer.coefficients_at(0.6) - model.rest) > 1.0
+    np.testing.assert_allclose(synthesizer.frame_at(0.59).coefficients, model.rest)
+    assert np.linalg.norm(synthesizer.frame_at(0.6).coefficients - model.rest) > 1.0
 
 
 def test_strength_zero_keeps_the_mouth_at_rest_and_one_and_a_half_opens_it_further():
@@ -175,7 +177,7 @@ def test_reset_forgets_everything():
     model = load_shipped_model()
     used, fresh = LiveSynthesizer(model), LiveSynthesizer(model)
     known(used, ("AA", 0.5))
-    used.coefficients_at(0.4)
+    used.frame_at(0.4)
     used.reset()
     for synthesizer in (used, fresh):
         known(synthesizer, ("SIL", 0.3), ("UW", 0.3))
@@ -200,7 +202,8 @@ def test_told_one_by_one_or_all_at_once_gives_the_same_faces():
         for update in source.updates(tick * TICK_S + 1e-6):
             one_by_one.push(update)
         np.testing.assert_allclose(
-            one_by_one.coefficients_at(tick * TICK_S), at_once.coefficients_at(tick * TICK_S)
+            one_by_one.frame_at(tick * TICK_S).coefficients,
+            at_once.frame_at(tick * TICK_S).coefficients,
         )
 
 
@@ -213,11 +216,11 @@ def test_position_and_speed_are_continuous_whatever_arrives(updates, ahead_s, st
     for update in updates:
         synthesizer.push(update)
         while tick * TICK_S < update.heard_until_s - ahead_s:
-            synthesizer.coefficients_at(tick * TICK_S)
+            synthesizer.frame_at(tick * TICK_S)
             if tick > 1:
                 joint_s = (tick - 1) * TICK_S
                 a, b, c, d = (
-                    synthesizer.coefficients_at(joint_s + k * step_s) for k in (-2, -1, 1, 2)
+                    synthesizer.frame_at(joint_s + k * step_s).coefficients for k in (-2, -1, 1, 2)
                 )
                 before, after = (b - a) / step_s, (d - c) / step_s
                 # 60 mm in a tick is more than the small model's range: 6000 mm/s.

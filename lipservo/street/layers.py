@@ -1,0 +1,93 @@
+"""Each servo has one owner at a time: lips before expression before idle before neutral."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+#: A servo goes over from one owner to the next in this time: slower than speech, so that no
+#: hand-over looks like a word, and done within a pause of 300 ms.
+HANDOVER_S = 0.3
+#: Steepest slope of the way over, 3 u^2 - 2 u^3, in shares of the way per HANDOVER_S.
+STEEPEST = 1.5
+
+
+class Layer(IntEnum):
+    """Who may move a servo; of all that claim one, the highest owns it."""
+
+    NEUTRAL = 0
+    IDLE = 1
+    EXPRESSION = 2
+    LIPS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Claim:
+    """What one layer wants: `positions_deg` (k,) of the servos numbered `servos` (k,)."""
+
+    layer: Layer
+    servos: Indices
+    positions_deg: Array
+
+
+class ServoLayers:
+    """Puts the claims of all layers together, one pose each period."""
+
+    def __init__(self, servo_names: Sequence[str], neutral_deg: Array, period_s: float) -> None:
+        """neutral_deg: (n_servos,), where a servo goes that nobody claims."""
+        self.servo_names = tuple(servo_names)
+        self._neutral_deg = neutral_deg
+        self._step = period_s / HANDOVER_S
+        self._owners = np.full(len(self.servo_names), -1)
+        self._shown_deg = neutral_deg
+        # Where the newest owner took a servo over, and how far the way to it is done, 0 to 1.
+        self._start_deg = neutral_deg
+        self._progress = np.ones(len(self.servo_names))
+
+    def indices(self, names: Sequence[str]) -> Indices:
+        """The numbers of some servos. Raises ValueError for a name that the face has not."""
+        for name in names:
+            if name not in self.servo_names:
+                raise ValueError(f"no servo {name!r} in this face: {', '.join(self.servo_names)}")
+        return np.array([self.servo_names.index(name) for name in names], dtype=np.intp)
+
+    @property
+    def owners(self) -> Mapping[str, Layer]:
+        """Whose each servo is, by its name; empty before the first pose."""
+        if (self._owners < 0).any():
+            return {}
+        owners = (Layer(int(owner)) for owner in self._owners)
+        return dict(zip(self.servo_names, owners, strict=True))
+
+    def compose(self, claims: Sequence[Claim]) -> Array:
+        """(n_servos,) degrees: each servo where its owner wants it, or on its way there.
+
+        The first pose is taken as it is. From then on a new owner starts from where the servo was
+        last told to be, and has it fully after HANDOVER_S.
+        """
+        wanted_deg = self._neutral_deg.copy()
+        owners = np.full(len(self.servo_names), int(Layer.NEUTRAL))
+        for claim in sorted(claims, key=_rank):
+            wanted_deg[claim.servos] = claim.positions_deg
+            owners[claim.servos] = int(claim.layer)
+        changed = (owners != self._owners) & (self._owners >= 0)
+        self._owners = owners
+        self._start_deg = np.where(changed, self._shown_deg, self._start_deg)
+        self._progress = np.where(changed, 0.0, self._progress)
+        under_way = self._progress < 1.0
+        if under_way.any():
+            self._progress = np.minimum(1.0, self._progress + self._step)
+            left = 1.0 - self._progress**2 * (3.0 - 2.0 * self._progress)
+            handed_deg = wanted_deg + left * (self._start_deg - wanted_deg)
+            wanted_deg = np.where(under_way, handed_deg, wanted_deg)
+        self._shown_deg = wanted_deg
+        return wanted_deg
+
+
+def _rank(claim: Claim) -> int:
+    return claim.layer

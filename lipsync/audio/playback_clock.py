@@ -1,0 +1,167 @@
+"""Between the monotonic clock and sound time: the one place that knows where a sound has got to.
+
+Sound time s is heard at `monotonic_s(s)`, and its face is shown there a declared delay later.
+"""
+
+import math
+from collections import deque
+from typing import Protocol
+
+from lipsync.audio.arrival_lag import ArrivalLag
+from lipsync.audio.source import AudioSource
+
+#: Arrivals of live sound that are remembered, to tell when what is shown now was captured: more
+#: than the longest delay, at 100 a second.
+_ARRIVALS = 512
+#: Sound time passes at 0 to 1.5 times the speed of time while it follows a device's position: lips
+#: stand still where the loudspeaker does, and catch up faster than anybody hears.
+_MOST_RISE, _MOST_FALL = 1.0, 0.5
+#: Positions are reported with an error of several milliseconds; they are followed this slowly.
+_FOLLOWING_S = 0.2
+
+
+class PlaybackClock(Protocol):
+    """When a sound time is heard. Ask in order of time."""
+
+    def begin(self, zero_s: float) -> None:
+        """Sound time 0 is heard at monotonic `zero_s`."""
+
+    def sound_s(self, now_s: float) -> float:
+        """The sound time that is heard at monotonic `now_s`; negative before the sound begins.
+
+        It never decreases while `now_s` does not.
+        """
+
+    def monotonic_s(self, sound_s: float) -> float:
+        """When a sound time is heard, on the monotonic clock, as far as is known now."""
+
+    def arrived(self, now_s: float, until_s: float) -> None:
+        """At monotonic `now_s` the sound up to sound time `until_s` was there."""
+
+    def captured_s(self, sound_s: float) -> float | None:
+        """When a sound time was captured, on the monotonic clock; None if none that late was."""
+
+
+class SteadyClock:
+    """For a file, silence, or a script: sound is there whenever it is due."""
+
+    def __init__(self) -> None:
+        self._zero_s = 0.0
+
+    def begin(self, zero_s: float) -> None:
+        """Sound time 0 is heard at monotonic `zero_s`."""
+        self._zero_s = zero_s
+
+    def sound_s(self, now_s: float) -> float:
+        """The sound time that is heard at monotonic `now_s`."""
+        return now_s - self._zero_s
+
+    def monotonic_s(self, sound_s: float) -> float:
+        """When a sound time is heard, on the monotonic clock."""
+        return self._zero_s + sound_s
+
+    def arrived(self, now_s: float, until_s: float) -> None:
+        """Changes nothing: sound that nobody captures is never late."""
+
+    def captured_s(self, sound_s: float) -> float:
+        """The sound of a file counts as captured when it would be heard."""
+        return self.monotonic_s(sound_s)
+
+
+class ArrivalClock:
+    """For a microphone or a stream: sound comes late, in pieces, and at a rate of its own."""
+
+    def __init__(self) -> None:
+        self._zero_s = 0.0
+        self._lag = ArrivalLag()
+        # Until when sound had come, and how far the clock was ahead of that.
+        self._arrivals: deque[tuple[float, float]] = deque(maxlen=_ARRIVALS)
+
+    def begin(self, zero_s: float) -> None:
+        """Sound time 0 is captured at monotonic `zero_s`, or later."""
+        self._zero_s = zero_s
+
+    def sound_s(self, now_s: float) -> float:
+        """The sound time that is heard at monotonic `now_s`: what has come, smoothed."""
+        return now_s - (self._zero_s + self._lag.lag_s)
+
+    def monotonic_s(self, sound_s: float) -> float:
+        """When a sound time is heard, on the monotonic clock, as late as sound comes now."""
+        return self._zero_s + self._lag.lag_s + sound_s
+
+    def arrived(self, now_s: float, until_s: float) -> None:
+        """At monotonic `now_s` the sound up to sound time `until_s` was there."""
+        self._lag.observe(now_s, now_s - self._zero_s - until_s)
+        if not self._arrivals or self._arrivals[-1][0] < until_s:
+            self._arrivals.append((until_s, now_s - until_s))
+
+    def captured_s(self, sound_s: float) -> float | None:
+        """A device hands over what it captured until that moment. Ask in order."""
+        while self._arrivals and self._arrivals[0][0] < sound_s:
+            self._arrivals.popleft()
+        return sound_s + self._arrivals[0][1] if self._arrivals else None
+
+
+class OwnPlaybackClock:
+    """For sound that this program plays itself, by a device that reports its position.
+
+    The recogniser gets the sound `lead_s` before it leaves the loudspeaker; with the declared delay
+    as the lead, lips and loudspeaker agree.
+    """
+
+    def __init__(self, lead_s: float) -> None:
+        self._lead_s = lead_s
+        self._zero_s = 0.0
+        # The lag was `_lag_s` at `_since_s`, and goes to `_wanted_s` from there.
+        self._lag_s = self._wanted_s = 0.0
+        self._since_s = self._asked_s = 0.0
+
+    def begin(self, zero_s: float) -> None:
+        """The recogniser gets sound time 0 at monotonic `zero_s`; it is played a lead later."""
+        self._zero_s = zero_s
+        self._lag_s = self._wanted_s = 0.0
+        self._since_s = self._asked_s = zero_s
+
+    def played(self, now_s: float, position_s: float) -> None:
+        """At monotonic `now_s` sound time `position_s` left the loudspeaker.
+
+        Positions may be in error and reports may come late or out of order: a report counts from
+        the last time that was asked for, so that nothing told before is taken back.
+        """
+        self._lag_s = self._lag_at(self._asked_s)
+        self._since_s = self._asked_s
+        self._wanted_s = now_s - self._zero_s - (position_s + self._lead_s)
+
+    def sound_s(self, now_s: float) -> float:
+        """The sound time that the recogniser may hear at monotonic `now_s`."""
+        self._asked_s = max(self._asked_s, now_s)
+        return now_s - (self._zero_s + self._lag_at(now_s))
+
+    def monotonic_s(self, sound_s: float) -> float:
+        """When the recogniser gets a sound time, as far as the reports so far tell."""
+        return self._zero_s + self._lag_at(self._asked_s) + sound_s
+
+    def arrived(self, now_s: float, until_s: float) -> None:
+        """Changes nothing: the position is what counts."""
+
+    def captured_s(self, sound_s: float) -> float:
+        """Nobody captures it: as if when the recogniser gets it."""
+        return self.monotonic_s(sound_s)
+
+    def _lag_at(self, now_s: float) -> float:
+        """The lag on its way to what the last report says: at a bounded rate, then ever slower."""
+        elapsed_s = max(0.0, now_s - self._since_s)
+        missing_s = self._wanted_s - self._lag_s
+        rate = _MOST_RISE if missing_s > 0.0 else _MOST_FALL
+        # Farther than this from the goal it moves at the full rate.
+        near_s = rate * _FOLLOWING_S
+        full_s = max(0.0, abs(missing_s) - near_s) / rate
+        if elapsed_s < full_s:
+            return self._lag_s + math.copysign(rate * elapsed_s, missing_s)
+        left_s = min(abs(missing_s), near_s) * math.exp(-(elapsed_s - full_s) / _FOLLOWING_S)
+        return self._wanted_s - math.copysign(left_s, missing_s)
+
+
+def clock_for(source: AudioSource) -> PlaybackClock:
+    """The clock that goes with a source: a live device has its own, the rest has the computer's."""
+    return ArrivalClock() if source.is_live else SteadyClock()

@@ -1,0 +1,153 @@
+"""The core of the live method: every frame as it is expected to be, from all known by then.
+
+Frame-synchronous: a phoneme moves the mouth from its onset, before its end is known, and what the
+recogniser takes back changes only what has not been shown. Faces are decided on a grid of 10 ms,
+each from what is known at its own time; between two of them the motion is a cubic, continuous in
+position and speed whatever arrives.
+"""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.expectation.context import PhonemeTrack, context_at, track_of
+from lipsync.expectation.expectation import Expectation
+from lipsync.face.frame import Frame
+from lipsync.motion.amount import Amount
+from lipsync.motion.eased_setting import EasedSetting
+from lipsync.motion.rest_plan import AT_REST, is_reached, planned_rest
+from lipsync.motion.tick_plan import TICK_S, TickPlan, tick_of
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.timeline import PhonemeTimeline
+
+Array = NDArray[np.float64]
+
+#: More look-ahead than this is allowed but not used: the model has learned no more.
+USED_LOOKAHEAD_S = 0.2
+#: Averages over what is not known move too little. A share of the last frame's step (25 Hz, as in
+#: the recordings) is extrapolated; chosen on inner splits (docs/motion.md).
+LEAD = 0.07
+_LEAD_TICKS = 4
+#: The slowest that smoothness can make the mouth: its time constant, s.
+_SLOWEST_S = 0.04
+
+
+@dataclass(frozen=True, slots=True)
+class _Tick:
+    """Motion from one grid point to the next: a cubic. Speeds are per tick.
+
+    rest: how far a pause has brought the mouth to rest.
+    """
+
+    start: Array
+    start_speed: Array
+    end: Array
+    end_speed: Array
+    rest: Amount
+
+    def at(self, u: float) -> Array:
+        """The face (n_components,) at share u of the tick."""
+        face = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * self.start + u**2 * (3.0 - 2.0 * u) * self.end
+        face += u * (1.0 - u) ** 2 * self.start_speed + u**2 * (u - 1.0) * self.end_speed
+        return face
+
+
+class ExpectedMotion:
+    """The learned expectation over a revisable stream of phonemes, and nothing around it."""
+
+    def __init__(
+        self, expectation: Expectation, rest: Array, *, lookahead_s: float, smoothness: float
+    ) -> None:
+        """rest: (n_components,), the closed mouth; smoothness: from 0 to 1, as in `Style`."""
+        self._expectation = expectation
+        self._rest = rest
+        self._lookahead_s = lookahead_s
+        self.known_s = min(lookahead_s, USED_LOOKAHEAD_S)
+        self._smoothness = EasedSetting(smoothness, 1.0)
+        self.reset()
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its frame is asked for."""
+        return self._lookahead_s
+
+    @property
+    def track(self) -> PhonemeTrack:
+        """The phonemes as they are believed now, end to end."""
+        return self._track
+
+    def reset(self) -> None:
+        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        rest, still = self._rest, np.zeros_like(self._rest)
+        self._timeline = PhonemeTimeline()
+        self._track = track_of(())
+        self._wanted = rest
+        self._expectations = deque([rest] * _LEAD_TICKS, maxlen=_LEAD_TICKS)
+        self._ticks = TickPlan(_Tick(rest, still, rest, still, AT_REST))
+        self._smoothness.settle()
+        self._newest_start_s = -math.inf
+        self.phonemes_planned = 0
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Take a revision of the phonemes; what has been shown stays as it is."""
+        self._timeline.apply(update)
+        self._track = track_of(self._timeline.events)
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at sound time `time_s`; the same time gives the same frame.
+
+        Times may step back by half a second, not more.
+        """
+        tick = self._ticks.at(time_s, self._decide)
+        if tick is None:
+            return Frame(time_s, self._rest)
+        share = time_s / TICK_S - tick_of(time_s) + 1.0
+        return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
+
+    def adjust_smoothness(self, smoothness: float) -> None:
+        """Go over to another smoothness, 0 to 1, from the newest tick on."""
+        self._smoothness.change(self._ticks.decided_until_s, smoothness)
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""
+        return self._timeline.event_at(time_s)
+
+    def _decide(self, time_s: float, last: _Tick) -> _Tick:
+        """The motion of the tick that ends at `time_s`, from what is known then."""
+        begin_s = time_s - TICK_S
+        context = context_at(self._track, time_s, time_s + self.known_s)
+        rest = planned_rest(last.rest, *context, begin_s, self.known_s)
+        at_rest = is_reached(rest, begin_s)
+        wanted = self._extrapolated(self._expected(time_s, *context, at_rest=at_rest))
+        slowness_s = self._smoothness.at(time_s) * _SLOWEST_S
+        keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
+        self._wanted = keep * self._wanted + (1.0 - keep) * wanted
+        # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
+        end_speed = (self._wanted - last.start) / 2.0
+        return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
+
+    def _expected(
+        self, time_s: float, phonemes: list[int], times_s: list[float], *, at_rest: bool
+    ) -> Array:
+        """What the mouth should look like while somebody speaks.
+
+        From a mouth at rest the motion sets out from rest itself, not from the mean of silences.
+        """
+        if at_rest:
+            return self._rest
+        self._count(time_s - times_s[2])
+        return self._expectation.at(phonemes, times_s, self.known_s)
+
+    def _extrapolated(self, expectation: Array) -> Array:
+        """The expectation, and a little more of where it is going."""
+        before = self._expectations[0]
+        self._expectations.append(expectation)
+        return expectation + LEAD * (expectation - before)
+
+    def _count(self, start_s: float) -> None:
+        if start_s > self._newest_start_s:
+            self._newest_start_s = start_s
+            self.phonemes_planned += 1
