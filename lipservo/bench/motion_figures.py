@@ -24,13 +24,13 @@ from lipsync.evaluation.motion.scoring import (
 from lipsync.evaluation.motion.splits import Part, read_parts, words_part
 from lipsync.evaluation.motion.timing import method_times
 from lipsync.evaluation.recognition.heard_phonemes import heard_by
-from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PhonemeEvent
+from lipsync.training.trained_model import TrainedModel
 
 Sentences = Sequence[Sequence[PhonemeEvent]]
 Row = dict[str, object]
-Train = Callable[[Corpus], FaceModel]
+Train = Callable[[Corpus], TrainedModel]
 Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
 
 PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
@@ -94,7 +94,7 @@ def question(
     return Question(chosen, lookaheads_ms, phonemes, named)
 
 
-def score_model(model: FaceModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
+def score_model(model: TrainedModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
     """A given model on a folder that it was not trained on."""
     utterances = check_scorable(model, corpus)
     if asked.words is not None and not any(speech_frames(u, asked.words).any() for u in utterances):
@@ -103,13 +103,13 @@ def score_model(model: FaceModel, corpus: Corpus, asked: Question, track: Track)
     return _rows([(model, part)], corpus, asked, track)
 
 
-def paper_rows(model: FaceModel, corpus: Corpus) -> dict[str, list[Row]]:
+def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
     """Tables 2 and 3 and Figure 6 of the paper; case 2 with each live recogniser."""
     utterances = check_scorable(model, corpus)
     return paper_tables(model, utterances, {engine: _listener(engine) for engine in ENGINES})
 
 
-def recovery(model: FaceModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
+def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
     """What a wrong phoneme leaves behind, in sentences that the model has not seen.
 
     corpus: all recordings, for what real coarticulation leaves behind.
@@ -126,7 +126,7 @@ class CrossValidation:
     """The rows of all splits, and of the first training its model and what it has not seen."""
 
     rows: list[Row]
-    model: FaceModel
+    model: TrainedModel
     unseen: Corpus
 
 
@@ -146,7 +146,7 @@ def cross_validate(
     else:
         parts = read_parts(folder, labelled)
     rows: list[Row] = []
-    first: FaceModel | None = None
+    first: TrainedModel | None = None
     for split in dict.fromkeys(part.split for part in parts):
         trained = [(train(labelled.keep(set(p.train))), p) for p in parts if p.split == split]
         first = first or trained[0][0]
@@ -173,7 +173,7 @@ class _Ears:
 
 
 def _rows(
-    trained: Sequence[tuple[FaceModel, Part]], corpus: Corpus, asked: Question, track: Track
+    trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, asked: Question, track: Track
 ) -> list[Row]:
     """One split: the sums of all its parts together; misses and times of the phonemes heard."""
     scores = Scores()
@@ -213,13 +213,16 @@ def _rows(
     return rows
 
 
-def _miss_rate(method: Method, models: Sequence[FaceModel], ears: Sequence[_Ears]) -> float | None:
+def _miss_rate(
+    method: Method, models: Sequence[TrainedModel], ears: Sequence[_Ears]
+) -> float | None:
     """Over all parts of a split, each by its own model; None for methods that choose nothing."""
     strategy = STRATEGIES.get(method.name)
     if strategy is None:
         return None
     counts = [
-        count_misses(m, strategy, heard.sentences) for m, heard in zip(models, ears, strict=True)
+        count_misses(model.animphos, strategy, heard.sentences)
+        for model, heard in zip(models, ears, strict=True)
     ]
     return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
 

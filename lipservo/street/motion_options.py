@@ -2,11 +2,15 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal, get_args
 
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import read_animphos
+from lipsync.expectation.expectation_file import read_expectation
+from lipsync.face.model import FaceModel, read_face
+from lipsync.face.model_file import ModelError, open_model
 from lipsync.face.synthesizer import Synthesizer
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer, Style, StyleError
 from lipsync.phonemes import LiveRecognizer
@@ -42,11 +46,21 @@ class Manner:
             raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
 
 
-def make_synthesizer(model: FaceModel, manner: Manner) -> Synthesizer:
-    """Ours, or the paper's with one of its two selections."""
-    if manner.strategy == LIVE_STRATEGY:
-        return LiveSynthesizer(model, manner.style)
-    return PublishedSynthesizer(model, STRATEGIES[manner.strategy])
+def make_synthesizer(
+    face: FaceModel, manner: Manner, model_path: Path | None = None
+) -> Synthesizer:
+    """Ours, or the paper's with one of its two selections.
+
+    model_path: the file that the face came from, None for the shipped one; of it is read only what
+    the strategy plays. Raises ModelError.
+    """
+    with open_model(model_path) as file:
+        if read_face(file).checksum != face.checksum:
+            raise ModelError(f"{file.name}: has changed while it was being read; start again")
+        if manner.strategy == LIVE_STRATEGY:
+            expectation = read_expectation(file, face.n_components)
+            return LiveSynthesizer(face, expectation, manner.style)
+        return PublishedSynthesizer(read_animphos(file, face), STRATEGIES[manner.strategy])
 
 
 def make_recognizer(

@@ -64,7 +64,7 @@ class Performance:
         # On a clock of its own nobody waits, and the same file must give the same trace.
         timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
         recognizer = make_recognizer(self.manner.engine, timer_s, self.manner.weights)
-        synthesizer = make_synthesizer(face.model, self.manner)
+        synthesizer = make_synthesizer(face.model, self.manner, self.model)
         with make_bus(face, clock) as bus:
             street = make_street(
                 face, source, bus, rate_hz, recognizer, synthesizer, dry_run=self.dry_run

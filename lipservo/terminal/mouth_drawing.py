@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 Canvas = NDArray[np.int64]
@@ -25,8 +25,8 @@ _STEPS_PER_DOT = 2
 _ABOVE_MIDDLE_MM = 8.0
 
 #: Markers of a lip follow one another round the mouth, beginning with a corner.
-_OUTER = [i for i, name in enumerate(MARKER_NAMES) if name.startswith("outer_lip")]
-_INNER = [i for i, name in enumerate(MARKER_NAMES) if name.startswith("inner_lip")]
+_OUTER = [i for i, name in enumerate(MARKERS_47.names) if name.startswith("outer_lip")]
+_INNER = [i for i, name in enumerate(MARKERS_47.names) if name.startswith("inner_lip")]
 
 
 def draw_mouth(markers_mm: Array, rest_mm: Array, *, ascii_only: bool = False) -> list[str]:

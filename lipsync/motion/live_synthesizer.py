@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from lipsync.errors import UserError
 from lipsync.expectation.context import context_at, track_of
+from lipsync.expectation.expectation import Expectation
 from lipsync.face.model import FaceModel
 from lipsync.motion.closure_plan import BILABIALS, LABIODENTALS, OPEN, Amount, planned
 from lipsync.motion.lip_closure import PRESSED_GAP_MM, lip_gap_of
@@ -107,8 +108,11 @@ class _Tick:
 class LiveSynthesizer:
     """Our strategy over a revisable stream of phonemes."""
 
-    def __init__(self, model: FaceModel, style: Style | None = None) -> None:
+    def __init__(
+        self, model: FaceModel, expectation: Expectation, style: Style | None = None
+    ) -> None:
         self._model = model
+        self._expectation = expectation
         self._style = style or Style()
         self._gap = lip_gap_of(model)
         self._bilabial_s = _moments_s(model, BILABIALS)
@@ -196,7 +200,7 @@ class LiveSynthesizer:
         if at_rest:
             return self._model.rest
         self._count(time_s - times_s[2])
-        return self._model.expectation.at(phonemes, times_s, self._known_s)
+        return self._expectation.at(phonemes, times_s, self._known_s)
 
     def _livened(self, expectation: Array) -> Array:
         """The expectation, and a little more of where it is going."""

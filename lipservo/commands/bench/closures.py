@@ -42,13 +42,13 @@ def closures(
 
     Where they are is told by forced alignment of what is said.
     """
-    from lipservo.face.assembly import load_face_model
     from lipservo.street.motion_options import LATENCY_S
     from lipsync.evaluation.recognition.heard_closures import closure_figures, heard_closures
     from lipsync.recognition.network_recognizer import NetworkRecognizer
+    from lipsync.training.trained_model import load_trained_model
 
     recognizer = NetworkRecognizer(find_weights(weights), LATENCY_S)
-    face = load_face_model(model)
+    face = load_trained_model(model)
     found: list[Closure] = []
     with progress_bar(quiet=quiet) as advance:
         if corpus is None:

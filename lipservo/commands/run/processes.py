@@ -194,7 +194,7 @@ def speech_process(
         start_s = 0.0 if zero_s is None or wav is None else max(0.0, clock.now() - zero_s)
         source = stack.enter_context(open_source_or_silence(wav, mic, start_s))
         recognizer = make_recognizer(manner.engine, time.perf_counter, manner.weights)
-        synthesizer = make_synthesizer(face.model, manner)
+        synthesizer = make_synthesizer(face.model, manner, model)
         targets = SocketTargetChannel(end)
         speech = Speech(source, recognizer, synthesizer, face.calibration, targets)
         if zero_s is None or not start_s:

@@ -60,7 +60,11 @@ def published(calibration, stalled_s=(math.inf, math.inf)):
     channel = Published()
     with SilentSource() as source:
         speech = Speech(
-            source, PerfectListener(events), PublishedSynthesizer(MODEL), calibration, channel
+            source,
+            PerfectListener(events),
+            PublishedSynthesizer(MODEL.animphos),
+            calibration,
+            channel,
         )
         for n in range(250):
             if not stalled_s[0] <= n * PUBLISH_PERIOD_S < stalled_s[1]:

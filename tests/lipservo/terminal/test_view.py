@@ -15,7 +15,7 @@ from firmware_bridge.loop.bridge import TickReport
 from lipservo.status.street_tick import StreetTick
 from lipservo.terminal.mouth_drawing import draw_mouth
 from lipservo.terminal.view import TerminalView
-from lipsync.face.model import load_shipped_model
+from lipsync.training.trained_model import load_trained_model
 
 
 def dots(lines: list[str]) -> np.ndarray:
@@ -40,7 +40,7 @@ def test_what_does_not_fit_is_left_out():
 
 def test_at_rest_the_shipped_mouth_is_closed_straight_and_symmetrical():
     """The talker's own lips are 0.7 mm apart at rest, and her head leans to one side."""
-    model = load_shipped_model()
+    model = load_trained_model()
     rest_mm = model.markers_mm(model.rest[None])[0]
     drawn = dots(draw_mouth(rest_mm, rest_mm))
     heights = [np.flatnonzero(column) for column in drawn.T if column.any()]

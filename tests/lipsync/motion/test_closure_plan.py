@@ -10,10 +10,10 @@ from small_model import small_model
 from spoken_phonemes import spoken
 
 from lipsync.expectation.context import track_of
-from lipsync.face.model import load_shipped_model
 from lipsync.motion.closure_plan import CLOSING_S, OPEN, Amount, planned
 from lipsync.motion.lip_closure import lip_gap_of
 from lipsync.phonemes import PHONEMES
+from lipsync.training.trained_model import load_trained_model
 
 M = {PHONEMES.index("M"): 0.03}
 TICK_S = 0.01
@@ -68,7 +68,7 @@ def test_an_amount_starts_where_the_last_one_was_and_ends_at_its_goal(value, slo
 
 @given(st.lists(st.floats(-40.0, 40.0), min_size=8, max_size=8), st.floats(0.3, 3.0))
 def test_a_full_amount_brings_any_face_within_the_distance(face, distance_mm):
-    for model in (small_model(), load_shipped_model()):
+    for model in (small_model(), load_trained_model()):
         narrowed = lip_gap_of(model).narrowed(
             np.array(face[: model.n_components]), distance_mm, 1.0
         )
