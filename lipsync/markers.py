@@ -20,6 +20,7 @@ from lipsync.face_mesh import INNER_LIP, IRISES, MIRROR_PAIRS, N_LANDMARKS, OUTE
 
 #: Points of this group touch their opposite when the lips do, so their distance is the lip gap.
 INNER_LIP_GROUP = "inner_lip"
+OUTER_LIP_GROUP = "outer_lip"
 #: What a file of a layout must hold; `mirror` may be left out.
 _NEEDED = ("name", "groups", "lip_gap")
 
@@ -33,9 +34,11 @@ class PointLayout:
     """The points of a face, in the order that `markers_mm` arrays use.
 
     groups: names and landmarks of each group, one group after the other; those with `lip` in their
-    name are the lips. gap_landmarks: upper and lower point in the middle of the mouth, whose
-    distance says how open it is. mirror_landmarks: pairs that mirror each other, the one on the
-    speaker's right first; points in no pair lie in the middle or have no partner here.
+    name are the lips; points of outer_lip and of inner_lip follow one another round the mouth,
+    over the upper lip from the corner on the speaker's right.
+    gap_landmarks: upper and lower point in the middle of the mouth, whose distance says how open it
+    is. mirror_landmarks: pairs that mirror each other, the one on the speaker's right first; points
+    in no pair lie in the middle or have no partner here.
     """
 
     name: str
@@ -152,7 +155,7 @@ def _mirrored(groups: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[int,
 
 
 _WITHOUT_INNER_LIPS: tuple[tuple[str, tuple[int, ...]], ...] = (
-    ("outer_lip", (61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181)),
+    (OUTER_LIP_GROUP, (61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181)),
     ("nose", (98, 2, 327)),
     ("jaw", (172, 136, 149, 176, 152, 400, 378, 365, 397)),
     ("chin", (18, 200, 199)),
@@ -172,7 +175,7 @@ MARKERS_47 = PointLayout("markers-47", _WITH_INNER_LIPS, (13, 14), _mirrored(_WI
 def _face_mesh() -> PointLayout:
     named = {*OUTER_LIP, *INNER_LIP, *IRISES}
     groups = (
-        ("outer_lip", OUTER_LIP),
+        (OUTER_LIP_GROUP, OUTER_LIP),
         (INNER_LIP_GROUP, INNER_LIP),
         ("iris", IRISES),
         ("skin", tuple(n for n in range(N_LANDMARKS) if n not in named)),

@@ -112,4 +112,6 @@ def _page(
 
 def _mouth(model: FaceWithAnimPhos, markers_mm: Array, style: str, *, ascii_only: bool) -> Text:
     rest_mm = model.markers_mm(model.rest[None])[0]
-    return Text("\n".join(draw_mouth(markers_mm, rest_mm, ascii_only=ascii_only)), style=style)
+    return Text(
+        "\n".join(draw_mouth(markers_mm, rest_mm, model.layout, ascii_only=ascii_only)), style=style
+    )
