@@ -157,7 +157,7 @@ def cross_validate(
 
 
 @dataclass(slots=True)
-class _Ears:
+class _RememberingListener:
     """A listener who remembers what was heard: the phonemes of all, the first sentences whole."""
 
     listen: Listen
@@ -178,9 +178,9 @@ def _rows(
     """One split: the sums of all its parts together; misses and times of the phonemes heard."""
     scores = Scores()
     listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else _listener(ENGINES[0])
-    ears = []
+    listeners = []
     for model, part in trained:
-        ears.append(_Ears(listen))
+        listeners.append(_RememberingListener(listen))
         add_scores(
             scores,
             model,
@@ -188,15 +188,15 @@ def _rows(
             asked.methods,
             asked.lookaheads_ms,
             words=part.words,
-            listen=ears[-1],
+            listen=listeners[-1],
             progress=partial(track, f"scoring {part.split}"),
         )
     model, part = trained[0]
     rows = []
     for method in asked.methods:
-        missed = _miss_rate(method, [m for m, _ in trained], ears)
+        missed = _miss_rate(method, [m for m, _ in trained], listeners)
         for lookahead_ms in asked.lookaheads_ms:
-            times = method_times(method, model, ears[0].first, lookahead_ms / 1e3)
+            times = method_times(method, model, listeners[0].first, lookahead_ms / 1e3)
             rows.append(
                 {
                     "strategy": method.name,
@@ -207,14 +207,14 @@ def _rows(
                     "miss_rate": missed,
                     "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
                     "ms_per_frame_p95": times and times.frame_p95_ms,
-                    "timed_sentences": times and len(ears[0].first),
+                    "timed_sentences": times and len(listeners[0].first),
                 }
             )
     return rows
 
 
 def _miss_rate(
-    method: Method, models: Sequence[TrainedModel], ears: Sequence[_Ears]
+    method: Method, models: Sequence[TrainedModel], listeners: Sequence[_RememberingListener]
 ) -> float | None:
     """Over all parts of a split, each by its own model; None for methods that choose nothing."""
     strategy = STRATEGIES.get(method.name)
@@ -222,7 +222,7 @@ def _miss_rate(
         return None
     counts = [
         count_misses(model.animphos, strategy, heard.sentences)
-        for model, heard in zip(models, ears, strict=True)
+        for model, heard in zip(models, listeners, strict=True)
     ]
     return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
 

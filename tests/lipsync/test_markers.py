@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from small_model import _SIDES
+from small_model import SIDES
 
 from lipsync.markers import (
     FACE_MESH_478,
@@ -39,7 +39,7 @@ def test_each_layout_knows_its_lips_and_whether_they_touch():
 
 
 def test_mirror_pairs_are_those_that_a_symmetric_face_was_made_with():
-    assert set(MARKERS_47.mirror_landmarks) == set(_SIDES)
+    assert set(MARKERS_47.mirror_landmarks) == set(SIDES)
     right, left = np.array(FACE_MESH_478.mirror_landmarks).T
     assert len({*right, *left}) == 2 * len(right) == 450
     at = [MARKERS_47.landmarks[i] for i in MARKERS_47.mirror_pairs[0]]

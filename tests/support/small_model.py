@@ -27,7 +27,7 @@ _MIDDLE: dict[int, tuple[float, float]] = {
     152: (-140, -5), 18: (-113, 9), 200: (-121, 8), 199: (-130, 6),
 }  # fmt: skip
 #: (landmark on the speaker's right, its mirror image on the left): x of the left one, y, z.
-_SIDES: dict[tuple[int, int], tuple[float, float, float]] = {
+SIDES: dict[tuple[int, int], tuple[float, float, float]] = {
     (61, 291): (26, -95, 0), (39, 269): (15, -90, 15), (37, 267): (8, -88, 18),
     (181, 405): (15, -105, 11), (84, 314): (8, -108, 13),
     (78, 308): (24, -95, 1), (82, 312): (6, -96, 12), (87, 317): (6, -96, 12),
@@ -100,7 +100,7 @@ def small_model() -> TrainedModel:
 def _neutral_mm() -> Array:
     """(47, 3): the closed mouth."""
     points = {n: (0.0, y, z) for n, (y, z) in _MIDDLE.items()}
-    for (right, left), (x, y, z) in _SIDES.items():
+    for (right, left), (x, y, z) in SIDES.items():
         points[left], points[right] = (x, y, z), (-x, y, z)
     return np.array([points[n] for n in MARKERS_47.landmarks], dtype=np.float64)
 
