@@ -218,7 +218,7 @@ def test_no_pose_of_a_calibration_breaks_a_rule_between_joints(model):
     """Neither the poses of speech nor what a coefficient far outside of it gives."""
     fitted = fit_calibration(model, JOINTS, FACE, rules=RULES)
     free = fit_calibration(model, JOINTS, FACE)
-    frames = model.animphos.reshape(-1, 5)
+    frames = model.animphos.frames
     wild = np.random.default_rng(1).normal(size=(200, 5)) * 60.0
     broken = 0
     for frame in [*frames, *wild]:
