@@ -16,14 +16,14 @@ from calibration.joint_range import JointRange
 from calibration.run.backlash import BacklashCompensation
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.settings.settings import load_shipped_face
-from lipsync.face.model import load_shipped_model
-from lipsync.markers import MARKER_NAMES
+from lipsync.animpho.units import load_face_with_animphos
+from lipsync.markers import MARKERS_47
 
 SEED = 100  # not among the seeds that are scored
 SHOWN = ("M", "AA", "IY", "UW", "F", "AO")
 CELL_PX, PX_PER_MM = 230, 3.0
 LOOPS = tuple(
-    [i for i, name in enumerate(MARKER_NAMES) if name.startswith(lip)]
+    [i for i, name in enumerate(MARKERS_47.names) if name.startswith(lip)]
     for lip in ("outer_lip", "inner_lip")
 )
 
@@ -41,18 +41,18 @@ def loops(markers_mm: NDArray[np.float64], middle_mm: NDArray[np.float64], style
 
 def main(path: Path) -> None:
     """Calibrate one robot and draw it."""
-    model, mouth = load_shipped_model(), load_shipped_face("face_sim").mouth_servos
+    model, mouth = load_face_with_animphos(), load_shipped_face("face_sim").mouth_servos
     joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
     rest_mm = model.markers_mm(model.rest[None])
     draw = draw_robot(rest_mm[0], list(mouth), SEED)
     robot = SimulatedRobot(draw, noise_seed=SEED)
-    capture = capture_poses(plan_poses(joints, 60), MARKER_NAMES, robot.move, robot.measure)
+    capture = capture_poses(plan_poses(joints, 60), MARKERS_47.names, robot.move, robot.measure)
     fit = fit_measured(model, capture, joints, "")
     play = BacklashCompensation(fit.face.backlash_deg)
     middle_mm = draw.face.neutral_mm[LOOPS[0], :2].mean(axis=0) - [0.0, 6.0]
     cells = []
     for n, phoneme in enumerate(SHOWN):
-        frames = model.animphos[model.of_phoneme(phoneme), 2]
+        frames = model.animphos.samples[model.animphos.of_phoneme(phoneme), 2]
         frame = frames[np.abs(frames - np.median(frames, axis=0)).sum(axis=1).argmin()]
         robot.move(play.feed(fit.calibration.positions_deg(frame)))
         copy_mm = draw.face.neutral_mm + fit.retargeting.scale * (

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_NAMES, UPPER_INNER_LIP
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def measure_hold_out(
     """
     human_gap_mm, robot_gap_mm = _gap_mm(human_mm), _gap_mm(robot_mm)
     closed = human_gap_mm <= CLOSED_GAP_MM
-    lips = list(LIP_MARKERS)
+    lips = list(MARKERS_47.lips)
     moves = min(human_gap_mm.std(), robot_gap_mm.std()) > 0.0
     return HoldOutErrors(
         n_frames=len(human_mm),
@@ -69,7 +69,7 @@ def measure_hold_out(
         closed_gap_mm=float(np.quantile(robot_gap_mm[closed], 0.95)) if closed.any() else 0.0,
         clipped_share=float(clipped.mean()),
         joint_rms_deg=tuple(_rms(column) for column in joint_errors_deg.T),
-        each_marker_rms_mm=each_marker_rms_mm(MARKER_NAMES, robot_mm - human_mm),
+        each_marker_rms_mm=each_marker_rms_mm(MARKERS_47.names, robot_mm - human_mm),
     )
 
 
@@ -81,7 +81,7 @@ def each_marker_rms_mm(marker_names: Sequence[str], off_mm: Array) -> dict[str, 
 
 def _gap_mm(markers_mm: Array) -> Array:
     """(n, 47, 3) -> (n,)."""
-    between = markers_mm[:, UPPER_INNER_LIP] - markers_mm[:, LOWER_INNER_LIP]
+    between = markers_mm[:, MARKERS_47.upper_lip] - markers_mm[:, MARKERS_47.lower_lip]
     return np.asarray(np.linalg.norm(between, axis=1))
 
 

@@ -13,14 +13,14 @@ from pathlib import Path
 
 from lipservo.traces.trace_diff import compare, overlay
 from lipservo.traces.trace_reader import read_trace
-from lipsync.face.model import load_shipped_model
+from lipsync.face.model import load_face
 
 
 def main(first: Path, second: Path) -> None:
     """Lay the second trace over the first by sound time, and print where they differ most."""
     a, b = read_trace(first), read_trace(second)
-    markers_mm = load_shipped_model().markers_mm
-    found = compare(a, b, overlay(a, b, (markers_mm, markers_mm)), margin_mm=0.5)
+    face = load_face()
+    found = compare(a, b, overlay(a, b, (face, face)), margin_mm=0.5)
     print(f"lips are at most {found.lips_mm:.2f} mm apart")
     worst_deg, servo = max(zip(found.servo_most_deg, a.servos, strict=True))
     print(f"{servo} is at most {worst_deg:.2f} deg off")

@@ -8,7 +8,7 @@ of phonemes (a speech synthesiser's marks, a TextGrid) takes the place of `WORD`
 """
 
 from lipservo.face.assembly import assemble_face
-from lipsync.motion.live_synthesizer import LiveSynthesizer
+from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.scripted import ScriptedPhonemes
 
@@ -27,7 +27,7 @@ def main() -> None:
     """Tell the synthesiser what is known at each moment, and ask it for the face of the moment."""
     face = assemble_face("face_sim", None)
     jaw = face.calibration.servo_names.index("jaw")
-    synthesizer = LiveSynthesizer(face.model)
+    synthesizer = make_synthesizer(face.model, MotionOptions())
     script = ScriptedPhonemes(WORD, synthesizer.lookahead_s)
     for n in range(30):
         time_s = n * STEP_S

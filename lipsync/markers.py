@@ -1,28 +1,211 @@
-"""The 47 named markers of the lower face.
+"""Point layouts: which points of a face a model is made of, and what is known about them.
 
-39 as in Wei and Deng (the paper gives the number, not the list; this layout is ours) and 8 on the
-inner lips, so that closure is measured and not guessed. Numbers are those of the usual 478-point
-face mesh.
+A model says which layout it is of. Shipped are 47 named markers, the 39 of them without inner lips
+(as many as Wei and Deng used), and all 478 points of the usual face mesh; a JSON file gives others,
+dense meshes too. Points are numbered as in the recordings, here called landmarks.
 """
 
-_REGIONS: tuple[tuple[str, tuple[int, ...]], ...] = (
-    ("outer_lip", (61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181)),
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.errors import UserError
+from lipsync.face_mesh import INNER_LIP, IRISES, MIRROR_PAIRS, N_LANDMARKS, OUTER_LIP
+
+#: Points of this group touch their opposite when the lips do, so their distance is the lip gap.
+INNER_LIP_GROUP = "inner_lip"
+OUTER_LIP_GROUP = "outer_lip"
+#: What a file of a layout must hold; `mirror` may be left out.
+_NEEDED = ("name", "groups", "lip_gap")
+
+
+class LayoutError(UserError):
+    """A layout that cannot be used: says which, what is wrong, and what is allowed."""
+
+
+@dataclass(frozen=True)
+class PointLayout:
+    """The points of a face, in the order that `markers_mm` arrays use.
+
+    groups: names and landmarks of each group, one group after the other; those with `lip` in their
+    name are the lips; points of outer_lip and of inner_lip follow one another round the mouth,
+    over the upper lip from the corner on the speaker's right.
+    gap_landmarks: upper and lower point in the middle of the mouth, whose distance says how open it
+    is. mirror_landmarks: pairs that mirror each other, the one on the speaker's right first; points
+    in no pair lie in the middle or have no partner here.
+    """
+
+    name: str
+    groups: tuple[tuple[str, tuple[int, ...]], ...]
+    gap_landmarks: tuple[int, int]
+    mirror_landmarks: tuple[tuple[int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        known = set(self.landmarks)
+        if len(known) != len(self.landmarks):
+            twice = next(n for n in self.landmarks if self.landmarks.count(n) > 1)
+            raise LayoutError(f"layout {self.name}: landmark {twice} stands in it twice")
+        if self.gap_landmarks[0] == self.gap_landmarks[1]:
+            raise LayoutError(f"layout {self.name}: lip_gap needs two different landmarks")
+        for landmark in (*self.gap_landmarks, *(n for pair in self.mirror_landmarks for n in pair)):
+            if landmark not in known:
+                raise LayoutError(f"layout {self.name}: no group holds landmark {landmark}")
+
+    @cached_property
+    def landmarks(self) -> tuple[int, ...]:
+        """The landmark of every point."""
+        return tuple(n for _, numbers in self.groups for n in numbers)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The name of every point: its group and its landmark, such as `inner_lip_13`."""
+        return tuple(f"{group}_{n}" for group, numbers in self.groups for n in numbers)
+
+    @property
+    def n_points(self) -> int:
+        """How many points a face has."""
+        return len(self.landmarks)
+
+    def group(self, name: str) -> tuple[int, ...]:
+        """Indices of the points of a group, in its order; none where the layout lacks it."""
+        numbers = dict(self.groups).get(name, ())
+        return tuple(self.landmarks.index(n) for n in numbers)
+
+    @cached_property
+    def lips(self) -> tuple[int, ...]:
+        """Indices of all points of the lips."""
+        return tuple(
+            i for name, _ in self.groups if "lip" in name.split("_") for i in self.group(name)
+        )
+
+    @cached_property
+    def upper_lip(self) -> int:
+        """Index of the upper point of the lip gap."""
+        return self.landmarks.index(self.gap_landmarks[0])
+
+    @cached_property
+    def lower_lip(self) -> int:
+        """Index of the lower point of the lip gap."""
+        return self.landmarks.index(self.gap_landmarks[1])
+
+    @property
+    def has_inner_lips(self) -> bool:
+        """Whether the points of the lip gap lie on the inner lips: 0 mm apart where lips touch."""
+        return {self.upper_lip, self.lower_lip} <= set(self.group(INNER_LIP_GROUP))
+
+    @cached_property
+    def mirror_pairs(self) -> tuple[tuple[int, int], ...]:
+        """Indices of the points that mirror each other, the one on the speaker's right first."""
+        at = self.landmarks.index
+        return tuple((at(right), at(left)) for right, left in self.mirror_landmarks)
+
+    def gap_vectors_mm(self, markers_mm: NDArray[np.floating]) -> NDArray[np.floating]:
+        """(n_frames, n_points, 3) -> (n_frames, 3), from lower to upper point of the lip gap."""
+        return markers_mm[:, self.upper_lip] - markers_mm[:, self.lower_lip]
+
+    def description(self) -> dict[str, object]:
+        """What `layout_of` makes the same layout of; plain enough for JSON."""
+        return {
+            "name": self.name,
+            "groups": {name: list(numbers) for name, numbers in self.groups},
+            "lip_gap": list(self.gap_landmarks),
+            "mirror": [list(pair) for pair in self.mirror_landmarks],
+        }
+
+
+def layout_of(description: Mapping[str, Any]) -> PointLayout:
+    """From lists of landmarks by group; raises LayoutError for what is missing or no number."""
+    missing = [key for key in _NEEDED if key not in description]
+    if missing:
+        raise LayoutError(f"a layout needs {', '.join(missing)}; it has {', '.join(description)}")
+    name = str(description["name"])
+    try:
+        groups = tuple(
+            (str(group), _landmarks(numbers)) for group, numbers in description["groups"].items()
+        )
+        upper, lower = _landmarks(description["lip_gap"])
+        pairs = tuple(_landmarks(pair) for pair in description.get("mirror", ()))
+        mirror = tuple((right, left) for right, left in pairs)
+    except (AttributeError, TypeError, ValueError) as error:
+        raise LayoutError(
+            f"layout {name}: groups are lists of landmark numbers by name, lip_gap is two of them, "
+            f"mirror is pairs of them ({error})"
+        ) from error
+    return PointLayout(name, groups, (upper, lower), mirror)
+
+
+def _landmarks(numbers: Iterable[object]) -> tuple[int, ...]:
+    found = tuple(numbers)
+    for number in found:
+        if type(number) is not int or number < 0:
+            raise ValueError(f"{number!r} is no landmark number")
+    return tuple(n for n in found if isinstance(n, int))
+
+
+def _mirrored(groups: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[int, int], ...]:
+    """The pairs of the face mesh that lie in these groups."""
+    known = {n for _, numbers in groups for n in numbers}
+    return tuple(pair for pair in MIRROR_PAIRS if known >= set(pair))
+
+
+_WITHOUT_INNER_LIPS: tuple[tuple[str, tuple[int, ...]], ...] = (
+    (OUTER_LIP_GROUP, (61, 39, 37, 0, 267, 269, 291, 405, 314, 17, 84, 181)),
     ("nose", (98, 2, 327)),
     ("jaw", (172, 136, 149, 176, 152, 400, 378, 365, 397)),
     ("chin", (18, 200, 199)),
     ("cheek", (50, 280, 205, 425, 207, 427, 187, 411, 216, 436, 212, 432)),
-    ("inner_lip", (78, 82, 13, 312, 308, 317, 14, 87)),
+)
+_WITH_INNER_LIPS = (
+    *_WITHOUT_INNER_LIPS,
+    (INNER_LIP_GROUP, (78, 82, 13, 312, 308, 317, 14, 87)),
 )
 
-#: Face mesh landmark of every marker, in the order that `markers_mm` arrays use.
-MARKER_LANDMARKS: tuple[int, ...] = tuple(n for _, numbers in _REGIONS for n in numbers)
-MARKER_NAMES: tuple[str, ...] = tuple(f"{region}_{n}" for region, ns in _REGIONS for n in ns)
+#: As many as in Wei and Deng; the paper gives the number, not the list: this choice is ours.
+MARKERS_39 = PointLayout("markers-39", _WITHOUT_INNER_LIPS, (0, 17), _mirrored(_WITHOUT_INNER_LIPS))
+#: The same and 8 on the inner lips, so that closure is measured and not guessed.
+MARKERS_47 = PointLayout("markers-47", _WITH_INNER_LIPS, (13, 14), _mirrored(_WITH_INNER_LIPS))
 
-#: Indices into the 47 of the 20 lip points.
-LIP_MARKERS: tuple[int, ...] = tuple(
-    index for index, name in enumerate(MARKER_NAMES) if "lip" in name.split("_")
-)
 
-#: Their distance is the lip gap: 0 mm where the lips touch.
-UPPER_INNER_LIP = MARKER_NAMES.index("inner_lip_13")
-LOWER_INNER_LIP = MARKER_NAMES.index("inner_lip_14")
+def _face_mesh() -> PointLayout:
+    named = {*OUTER_LIP, *INNER_LIP, *IRISES}
+    groups = (
+        (OUTER_LIP_GROUP, OUTER_LIP),
+        (INNER_LIP_GROUP, INNER_LIP),
+        ("iris", IRISES),
+        ("skin", tuple(n for n in range(N_LANDMARKS) if n not in named)),
+    )
+    return PointLayout("face-mesh-478", groups, (13, 14), _mirrored(groups))
+
+
+FACE_MESH_478 = _face_mesh()
+
+#: By number of points, as `--markers` takes them.
+LAYOUTS = {str(each.n_points): each for each in (MARKERS_39, MARKERS_47, FACE_MESH_478)}
+
+
+def find_layout(choice: str) -> PointLayout:
+    """A shipped layout by its number of points, or the one in a JSON file. Raises LayoutError."""
+    if choice in LAYOUTS:
+        return LAYOUTS[choice]
+    path = Path(choice)
+    try:
+        description = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        known = ", ".join(LAYOUTS)
+        raise LayoutError(
+            f"{choice}: neither a known layout ({known}) nor a readable file: {error.strerror}"
+        ) from error
+    except ValueError as error:
+        raise LayoutError(f"{path}: not JSON ({error})") from error
+    if not isinstance(description, dict):
+        raise LayoutError(f"{path}: a layout is a JSON object with {', '.join(_NEEDED)}")
+    try:
+        return layout_of(description)
+    except LayoutError as error:
+        raise LayoutError(f"{path}: {error}") from error

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture
 from lipsync.face.model import FaceModel
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -139,7 +139,7 @@ def _check_direction(capture: Capture, slope_mm: Array, name: str, word: str) ->
 
 def _wanted_direction(names: tuple[str, ...], servo: str, word: str) -> Array | None:
     """(n_markers, 3), or None for a word that says nothing of markers."""
-    lips = [i for i, name in enumerate(names) if name in MARKER_NAMES and "lip" in name]
+    lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
     wanted = np.zeros((len(names), 3))
     if word == "opens":
         rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]
@@ -170,8 +170,8 @@ def _check_swapped_everywhere(capture: Capture, model: FaceModel) -> None:
     Compared with the talker's rest after moving and scaling one onto the other, axis by axis.
     """
     human_mm = model.markers_mm(model.rest[None])[0]
-    known = [i for i, name in enumerate(capture.marker_names) if name in MARKER_NAMES]
-    human_mm = human_mm[[MARKER_NAMES.index(capture.marker_names[i]) for i in known]]
+    known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]
+    human_mm = human_mm[[MARKERS_47.names.index(capture.marker_names[i]) for i in known]]
     robot_mm = np.nanmedian(capture.markers_mm, axis=0)[known]
 
     def like(points_mm: Array) -> Array:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.run.inverse import MarkersOf, ShapeFeatures, nearest_poses_deg
-from lipsync.markers import LIP_MARKERS, MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -42,16 +42,16 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
     the lips, which say how open and how wide a mouth is.
     """
     names = tuple(marker_names)
-    unknown = [name for name in names if name not in MARKER_NAMES]
+    unknown = [name for name in names if name not in MARKERS_47.names]
     if unknown:
         raise CalibrationError(
-            f"marker {unknown[0]!r} is none of a talker's; known: {', '.join(MARKER_NAMES)}"
+            f"marker {unknown[0]!r} is none of a talker's; known: {', '.join(MARKERS_47.names)}"
         )
     for name in (*_MIDDLE_GAP, *_CORNERS):
         if name not in names:
             raise CalibrationError(f"marker {name!r} is needed and was not captured")
-    human = tuple(MARKER_NAMES.index(name) for name in names)
-    lips = tuple(i for i, h in enumerate(human) if h in LIP_MARKERS)
+    human = tuple(MARKERS_47.names.index(name) for name in names)
+    lips = tuple(i for i, h in enumerate(human) if h in MARKERS_47.lips)
     gaps = tuple(
         (names.index(upper), names.index(lower))
         for upper, lower in _GAP_NAMES

@@ -21,8 +21,8 @@ from calibration.calibration import (
 from calibration.hold_out import HoldOutErrors
 from calibration.joint_range import JointRange
 from calibration.run.run_time_map import rounded
-from lipsync.face.model import FaceModel
-from lipsync.markers import MARKER_LANDMARKS
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class LandmarkPose:
 
 
 def _at(landmark: int) -> int:
-    return MARKER_LANDMARKS.index(landmark)
+    return MARKERS_47.landmarks.index(landmark)
 
 
 def _opening(mm: Array) -> Array:
@@ -88,9 +88,9 @@ _POSES: tuple[tuple[str, str, tuple[tuple[Callable[[Array], Array], float], ...]
 )
 
 
-def landmark_poses(model: FaceModel) -> tuple[LandmarkPose, ...]:
+def landmark_poses(model: FaceWithAnimPhos) -> tuple[LandmarkPose, ...]:
     """The closed mouth, then the poses above, each a frame of the talker's."""
-    frames = model.animphos.reshape(-1, model.n_components)
+    frames = model.animphos.frames
     markers_mm = model.markers_mm(frames)
     poses = [LandmarkPose(CLOSED, "close the mouth, lips just touching", model.rest)]
     for name, instruction, parts in _POSES:
@@ -104,7 +104,7 @@ def landmark_poses(model: FaceModel) -> tuple[LandmarkPose, ...]:
 
 
 def fit_guided(
-    model: FaceModel,
+    model: FaceWithAnimPhos,
     joints: Sequence[JointRange],
     made_deg: Mapping[str, Array],
     face_checksum: str,

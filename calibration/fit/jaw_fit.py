@@ -25,8 +25,8 @@ from calibration.fit.measured import play_only, split_frames
 from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import HoldOutErrors, each_marker_rms_mm
 from calibration.joint_range import JointRange
-from lipsync.face.model import FaceModel
-from lipsync.markers import MARKER_NAMES
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -39,12 +39,12 @@ _LEAST_MARKERS = 3
 
 def jaw_markers(marker_names: Sequence[str]) -> tuple[int, ...]:
     """Which of these ride on the jaw, by index."""
-    line = {MARKER_NAMES[i] for i in JAW_LINE}
+    line = {MARKERS_47.names[i] for i in JAW_LINE}
     return tuple(i for i, name in enumerate(marker_names) if name in line)
 
 
 def fit_jaw(
-    model: FaceModel,
+    model: FaceWithAnimPhos,
     capture: Capture,
     joint: JointRange,
     face_checksum: str,
@@ -119,9 +119,10 @@ def fit_jaw(
     return calibration, warnings
 
 
-def jaw_agreement(model: FaceModel, calibration: Calibration, joint: int) -> float:
+def jaw_agreement(model: FaceWithAnimPhos, calibration: Calibration, joint: int) -> float:
     """Correlation of one joint with the talker's jaw, over the model's frames: a check."""
-    frames = model.animphos[:: max(1, len(model.animphos) // 200)].reshape(-1, model.n_components)
+    some = model.animphos.samples[:: max(1, len(model.animphos) // 200)]
+    frames = some.reshape(-1, model.n_components)
     alpha = talkers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
     turned_deg = np.array([calibration.positions_deg(frame)[joint] for frame in frames])
     if turned_deg.std() == 0.0 or alpha.std() == 0.0:

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import CalibrationError
-from lipsync.face.model import FaceModel
-from lipsync.markers import MARKER_NAMES
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
 #: The markers that ride on the jaw.
 JAW_LINE: tuple[int, ...] = tuple(
-    i for i, name in enumerate(MARKER_NAMES) if name.startswith(("jaw", "chin"))
+    i for i, name in enumerate(MARKERS_47.names) if name.startswith(("jaw", "chin"))
 )
 #: The cost is quadratic, so differences of any size are exact; this one is far from rounding.
 _DIFFERENCE = 0.1
@@ -58,12 +58,12 @@ class JawBlend:
         return alpha
 
 
-def talkers_jaw(model: FaceModel) -> JawBlend:
+def talkers_jaw(model: FaceWithAnimPhos) -> JawBlend:
     """From the model's rest to the mean of its widest open frames.
 
     Raises CalibrationError for a talker whose jaw line hardly moves.
     """
-    frames = model.animphos.reshape(-1, model.n_components)
+    frames = model.animphos.frames
     line = list(JAW_LINE)
     markers_mm = model.markers_mm(frames)[:, line]
     height_mm = markers_mm[:, :, 1].mean(axis=1)

@@ -13,8 +13,8 @@ from calibration.fit.correspondence import RobotMouth, correspond
 from calibration.hold_out import HoldOutErrors, measure_hold_out
 from calibration.joint_range import JointRange
 from calibration.simulated.face import marker_positions_mm, simulated_face
-from lipsync.face.model import FaceModel
-from lipsync.markers import MARKER_NAMES
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -28,7 +28,7 @@ SIGNIFICANT_DIGITS = 6
 
 
 def fit_calibration(
-    model: FaceModel,
+    model: FaceWithAnimPhos,
     joints: Sequence[JointRange],
     face_checksum: str,
     *,
@@ -51,7 +51,7 @@ def fit_calibration(
         face = simulated_face(neutral_mm, [joint.name for joint in joints])
     except ValueError as error:
         raise CalibrationError(str(error)) from error
-    names = correspond(MARKER_NAMES)
+    names = correspond(MARKERS_47.names)
     mouth = RobotMouth(partial(marker_positions_mm, face), names, (min_deg, max_deg), tuple(rules))
     nearest_deg = mouth.nearest_deg(names.shape_features.of(model.markers_mm(fit)))
     weights = ridge_weights(fit - model.rest, nearest_deg)
@@ -83,17 +83,19 @@ def ridge_weights(from_rest: Array, positions_deg: Array) -> Array:
     return np.array(rounded).reshape(coefficients.shape)
 
 
-def _split(model: FaceModel, seed: int, max_animphos: int) -> tuple[Array, Array]:
+def _split(model: FaceWithAnimPhos, seed: int, max_animphos: int) -> tuple[Array, Array]:
     """Frames (n, n_components) to fit and to hold out, of different AnimPhos."""
     order = np.random.default_rng(seed).permutation(len(model.animphos))[:max_animphos]
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
     n_held_out = max(1, round(HOLD_OUT_SHARE * len(order)))
-    frames = model.animphos[order].reshape(len(order), -1, model.n_components)
+    frames = model.animphos.samples[order].reshape(len(order), -1, model.n_components)
     return np.concatenate(frames[n_held_out:]), np.concatenate(frames[:n_held_out])
 
 
-def _errors(model: FaceModel, mouth: RobotMouth, weights: Array, held_out: Array) -> HoldOutErrors:
+def _errors(
+    model: FaceWithAnimPhos, mouth: RobotMouth, weights: Array, held_out: Array
+) -> HoldOutErrors:
     human_mm = model.markers_mm(held_out)
     nearest_deg = mouth.nearest_deg(mouth.names.shape_features.of(human_mm))
     free_deg = (held_out - model.rest) @ weights.T

@@ -25,7 +25,7 @@ from calibration.fit.retargeting import Retargeting, fit_retargeting
 from calibration.fit.robot_face import RobotFace, fit_robot_face
 from calibration.joint_range import JointRange
 from calibration.run.run_time_map import fit_run_time_map
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import FaceWithAnimPhos
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ class MeasuredFit:
 
 
 def fit_measured(
-    model: FaceModel,
+    model: FaceWithAnimPhos,
     capture: Capture,
     joints: Sequence[JointRange],
     face_checksum: str,
@@ -103,14 +103,14 @@ def fit_measured(
     return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
 
 
-def split_frames(model: FaceModel, seed: int) -> tuple[Array, Array]:
+def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
     """Frames (n, n_components) to fit and to hold out, of different AnimPhos drawn by `seed`."""
     order = np.random.default_rng(seed).permutation(len(model.animphos))
     if len(order) < 2:
         raise CalibrationError("a calibration needs a model with at least 2 AnimPhos")
     n_held_out = min(MAX_HELD_OUT, max(1, round(HOLD_OUT_SHARE * len(order))))
     held_out, fit = order[:n_held_out], order[n_held_out : n_held_out + MAX_FITTED]
-    frames = model.animphos.reshape(len(order), -1, model.n_components)
+    frames = model.animphos.samples.reshape(len(order), -1, model.n_components)
     return np.concatenate(frames[fit]), np.concatenate(frames[held_out])
 
 

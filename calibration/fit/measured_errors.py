@@ -15,7 +15,7 @@ from calibration.fit.correspondence import RobotMouth
 from calibration.fit.retargeting import Retargeting
 from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors, each_marker_rms_mm
 from calibration.run.run_time_map import RunTimeMap
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.phonemes import VISEME_CLASSES
 
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ _FRAMES_PER_CLASS = 30
 class ShapeErrors:
     """What shapes are measured with: the talker, the mouth as learnt, what is aimed for."""
 
-    model: FaceModel
+    model: FaceWithAnimPhos
     mouth: RobotMouth
     retargeting: Retargeting
 
@@ -87,7 +87,7 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     """By the first phoneme of each class the talker ever said."""
     rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
-    from_rest = on.model.animphos[np.concatenate(list(rows.values())), 2] - on.model.rest
+    from_rest = on.model.animphos.samples[np.concatenate(list(rows.values())), 2] - on.model.rest
     targets_mm = on.retargeting.targets_mm(from_rest)
     best_mm = on.apart_mm(on.best_deg(targets_mm), targets_mm)
     off_mm = on.apart_mm(on.mouth.kept_deg(run.free_deg(from_rest)), targets_mm)
@@ -101,9 +101,9 @@ def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
     return reach
 
 
-def _rows_of(model: FaceModel, viseme: tuple[str, ...]) -> NDArray[np.int64]:
+def _rows_of(model: FaceWithAnimPhos, viseme: tuple[str, ...]) -> NDArray[np.int64]:
     """Some AnimPhos of a class, evenly from all it has."""
-    rows = np.concatenate([model.of_phoneme(phoneme) for phoneme in viseme])
+    rows = np.concatenate([model.animphos.of_phoneme(phoneme) for phoneme in viseme])
     if not len(rows):
         return rows
     some = np.linspace(0, len(rows) - 1, min(len(rows), _FRAMES_PER_CLASS)).astype(np.int64)

@@ -31,7 +31,7 @@ from calibration.fit.retargeting import fit_retargeting
 from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import FaceWithAnimPhos
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ _FRAMES = 400
 class Procedure:
     """What is captured: the talker, the joints, how many poses, what must not go together."""
 
-    model: FaceModel
+    model: FaceWithAnimPhos
     joints: Sequence[JointRange]
     n_poses: int
     rules: tuple[CouplingRule, ...] = ()

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -104,9 +104,9 @@ def squared_distances_mm2(marker_names: Sequence[str], rest_mm: Array) -> Array:
 
 def _side(name: str) -> float:
     """1 on the upper lip, -1 on the lower, 0 elsewhere and in the corners."""
-    if name not in MARKER_NAMES:
+    if name not in MARKERS_47.names:
         return 0.0
-    landmark = MARKER_LANDMARKS[MARKER_NAMES.index(name)]
+    landmark = MARKERS_47.landmarks[MARKERS_47.names.index(name)]
     return float(landmark in _UPPER_LIP) - float(landmark in _LOWER_LIP)
 
 

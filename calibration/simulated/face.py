@@ -18,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_LANDMARKS, UPPER_INNER_LIP
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -117,13 +117,13 @@ def simulated_face(neutral_mm: Array, servo_names: Sequence[str]) -> SimulatedFa
 
     Raises ValueError for a servo that has no place in this geometry, or a wrong shape.
     """
-    if neutral_mm.shape != (len(MARKER_LANDMARKS), 3):
+    if neutral_mm.shape != (len(MARKERS_47.landmarks), 3):
         raise ValueError(f"neutral_mm has shape {neutral_mm.shape}, expected (47, 3)")
     for name in servo_names:
         if name not in POSITIVE_DIRECTIONS:
             known = ", ".join(POSITIVE_DIRECTIONS)
             raise ValueError(f"servo {name!r} has no place in the simulated face; known: {known}")
-    seam_mm = (neutral_mm[UPPER_INNER_LIP] + neutral_mm[LOWER_INNER_LIP]) / 2
+    seam_mm = (neutral_mm[MARKERS_47.upper_lip] + neutral_mm[MARKERS_47.lower_lip]) / 2
     return SimulatedFace(
         servo_names=tuple(servo_names),
         neutral_mm=neutral_mm,
@@ -156,17 +156,17 @@ def _pull(name: str, neutral_mm: Array) -> Array:
     if name == PROTRUSION:
         return _protrusion(neutral_mm)
     horn = _HORNS[name]
-    attached_mm = neutral_mm[MARKER_LANDMARKS.index(horn.landmark)]
+    attached_mm = neutral_mm[MARKERS_47.landmarks.index(horn.landmark)]
     weight = _gaussian(np.linalg.norm(neutral_mm - attached_mm, axis=1))
-    weight[np.isin(MARKER_LANDMARKS, horn.spares)] = 0.0
+    weight[np.isin(MARKERS_47.landmarks, horn.spares)] = 0.0
     if horn.spares:  # a corner belongs to both lips, so half of it goes with either
-        weight[np.isin(MARKER_LANDMARKS, _CORNERS)] /= 2
+        weight[np.isin(MARKERS_47.landmarks, _CORNERS)] /= 2
     return np.asarray(weight[:, None] * horn.direction)
 
 
 def _protrusion(neutral_mm: Array) -> Array:
     """(47, 3): the lips as one piece forward, skin around them after them, corners inward."""
-    lips_mm = neutral_mm[list(LIP_MARKERS)]
+    lips_mm = neutral_mm[list(MARKERS_47.lips)]
     distance_mm = np.linalg.norm(neutral_mm[:, None] - lips_mm, axis=2).min(axis=1)
     direction = np.zeros_like(neutral_mm)
     direction[:, 0] = -_ROUNDING * np.clip(_sideways(neutral_mm), -1.0, 1.0)
@@ -187,7 +187,7 @@ def _jaw_share(neutral_mm: Array, seam_mm: Array) -> Array:
     share = 1.0 / (1.0 + np.exp(height_mm / np.maximum(width_mm, _MIN_BLEND_WIDTH_MM)))
     parabola = 0.5 * np.minimum(sideways**2, 1.0)
     upper, lower, corners = (
-        np.isin(MARKER_LANDMARKS, landmarks) for landmarks in (_UPPER_LIP, _LOWER_LIP, _CORNERS)
+        np.isin(MARKERS_47.landmarks, landmarks) for landmarks in (_UPPER_LIP, _LOWER_LIP, _CORNERS)
     )
     share[upper], share[lower], share[corners] = parabola[upper], 1.0 - parabola[lower], 0.5
     return np.asarray(share)
@@ -195,12 +195,12 @@ def _jaw_share(neutral_mm: Array, seam_mm: Array) -> Array:
 
 def _sideways(neutral_mm: Array) -> Array:
     """(47,): -1 at the right corner of the mouth, 0 in its middle, 1 at the left corner."""
-    right, left = (neutral_mm[MARKER_LANDMARKS.index(n), 0] for n in (61, 291))
+    right, left = (neutral_mm[MARKERS_47.landmarks.index(n), 0] for n in (61, 291))
     return np.asarray((neutral_mm[:, 0] - (left + right) / 2) / _half_width_mm(neutral_mm))
 
 
 def _half_width_mm(neutral_mm: Array) -> float:
-    right, left = (neutral_mm[MARKER_LANDMARKS.index(n), 0] for n in (61, 291))
+    right, left = (neutral_mm[MARKERS_47.landmarks.index(n), 0] for n in (61, 291))
     return float((left - right) / 2)
 
 

@@ -27,8 +27,8 @@ from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, t
 from calibration.simulated.servos import SimulatedServos
 from lipservo.bench.sync_figures import SyncErrors, sync_errors
 from lipservo.settings.settings import FaceSettings, load_shipped_face
-from lipsync.face.model import FaceModel, load_shipped_model
-from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_NAMES, UPPER_INNER_LIP
+from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ class SeedFigures:
     moving_gap_r: float
 
 
-def measure_seed(model: FaceModel, settings: FaceSettings, seed: int) -> SeedFigures:
+def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
     """Calibrate one simulated robot from capture to lags, and score it."""
     joints = [JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()]
     rest_mm = model.markers_mm(model.rest[None])[0]
@@ -69,7 +69,7 @@ def measure_seed(model: FaceModel, settings: FaceSettings, seed: int) -> SeedFig
 
     began_s = time.perf_counter()
     procedure = Procedure(model, joints, N_POSES, seed=seed)
-    capture = procedure.capture(MARKER_NAMES, robot.move, robot.measure)
+    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
     fit = fit_measured(model, capture, joints, settings.checksum, positive=positive)
     following = identify(servos.encoders_deg, joints, fit.face.backlash_deg)
     procedure_s = time.perf_counter() - began_s
@@ -82,7 +82,7 @@ def measure_seed(model: FaceModel, settings: FaceSettings, seed: int) -> SeedFig
 
 def calibration_figures(seeds: Iterable[int]) -> dict[str, float]:
     """Medians over the seeds under the names of the table; `worst_` and the worst seed for each."""
-    model, settings = load_shipped_model(), load_shipped_face("face_sim")
+    model, settings = load_face_with_animphos(), load_shipped_face("face_sim")
     found = [measure_seed(model, settings, seed) for seed in seeds]
     figures: dict[str, float] = {}
     for field in fields(SeedFigures):
@@ -104,9 +104,9 @@ def read_seeds(text: str) -> list[int]:
     return seeds
 
 
-def _map_time_us(model: FaceModel, fit: MeasuredFit) -> float:
+def _map_time_us(model: FaceWithAnimPhos, fit: MeasuredFit) -> float:
     """Median time of one `positions_deg`, over ten blocks of a hundred."""
-    frames = model.animphos.reshape(-1, model.n_components)[:100]
+    frames = model.animphos.frames[:100]
     times_s = []
     for _ in range(10):
         began_s = time.perf_counter()
@@ -150,7 +150,11 @@ def _figures(
 
 
 def _score_shapes(
-    model: FaceModel, fit: MeasuredFit, draw: RobotDraw, joints: Sequence[JointRange], seed: int
+    model: FaceWithAnimPhos,
+    fit: MeasuredFit,
+    draw: RobotDraw,
+    joints: Sequence[JointRange],
+    seed: int,
 ) -> _ShapeScores:
     """On the held-out frames, sent one after another with play made up for as live."""
 
@@ -159,7 +163,7 @@ def _score_shapes(
 
     limits = (np.array([j.min_deg for j in joints]), np.array([j.max_deg for j in joints]))
     targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
-    shape_features, lips = fit.names.shape_features, list(LIP_MARKERS)
+    shape_features, lips = fit.names.shape_features, list(MARKERS_47.lips)
 
     def best_apart_mm(wanted_mm: Array) -> Array:
         best_deg = nearest_poses_deg(truth, shape_features.of(wanted_mm), shape_features, limits)
@@ -178,17 +182,17 @@ def _score_shapes(
     guided = _guided_apart_mm(model, fit, draw, joints, targets_mm, seed)
     return _ShapeScores(
         apart_mm=lips_apart_mm(seen_mm, targets_mm, lips),
-        all_apart_mm=lips_apart_mm(seen_mm, targets_mm, list(range(len(MARKER_NAMES)))),
+        all_apart_mm=lips_apart_mm(seen_mm, targets_mm, list(range(len(MARKERS_47.names)))),
         guided_apart_mm=guided,
         reachable=best_apart_mm(targets_mm) <= REACHABLE_MM,
         literal=best_apart_mm(copies_mm) <= REACHABLE_MM,
-        gap_mm=seen_mm[:, UPPER_INNER_LIP, 1] - seen_mm[:, LOWER_INNER_LIP, 1],
+        gap_mm=seen_mm[:, MARKERS_47.upper_lip, 1] - seen_mm[:, MARKERS_47.lower_lip, 1],
         human_gap_mm=np.array([model.lip_gap_mm(frame) for frame in fit.held_out]),
     )
 
 
 def _guided_apart_mm(
-    model: FaceModel,
+    model: FaceWithAnimPhos,
     fit: MeasuredFit,
     draw: RobotDraw,
     joints: Sequence[JointRange],
@@ -223,7 +227,7 @@ def _guided_apart_mm(
         model, joints, {p.name: d for p, d in zip(poses, made_deg, strict=True)}, ""
     )
     angles_deg = np.array([guided.positions_deg(frame) for frame in fit.held_out])
-    return lips_apart_mm(truth(angles_deg), targets_mm, list(LIP_MARKERS))
+    return lips_apart_mm(truth(angles_deg), targets_mm, list(MARKERS_47.lips))
 
 
 def _rms(values: Array) -> float:

@@ -25,13 +25,13 @@ from lipsync.evaluation.motion.scoring import (
 from lipsync.evaluation.motion.splits import Part, read_parts, words_part
 from lipsync.evaluation.motion.timing import method_times
 from lipsync.evaluation.recognition.recognized_file import recognize_file
-from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PhonemeEvent
+from lipsync.training.trained_model import TrainedModel
 
 Sentences = Sequence[Sequence[PhonemeEvent]]
 Row = dict[str, object]
-Train = Callable[[Corpus], FaceModel]
+Train = Callable[[Corpus], TrainedModel]
 Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
 
 PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
@@ -95,7 +95,7 @@ def question(
     return Question(chosen, lookaheads_ms, phonemes, named)
 
 
-def score_model(model: FaceModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
+def score_model(model: TrainedModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
     """A given model on a folder that it was not trained on."""
     utterances = check_scorable(model, corpus)
     if asked.words is not None and not any(speech_frames(u, asked.words).any() for u in utterances):
@@ -104,13 +104,13 @@ def score_model(model: FaceModel, corpus: Corpus, asked: Question, track: Track)
     return _rows([(model, part)], corpus, asked, track)
 
 
-def paper_rows(model: FaceModel, corpus: Corpus) -> dict[str, list[Row]]:
+def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
     """Tables 2 and 3 and Figure 6 of the paper; case 2 with each live recogniser."""
     utterances = check_scorable(model, corpus)
     return paper_tables(model, utterances, {engine: _listener(engine) for engine in ENGINES})
 
 
-def recovery(model: FaceModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
+def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
     """What a wrong phoneme leaves behind, in sentences that the model has not seen.
 
     corpus: all recordings, for what real coarticulation leaves behind.
@@ -127,7 +127,7 @@ class CrossValidation:
     """The rows of all splits, and of the first training its model and what it has not seen."""
 
     rows: list[Row]
-    model: FaceModel
+    model: TrainedModel
     unseen: Corpus
 
 
@@ -147,7 +147,7 @@ def cross_validate(
     else:
         parts = read_parts(folder, labelled)
     rows: list[Row] = []
-    first: FaceModel | None = None
+    first: TrainedModel | None = None
     for split in dict.fromkeys(part.split for part in parts):
         trained = [(train(labelled.keep(set(p.train))), p) for p in parts if p.split == split]
         first = first or trained[0][0]
@@ -158,7 +158,7 @@ def cross_validate(
 
 
 @dataclass(slots=True)
-class _Ears:
+class _RememberingListener:
     """A listener who remembers what was heard: the phonemes of all, the first sentences whole."""
 
     listen: Listen
@@ -174,14 +174,14 @@ class _Ears:
 
 
 def _rows(
-    trained: Sequence[tuple[FaceModel, Part]], corpus: Corpus, asked: Question, track: Track
+    trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, asked: Question, track: Track
 ) -> list[Row]:
     """One split: the sums of all its parts together; misses and times of the phonemes heard."""
     scores = Scores()
     listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else _listener(ENGINES[0])
-    ears = []
+    listeners = []
     for model, part in trained:
-        ears.append(_Ears(listen))
+        listeners.append(_RememberingListener(listen))
         add_scores(
             scores,
             model,
@@ -189,15 +189,15 @@ def _rows(
             asked.methods,
             asked.lookaheads_ms,
             words=part.words,
-            listen=ears[-1],
+            listen=listeners[-1],
             progress=partial(track, f"scoring {part.split}"),
         )
     model, part = trained[0]
     rows = []
     for method in asked.methods:
-        missed = _miss_rate(method, [m for m, _ in trained], ears)
+        missed = _miss_rate(method, [m for m, _ in trained], listeners)
         for lookahead_ms in asked.lookaheads_ms:
-            times = method_times(method, model, ears[0].first, lookahead_ms / 1e3)
+            times = method_times(method, model, listeners[0].first, lookahead_ms / 1e3)
             rows.append(
                 {
                     "strategy": method.name,
@@ -208,19 +208,22 @@ def _rows(
                     "miss_rate": missed,
                     "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
                     "ms_per_frame_p95": times and times.frame_p95_ms,
-                    "timed_sentences": times and len(ears[0].first),
+                    "timed_sentences": times and len(listeners[0].first),
                 }
             )
     return rows
 
 
-def _miss_rate(method: Method, models: Sequence[FaceModel], ears: Sequence[_Ears]) -> float | None:
+def _miss_rate(
+    method: Method, models: Sequence[TrainedModel], listeners: Sequence[_RememberingListener]
+) -> float | None:
     """Over all parts of a split, each by its own model; None for methods that choose nothing."""
     strategy = STRATEGIES.get(method.name)
     if strategy is None:
         return None
     counts = [
-        count_misses(m, strategy, heard.sentences) for m, heard in zip(models, ears, strict=True)
+        count_misses(model.animphos, strategy, heard.sentences)
+        for model, heard in zip(models, listeners, strict=True)
     ]
     return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
 

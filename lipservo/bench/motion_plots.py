@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipservo.terminal.pictures import save_picture, without_screen
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM, lip_gaps_mm
+from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import REFERENCE, Heard, all_methods
 from lipsync.evaluation.motion.minimal_pairs import AFTER
 from lipsync.evaluation.motion.wrong_phonemes import ErrorRow, error_rows
-from lipsync.face.model import FaceModel
 from lipsync.motion.closure_plan import BILABIALS
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import SILENCE
+from lipsync.training.trained_model import TrainedModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -52,7 +52,7 @@ PICTURES = ("trajectory.png", "lookahead.png", "recovery.png", "errors.png")
 
 def draw(
     folder: Path,
-    model: FaceModel,
+    model: TrainedModel,
     utterances: Sequence[Utterance],
     rows: Sequence[Row],
     recovery: Sequence[Row],
@@ -72,7 +72,7 @@ def draw(
     return [asdict(row) for row in errors]
 
 
-def draw_trajectory(folder: Path, model: FaceModel, utterance: Utterance) -> None:
+def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> None:
     """The lip gap and the first two components of one sentence, recorded and synthesised."""
     from matplotlib import pyplot as plt
 
@@ -195,8 +195,8 @@ def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
     plt.close(figure)
 
 
-def _curves(model: FaceModel, faces: Array) -> tuple[Array, Array, Array]:
-    return lip_gaps_mm(model.markers_mm(faces)), faces[:, 0], faces[:, 1]
+def _curves(model: TrainedModel, faces: Array) -> tuple[Array, Array, Array]:
+    return model.lip_gaps_mm(model.markers_mm(faces)), faces[:, 0], faces[:, 1]
 
 
 def _float(value: object) -> float:

@@ -10,8 +10,8 @@ from calibration.fit.servo_response import lag_between_s
 from calibration.run.following import Follower
 from calibration.simulated.robot import RobotDraw, true_markers_mm
 from calibration.simulated.servos import SimulatedServos
-from lipsync.face.model import FaceModel
-from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
 from lipsync.phonemes import SILENCE
 
 Array = NDArray[np.float64]
@@ -38,7 +38,11 @@ class SyncErrors:
 
 
 def sync_errors(
-    model: FaceModel, calibration: Calibration, draw: RobotDraw, servos: SimulatedServos, seed: int
+    model: FaceWithAnimPhos,
+    calibration: Calibration,
+    draw: RobotDraw,
+    servos: SimulatedServos,
+    seed: int,
 ) -> SyncErrors:
     """Twenty seconds of AnimPhos, through map, follower, late servos and play."""
     motion = _motion(model, np.random.default_rng([seed, 3]))
@@ -61,18 +65,18 @@ def sync_errors(
     )
 
 
-def _motion(model: FaceModel, rng: np.random.Generator) -> Array:
+def _motion(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
     """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
 
     Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
     nobody can say how late it is.
     """
-    speaking = np.setdiff1d(np.arange(len(model.animphos)), model.of_phoneme(SILENCE))
+    speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
     animpho = int(rng.choice(speaking))
     frames = [model.rest[None]]
     for phone in range(_N_PHONES):
-        frames.append(model.animphos[animpho, 1:-1])
-        following = np.intersect1d(model.successors[animpho], speaking)
+        frames.append(model.animphos.samples[animpho, 1:-1])
+        following = np.intersect1d(model.animphos.successors[animpho], speaking)
         goes_on = len(following) > 0 and (phone + 1) % _PHONES_A_WALK > 0
         animpho = int(rng.choice(following if goes_on else speaking))
     keys = np.concatenate(frames)
@@ -90,7 +94,9 @@ def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array
         horn = np.clip(horn, shaft - half_deg, shaft + half_deg)
         horns_deg[n] = horn
     markers_mm = true_markers_mm(draw, horns_deg)
-    return np.asarray(markers_mm[:, UPPER_INNER_LIP, 1] - markers_mm[:, LOWER_INNER_LIP, 1])
+    return np.asarray(
+        markers_mm[:, MARKERS_47.upper_lip, 1] - markers_mm[:, MARKERS_47.lower_lip, 1]
+    )
 
 
 def _lags_s(wanted: Array, seen: Array) -> Array:

@@ -16,9 +16,9 @@ from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import Sound
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.animpho.units import AnimPhoUnits
 from lipsync.audio.file import FileSource
 from lipsync.audio.silence import SilenceAfter
-from lipsync.face.model import FaceModel
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 #: Each recording is replayed so often; the median counts, as machines are shared.
@@ -48,12 +48,12 @@ def live_figures() -> dict[str, float]:
 
 
 def synthesis_times_ms(
-    model: FaceModel, sentences: Sequence[Sequence[PhonemeEvent]]
+    units: AnimPhoUnits, sentences: Sequence[Sequence[PhonemeEvent]]
 ) -> dict[str, float]:
     """Selection and blending of one phoneme: percentiles over all phonemes of the sentences."""
     times_ms = []
     for sentence in sentences:
-        synthesizer = PublishedSynthesizer(model)
+        synthesizer = PublishedSynthesizer(units)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, tuple(sentence)))
         for event in sentence:
             began_s = time.perf_counter()
@@ -74,6 +74,6 @@ def miss_rates(corpus_folder: Path) -> dict[str, float]:
     model = train(corpus.keep({u.name for u in corpus.utterances} - held_out))
     sentences = [u.phones for u in corpus.keep(held_out).utterances]
     return {
-        f"miss_rate_{name}": miss_rate(model, strategy, sentences)
+        f"miss_rate_{name}": miss_rate(model.animphos, strategy, sentences)
         for name, strategy in STRATEGIES.items()
     }

@@ -31,8 +31,8 @@ from lipservo.face.servos import bus_for, mouth_rules, servo_memories, simulated
 from lipservo.settings.settings import FaceSettings
 from lipservo.terminal.keys import read_key, read_line
 from lipservo.terminal.output import MESSAGES
-from lipsync.face.model import FaceModel
-from lipsync.markers import MARKER_NAMES
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Workplace:
     """What every way needs. quiet: no progress bar; lags: chirps and steps, where servos move."""
 
     settings: FaceSettings
-    model: FaceModel
+    model: FaceWithAnimPhos
     n_poses: int
     keep: Path | None = None
     quiet: bool = False
@@ -132,7 +132,7 @@ def by_simulated_face(at: Workplace) -> Result:
 def by_practice(at: Workplace, seed: int) -> Result:
     """A simulated robot drawn from a seed, in memory and at once."""
     robot = _drawn_robot(at, seed)
-    capture = _capture(at, MARKER_NAMES, robot.move, robot.measure, seed=seed)
+    capture = _capture(at, MARKERS_47.names, robot.move, robot.measure, seed=seed)
     result = fit_capture(at, capture)
     if not at.lags:
         return result
@@ -194,7 +194,7 @@ def by_simulated_skin(at: Workplace, seed: int | None) -> Result:
     """The servos over the wire, behind a computed face: as designed, or drawn from a seed."""
     if seed is not None:
         robot = _drawn_robot(at, seed)
-        drawn = SeenByComputation(MARKER_NAMES, lambda _: robot.measure())
+        drawn = SeenByComputation(MARKERS_47.names, lambda _: robot.measure())
         return by_servos(at, lambda _: drawn, robot.move, seed)
     names = [joint.name for joint in at.joints]
     face = simulated_face(at.model.markers_mm(at.model.rest[None])[0], names)
@@ -204,7 +204,7 @@ def by_simulated_skin(at: Workplace, seed: int | None) -> Result:
         exact_mm = marker_positions_mm(face, reached_deg[None])[0]
         return np.asarray(exact_mm + noise.normal(0.0, SENSOR_NOISE_MM, exact_mm.shape))
 
-    return by_servos(at, lambda _: SeenByComputation(MARKER_NAMES, look))
+    return by_servos(at, lambda _: SeenByComputation(MARKERS_47.names, look))
 
 
 def tracker_of(at: Workplace, source: str, axes: str) -> Callable[[HeldFace], Tracker]:

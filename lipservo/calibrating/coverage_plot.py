@@ -13,7 +13,7 @@ from calibration.fit.correspondence import RobotMouth
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.measured_errors import REACHABLE_MM, ShapeErrors
 from lipservo.terminal.pictures import save_picture, without_screen
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.phonemes import VISEME_CLASSES
 
 Array = NDArray[np.float64]
@@ -25,7 +25,7 @@ _WORST_MM = 1.5
 
 
 def draw_coverage(
-    folder: Path, model: FaceModel, calibration: Calibration, fit: MeasuredFit | None
+    folder: Path, model: FaceWithAnimPhos, calibration: Calibration, fit: MeasuredFit | None
 ) -> Path:
     """`coverage.png`: left every frame of speech by opening and width, right by viseme class.
 
@@ -36,7 +36,7 @@ def draw_coverage(
     without_screen()
     from matplotlib import pyplot as plt
 
-    frames = model.animphos.reshape(-1, model.n_components)
+    frames = model.animphos.frames
     frames = frames[:: max(1, len(frames) // _FRAMES)]
     opening_mm, width_mm, off_mm = _best_off(model, calibration, fit, frames)
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), width_ratios=(3, 2))
@@ -76,7 +76,7 @@ def draw_coverage(
 
 
 def _best_off(
-    model: FaceModel, calibration: Calibration, fit: MeasuredFit, frames: Array
+    model: FaceWithAnimPhos, calibration: Calibration, fit: MeasuredFit, frames: Array
 ) -> tuple[Array, Array, Array]:
     """Opening and width that are asked for, and how far the best pose is off; (n,) each, mm."""
     limits = (calibration.min_deg, calibration.max_deg)

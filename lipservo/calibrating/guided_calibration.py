@@ -23,7 +23,7 @@ from calibration.fit.guided_session import (
 from calibration.joint_range import JointRange
 from lipservo.settings.settings import FaceSettings
 from lipservo.terminal.mouth_drawing import draw_mouth
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import FaceWithAnimPhos
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ Drawn = Callable[[Array], Array]
 
 def calibrate_by_eye(
     settings: FaceSettings,
-    model: FaceModel,
+    model: FaceWithAnimPhos,
     *,
     move: Move,
     read_key: Callable[[], str],
@@ -59,7 +59,7 @@ def calibrate_by_eye(
 
 
 def guide(
-    model: FaceModel,
+    model: FaceWithAnimPhos,
     joints: list[JointRange],
     move: Move,
     read_key: Callable[[], str],
@@ -91,7 +91,7 @@ def guide(
 
 
 def _page(
-    model: FaceModel, session: GuidedSession, drawn: Drawn | None, *, ascii_only: bool
+    model: FaceWithAnimPhos, session: GuidedSession, drawn: Drawn | None, *, ascii_only: bool
 ) -> Group:
     pose = session.poses[session.pose]
     wanted_mm = model.markers_mm(pose.coefficients[None])[0]
@@ -110,6 +110,8 @@ def _page(
     return Group(Text(title, style="bold"), mouths, servos, keys)
 
 
-def _mouth(model: FaceModel, markers_mm: Array, style: str, *, ascii_only: bool) -> Text:
+def _mouth(model: FaceWithAnimPhos, markers_mm: Array, style: str, *, ascii_only: bool) -> Text:
     rest_mm = model.markers_mm(model.rest[None])[0]
-    return Text("\n".join(draw_mouth(markers_mm, rest_mm, ascii_only=ascii_only)), style=style)
+    return Text(
+        "\n".join(draw_mouth(markers_mm, rest_mm, model.layout, ascii_only=ascii_only)), style=style
+    )

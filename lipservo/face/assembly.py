@@ -15,7 +15,8 @@ from firmware_bridge.clock import Clock
 from firmware_bridge.joints import Joint
 from lipservo.face.servos import bus_for, mouth_rules, servo_memories
 from lipservo.settings.settings import FaceSettings, calibration_file, load_face, load_shipped_face
-from lipsync.face.model import FaceModel, load_model, load_shipped_model
+from lipsync.face.model import FaceModel
+from lipsync.face.model import load_face as load_face_model
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +38,6 @@ def load_settings(config: str) -> tuple[FaceSettings, Path | None]:
         path = Path(config)
         return load_face(path), path.parent
     return load_shipped_face(config), None
-
-
-def load_face_model(path: Path | None) -> FaceModel:
-    """The model at a path; None: the shipped one."""
-    return load_shipped_model() if path is None else load_model(path)
 
 
 def assemble_face(config: str, model_path: Path | None) -> Face:

@@ -18,8 +18,11 @@ from lipservo.settings.motion_names import (
 from lipservo.settings.motion_settings import MotionSettings
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.animpho.units import read_animphos
 from lipsync.errors import UserError
-from lipsync.face.model import FaceModel
+from lipsync.expectation.expectation_file import read_expectation
+from lipsync.face.model import FaceModel, read_face
+from lipsync.face.model_file import ModelError, open_model
 from lipsync.face.synthesizer import Synthesizer
 from lipsync.motion.live_synthesizer import (
     DEFAULT_LOOKAHEAD_S,
@@ -139,11 +142,21 @@ def motion_options(
     )
 
 
-def make_synthesizer(model: FaceModel, options: MotionOptions) -> Synthesizer:
-    """Ours, or the paper's with one of its two selections."""
-    if options.strategy == LIVE_STRATEGY:
-        return LiveSynthesizer(model, options.style)
-    return PublishedSynthesizer(model, STRATEGIES[options.strategy])
+def make_synthesizer(
+    face: FaceModel, options: MotionOptions, model_path: Path | None = None
+) -> Synthesizer:
+    """Ours, or the paper's with one of its two selections.
+
+    model_path: the file that the face came from, None for the shipped one; of it is read only what
+    the strategy plays. Raises ModelError.
+    """
+    with open_model(model_path) as file:
+        if read_face(file).checksum != face.checksum:
+            raise ModelError(f"{file.name}: has changed while it was being read; start again")
+        if options.strategy == LIVE_STRATEGY:
+            expectation = read_expectation(file, face.n_components)
+            return LiveSynthesizer(face, expectation, options.style)
+        return PublishedSynthesizer(read_animphos(file, face), STRATEGIES[options.strategy])
 
 
 def make_recognizer(

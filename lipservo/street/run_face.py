@@ -60,7 +60,7 @@ def run_face(
     # On a clock of its own nobody waits, and the same file must give the same trace.
     timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
     recognizer = make_recognizer(request.motion.engine, timer_s, request.motion.weights)
-    synthesizer = make_synthesizer(face.model, request.motion)
+    synthesizer = make_synthesizer(face.model, request.motion, request.model)
     with make_bus(face, clock) as bus:
         street = make_street(
             face, source, bus, rate_hz, recognizer, synthesizer, dry_run=request.dry_run

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import INNER_LIP_GROUP, OUTER_LIP_GROUP, PointLayout
 
 Array = NDArray[np.float64]
 Canvas = NDArray[np.int64]
@@ -24,19 +24,18 @@ _STEPS_PER_DOT = 2
 #: The mouth opens downwards: the closed one is drawn so far above the middle.
 _ABOVE_MIDDLE_MM = 8.0
 
-#: Markers of a lip follow one another round the mouth, beginning with a corner.
-_OUTER = [i for i, name in enumerate(MARKER_NAMES) if name.startswith("outer_lip")]
-_INNER = [i for i, name in enumerate(MARKER_NAMES) if name.startswith("inner_lip")]
 
-
-def draw_mouth(markers_mm: Array, rest_mm: Array, *, ascii_only: bool = False) -> list[str]:
+def draw_mouth(
+    markers_mm: Array, rest_mm: Array, layout: PointLayout, *, ascii_only: bool = False
+) -> list[str]:
     """Lines of text, all of `MOUTH_COLUMNS`, that show both lips from the front.
 
-    markers_mm: (47, 3); rest_mm: (47, 3), the same speaker's closed mouth.
+    markers_mm: (n_points, 3); rest_mm: (n_points, 3), the same speaker's closed mouth. Of the
+    layout are drawn the lips that it has.
     """
     canvas = np.zeros((MOUTH_ROWS, MOUTH_COLUMNS), dtype=np.int64)
     moved_mm = (markers_mm - rest_mm)[:, :2]
-    for loop, at_rest_mm in _neutral_lips(rest_mm):
+    for loop, at_rest_mm in _neutral_lips(rest_mm, layout):
         places_mm = at_rest_mm + moved_mm[loop] + [0.0, _ABOVE_MIDDLE_MM]
         for start, end in pairwise([*places_mm, places_mm[0]]):
             _draw_line(canvas, start, end)
@@ -44,17 +43,23 @@ def draw_mouth(markers_mm: Array, rest_mm: Array, *, ascii_only: bool = False) -
     return ["".join(character(int(cell)) for cell in row) for row in canvas]
 
 
-def _neutral_lips(rest_mm: Array) -> list[tuple[list[int], Array]]:
+def _neutral_lips(rest_mm: Array, layout: PointLayout) -> list[tuple[list[int], Array]]:
     """Each lip's markers, and where they are drawn at rest: (n, 2), from the middle of the mouth.
 
     The mean of the mouth and its mirror image, with the inner lips in one straight line.
     """
-    outer = _symmetric(rest_mm[_OUTER, :2])
-    inner = _symmetric(rest_mm[_INNER, :2])
-    outer[:, 1] -= inner[:, 1].mean()
-    outer[[0, len(outer) // 2], 1] = 0.0
-    inner[:, 1] = 0.0
-    return [(_OUTER, outer), (_INNER, inner)]
+    around = [list(layout.group(name)) for name in (OUTER_LIP_GROUP, INNER_LIP_GROUP)]
+    loops = [(points, _symmetric(rest_mm[points, :2])) for points in around if points]
+    if not loops:
+        return []
+    # The innermost loop is the line where the lips meet.
+    middle_mm = loops[-1][1][:, 1].mean()
+    for _, places_mm in loops:
+        places_mm[:, 1] -= middle_mm
+        places_mm[[0, len(places_mm) // 2], 1] = 0.0
+    if around[1]:
+        loops[-1][1][:, 1] = 0.0
+    return loops
 
 
 def _symmetric(places_mm: Array) -> Array:

@@ -138,7 +138,9 @@ class TerminalView:
         if with_mouth < _SHORTEST_BAR:
             return self._servos(tick, room)
         markers_mm = self._model.markers_mm(tick.coefficients[None])[0]
-        lines = draw_mouth(markers_mm, self._rest_mm, ascii_only=self._signs is _ASCII)
+        lines = draw_mouth(
+            markers_mm, self._rest_mm, self._model.layout, ascii_only=self._signs is _ASCII
+        )
         face = Table.grid(padding=(0, 1))
         face.add_row(Text("\n".join(lines), style="red"), self._servos(tick, with_mouth))
         return face

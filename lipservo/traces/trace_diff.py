@@ -3,21 +3,17 @@
 Both are laid over one another by sound time, so that another delay alone is no difference.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipservo.traces.trace_reader import Trace
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM, lip_gaps_mm
+from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.errors import UserError
-from lipsync.markers import LIP_MARKERS
+from lipsync.face.model import FaceModel
 
 Array = NDArray[np.float64]
-
-#: Markers (n, 47, 3) of a trace's own coefficients.
-Markers = Callable[[Array], NDArray[np.floating]]
 
 #: The lag is looked for within this, in steps of a millisecond.
 _MOST_LAG_S, _LAG_STEP_S = 0.25, 0.001
@@ -96,34 +92,39 @@ class Overlay:
     own: tuple[tuple[Array, Array], tuple[Array, Array]]
 
 
-def overlay(a: Trace, b: Trace, markers: tuple[Markers, Markers]) -> Overlay:
-    """Lay b over a. Raises IncomparableError, one line, for other faces or times."""
+def overlay(a: Trace, b: Trace, models: tuple[FaceModel, FaceModel]) -> Overlay:
+    """Lay b over a; models: of each. Raises IncomparableError, one line, for what cannot be."""
     if a.servos != b.servos:
         only = sorted(set(a.servos) ^ set(b.servos))
         what = f"only one of them has {only[0]}" if only else "in another order"
         raise IncomparableError(f"{a.name} and {b.name} have other servos: {what}")
     if a.face != b.face:
         raise IncomparableError(f"{a.name} is of face {a.face!r}, {b.name} of {b.face!r}")
+    lips = [list(model.layout.lips) for model in models]
+    if len(lips[0]) != len(lips[1]):
+        raise IncomparableError(
+            f"{a.name} and {b.name} were made with models of {len(lips[0])} and {len(lips[1])} "
+            "lip points"
+        )
     start_s, end_s = max(a.sound_s[0], b.sound_s[0]), min(a.sound_s[-1], b.sound_s[-1])
     within = (a.sound_s >= start_s - 1e-9) & (a.sound_s <= end_s + 1e-9)
     if within.sum() < 2:
         raise IncomparableError(f"{a.name} and {b.name} show no sound time together")
     times_s = a.sound_s[within]
     faces = [
-        np.asarray(look(_at(trace.sound_s, trace.coefficients, times_s)), dtype=np.float64)
-        for trace, look in zip((a, b), markers, strict=True)
+        model.markers_mm(_at(trace.sound_s, trace.coefficients, times_s))
+        for trace, model in zip((a, b), models, strict=True)
     ]
-    lips = [face[:, list(LIP_MARKERS)] for face in faces]
-    apart_mm = np.linalg.norm(lips[1] - lips[0], axis=2)
+    apart_mm = np.linalg.norm(faces[1][:, lips[1]] - faces[0][:, lips[0]], axis=2)
     nearest = np.clip(np.searchsorted(b.sound_s, times_s - 1e-9), 0, len(b.sound_s) - 1)
     said = np.array(a.phonemes)[within]
     return Overlay(
         sound_s=times_s,
         phonemes=tuple(zip(said.tolist(), np.array(b.phonemes)[nearest].tolist(), strict=True)),
-        gaps_mm=(lip_gaps_mm(faces[0]), lip_gaps_mm(faces[1])),
+        gaps_mm=(models[0].lip_gaps_mm(faces[0]), models[1].lip_gaps_mm(faces[1])),
         lips_mm=np.sqrt((apart_mm**2).mean(axis=1)),
         sent_deg=(a.sent_deg[within], _at(b.sound_s, b.sent_deg, times_s)),
-        own=(_own_gaps(a, markers[0]), _own_gaps(b, markers[1])),
+        own=(_own_gaps(a, models[0]), _own_gaps(b, models[1])),
     )
 
 
@@ -260,8 +261,8 @@ def _open(own: tuple[Array, Array], closure: _Closure, margin_mm: float) -> bool
     return bool(np.interp(closure.times_s, *own).min() > CLOSED_GAP_MM + margin_mm)
 
 
-def _own_gaps(trace: Trace, look: Markers) -> tuple[Array, Array]:
-    return trace.sound_s, lip_gaps_mm(look(trace.coefficients))
+def _own_gaps(trace: Trace, model: FaceModel) -> tuple[Array, Array]:
+    return trace.sound_s, model.lip_gaps_mm(model.markers_mm(trace.coefficients))
 
 
 def _worst(a: Trace, laid: Overlay, apart_deg: Array, n_worst: int) -> tuple[Moment, ...]:

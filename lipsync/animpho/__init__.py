@@ -1,4 +1,4 @@
-"""Phonemes become motion: Wei and Deng's AnimPhos.
+"""The AnimPho method (Wei and Deng, "A Practical Model for Live Speech-Driven Lip-Sync").
 
-model (data), training, selection, blending, and the live synthesiser that joins them.
+Units (data), selection, blending, and the synthesiser that joins them.
 """

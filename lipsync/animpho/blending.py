@@ -6,20 +6,20 @@ Samples are numbered 1..5 as in the paper in the formulas, 0..4 in the code.
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.face.model import SAMPLES_PER_ANIMPHO, FaceModel
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 
 Array = NDArray[np.float64]
 
 
-def choose_connected(model: FaceModel, previous: int, chosen: int) -> int:
+def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
     """b_t: the AnimPho that really follows a_{t-1} and moves most like a_t. Wei and Deng, eq. (3).
 
     a_t itself when it follows a_{t-1}, or when nothing does (the last AnimPho of a sentence).
     """
-    followers = model.successors[previous]
+    followers = units.successors[previous]
     if len(followers) == 0 or chosen in followers:
         return chosen
-    difference = model.animphos[followers] - model.animphos[chosen]
+    difference = units.samples[followers] - units.samples[chosen]
     return int(followers[np.argmin((difference**2).sum(axis=(1, 2)))])
 
 

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import AnimPhoUnits
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -30,43 +30,43 @@ class Choice:
 
 
 class SelectionStrategy(Protocol):
-    """Picks AnimPhos phoneme by phoneme. Phonemes must be known to the model."""
+    """Picks AnimPhos phoneme by phoneme. Phonemes must be known to them."""
 
     @property
     def name(self) -> str:
         """As it is called on the command line."""
 
-    def first(self, model: FaceModel, phoneme: str) -> Choice:
+    def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
         """The start of a chain, out of the closed mouth."""
 
-    def following(self, model: FaceModel, phoneme: str, previous: Choice) -> Choice:
+    def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
         """The next link after `previous`."""
 
 
-def smoothness_energy(model: FaceModel, previous: int, candidates: Indices) -> Array:
+def smoothness_energy(units: AnimPhoUnits, previous: int, candidates: Indices) -> Array:
     """||E(a_{t-1}) - B(eta)|| for each candidate (k,); lower is smoother. Wei and Deng, eq. (1)."""
-    end = model.animphos[previous, -1]
-    return np.asarray(np.linalg.norm(model.animphos[candidates, 0] - end, axis=1))
+    end = units.samples[previous, -1]
+    return np.asarray(np.linalg.norm(units.samples[candidates, 0] - end, axis=1))
 
 
-def nearest_to_rest(model: FaceModel, candidates: Indices) -> int:
+def nearest_to_rest(units: AnimPhoUnits, candidates: Indices) -> int:
     """The AnimPho that starts nearest the closed mouth; the paper is silent on the first one."""
-    distance = np.linalg.norm(model.animphos[candidates, 0] - model.rest, axis=1)
+    distance = np.linalg.norm(units.samples[candidates, 0] - units.rest, axis=1)
     return int(candidates[np.argmin(distance)])
 
 
-def chain_lengths(model: FaceModel, candidates: Indices, previous: Array) -> Array:
+def chain_lengths(units: AnimPhoUnits, candidates: Indices, previous: Array) -> Array:
     """v_i for each AnimPho (m,): 0 outside `candidates`, else eq. (2).
 
     previous: (m,), the v_j of the phoneme before, 0 outside L(p_{t-1}); so the longest chain
     through a predecessor is its v_j + 1, and 0 + 1 = 1 where there is none.
     """
-    before = model.predecessors
+    before = units.predecessors
     # reduceat needs a non-empty stretch for every row: the appended 0 serves AnimPhos without any.
     reached = np.append(previous[before.indices], 0.0)
     longest = np.maximum.reduceat(reached, before.starts[:-1])
     longest[before.starts[:-1] == before.starts[1:]] = 0.0
-    lengths = np.zeros(len(model.animphos))
+    lengths = np.zeros(len(units))
     lengths[candidates] = longest[candidates] + 1.0
     return lengths
 
@@ -76,18 +76,18 @@ class NaiveSelection:
 
     name = "naive"
 
-    def first(self, model: FaceModel, phoneme: str) -> Choice:
+    def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
         """The AnimPho of the phoneme that starts nearest the closed mouth."""
-        return Choice(nearest_to_rest(model, model.of_phoneme(phoneme)), False, np.empty(0))
+        return Choice(nearest_to_rest(units, units.of_phoneme(phoneme)), False, np.empty(0))
 
-    def following(self, model: FaceModel, phoneme: str, previous: Choice) -> Choice:
+    def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
         """Eq. (1) over phi."""
         connected = np.intersect1d(
-            model.of_phoneme(phoneme), model.successors[previous.animpho], assume_unique=True
+            units.of_phoneme(phoneme), units.successors[previous.animpho], assume_unique=True
         )
         missed = len(connected) == 0
-        candidates = np.arange(len(model.animphos)) if missed else connected
-        energy = smoothness_energy(model, previous.animpho, candidates)
+        candidates = np.arange(len(units)) if missed else connected
+        energy = smoothness_energy(units, previous.animpho, candidates)
         return Choice(int(candidates[np.argmin(energy)]), missed, np.empty(0))
 
 
@@ -96,22 +96,22 @@ class PrioritySelection:
 
     name = "priority"
 
-    def first(self, model: FaceModel, phoneme: str) -> Choice:
+    def first(self, units: AnimPhoUnits, phoneme: str) -> Choice:
         """All priorities are 1; the AnimPho that starts nearest the closed mouth."""
-        candidates = model.of_phoneme(phoneme)
-        lengths = np.zeros(len(model.animphos))
+        candidates = units.of_phoneme(phoneme)
+        lengths = np.zeros(len(units))
         lengths[candidates] = 1.0
-        return Choice(nearest_to_rest(model, candidates), False, lengths)
+        return Choice(nearest_to_rest(units, candidates), False, lengths)
 
-    def following(self, model: FaceModel, phoneme: str, previous: Choice) -> Choice:
+    def following(self, units: AnimPhoUnits, phoneme: str, previous: Choice) -> Choice:
         """Highest v_i of eq. (2); among equals one connected with a_{t-1}; then eq. (1)."""
-        candidates = model.of_phoneme(phoneme)
-        lengths = chain_lengths(model, candidates, previous.chain_lengths)
+        candidates = units.of_phoneme(phoneme)
+        lengths = chain_lengths(units, candidates, previous.chain_lengths)
         best = candidates[lengths[candidates] == lengths[candidates].max()]
-        connected = np.intersect1d(best, model.successors[previous.animpho], assume_unique=True)
+        connected = np.intersect1d(best, units.successors[previous.animpho], assume_unique=True)
         if len(connected):
             best = connected
-        energy = smoothness_energy(model, previous.animpho, best)
+        energy = smoothness_energy(units, previous.animpho, best)
         return Choice(int(best[np.argmin(energy)]), len(connected) == 0, lengths)
 
 

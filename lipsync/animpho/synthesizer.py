@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
 from lipsync.animpho.selection import Choice, PrioritySelection, SelectionStrategy
 from lipsync.animpho.trajectory import Trajectory, ease
+from lipsync.animpho.units import AnimPhoUnits
 from lipsync.expectation.context import PhonemeTrack, track_of
 from lipsync.face.frame import Frame
-from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate, stand_in
 from lipsync.timeline import PhonemeTimeline
 
@@ -58,14 +58,14 @@ class PublishedSynthesizer:
 
     def __init__(
         self,
-        model: FaceModel,
+        units: AnimPhoUnits,
         strategy: SelectionStrategy | None = None,
         *,
         published_derivatives: bool = False,
         longest_phone_s: float = LONGEST_PHONE_S,
     ) -> None:
-        self._model = model
-        self._known = model.known_phonemes
+        self._units = units
+        self._known = units.known_phonemes
         self._strategy = strategy or PrioritySelection()
         self._published_derivatives = published_derivatives
         self.longest_phone_s = longest_phone_s
@@ -86,7 +86,7 @@ class PublishedSynthesizer:
 
     def reset(self) -> None:
         """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
-        rest = self._model.rest
+        rest = self._units.rest
         closed = ease(0.0, SETTLE_S, rest, np.zeros_like(rest), rest)
         self._timeline = PhonemeTimeline()
         self._track = None
@@ -112,7 +112,7 @@ class PublishedSynthesizer:
         for stretch in reversed(self._stretches):
             if stretch.trajectory.start_s <= time_s:
                 return Frame(time_s, stretch.trajectory.at(time_s)[0])
-        return Frame(time_s, self._model.rest)
+        return Frame(time_s, self._units.rest)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme believed at a time, for displays."""
@@ -136,7 +136,7 @@ class PublishedSynthesizer:
         remaining_s = end_s - start_s
         if event is None or (event.phoneme == SILENCE and self._is_pause(remaining_s)):
             self._choice = None
-            self._rest(start_s, event, self._model.rest)
+            self._rest(start_s, event, self._units.rest)
         elif remaining_s < _SHORTEST_PHONE_S:
             self._rest(start_s, event, self._state_at(start_s)[0])
         else:
@@ -165,12 +165,12 @@ class PublishedSynthesizer:
         position, velocity = self._state_at(start_s)
         if self._choice is None:
             # Out of silence b_1 = a_1 and d_1[1] = 0 (the paper is silent; live-lip-sync.md).
-            chosen = self._strategy.first(self._model, phoneme)
+            chosen = self._strategy.first(self._units, phoneme)
             connected = chosen.animpho
         else:
-            chosen = self._strategy.following(self._model, phoneme, self._choice)
-            connected = choose_connected(self._model, self._choice.animpho, chosen.animpho)
-        animphos = self._model.animphos
+            chosen = self._strategy.following(self._units, phoneme, self._choice)
+            connected = choose_connected(self._units, self._choice.animpho, chosen.animpho)
+        animphos = self._units.samples
         samples = blend(translate(animphos[connected], position), animphos[chosen.animpho])
         spacing_s = duration_s / (len(samples) - 1)
         first = velocity * spacing_s

@@ -1,6 +1,6 @@
 """Dominance functions: every phone pulls at the face, the stronger the nearer.
 
-After Cohen and Massaro, "Modeling coarticulation in synthetic visual speech", 1993. A rival; it
+After Cohen and Massaro, "Modeling coarticulation in synthetic visual speech", 1993. A baseline; it
 sees the whole sentence.
 """
 

@@ -1,4 +1,4 @@
-"""One plain linear regression from phoneme context to face: the rival that needs no thought.
+"""One plain linear regression from phoneme context to face: the simplest baseline.
 
 Frame-synchronous: it sees what the live method sees, the five phonemes and six times of a context.
 """

@@ -1,4 +1,4 @@
-"""Catmull-Rom splines through the centres of viseme classes: a rival that sees the whole sentence.
+"""Catmull-Rom splines through the centres of viseme classes; they see the whole sentence.
 
 Catmull and Rom, "A class of local interpolating splines", 1974; non-uniform, each slope the
 difference of the two neighbours over their distance in time.

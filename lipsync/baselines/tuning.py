@@ -1,4 +1,4 @@
-"""Fitting the rivals to training sentences, so that the comparison is with their best. Offline."""
+"""Fits the baselines to training sentences, so that comparison is with their best. Offline."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""Reader for folders laid out like `grid_s1`: one talker, sound, face landmarks, labels."""
+"""Reader for folders laid out like `grid_s1`: one speaker, sound, face landmarks, labels."""
 
 import json
 import os
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lipsync.corpus.head_motion import apply_similarity, fit_similarity, refine_mean
 from lipsync.corpus.utterance import Corpus, CorpusError, Utterance, Word
-from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
+from lipsync.markers import MARKERS_47, PointLayout
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
 from lipsync.textgrid import Interval, LabelError, read_tiers
 
@@ -30,7 +30,7 @@ _LENGTH_TOLERANCE_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
-class _Layout:
+class _Rows:
     """landmarks.json: which rows of a frame are which points of the face."""
 
     frame_rate_hz: float
@@ -51,6 +51,7 @@ class _Sentence:
 
 def read_grid(
     folder: Path,
+    layout: PointLayout = MARKERS_47,
     *,
     head_reference_mm: Array | None = None,
     skip_bad: bool = False,
@@ -58,16 +59,17 @@ def read_grid(
 ) -> Corpus:
     """All sentences of the folder, head motion removed, in millimetres.
 
+    layout: the points of a face that are taken of the recorded ones.
     head_reference_mm: lay the faces on this head (a model's) rather than on their own mean.
     skip_bad: leave out sentences with a missing or mismatched file and list them in `skipped`;
     otherwise the first one raises CorpusError, which names the file.
     """
-    layout = _read_layout(folder)
+    rows = _read_rows(folder, layout)
     sentences: list[_Sentence] = []
     skipped: list[str] = []
     for name in progress(_sentence_names(folder)):
         try:
-            sentences.append(_read_sentence(folder, name, layout))
+            sentences.append(_read_sentence(folder, name, rows))
         except CorpusError as error:
             if not skip_bad:
                 raise CorpusError(f"{error} (--skip-bad goes on without it)") from error
@@ -76,45 +78,45 @@ def read_grid(
         raise CorpusError(
             f"{folder}: no usable sentence; docs/motion.md, A corpus of your own, says what one is"
         )
-    rigid = np.concatenate([s.landmarks_px[:, layout.rigid] for s in sentences])
+    rigid = np.concatenate([s.landmarks_px[:, rows.rigid] for s in sentences])
     if head_reference_mm is None:
-        head_reference_mm = refine_mean(rigid, (*layout.eyes, _EYE_DISTANCE_MM))
-    utterances = tuple(_to_utterance(s, layout, head_reference_mm) for s in sentences)
-    return Corpus(folder.name, MARKER_NAMES, utterances, head_reference_mm, tuple(skipped))
+        head_reference_mm = refine_mean(rigid, (*rows.eyes, _EYE_DISTANCE_MM))
+    utterances = tuple(_to_utterance(s, rows, head_reference_mm) for s in sentences)
+    return Corpus(folder.name, layout, utterances, head_reference_mm, tuple(skipped))
 
 
-def _to_utterance(sentence: _Sentence, layout: _Layout, head_reference_mm: Array) -> Utterance:
-    rigid = sentence.landmarks_px[:, layout.rigid]
+def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) -> Utterance:
+    rigid = sentence.landmarks_px[:, rows.rigid]
     similarity = fit_similarity(rigid, head_reference_mm)
-    markers_mm = apply_similarity(sentence.landmarks_px[:, layout.markers], *similarity)
+    markers_mm = apply_similarity(sentence.landmarks_px[:, rows.markers], *similarity)
     return Utterance(
         sentence.name,
         markers_mm.astype(np.float32),
-        layout.frame_rate_hz,
+        rows.frame_rate_hz,
         sentence.sound_path,
         sentence.phones,
         sentence.words,
     )
 
 
-def _read_layout(folder: Path) -> _Layout:
+def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
     path = folder / "landmarks.json"
     try:
         content = json.loads(path.read_text())
         row_of = {number: row for row, number in enumerate(content["landmark_ids"])}
         rigid = content["groups"]["rigid"]
-        needed = (*MARKER_LANDMARKS, *rigid, _RIGHT_EYE, _LEFT_EYE)
+        needed = (*layout.landmarks, *rigid, _RIGHT_EYE, _LEFT_EYE)
         missing = sorted({n for n in needed if n not in row_of})
         if missing:
             some = ", ".join(map(str, missing[:5])) + (", ..." if len(missing) > 5 else "")
             raise CorpusError(
-                f"{path}: landmark_ids lacks {some} ({len(missing)} of {len(needed)} points that a "
-                "face needs); number them as the 478-point face mesh does"
+                f"{path}: landmark_ids lacks {some} ({len(missing)} of {len(needed)} points that "
+                f"the layout {layout.name} needs); number them as the 478-point face mesh does"
             )
-        return _Layout(
+        return _Rows(
             float(content["frame_rate_hz"]),
             len(row_of),
-            [row_of[n] for n in MARKER_LANDMARKS],
+            [row_of[n] for n in layout.landmarks],
             [row_of[n] for n in rigid],
             (rigid.index(_RIGHT_EYE), rigid.index(_LEFT_EYE)),
         )
@@ -140,10 +142,10 @@ def _sentence_names(folder: Path) -> list[str]:
     return sorted({path.stem for path in files})
 
 
-def _read_sentence(folder: Path, name: str, layout: _Layout) -> _Sentence:
-    landmarks_px = _read_landmarks(folder / "landmarks" / f"{name}.npz", layout.n_landmarks)
+def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
+    landmarks_px = _read_landmarks(folder / "landmarks" / f"{name}.npz", rows.n_landmarks)
     sound_path = folder / "audio" / f"{name}.flac"
-    duration_s = len(landmarks_px) / layout.frame_rate_hz
+    duration_s = len(landmarks_px) / rows.frame_rate_hz
     try:
         sound_s = soundfile.info(os.fsencode(sound_path)).duration
     except soundfile.LibsndfileError as error:

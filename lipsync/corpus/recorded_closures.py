@@ -1,13 +1,12 @@
-"""How and when the talker's lips close: read off the recordings. Offline."""
+"""How and when the speaker's lips close: read off the recordings. Offline."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.corpus.utterance import Utterance
-from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 from lipsync.phonemes import PHONEMES
 
 Array = NDArray[np.float64]
@@ -32,14 +31,13 @@ class Closures:
     tightest_s: Array
 
 
-def lip_gaps_mm(markers_mm: NDArray[np.floating]) -> Array:
-    """(n_frames, n_markers, 3) -> (n_frames,), the distance of the inner lips."""
-    lips = markers_mm[:, UPPER_INNER_LIP] - markers_mm[:, LOWER_INNER_LIP]
-    return np.asarray(np.linalg.norm(lips, axis=1), dtype=np.float64)
+def observe_closures(
+    utterances: Iterable[Utterance], lip_gaps_mm: Callable[[NDArray[np.floating]], Array]
+) -> Closures:
+    """Medians over all closing phones. A phoneme too rare takes the median of all.
 
-
-def observe_closures(utterances: Iterable[Utterance]) -> Closures:
-    """Medians over all closing phones. A phoneme too rare takes the median of all."""
+    lip_gaps_mm: (n_frames, n_points, 3) -> (n_frames,), how far the lips are apart.
+    """
     moments_s: dict[str, list[float]] = {phoneme: [] for phoneme in _CLOSING}
     labiodental_mm: list[float] = []
     for utterance in utterances:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.errors import UserError
+from lipsync.markers import PointLayout
 from lipsync.phonemes import PhonemeEvent
 
 
@@ -27,7 +28,7 @@ class Word:
 class Utterance:
     """One sentence: mouth motion, labels, and where its sound lies.
 
-    markers_mm: (n_frames, n_markers, 3), head motion removed, x to the picture's right, y up,
+    markers_mm: (n_frames, n_points, 3), head motion removed, x to the picture's right, y up,
     z to the viewer. Frame i is at i / frame_rate_hz. `phones` is empty where alignment failed.
     """
 
@@ -41,14 +42,15 @@ class Utterance:
 
 @dataclass(frozen=True, slots=True)
 class Corpus:
-    """Sentences of one talker in one common head pose.
+    """Sentences of one speaker in one common head pose.
 
+    layout: which points of the face `markers_mm` holds.
     head_reference_mm: (n_rigid, 3), the mean bone-fixed points that every frame was fitted to;
     hand it to the reader of another folder to bring that one into the same pose.
     """
 
     name: str
-    marker_names: tuple[str, ...]
+    layout: PointLayout
     utterances: tuple[Utterance, ...]
     head_reference_mm: NDArray[np.float64]
     skipped: tuple[str, ...] = ()
@@ -60,4 +62,4 @@ class Corpus:
     def keep(self, names: set[str]) -> "Corpus":
         """Only the sentences named."""
         chosen = tuple(u for u in self.utterances if u.name in names)
-        return Corpus(self.name, self.marker_names, chosen, self.head_reference_mm, self.skipped)
+        return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)

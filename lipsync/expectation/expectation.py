@@ -33,7 +33,7 @@ N_WINDOWS = len(_WINDOWS_S) - 1
 _SLOT_NUMBERS = np.arange(SLOTS)
 #: The unit of the look-ahead feature.
 _LOOKAHEAD_UNIT_S = 0.1
-#: How long the last two phonemes took says how fast the talker goes: in units of a usual one, at
+#: How long the last two phonemes took says how fast the speaker goes: in units of a usual one, at
 #: most four of them; where none was, one and a half.
 _USUAL_S, _SLOWEST, _UNHEARD = 0.1, 4.0, 1.5
 N_TIMING = 6 + 3 + 2 + 3 * len(_NEAR_S) + 3 + 1 + 3

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.face.model import FaceModel
-from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 
 Array = NDArray[np.float64]
 
@@ -56,10 +55,11 @@ class LipGap:
 def lip_gap_of(model: FaceModel) -> LipGap:
     """The gap of a model's face, with the response that its recordings show."""
     basis = model.basis.reshape(model.n_components, -1, 3)
-    per_face = basis[:, UPPER_INNER_LIP] - basis[:, LOWER_INNER_LIP]
+    upper, lower = model.layout.upper_lip, model.layout.lower_lip
+    per_face = basis[:, upper] - basis[:, lower]
     spread = model.covariance @ per_face
     gap_covariance = per_face.T @ spread
     ridge = _RIDGE * np.trace(gap_covariance) * np.eye(3)
     response = np.linalg.solve(gap_covariance + ridge, spread.T)
-    at_mean_mm = model.mean_mm[UPPER_INNER_LIP] - model.mean_mm[LOWER_INNER_LIP]
+    at_mean_mm = model.mean_mm[upper] - model.mean_mm[lower] - model.lips_touching_mm
     return LipGap(at_mean_mm, per_face, response)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from lipsync.errors import UserError
+from lipsync.expectation.expectation import Expectation
 from lipsync.face.model import FaceModel
 from lipsync.motion.closing_synthesizer import ClosingSynthesizer
 from lipsync.motion.closure_plan import BILABIALS, LABIODENTALS
@@ -53,10 +54,12 @@ class Style:
 class LiveSynthesizer(WrappedSynthesizer):
     """Our strategy over a revisable stream of phonemes."""
 
-    def __init__(self, model: FaceModel, style: Style | None = None) -> None:
+    def __init__(
+        self, model: FaceModel, expectation: Expectation, style: Style | None = None
+    ) -> None:
         self._style = style or Style()
         self._expected = ExpectedMotion(
-            model.expectation,
+            expectation,
             model.rest,
             lookahead_s=self._style.lookahead_s,
             smoothness=self._style.smoothness,

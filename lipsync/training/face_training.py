@@ -1,11 +1,11 @@
-"""A corpus becomes a face model: PCA, segments, k-means, and the two tables.
+"""A corpus becomes a trained model: PCA, segments, k-means, the two tables, and what moves them.
 
 Wei and Deng, sections "data preprocessing" and "AnimPho". The only module of this package that
 loads scikit-learn.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,9 @@ from sklearn.cluster import KMeans
 from sklearn.decomposition import PCA
 from threadpoolctl import threadpool_limits
 
+from lipsync.animpho.index_lists import IndexLists
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, face_fields
+from lipsync.baselines.baselines import Baselines
 from lipsync.baselines.regression import fit_regression
 from lipsync.baselines.tuning import tune_dominance
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM, observe_closures
@@ -20,13 +23,12 @@ from lipsync.corpus.speech_frames import speech_frames
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
 from lipsync.expectation.training.expectation_training import (
-    collect_lessons,
+    collect_training_set,
     fit_expectation,
     joined,
 )
-from lipsync.face.index_lists import IndexLists
-from lipsync.face.model import SAMPLES_PER_ANIMPHO, FaceModel
-from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.face.model import FaceModel
+from lipsync.markers import PointLayout
 from lipsync.phonemes import (
     PHONEMES,
     SILENCE,
@@ -35,13 +37,15 @@ from lipsync.phonemes import (
     PhonemeEvent,
     stand_in,
 )
+from lipsync.training.trained_model import TrainedModel
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
-#: The paper keeps 5, which hold 96.6 % of its variance; here 5 hold 94.8 %, 7 hold 97.0 %. Of what
-#: phonemes say about a face the sixth to eighth hold more than the fifth (docs/decisions/0007).
-N_COMPONENTS = 8
+#: So many components unless asked otherwise. The paper keeps 5, which hold 96.6 % of its variance;
+#: here 5 hold 94.8 %, 7 hold 97.0 %. Of what phonemes say about a face the sixth to eighth hold
+#: more than the fifth (docs/decisions/0007).
+DEFAULT_COMPONENTS = 8
 #: Successors of an AnimPho on average in the paper; decides how many AnimPhos there are.
 TARGET_SUCCESSORS = 3.45
 _SUCCESSORS_TOLERANCE = 0.05
@@ -72,17 +76,21 @@ def train(
     corpus: Corpus,
     *,
     seed: int = 0,
+    n_components: int = DEFAULT_COMPONENTS,
     n_animphos: int | None = None,
     heard: Mapping[str, Sequence[PhonemeEvent]] | None = None,
     progress: Progress = lambda _: None,
-) -> FaceModel:
+) -> TrainedModel:
     """Learn a model from every labelled sentence; the same corpus and seed give the same model.
 
+    n_components: principal components of the face, from 1 on.
     n_animphos: None searches for the number that gives an AnimPho 3.45 successors, as in the paper.
     heard: what the recogniser makes of the sentences, by name (`hearing.hear_sentences`); from it
-    the expectation learns beside the labels what to do with a recogniser's mistakes.
-    Raises TrainingError for a corpus without labelled motion, or with too little of it.
+    the expectation learns beside the labels what to do with a recogniser's errors.
+    Raises TrainingError for a corpus without labelled motion, or with too little of it for so many
+    components.
     """
+    check_components(n_components, corpus.layout)
     labelled = corpus.labelled()
     if not labelled.utterances:
         raise TrainingError(f"corpus {corpus.name}: no sentence has a phones tier")
@@ -95,43 +103,46 @@ def train(
             )
     progress("principal components")
     frames = np.concatenate([_flat(u) for u in labelled.utterances])
-    if len(frames) <= N_COMPONENTS or not frames.std(axis=0).any():
+    if len(frames) <= n_components:
+        raise TrainingError(
+            f"corpus {corpus.name}: {len(frames)} frames are too few for {n_components} components"
+        )
+    if not frames.std(axis=0).any():
         raise TrainingError(f"corpus {corpus.name}: the face does not move in {len(frames)} frames")
     with threadpool_limits(limits=1):  # several threads add up in changing order
-        pca = PCA(N_COMPONENTS, svd_solver="covariance_eigh").fit(frames)
+        pca = PCA(n_components, svd_solver="covariance_eigh").fit(frames)
         coefficients = [pca.transform(_flat(u)) for u in labelled.utterances]
 
     progress("segments")
     segments = cut_segments(labelled.utterances, coefficients)
     if len(segments.samples) < 2:
         raise TrainingError(f"corpus {corpus.name}: only {len(segments.samples)} phoneme in it")
-    closures = observe_closures(labelled.utterances)
-    spoken = np.concatenate(
-        [m[speech_frames(u)] for u, m in zip(labelled.utterances, coefficients, strict=True)]
-    )
     with threadpool_limits(limits=1):
         animphos, cluster = _cluster(segments, n_animphos, seed, progress)
         centres, counts = phone_centres(segments)
-        lessons = collect_lessons(labelled.utterances, coefficients)
-        misheard = collect_lessons(labelled.utterances, coefficients, heard or {})
-        both = joined([lessons, misheard])
+        from_labels = collect_training_set(labelled.utterances, coefficients)
+        from_hearing = collect_training_set(labelled.utterances, coefficients, heard or {})
+        both = joined([from_labels, from_hearing])
         expectation = fit_expectation(both, centres, seed=seed, progress=progress)
-        progress("rivals")
+        progress("baselines")
         dominance = tune_dominance(labelled.utterances, coefficients, centres)
         regression = fit_regression(
-            lessons.phonemes, lessons.times_s, lessons.lookahead_s, lessons.faces
+            from_labels.phonemes, from_labels.times_s, from_labels.lookahead_s, from_labels.faces
         )
     successors = _successors(segments, cluster, len(animphos))
-    return FaceModel(
-        marker_names=corpus.marker_names,
-        mean_mm=pca.mean_.reshape(-1, 3),
-        basis=pca.components_,
-        head_reference_mm=corpus.head_reference_mm,
-        rest=_rest(labelled.utterances, coefficients),
-        animphos=animphos.reshape(len(animphos), SAMPLES_PER_ANIMPHO, N_COMPONENTS),
-        successors=successors,
-        predecessors=successors.transposed(len(animphos)),
-        phoneme_table=IndexLists.from_pairs(segments.phonemes, cluster, len(PHONEMES)),
+    face = _face(corpus, pca, labelled.utterances, coefficients)
+    samples = animphos.reshape(len(animphos), SAMPLES_PER_ANIMPHO, n_components)
+    return TrainedModel(
+        **face_fields(face),
+        animphos=AnimPhoUnits(
+            rest=face.rest,
+            samples=samples,
+            successors=successors,
+            predecessors=successors.transposed(len(animphos)),
+            phoneme_table=IndexLists.from_pairs(segments.phonemes, cluster, len(PHONEMES)),
+        ),
+        expectation=expectation,
+        baselines=Baselines(centres, counts, dominance, regression),
         training_sentences=tuple(u.name for u in labelled.utterances),
         provenance={
             "corpus": corpus.name,
@@ -141,16 +152,39 @@ def train(
             "variance_held": round(float(pca.explained_variance_ratio_.sum()), 6),
             "sentences_heard": len((heard or {}).keys() & {u.name for u in labelled.utterances}),
         },
-        expectation=expectation,
-        covariance=np.cov(
-            spoken if len(spoken) > 1 else np.concatenate(coefficients), rowvar=False
-        ),
-        labiodental_gap_mm=closures.labiodental_gap_mm,
-        tightest_s=closures.tightest_s,
-        centres=centres,
-        counts=counts,
-        dominance=dominance,
-        regression=regression,
+    )
+
+
+def check_components(n_components: int, layout: PointLayout) -> None:
+    """Raises TrainingError for a number that no face of this layout can have."""
+    most = 3 * layout.n_points
+    if not 1 <= n_components <= most:
+        raise TrainingError(
+            f"{n_components} components: a face of {layout.n_points} points has 1 to {most}"
+        )
+
+
+def _face(
+    corpus: Corpus, pca: PCA, utterances: Sequence[Utterance], coefficients: list[Array]
+) -> FaceModel:
+    """Basis, rest pose, and how the lips close."""
+    spoken = np.concatenate(
+        [m[speech_frames(u)] for u, m in zip(utterances, coefficients, strict=True)]
+    )
+    covariance = np.cov(spoken if len(spoken) > 1 else np.concatenate(coefficients), rowvar=False)
+    face = FaceModel(
+        layout=corpus.layout,
+        mean_mm=pca.mean_.reshape(-1, 3),
+        basis=pca.components_,
+        head_reference_mm=corpus.head_reference_mm,
+        rest=_rest(utterances, coefficients, corpus.layout),
+        covariance=np.atleast_2d(covariance),
+        labiodental_gap_mm=CLOSED_GAP_MM,
+        tightest_s=np.zeros(len(PHONEMES)),
+    )
+    closures = observe_closures(utterances, face.lip_gaps_mm)
+    return replace(
+        face, labiodental_gap_mm=closures.labiodental_gap_mm, tightest_s=closures.tightest_s
     )
 
 
@@ -234,7 +268,7 @@ def _successors(segments: Segments, cluster: NDArray[np.int64], m: int) -> Index
     return IndexLists.from_pairs(cluster[:-1][same_sentence], cluster[1:][same_sentence], m)
 
 
-def _rest(utterances: Iterable[Utterance], coefficients: list[Array]) -> Array:
+def _rest(utterances: Iterable[Utterance], coefficients: list[Array], layout: PointLayout) -> Array:
     """The mean of all silent frames with closed lips; of the most closed tenth if none touch."""
     silent, gaps_mm = [], []
     for utterance, motion in zip(utterances, coefficients, strict=True):
@@ -243,7 +277,7 @@ def _rest(utterances: Iterable[Utterance], coefficients: list[Array]) -> Array:
         for phone in utterance.phones:
             if phone.phoneme != SILENCE and phone.end_s is not None:
                 spoken |= (times_s >= phone.start_s) & (times_s < phone.end_s)
-        lips = utterance.markers_mm[:, UPPER_INNER_LIP] - utterance.markers_mm[:, LOWER_INNER_LIP]
+        lips = layout.gap_vectors_mm(utterance.markers_mm)
         silent.append(motion[~spoken])
         gaps_mm.append(np.linalg.norm(lips[~spoken], axis=1))
     frames, gap_mm = np.concatenate(silent), np.concatenate(gaps_mm)
@@ -254,5 +288,5 @@ def _rest(utterances: Iterable[Utterance], coefficients: list[Array]) -> Array:
 
 
 def _flat(utterance: Utterance) -> Array:
-    """(n_frames, 3 n_markers)."""
+    """(n_frames, 3 n_points)."""
     return utterance.markers_mm.reshape(len(utterance.markers_mm), -1).astype(np.float64)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
-from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 FRAME_RATE_HZ = 25.0
 RIGID = (33, 263, 10, 152000, 6, 168)
@@ -16,7 +16,7 @@ PHONES = (("SIL", 0.4), ("B", 0.1), ("AA", 0.2), ("T", 0.1), ("UW", 0.2), ("SIL"
 def write_corpus(folder: Path, n_sentences: int = 6, seed: int = 0) -> Path:
     """Sentences s0, s1, ... of PHONES in changing order; 30 frames each. Returns the folder."""
     rng = np.random.default_rng(seed)
-    ids = [*RIGID, *MARKER_LANDMARKS]
+    ids = [*RIGID, *MARKERS_47.landmarks]
     for name in ("audio", "landmarks", "labels"):
         (folder / name).mkdir(parents=True)
     layout = {"frame_rate_hz": FRAME_RATE_HZ, "landmark_ids": ids, "groups": {"rigid": RIGID}}
@@ -38,11 +38,12 @@ def write_sentence(
 ) -> None:
     duration_s = sum(duration for _, duration in phones)
     n_frames = round(duration_s * FRAME_RATE_HZ)
-    lower = [i for i, n in enumerate(MARKER_NAMES) if n.startswith(("jaw", "chin", "inner_lip_14"))]
+    opens = ("jaw", "chin", "outer_lip_17", "inner_lip_14")
+    lower = [i for i, n in enumerate(MARKERS_47.names) if n.startswith(opens)]
     points = np.repeat(face[None], n_frames, axis=0)
     opening = np.abs(np.sin(np.linspace(0, 7, n_frames))) * 10.0
     points[:, [len(RIGID) + i for i in lower], 1] += opening[:, None]
-    points[:, len(RIGID) :] += rng.normal(0.0, 0.2, (n_frames, len(MARKER_NAMES), 3))
+    points[:, len(RIGID) :] += rng.normal(0.0, 0.2, (n_frames, len(MARKERS_47.names), 3))
     turned = turn(points, np.linspace(0.0, 0.3, n_frames), 1.0 + 0.1 * rng.random())
     pixels = np.round((turned + 150.0) * 64).astype(np.int16)
     np.savez(folder / "landmarks" / f"{name}.npz", landmarks_64th_px=pixels)

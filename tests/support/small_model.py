@@ -1,4 +1,4 @@
-"""A small made-up talker for tests: symmetric, exact, built in a millisecond.
+"""A small made-up speaker for tests: symmetric, exact, built in a millisecond.
 
 The face is mirrored at x = 0. Its five components have a meaning each: opening, width, protrusion,
 upper lip, lower lip. Five phonemes; every order of them without repetition has its own AnimPho.
@@ -9,13 +9,15 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.animpho.index_lists import IndexLists
+from lipsync.animpho.units import AnimPhoUnits
+from lipsync.baselines.baselines import Baselines
 from lipsync.baselines.dominance import fixed_reference
 from lipsync.baselines.regression import PlainRegression
 from lipsync.expectation.expectation import N_TIMING, constant_expectation
-from lipsync.face.index_lists import IndexLists
-from lipsync.face.model import FaceModel
-from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
+from lipsync.markers import MARKERS_47
 from lipsync.phonemes import PHONEMES, stand_in
+from lipsync.training.trained_model import TrainedModel
 
 Array = NDArray[np.float64]
 
@@ -24,8 +26,8 @@ _MIDDLE: dict[int, tuple[float, float]] = {
     0: (-89, 19), 17: (-108, 14), 13: (-96, 12), 14: (-96, 12), 2: (-71, 21),
     152: (-140, -5), 18: (-113, 9), 200: (-121, 8), 199: (-130, 6),
 }  # fmt: skip
-#: (landmark on the talker's right, its mirror image on the left): x of the left one, y, z.
-_SIDES: dict[tuple[int, int], tuple[float, float, float]] = {
+#: (landmark on the speaker's right, its mirror image on the left): x of the left one, y, z.
+SIDES: dict[tuple[int, int], tuple[float, float, float]] = {
     (61, 291): (26, -95, 0), (39, 269): (15, -90, 15), (37, 267): (8, -88, 18),
     (181, 405): (15, -105, 11), (84, 314): (8, -108, 13),
     (78, 308): (24, -95, 1), (82, 312): (6, -96, 12), (87, 317): (6, -96, 12),
@@ -50,7 +52,7 @@ _TARGETS: dict[str, tuple[float, float, float, float, float]] = {
 }
 
 
-def small_model() -> FaceModel:
+def small_model() -> TrainedModel:
     """47 markers, 5 components, 80 AnimPhos, 4 successors each.
 
     `rest` is the target of SIL: a closed mouth, 18 below the mean on the opening component.
@@ -65,45 +67,50 @@ def small_model() -> FaceModel:
     rows, columns = np.array(follows).T
     successors = IndexLists.from_pairs(rows, columns, len(contexts))
     phonemes = np.array([PHONEMES.index(phoneme) for _, phoneme, _ in contexts])
-    return FaceModel(
-        marker_names=MARKER_NAMES,
+    return TrainedModel(
+        layout=MARKERS_47,
         mean_mm=neutral_mm - (rest @ basis).reshape(-1, 3),
         basis=basis,
         head_reference_mm=np.array(
             [[-45.0, 0, 0], [45.0, 0, 0], [0, 30.0, 15.0], [0, -20.0, 25.0]]
         ),
         rest=rest,
-        animphos=np.array([_animpho(*context) for context in contexts]),
-        successors=successors,
-        predecessors=successors.transposed(len(contexts)),
-        phoneme_table=IndexLists.from_pairs(phonemes, np.arange(len(contexts)), len(PHONEMES)),
-        training_sentences=("made_up",),
-        provenance={"corpus": "small_model", "seed": 0, "frames": 0},
-        expectation=constant_expectation(centres),
         covariance=np.diag([100.0, 4.0, 4.0, 1.0, 4.0]),
         labiodental_gap_mm=1.5,
         tightest_s=np.zeros(len(PHONEMES)),
-        centres=centres,
-        counts=np.array([16.0 * (p in _TARGETS) for p in PHONEMES]),
-        dominance=fixed_reference(),
-        regression=PlainRegression(np.zeros((5 * (len(PHONEMES) + 1) + N_TIMING + 1, 5))),
+        animphos=AnimPhoUnits(
+            rest=rest,
+            samples=np.array([_animpho(*context) for context in contexts]),
+            successors=successors,
+            predecessors=successors.transposed(len(contexts)),
+            phoneme_table=IndexLists.from_pairs(phonemes, np.arange(len(contexts)), len(PHONEMES)),
+        ),
+        expectation=constant_expectation(centres),
+        baselines=Baselines(
+            centres=centres,
+            counts=np.array([16.0 * (p in _TARGETS) for p in PHONEMES]),
+            dominance=fixed_reference(),
+            regression=PlainRegression(np.zeros((5 * (len(PHONEMES) + 1) + N_TIMING + 1, 5))),
+        ),
+        training_sentences=("made_up",),
+        provenance={"corpus": "small_model", "seed": 0, "frames": 0},
     )
 
 
 def _neutral_mm() -> Array:
     """(47, 3): the closed mouth."""
     points = {n: (0.0, y, z) for n, (y, z) in _MIDDLE.items()}
-    for (right, left), (x, y, z) in _SIDES.items():
+    for (right, left), (x, y, z) in SIDES.items():
         points[left], points[right] = (x, y, z), (-x, y, z)
-    return np.array([points[n] for n in MARKER_LANDMARKS], dtype=np.float64)
+    return np.array([points[n] for n in MARKERS_47.landmarks], dtype=np.float64)
 
 
 def _basis(neutral_mm: Array) -> Array:
     """(5, 141), orthonormal: the five movements by Gram-Schmidt, in their order and direction."""
     upper, lower, corners = (
-        np.isin(MARKER_LANDMARKS, s) for s in (_UPPER_LIP, _LOWER_LIP, _CORNERS)
+        np.isin(MARKERS_47.landmarks, s) for s in (_UPPER_LIP, _LOWER_LIP, _CORNERS)
     )
-    jaw = np.array([name.startswith(("jaw", "chin")) for name in MARKER_NAMES])
+    jaw = np.array([name.startswith(("jaw", "chin")) for name in MARKERS_47.names])
     moves = np.zeros((5, *neutral_mm.shape))
     moves[0, lower] = moves[0, jaw] = (0.0, -1.0, -0.7)
     moves[0, corners] = (0.0, -0.4, -0.3)

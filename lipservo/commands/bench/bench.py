@@ -40,14 +40,14 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
     from lipservo.bench import synthesis_figures as measure
     from lipservo.street.settled_phonemes import settled_events
     from lipsync.audio.file import FileSource
-    from lipsync.face.model import load_shipped_model
+    from lipsync.training.trained_model import load_trained_model
 
     began_s = time.perf_counter()
-    model = load_shipped_model()
+    model = load_trained_model()
     if corpora is not None and not corpora.is_dir():
         raise UserError(f"{corpora}: no such folder; give the one that holds grid_s1")
     figures: dict[str, float] = {
-        "mean_successors": model.mean_successors,
+        "mean_successors": model.animphos.mean_successors,
         "variance_held": float(model.provenance["variance_held"]),
     }
     with (
@@ -56,7 +56,7 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
     ):
         steps = progress.add_task("synthesis", total=4)
         figures |= measure.synthesis_times_ms(
-            model, [list(settled_events(FileSource(clip), "network"))]
+            model.animphos, [list(settled_events(FileSource(clip), "network"))]
         )
         progress.advance(steps)
         known = [] if corpora is None else [corpora / name for name in _REPLAYED]

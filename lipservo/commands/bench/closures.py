@@ -41,13 +41,13 @@ def closures(
 
     Where they are is told by forced alignment of what is said.
     """
-    from lipservo.face.assembly import load_face_model
     from lipservo.street.motion_options import LATENCY_S
     from lipsync.evaluation.recognition.closure_hits import closure_figures, closure_hits
     from lipsync.recognition.network_recognizer import NetworkRecognizer
+    from lipsync.training.trained_model import load_trained_model
 
     recognizer = NetworkRecognizer(find_weights(weights), LATENCY_S)
-    face = load_face_model(model)
+    face = load_trained_model(model)
     found: list[Closure] = []
     with progress_bar(quiet=quiet) as advance:
         if corpus is None:

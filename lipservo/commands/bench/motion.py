@@ -1,4 +1,4 @@
-"""`lipservo bench motion`: our motion and its rivals' against recorded faces."""
+"""`lipservo bench motion`: our motion and the baselines against recorded faces."""
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -16,7 +16,7 @@ from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_jso
 if TYPE_CHECKING:
     from lipservo.bench.motion_figures import Question
     from lipsync.corpus.utterance import Corpus, Utterance
-    from lipsync.face.model import FaceModel
+    from lipsync.training.trained_model import TrainedModel
 
 
 #: What is printed of a row, and its heading; all of it together fits 80 columns.
@@ -67,12 +67,12 @@ def motion(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure synthesised motion against recorded faces, ours and its rivals."""
+    """Measure synthesised motion against recorded faces, ours and the baselines."""
     from lipservo.bench import motion_figures as measure
     from lipservo.bench.motion_plots import PICTURES
     from lipservo.terminal.pictures import check_folder
-    from lipsync.face.model import load_model, load_shipped_model
     from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+    from lipsync.training.trained_model import load_trained_model
 
     began_s = time.perf_counter()
     if plots is not None:
@@ -82,7 +82,7 @@ def motion(
     )
     given = None
     if model is not None:
-        given = load_shipped_model() if str(model) == "shipped" else load_model(model)
+        given = load_trained_model(None if str(model) == "shipped" else model)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         answer = _answer(corpus, given, asked, plots, progress, skip_bad=skip_bad)
     seconds = time.perf_counter() - began_s
@@ -97,7 +97,7 @@ def motion(
 
 def _answer(
     folder: Path,
-    given: "FaceModel | None",
+    given: "TrainedModel | None",
     asked: "Question",
     plots: Path | None,
     progress: Progress,
@@ -109,11 +109,13 @@ def _answer(
     from lipsync.corpus.grid import read_grid
     from lipsync.evaluation.motion.scoring import seen_in_training
     from lipsync.expectation.training.hearing import hear_sentences
+    from lipsync.markers import MARKERS_47
     from lipsync.recognition.weights import load_shipped_weights
     from lipsync.training.face_training import train
 
     sentences = read_grid(
         folder,
+        MARKERS_47 if given is None else given.layout,
         head_reference_mm=None if given is None else given.head_reference_mm,
         skip_bad=skip_bad,
         progress=lambda names: progress.track(names, description="reading"),
@@ -128,7 +130,7 @@ def _answer(
         heard = hear_sentences(load_shipped_weights(), labelled, partial(track, "listening"))
     step = progress.add_task("training", total=None, visible=given is None)
 
-    def learn(part: "Corpus") -> "FaceModel":
+    def learn(part: "Corpus") -> "TrainedModel":
         return train(
             part, heard=heard, progress=lambda text: progress.update(step, description=text)
         )

@@ -122,11 +122,11 @@ def listening(
     for percent in (50, 99):
         figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
     if utterances is not None:
-        from lipservo.face.assembly import load_face_model
         from lipsync.evaluation.recognition.closing_times import ClosingBench, closing_figures
         from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+        from lipsync.training.trained_model import load_trained_model
 
-        bench = ClosingBench(recognizer, load_face_model(model), DEFAULT_LOOKAHEAD_S)
+        bench = ClosingBench(recognizer, load_trained_model(model), DEFAULT_LOOKAHEAD_S)
         with progress_bar(quiet=quiet) as advance:
             alignments = aligned(utterances, cache, None, advance)
             usable = [u for u in utterances if not alignments[u.name].error]

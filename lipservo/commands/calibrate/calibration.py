@@ -66,8 +66,11 @@ def calibrate(
     """
     from calibration.files.calibration_file import is_calibration
     from lipservo.calibrating.calibration_ways import Workplace
-    from lipservo.face.assembly import load_face_model, load_settings, settings_at_port
+    from lipservo.face.assembly import load_settings, settings_at_port
     from lipservo.face.sim_process import servo_port
+    from lipsync.animpho.other_layout import in_layout
+    from lipsync.animpho.units import load_face_with_animphos
+    from lipsync.markers import MARKERS_47
 
     settings, _ = load_settings(config)
     if ranges is not None:
@@ -75,9 +78,8 @@ def calibrate(
 
         limits = {name: (s.min_deg, s.max_deg) for name, s in settings.mouth_servos.items()}
         check_within_recorded(read_ranges(ranges), limits)
-    at = Workplace(
-        settings, load_face_model(model), poses, keep, quiet or as_json, lags, speed_deg_s=speed
-    )
+    face_model = in_layout(load_face_with_animphos(model), MARKERS_47)
+    at = Workplace(settings, face_model, poses, keep, quiet or as_json, lags, speed_deg_s=speed)
     if plan is not None and (markers is None or refine is not None):
         _write_plan(at, plan, markers, refine, axes, as_json=as_json)
         return

@@ -1,4 +1,4 @@
-"""`train`: what is made once, before a face runs."""
+"""`train`: a face model is learned from recordings."""
 
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -28,6 +28,16 @@ def train(
             min=1, help="How many AnimPhos; default: so many that each has 3.45 successors."
         ),
     ] = None,
+    components: Annotated[
+        int | None,
+        typer.Option(help="How many principal components a face has; default: 8, the paper: 5."),
+    ] = None,
+    markers: Annotated[
+        str | None,
+        typer.Option(
+            help="The points of a face: 39, 47 (default) or 478, or a JSON file (docs/motion.md)."
+        ),
+    ] = None,
     phonemes: Annotated[
         Phonemes,
         typer.Option(
@@ -46,10 +56,16 @@ def train(
     """
     from lipsync.corpus.grid import read_grid
     from lipsync.expectation.training.hearing import hear_sentences
-    from lipsync.face.model import is_model, save_model
+    from lipsync.face.model_file import is_model
+    from lipsync.markers import MARKERS_47, find_layout
     from lipsync.recognition.weights import load_shipped_weights
+    from lipsync.training.face_training import DEFAULT_COMPONENTS, check_components
     from lipsync.training.face_training import train as train_model
+    from lipsync.training.trained_model import save_model
 
+    layout = MARKERS_47 if markers is None else find_layout(markers)
+    n_components = DEFAULT_COMPONENTS if components is None else components
+    check_components(n_components, layout)
     check_output(output, replaces=is_model, kind="face model")
     with _progress(quiet=quiet) as progress:
         reading = progress.add_task("reading", total=None)
@@ -57,7 +73,7 @@ def train(
         def read(names: list[str]) -> Iterable[str]:
             yield from progress.track(names, task_id=reading)
 
-        sentences = read_grid(corpus, skip_bad=skip_bad, progress=read)
+        sentences = read_grid(corpus, layout, skip_bad=skip_bad, progress=read)
         heard = None
         if phonemes == "both":
             heard = hear_sentences(
@@ -69,6 +85,7 @@ def train(
         model = train_model(
             sentences,
             seed=seed,
+            n_components=n_components,
             n_animphos=animphos,
             heard=heard,
             progress=lambda step: progress.update(learning, description=step),
@@ -79,8 +96,11 @@ def train(
     figures: dict[str, object] = {
         "model": str(output),
         "sentences": len(model.training_sentences),
+        "layout": layout.name,
+        "points": layout.n_points,
+        "components": model.n_components,
         "animphos": len(model.animphos),
-        "mean_successors": model.mean_successors,
+        "mean_successors": model.animphos.mean_successors,
         "skipped": len(sentences.skipped),
         **model.provenance,
     }
@@ -88,9 +108,11 @@ def train(
         print_json(figures)
         return
     RESULTS.print(
-        f"{output}: {len(model.animphos)} AnimPhos from {model.provenance['segments']} segments of "
-        f"{len(model.training_sentences)} sentences, {model.mean_successors:.2f} successors on "
-        f"average (the paper: 3.45), {model.provenance['variance_held']:.1%} of the variance held",
+        f"{output}: {model.n_components} components of {layout.n_points} points, "
+        f"{len(model.animphos)} AnimPhos from {model.provenance['segments']} segments of "
+        f"{len(model.training_sentences)} sentences, {model.animphos.mean_successors:.2f} "
+        f"successors on average (the paper: 3.45), {model.provenance['variance_held']:.1%} of "
+        "the variance held",
         soft_wrap=True,
     )
 

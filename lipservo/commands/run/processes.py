@@ -126,7 +126,7 @@ def speech_process(
         start_s = 0.0 if zero_s is None or not is_file else max(0.0, clock.now() - zero_s)
         source = stack.enter_context(open_sound(asked.sound, start_s))
         recognizer = make_recognizer(asked.motion.engine, time.perf_counter, asked.motion.weights)
-        synthesizer = make_synthesizer(face.model, asked.motion)
+        synthesizer = make_synthesizer(face.model, asked.motion, asked.model)
         phonemes, names = RecognizedPhonemes(source, recognizer), list(face.settings.servos)
         speech = Speech(
             phonemes,

@@ -21,7 +21,7 @@ from lipservo.traces.trace_diff import (
 )
 from lipservo.traces.trace_reader import Trace, read_trace
 from lipsync.errors import UserError
-from lipsync.face.model import FaceModel, load_model, load_shipped_model
+from lipsync.face.model import FaceModel, load_face
 
 app = typer.Typer(help="Look at what `--trace` wrote.", no_args_is_help=True)
 
@@ -72,8 +72,8 @@ def diff(
 
             check_plot(plot)
         first, second = read_trace(a), read_trace(b)
-        looks = _looks((first, second), model or [])
-        laid = overlay(first, second, (looks[0].markers_mm, looks[1].markers_mm))
+        models = _models((first, second), model or [])
+        laid = overlay(first, second, (models[0], models[1]))
         if plot is not None:
             from lipservo.traces.trace_plot import draw_difference
 
@@ -92,9 +92,9 @@ def diff(
         raise typer.Exit(1)
 
 
-def _looks(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
+def _models(traces: Sequence[Trace], files: Sequence[Path]) -> list[FaceModel]:
     """The model of each trace, by checksum. Raises IncomparableError for one that is not here."""
-    known = {each.checksum: each for each in [load_shipped_model(), *map(load_model, files)]}
+    known = {each.checksum: each for each in [load_face(), *map(load_face, files)]}
     for trace in traces:
         found = known.get(trace.model)
         if found is None:

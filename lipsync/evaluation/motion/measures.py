@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM, lip_gaps_mm
+from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.corpus.utterance import Utterance
-from lipsync.markers import LIP_MARKERS
+from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent
 
 Array = NDArray[np.float64]
@@ -41,28 +41,34 @@ SUMS = (
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A mouth in motion: markers_mm (n, n_markers, 3) and coefficients (n, n_components)."""
+    """A mouth in motion: markers_mm (n, n_points, 3) and coefficients (n, n_components)."""
 
     markers_mm: NDArray[np.floating]
     coefficients: Array
 
 
 def sentence_sums(
-    utterance: Utterance, scored: Mask, recorded: Motion, made: Motion, reference: Motion
+    face: FaceModel,
+    utterance: Utterance,
+    scored: Mask,
+    recorded: Motion,
+    made: Motion,
+    reference: Motion,
 ) -> Array:
-    """The sums named in SUMS; scored: (n,), the frames that count."""
-    n_markers, n_lips = made.markers_mm.shape[1], len(LIP_MARKERS)
+    """The sums named in SUMS; face: whose motion it is; scored: (n,), the frames that count."""
+    lips = list(face.layout.lips)
+    n_points, n_lips = face.layout.n_points, len(lips)
     error = ((made.markers_mm - recorded.markers_mm)[scored] ** 2).sum(axis=2)
     reference_error = ((reference.markers_mm - recorded.markers_mm)[scored] ** 2).sum()
-    gap, gap_recorded = lip_gaps_mm(made.markers_mm), lip_gaps_mm(recorded.markers_mm)
+    gap, gap_recorded = face.lip_gaps_mm(made.markers_mm), face.lip_gaps_mm(recorded.markers_mm)
     g, r = gap[scored], gap_recorded[scored]
     times_s = np.arange(len(gap)) / utterance.frame_rate_hz
     free = _far_from_closure(utterance, times_s)
-    lip_error = error[:, list(LIP_MARKERS)].sum() / n_lips
+    lip_error = error[:, lips].sum() / n_lips
     has_peak = len(r) > 0 and r.max() > CLOSED_GAP_MM
     return np.array(
         [
-            scored.sum(), error.sum() / n_markers, lip_error, reference_error / n_markers,
+            scored.sum(), error.sum() / n_points, lip_error, reference_error / n_points,
             g.sum(), r.sum(), (g * g).sum(), (r * r).sum(), (g * r).sum(),
             *_closure_hits(utterance, times_s, scored, gap),
             free.sum(),

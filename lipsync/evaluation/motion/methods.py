@@ -12,11 +12,11 @@ from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.baselines.dominance import Dominance, fixed_reference
 from lipsync.baselines.spline import spline_faces, viseme_centres
 from lipsync.expectation.context import contexts, track_of
-from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer, Style
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
+from lipsync.training.trained_model import TrainedModel
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class Method(Protocol):
     def looks_ahead(self) -> bool:
         """Whether the look-ahead makes a difference; if not, the method sees the whole sentence."""
 
-    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
         """(n, n_components) at the times asked for, which ascend."""
 
 
@@ -62,10 +62,10 @@ class DominanceMethod:
     tuned: bool
     looks_ahead: bool = False
 
-    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
         """Faces from the whole sentence."""
-        dominance: Dominance = model.dominance if self.tuned else fixed_reference()
-        return dominance.face_at(heard.events, model.centres, times_s)
+        dominance: Dominance = model.baselines.dominance if self.tuned else fixed_reference()
+        return dominance.face_at(heard.events, model.baselines.centres, times_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,9 +75,11 @@ class SplineMethod:
     name: str = "catmull-rom"
     looks_ahead: bool = False
 
-    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
         """Faces from the whole sentence."""
-        return spline_faces(heard.events, viseme_centres(model.centres, model.counts), times_s)
+        baselines = model.baselines
+        targets = viseme_centres(baselines.centres, baselines.counts)
+        return spline_faces(heard.events, targets, times_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,11 +89,11 @@ class MeanFaceMethod:
     name: str = "mean-face"
     looks_ahead: bool = False
 
-    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
         """The phones' centres, weighted by how often they were heard in training."""
-        spoken = model.counts.copy()
+        spoken = model.baselines.counts.copy()
         spoken[PHONEMES.index(SILENCE)] = 0.0
-        mean = np.average(model.centres, axis=0, weights=spoken if spoken.any() else None)
+        mean = np.average(model.baselines.centres, axis=0, weights=spoken if spoken.any() else None)
         return np.repeat(mean[None], len(times_s), axis=0)
 
 
@@ -111,16 +113,16 @@ class PublishedMethod:
         """That of its selection."""
         return self.strategy.name
 
-    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
         """Faces with every phone known when it begins."""
         synthesizer = self.synthesizer(model)
         synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
         return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
 
-    def synthesizer(self, model: FaceModel) -> PublishedSynthesizer:
+    def synthesizer(self, model: TrainedModel) -> PublishedSynthesizer:
         """A fresh one."""
         return PublishedSynthesizer(
-            model, self.strategy, published_derivatives=self.published_derivatives
+            model.animphos, self.strategy, published_derivatives=self.published_derivatives
         )
 
 
@@ -131,10 +133,11 @@ class RegressionMethod:
     name: str = "plain-regression"
     looks_ahead: bool = True
 
-    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
         """Faces from the contexts known at t + L."""
         phonemes, since_s = contexts(track_of(heard.events), times_s, lookahead_s)
-        return model.regression.faces(phonemes, since_s, np.full(len(times_s), lookahead_s))
+        known_s = np.full(len(times_s), lookahead_s)
+        return model.baselines.regression.faces(phonemes, since_s, known_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +149,10 @@ class LiveMethod:
     strength: float = 1.0
     smoothness: float = 0.0
 
-    def faces(self, model: FaceModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
         """Faces decided at t from what is known of the sound up to t + L."""
         style = Style(lookahead_s, self.strength, self.smoothness)
-        synthesizer = LiveSynthesizer(model, style)
+        synthesizer = LiveSynthesizer(model, model.expectation, style)
         source = script_of(heard, lookahead_s)
         faces, n_ticks = [], 0
         for time_s in times_s:

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import Heard, Method
-from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.training.trained_model import TrainedModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -91,7 +91,7 @@ def find_pairs(utterances: Sequence[Utterance]) -> Pairs:
 
 
 def recorded_persistence(
-    model: FaceModel, utterances: Sequence[Utterance], pairs: Pairs, *, seed: int = 0
+    model: TrainedModel, utterances: Sequence[Utterance], pairs: Pairs, *, seed: int = 0
 ) -> Persistence | None:
     """In the recordings. Two repetitions differ as well: their mean square is subtracted."""
     motions = []
@@ -104,7 +104,7 @@ def recorded_persistence(
 
 
 def made_persistence(
-    model: FaceModel,
+    model: TrainedModel,
     utterances: Sequence[Utterance],
     pairs: Pairs,
     method: Method,

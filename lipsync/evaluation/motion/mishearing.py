@@ -1,4 +1,4 @@
-"""Phoneme sequences with errors put in, to see how synthesis copes with a recogniser's mistakes."""
+"""Phoneme sequences with errors put in, to see how synthesis copes with a recogniser's errors."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -3,20 +3,20 @@
 from collections.abc import Iterable, Sequence
 
 from lipsync.animpho.selection import Choice, SelectionStrategy
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import AnimPhoUnits
 from lipsync.phonemes import SILENCE, PhonemeEvent, stand_in
 
 
 def miss_rate(
-    model: FaceModel, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
+    units: AnimPhoUnits, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
 ) -> float:
     """Misses over all phonemes that follow another; 0 when there is none. See `count_misses`."""
-    misses, total = count_misses(model, strategy, sentences)
+    misses, total = count_misses(units, strategy, sentences)
     return misses / total if total else 0.0
 
 
 def count_misses(
-    model: FaceModel, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
+    units: AnimPhoUnits, strategy: SelectionStrategy, sentences: Iterable[Sequence[PhonemeEvent]]
 ) -> tuple[int, int]:
     """(misses, phonemes that follow another).
 
@@ -30,11 +30,11 @@ def count_misses(
             if event.phoneme == SILENCE:
                 choice = None
                 continue
-            for phoneme in stand_in(event.phoneme, model.known_phonemes):
+            for phoneme in stand_in(event.phoneme, units.known_phonemes):
                 if choice is None:
-                    choice = strategy.first(model, phoneme)
+                    choice = strategy.first(units, phoneme)
                     continue
-                choice = strategy.following(model, phoneme, choice)
+                choice = strategy.following(units, phoneme, choice)
                 misses += choice.missed
                 total += 1
     return misses, total

@@ -12,11 +12,12 @@ import numpy as np
 from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
 from lipsync.animpho.selection import STRATEGIES, Choice
 from lipsync.animpho.trajectory import Trajectory
+from lipsync.animpho.units import AnimPhoUnits
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import Heard, script_of
-from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer, Style
 from lipsync.phonemes import SILENCE, PhonemeEvent, stand_in
+from lipsync.training.trained_model import TrainedModel
 
 Row = dict[str, object]
 Listen = Callable[[Utterance], Heard]
@@ -34,7 +35,7 @@ PRINTED: dict[str, tuple[float, float, float]] = {
 _FRAMES_HZ = 30.0
 
 
-def cost_rows(model: FaceModel, clip: Utterance, number: int, listen: Listen) -> list[Row]:
+def cost_rows(model: TrainedModel, clip: Utterance, number: int, listen: Listen) -> list[Row]:
     """A row for each line of the table: printed, by the priority strategy, by ours.
 
     Means over the phonemes that the recogniser heard in the clip, silences left out. synthesis:
@@ -70,7 +71,7 @@ def cost_rows(model: FaceModel, clip: Utterance, number: int, listen: Listen) ->
     return rows
 
 
-def _published_ms(model: FaceModel, heard: Heard) -> tuple[float, float]:
+def _published_ms(model: TrainedModel, heard: Heard) -> tuple[float, float]:
     """Selection and blending of a whole sentence by the priority strategy, ms each."""
     strategy = STRATEGIES["priority"]
     selecting = blending = 0.0
@@ -80,23 +81,23 @@ def _published_ms(model: FaceModel, heard: Heard) -> tuple[float, float]:
         if event.phoneme == SILENCE:
             choice, position = None, model.rest
             continue
-        for part in stand_in(event.phoneme, model.known_phonemes):
+        for part in stand_in(event.phoneme, model.animphos.known_phonemes):
             began = time.perf_counter()
             last = choice
             choice = (
-                strategy.first(model, part)
+                strategy.first(model.animphos, part)
                 if last is None
-                else strategy.following(model, part, last)
+                else strategy.following(model.animphos, part, last)
             )
             selected = time.perf_counter()
-            position = _blended(model, event, last, choice, position)
+            position = _blended(model.animphos, event, last, choice, position)
             selecting += selected - began
             blending += time.perf_counter() - selected
     return selecting * 1e3, blending * 1e3
 
 
 def _blended(
-    model: FaceModel,
+    units: AnimPhoUnits,
     event: PhonemeEvent,
     last: Choice | None,
     choice: Choice,
@@ -104,10 +105,9 @@ def _blended(
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """The samples of a phoneme and its frames; where it ends."""
     connected = (
-        choice.animpho if last is None else choose_connected(model, last.animpho, choice.animpho)
+        choice.animpho if last is None else choose_connected(units, last.animpho, choice.animpho)
     )
-    animphos = model.animphos
-    samples = blend(translate(animphos[connected], position), animphos[choice.animpho])
+    samples = blend(translate(units.samples[connected], position), units.samples[choice.animpho])
     duration_s = (event.end_s or event.start_s) - event.start_s
     derivatives = sample_derivatives(samples, np.zeros_like(position))
     trajectory = Trajectory(event.start_s, max(duration_s, 1e-3), samples, derivatives)
@@ -116,10 +116,11 @@ def _blended(
     return np.asarray(samples[-1])
 
 
-def _live_ms(model: FaceModel, heard: Heard) -> float:
+def _live_ms(model: TrainedModel, heard: Heard) -> float:
     """All that ours computes for a sentence, asked at 30 Hz, with its default look-ahead; ms."""
     style = Style()
-    synthesizer, script = LiveSynthesizer(model, style), script_of(heard, style.lookahead_s)
+    synthesizer = LiveSynthesizer(model, model.expectation, style)
+    script = script_of(heard, style.lookahead_s)
     end_s = heard.events[-1].end_s or 0.0
     began = time.perf_counter()
     for frame in range(round(end_s * _FRAMES_HZ)):

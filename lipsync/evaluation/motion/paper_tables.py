@@ -16,8 +16,8 @@ from lipsync.evaluation.motion.methods import all_methods
 from lipsync.evaluation.motion.miss_rates import miss_rate
 from lipsync.evaluation.motion.paper_costs import cost_rows
 from lipsync.evaluation.motion.scoring import Listen, Scores, add_scores, true_phonemes
-from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+from lipsync.training.trained_model import TrainedModel
 
 N_CLIPS, N_PHRASES = 3, 8
 LOOKAHEAD_MS = 100
@@ -31,7 +31,7 @@ Row = dict[str, object]
 
 
 def paper_tables(
-    model: FaceModel,
+    model: TrainedModel,
     utterances: Sequence[Utterance],
     recognizers: Mapping[str, Listen],
     *,
@@ -58,7 +58,7 @@ def paper_tables(
 
 
 def _ratios(
-    model: FaceModel, clip: Utterance, number: int, recognizers: Mapping[str, Listen]
+    model: TrainedModel, clip: Utterance, number: int, recognizers: Mapping[str, Listen]
 ) -> Row:
     row: Row = {
         "clip": clip.name,
@@ -77,8 +77,9 @@ def _ratios(
     return row
 
 
-def _misses(model: FaceModel, phrase: Utterance) -> Row:
+def _misses(model: TrainedModel, phrase: Utterance) -> Row:
     rates = {
-        name: miss_rate(model, strategy, [phrase.phones]) for name, strategy in STRATEGIES.items()
+        name: miss_rate(model.animphos, strategy, [phrase.phones])
+        for name, strategy in STRATEGIES.items()
     }
     return {"phrase": phrase.name, "printed_priority": PRINTED_PRIORITY_MISSES, **rates}

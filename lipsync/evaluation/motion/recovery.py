@@ -23,8 +23,8 @@ from lipsync.evaluation.motion.minimal_pairs import (
     recorded_persistence,
 )
 from lipsync.evaluation.motion.mishearing import misheard
-from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
+from lipsync.training.trained_model import TrainedModel
 
 Array = NDArray[np.float64]
 Row = dict[str, object]
@@ -44,7 +44,7 @@ _NEVER, _CORRECTED, _TRUE = "never corrected", "corrected after 95 ms", "another
 
 
 def recovery_rows(
-    model: FaceModel,
+    model: TrainedModel,
     utterances: Sequence[Utterance],
     recorded: Sequence[Utterance],
     methods: Sequence[Method],
@@ -72,7 +72,7 @@ def recovery_rows(
 
 
 def wrong_phoneme_persistence(
-    model: FaceModel,
+    model: TrainedModel,
     utterances: Sequence[Utterance],
     method: Method,
     corrected_after_s: Sequence[float] = (NEVER_S,),
@@ -126,16 +126,16 @@ def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: 
 
     It learns of beginnings and ends in time, and calls nothing final that it may still put right.
     """
-    mistaken = [*phones[:hit], replace(phones[hit], phoneme=wrong), *phones[hit + 1 :]]
+    wrongly_heard = [*phones[:hit], replace(phones[hit], phoneme=wrong), *phones[hit + 1 :]]
     put_right_s = phones[hit].start_s + until_s
     updates = []
     for step in range(math.ceil((phones[-1].end_s or 0.0) / _TOLD_EVERY_S) + 1):
         heard_s = step * _TOLD_EVERY_S
-        believed = phones if heard_s >= put_right_s else mistaken
+        believed = phones if heard_s >= put_right_s else wrongly_heard
         known = [p for p in believed if p.start_s <= heard_s]
         events = tuple(p if (p.end_s or 0.0) <= heard_s else replace(p, end_s=None) for p in known)
         updates.append(PhonemeUpdate(0.0, heard_s, max(0.0, heard_s - until_s), events))
-    return Heard(tuple(mistaken if until_s == NEVER_S else phones), tuple(updates))
+    return Heard(tuple(wrongly_heard if until_s == NEVER_S else phones), tuple(updates))
 
 
 def _squares(phones: Sequence[PhonemeEvent], times_s: Array, distance: Array) -> Array:

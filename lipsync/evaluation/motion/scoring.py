@@ -12,6 +12,7 @@ from lipsync.corpus.utterance import Corpus, CorpusError, Utterance
 from lipsync.evaluation.motion.measures import Motion, confidence_intervals, figures, sentence_sums
 from lipsync.evaluation.motion.methods import REFERENCE, Heard, Method, all_methods
 from lipsync.face.model import FaceModel
+from lipsync.training.trained_model import TrainedModel
 
 Array = NDArray[np.float64]
 Listen = Callable[[Utterance], Heard]
@@ -51,7 +52,7 @@ class Scores:
 
 def add_scores(
     scores: Scores,
-    model: FaceModel,
+    model: TrainedModel,
     utterances: Sequence[Utterance],
     methods: Sequence[Method],
     lookaheads_ms: Sequence[int],
@@ -79,7 +80,7 @@ def add_scores(
                 if sums is None or method.looks_ahead:
                     faces = method.faces(model, heard, times_s, lookahead_ms / 1000.0)
                     made = _motion(model, faces)
-                    sums = sentence_sums(utterance, scored, recorded, made, ideal)
+                    sums = sentence_sums(model, utterance, scored, recorded, made, ideal)
                 scores.sums.setdefault((method.name, lookahead_ms), []).append(sums)
 
 
@@ -88,8 +89,9 @@ def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
 
     Raises CorpusError for other markers than the model's, and for a folder without labels.
     """
-    if corpus.marker_names != model.marker_names:
-        odd = sorted(set(corpus.marker_names) ^ set(model.marker_names))[:3]
+    names, known = corpus.layout.names, model.layout.names
+    if names != known:
+        odd = sorted(set(names) ^ set(known))[:3]
         raise CorpusError(f"{corpus.name}: its markers are not the model's ({', '.join(odd)}, ...)")
     utterances = corpus.labelled().utterances
     if not utterances:
@@ -97,7 +99,7 @@ def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
     return utterances
 
 
-def seen_in_training(model: FaceModel, utterances: Iterable[Utterance]) -> list[str]:
+def seen_in_training(model: TrainedModel, utterances: Iterable[Utterance]) -> list[str]:
     """Names of sentences that the model was trained on: their figures flatter it."""
     trained = set(model.training_sentences)
     return [u.name for u in utterances if u.name in trained]

@@ -11,10 +11,10 @@ import numpy as np
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.evaluation.motion.methods import Heard, LiveMethod, Method, PublishedMethod, script_of
 from lipsync.face.frame import Frame
-from lipsync.face.model import FaceModel
 from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeScript, PhonemeUpdate
+from lipsync.training.trained_model import TrainedModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class _Synthesizer(Protocol):
 
 
 def method_times(
-    method: Method, model: FaceModel, sentences: Iterable[Heard], lookahead_s: float
+    method: Method, model: TrainedModel, sentences: Iterable[Heard], lookahead_s: float
 ) -> Times | None:
     """Frame by frame at 100 Hz, as live; None for methods that only exist a sentence at a time.
 
@@ -49,7 +49,8 @@ def method_times(
         synthesizer: _Synthesizer
         if isinstance(method, LiveMethod):
             style = Style(lookahead_s, method.strength, method.smoothness)
-            synthesizer, script = LiveSynthesizer(model, style), script_of(heard, lookahead_s)
+            synthesizer = LiveSynthesizer(model, model.expectation, style)
+            script = script_of(heard, lookahead_s)
         elif isinstance(method, PublishedMethod):
             synthesizer, script = method.synthesizer(model), _Known(heard)
         else:

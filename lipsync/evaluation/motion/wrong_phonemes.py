@@ -9,7 +9,7 @@ from lipsync.corpus.speech_frames import speech_frames
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import Heard, Method
 from lipsync.evaluation.motion.mishearing import KINDS, misheard
-from lipsync.face.model import FaceModel
+from lipsync.training.trained_model import TrainedModel
 
 ERROR_RATES = (0.0, 0.1, 0.2, 0.3, 0.5)
 
@@ -25,7 +25,7 @@ class ErrorRow:
 
 
 def error_rows(
-    model: FaceModel,
+    model: TrainedModel,
     utterances: Sequence[Utterance],
     methods: Sequence[Method],
     *,

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
-from lipsync.face.model import FaceModel
 from lipsync.motion.lip_closure import lip_gap_of
 from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
+from lipsync.training.trained_model import TrainedModel
 
 Array = NDArray[np.float64]
 Samples = NDArray[np.float32]
@@ -62,9 +62,9 @@ class Mouth:
 class ClosingBench:
     """A recogniser and a mouth to be watched."""
 
-    def __init__(self, recognizer: LiveRecognizer, model: FaceModel, lookahead_s: float) -> None:
+    def __init__(self, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float) -> None:
         self._recognizer = recognizer
-        self._synthesizer = LiveSynthesizer(model, Style(lookahead_s))
+        self._synthesizer = LiveSynthesizer(model, model.expectation, Style(lookahead_s))
         self._gap = lip_gap_of(model)
         self._rest_mm = self._width_mm(model.rest)
 

@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from lipsync.corpus.recorded_closures import lip_gaps_mm
 from lipsync.evaluation.motion.measures import CLOSING, closes, is_bilabial
 from lipsync.evaluation.motion.methods import LiveMethod
 from lipsync.evaluation.recognition.recognized_file import recognize_file
-from lipsync.face.model import FaceModel
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent
+from lipsync.training.trained_model import TrainedModel
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +26,7 @@ def closure_hits(
     recording: Path,
     phones: Iterable[PhonemeEvent],
     recognizer: LiveRecognizer,
-    model: FaceModel,
+    model: TrainedModel,
     lookahead_s: float,
 ) -> list[Closure]:
     """Every closure among the phones spoken in a recording, in order, with the motion at 100 Hz.
@@ -39,7 +38,7 @@ def closure_hits(
     n_ticks = round((heard.events[-1].end_s or 0.0) / TICK_S)
     times_s = np.arange(n_ticks, dtype=np.float64) * TICK_S
     faces = LiveMethod().faces(model, heard, times_s, lookahead_s)
-    gaps_mm = lip_gaps_mm(model.markers_mm(faces))
+    gaps_mm = model.lip_gaps_mm(model.markers_mm(faces))
     return [
         Closure(phone, closes(phone, times_s, gaps_mm))
         for phone in phones

@@ -59,7 +59,7 @@ _SMALLEST_SPREAD = 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Lessons:
+class TrainingSet:
     """What the mouth did in which context: phonemes (n, 5), times (n, 6), faces (n, n_components).
 
     Contexts are those of every trained look-ahead, one after the other.
@@ -71,35 +71,35 @@ class Lessons:
     faces: Array
 
 
-def joined(lessons: Sequence[Lessons]) -> Lessons:
+def joined(sets: Sequence[TrainingSet]) -> TrainingSet:
     """One after the other."""
-    return Lessons(
-        np.concatenate([one.phonemes for one in lessons]),
-        np.concatenate([one.times_s for one in lessons]),
-        np.concatenate([one.lookahead_s for one in lessons]),
-        np.concatenate([one.faces for one in lessons]),
+    return TrainingSet(
+        np.concatenate([one.phonemes for one in sets]),
+        np.concatenate([one.times_s for one in sets]),
+        np.concatenate([one.lookahead_s for one in sets]),
+        np.concatenate([one.faces for one in sets]),
     )
 
 
-def _no_lessons(n_components: int) -> Lessons:
+def _empty_set(n_components: int) -> TrainingSet:
     phonemes = np.empty((0, SLOTS), dtype=np.int64)
-    return Lessons(phonemes, np.empty((0, 6)), np.empty(0), np.empty((0, n_components)))
+    return TrainingSet(phonemes, np.empty((0, 6)), np.empty(0), np.empty((0, n_components)))
 
 
-def collect_lessons(
+def collect_training_set(
     utterances: Iterable[Utterance],
     coefficients: Sequence[Array],
     heard: Mapping[str, Sequence[PhonemeEvent]] | None = None,
-) -> Lessons:
+) -> TrainingSet:
     """All frames in or near speech; coefficients: (n_frames, n_components) of each utterance.
 
     heard: what a recogniser made of some of the sentences, by name; those alone are taken then, in
-    the contexts that were heard, every frame at one look-ahead in turn: a mistake teaches less than
+    the contexts that were heard, every frame at one look-ahead in turn: an error teaches less than
     a label. None takes every sentence as it is labelled, every frame at every look-ahead.
     """
     n_components = coefficients[0].shape[1] if coefficients else 0
     n_turns = 1 if heard is None else len(TRAINED_LOOKAHEADS_S)
-    found = [[_no_lessons(n_components)] for _ in TRAINED_LOOKAHEADS_S]
+    found = [[_empty_set(n_components)] for _ in TRAINED_LOOKAHEADS_S]
     for utterance, motion in zip(utterances, coefficients, strict=True):
         spoken = [p for p in utterance.phones if p.phoneme != SILENCE and p.end_s is not None]
         if not spoken or (heard is not None and utterance.name not in heard):
@@ -113,31 +113,31 @@ def collect_lessons(
             frames = np.flatnonzero(near)[turn % n_turns :: n_turns]
             phonemes, known_s = contexts(track, times_s[frames], lookahead_s)
             ahead_s = np.full(len(frames), lookahead_s)
-            found[turn].append(Lessons(phonemes, known_s, ahead_s, motion[frames]))
-    return joined([lessons for list_ in found for lessons in list_])
+            found[turn].append(TrainingSet(phonemes, known_s, ahead_s, motion[frames]))
+    return joined([each for list_ in found for each in list_])
 
 
 def fit_expectation(
-    lessons: Lessons, centres: Array, *, seed: int, progress: Progress = lambda _: None
+    training_set: TrainingSet, centres: Array, *, seed: int, progress: Progress = lambda _: None
 ) -> Expectation:
-    """Learn from the lessons; the same lessons and seed give the same expectation.
+    """Learn from a training set; the same set and seed give the same expectation.
 
     centres: (40, n_components), what a phoneme looks like where there are too few frames to learn.
     """
-    if len(lessons.faces) < _FEWEST_FRAMES * len(TRAINED_LOOKAHEADS_S):
+    if len(training_set.faces) < _FEWEST_FRAMES * len(TRAINED_LOOKAHEADS_S):
         return constant_expectation(centres)
     slots, windows = phoneme_features(), articulation_table()
-    timing = timing_features(lessons.times_s, lessons.lookahead_s).astype(np.float32)
-    by_slot = [table[lessons.phonemes[:, slot]] for slot, table in enumerate(slots)]
+    timing = timing_features(training_set.times_s, training_set.lookahead_s).astype(np.float32)
+    by_slot = [table[training_set.phonemes[:, slot]] for slot, table in enumerate(slots)]
     by_slot_inputs = np.concatenate([*by_slot, timing], axis=1)
-    by_window_inputs = np.concatenate([_window_inputs(lessons, windows), timing], axis=1)
+    by_window_inputs = np.concatenate([_window_inputs(training_set, windows), timing], axis=1)
     with threadpool_limits(limits=1):  # several threads add up in changing order
         slot_tables, slot_stack = _fit_family(
-            by_slot_inputs, lessons.faces, slots, _SLOT_FAMILY, [seed, 0], progress
+            by_slot_inputs, training_set.faces, slots, _SLOT_FAMILY, [seed, 0], progress
         )
         window_tables, window_stack = _fit_family(
             by_window_inputs,
-            lessons.faces,
+            training_set.faces,
             [windows] * N_WINDOWS,
             _WINDOW_FAMILY,
             [seed, 1],
@@ -188,12 +188,12 @@ def phoneme_features() -> list[Array32]:
     return [named if slot in _NAMED_SLOTS else articulation for slot in range(SLOTS)]
 
 
-def _window_inputs(lessons: Lessons, table: Array32) -> Array32:
+def _window_inputs(training_set: TrainingSet, table: Array32) -> Array32:
     """(n, N_WINDOWS * 22): what the phonemes are, window by window."""
-    shares = window_shares(lessons.times_s, lessons.lookahead_s).astype(np.float32)
+    shares = window_shares(training_set.times_s, training_set.lookahead_s).astype(np.float32)
     inputs = np.zeros((len(shares), N_WINDOWS, table.shape[1]), dtype=np.float32)
     for slot in range(SLOTS):
-        inputs += shares[:, :, slot, None] * table[lessons.phonemes[:, slot]][:, None, :]
+        inputs += shares[:, :, slot, None] * table[training_set.phonemes[:, slot]][:, None, :]
     return inputs.reshape(len(shares), -1)
 
 

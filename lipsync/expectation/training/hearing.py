@@ -1,4 +1,4 @@
-"""What the live recogniser makes of training sentences: the expectation learns its mistakes.
+"""What the live recogniser makes of training sentences: the expectation learns its errors.
 
 The shipped recogniser has heard LibriSpeech only, no sentence with recorded motion: what it
 mishears here it mishears live.

@@ -15,7 +15,7 @@ from calibration.capture.sanity import check_capture
 from calibration.joint_range import JointRange
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from calibration.simulated.robot import SimulatedRobot, draw_robot, true_markers_mm
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 SERVOS = tuple(POSITIVE_DIRECTIONS)
 JOINTS = [JointRange(name, -2.0 if name == "jaw" else -30.0, 25.0) for name in SERVOS]
@@ -41,7 +41,7 @@ def new_robot(**options):
 @pytest.fixture(scope="module")
 def capture(plan) -> Capture:
     robot = new_robot()
-    return capture_poses(plan, MARKER_NAMES, robot.move, robot.measure)
+    return capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)
 
 
 @settings(deadline=None)  # machines are shared
@@ -91,7 +91,7 @@ def test_a_capture_cut_short_goes_on_where_it_stopped(plan, robot, tmp_path):
         return robot.measure()
 
     with pytest.raises(StopIteration):
-        capture_poses(plan, MARKER_NAMES, robot.move, measure_until_the_power_goes, keep=keep)
+        capture_poses(plan, MARKERS_47.names, robot.move, measure_until_the_power_goes, keep=keep)
     with keep.open("a") as file:
         file.write('{"pose": 25, "serv')  # the line that was being written
     moved = []
@@ -100,7 +100,7 @@ def test_a_capture_cut_short_goes_on_where_it_stopped(plan, robot, tmp_path):
         moved.append(goal)
         return robot.move(goal)
 
-    capture = capture_poses(plan, MARKER_NAMES, move, robot.measure, keep=keep)
+    capture = capture_poses(plan, MARKERS_47.names, move, robot.measure, keep=keep)
     assert len(capture) == 60
     assert len(moved) == 2 * (60 - 25) + 1
     assert len(keep.read_text().splitlines()) == 60
@@ -118,22 +118,22 @@ def test_the_robot_is_left_in_neutral_even_when_the_tracker_fails(plan, robot):
         raise OSError("camera unplugged")
 
     with pytest.raises(OSError, match="unplugged"):
-        capture_poses(plan, MARKER_NAMES, move, fail)
+        capture_poses(plan, MARKERS_47.names, move, fail)
     assert not moved[-1].any()
 
 
 def test_kept_poses_of_another_plan_are_refused(plan, robot, tmp_path):
     keep = tmp_path / "poses.jsonl"
-    capture_poses(plan, MARKER_NAMES, robot.move, robot.measure, keep=keep)
+    capture_poses(plan, MARKERS_47.names, robot.move, robot.measure, keep=keep)
     other = plan_poses(JOINTS, 60, seed=2)
     with pytest.raises(CalibrationError, match=r"poses.jsonl, line \d+: not a pose of this face"):
-        capture_poses(other, MARKER_NAMES, robot.move, robot.measure, keep=keep)
+        capture_poses(other, MARKERS_47.names, robot.move, robot.measure, keep=keep)
 
 
 def test_a_kept_file_gives_the_same_capture_again(plan, robot, tmp_path):
     keep = tmp_path / "poses.jsonl"
-    first = capture_poses(plan, MARKER_NAMES, robot.move, robot.measure, keep=keep)
-    again = capture_poses(plan, MARKER_NAMES, robot.move, robot.measure, keep=keep)
+    first = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure, keep=keep)
+    again = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure, keep=keep)
     assert np.allclose(first.markers_mm, again.markers_mm, atol=1e-4)
 
 
@@ -142,7 +142,7 @@ def test_a_pose_that_stalls_is_left_out_and_named(plan, robot):
         reached = robot.move(goal)
         return np.where(np.arange(10) == 3, np.minimum(reached, 10.0), reached)
 
-    capture = capture_poses(plan, MARKER_NAMES, move, robot.measure)
+    capture = capture_poses(plan, MARKERS_47.names, move, robot.measure)
     n_beyond = int((plan.goals_deg[:, 3] > 13.0).sum())
     assert len(capture) == 60 - n_beyond
     assert len(capture.stalled) == n_beyond
@@ -169,7 +169,7 @@ def test_a_dead_joint_is_named(plan, joint):
     robot = new_robot()
     alive = np.arange(10) != joint
     capture = capture_poses(
-        plan, MARKER_NAMES, lambda goal: robot.move(goal * alive) * alive + goal * ~alive,
+        plan, MARKERS_47.names, lambda goal: robot.move(goal * alive) * alive + goal * ~alive,
         robot.measure,
     )  # fmt: skip
     with pytest.raises(CalibrationError, match=rf"servo '{SERVOS[joint]}' moves no marker"):
@@ -181,7 +181,7 @@ def test_a_reversed_joint_is_named_with_the_remedy(plan, joint):
     robot = new_robot()
     turn = np.where(np.arange(10) == joint, -1.0, 1.0)
     capture = capture_poses(
-        plan, MARKER_NAMES, lambda goal: robot.move(goal * turn) * turn, robot.measure
+        plan, MARKERS_47.names, lambda goal: robot.move(goal * turn) * turn, robot.measure
     )
     with pytest.raises(CalibrationError, match=rf"servo '{SERVOS[joint]}' is reversed.*`sign`"):
         check_capture(capture, MODEL, POSITIVE)
@@ -192,7 +192,7 @@ def test_a_reversed_joint_is_named_with_the_remedy(plan, joint):
 )
 @pytest.mark.parametrize("poses", [slice(None), slice(17, 18)])
 def test_swapped_markers_are_named(capture, one, other, poses):
-    a, b = MARKER_NAMES.index(one), MARKER_NAMES.index(other)
+    a, b = MARKERS_47.names.index(one), MARKERS_47.names.index(other)
     markers_mm = capture.markers_mm.copy()
     markers_mm[poses, [[a], [b]]] = capture.markers_mm[poses, [[b], [a]]]
     with pytest.raises(CalibrationError, match=rf"markers '{one}' and '{other}' have changed"):
@@ -204,15 +204,15 @@ def test_lost_points_are_counted_and_a_marker_lost_too_often_is_refused(capture)
     markers_mm[4:10, 20] = np.nan
     lost = dataclasses.replace(capture, markers_mm=markers_mm)
     (warning,) = check_capture(lost, MODEL)
-    assert warning == f"6 points were lost by the tracker, most often {MARKER_NAMES[20]} (10%)"
+    assert warning == f"6 points were lost by the tracker, most often {MARKERS_47.names[20]} (10%)"
     markers_mm[:40, 20] = np.nan
-    with pytest.raises(CalibrationError, match=rf"marker '{MARKER_NAMES[20]}' was seen in 33%"):
+    with pytest.raises(CalibrationError, match=rf"marker '{MARKERS_47.names[20]}' was seen in 33%"):
         check_capture(lost, MODEL)
 
 
 def test_a_capture_with_too_few_poses_left_is_refused(capture):
     few = Capture(
-        capture.servo_names, MARKER_NAMES, capture.goals_deg[:12], capture.from_below[:12],
+        capture.servo_names, MARKERS_47.names, capture.goals_deg[:12], capture.from_below[:12],
         capture.markers_mm[:12], ("pose 13: jaw stopped at 3.0 of 9.0 deg",),
     )  # fmt: skip
     with pytest.raises(CalibrationError, match=r"12 poses are too few .* jaw stopped at 3\.0"):

@@ -23,7 +23,7 @@ from calibration.fit.learnt_face import fit_calibration
 from calibration.fit.procedure import Procedure
 from calibration.joint_range import JointRange
 from calibration.simulated.robot import SimulatedRobot, draw_robot
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 HEADER = "pose,marker,x_mm,y_mm,z_mm\n"
 MODEL = small_model()
@@ -121,11 +121,11 @@ def test_the_second_part_of_a_capture_is_where_speech_will_be_and_keeps_the_rule
         return first.measure()
 
     with pytest.raises(StopIteration):
-        procedure.capture(MARKER_NAMES, first.move, measure_until_the_power_goes, keep=keep)
+        procedure.capture(MARKERS_47.names, first.move, measure_until_the_power_goes, keep=keep)
     before = [json.loads(line)["goals_deg"] for line in keep.read_text().splitlines()]
     assert len(before) == 17
     second = robot()
-    capture = procedure.capture(MARKER_NAMES, second.move, second.measure, keep=keep)
+    capture = procedure.capture(MARKERS_47.names, second.move, second.measure, keep=keep)
     assert len(capture) == 20
     assert np.allclose(capture.goals_deg[:17], before, atol=1e-3)
     assert (capture.goals_deg @ rule.weights <= 30.0 + 1e-9).all()

@@ -16,8 +16,8 @@ from calibration.joint_range import JointRange
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.bench.calibration_figures import read_seeds
 from lipservo.cli import app
-from lipsync.face.model import load_shipped_model
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import MARKERS_47
+from lipsync.training.trained_model import load_trained_model
 
 SERVOS = ("jaw", "lip_protrusion")
 JOINTS = [JointRange("jaw", -2.0, 25.0), JointRange("lip_protrusion", -25.0, 40.0)]
@@ -103,7 +103,7 @@ def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
     plan_path, out = tmp_path / "plan.csv", tmp_path / "jaw.calibration.yaml"
     done = command("calibrate", "--config", "face_jaw", "--plan", plan_path, "--poses", "15")
     assert done.exit_code == 0
-    model = load_shipped_model()
+    model = load_trained_model()
     robot = SimulatedRobot(draw_robot(model.markers_mm(model.rest[None])[0], ["jaw"], 100))
     names = ("outer_lip_61", "outer_lip_291", "inner_lip_13", "inner_lip_14", "outer_lip_17")
     readings = []
@@ -112,7 +112,7 @@ def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
             goal, side = float(row["jaw_deg"]), float(row["jaw_from"])
             robot.move(np.array([goal - 3.0 * side]))
             robot.move(np.array([goal]))
-            seen = dict(zip(MARKER_NAMES, robot.measure(), strict=True))
+            seen = dict(zip(MARKERS_47.names, robot.measure(), strict=True))
             readings += [(row["pose"], name, *seen[name].round(2)) for name in names]
     markers = write_markers(tmp_path / "m.csv", readings)
     done = command(
@@ -123,7 +123,7 @@ def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
     assert json.loads(done.stdout)["gap_correlation"] > 0.95
     calibration = load_calibration(out)
     assert calibration.origin.method == "measured"
-    wide = model.animphos[model.of_phoneme("AA"), 2]
+    wide = model.animphos.samples[model.animphos.of_phoneme("AA"), 2]
     assert np.median([calibration.positions_deg(c)[0] for c in wide]) > 4.0
 
 

@@ -10,7 +10,7 @@ from calibration.files.calibration_text import calibration_text
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.joint_range import JointRange
 from calibration.simulated.face import POSITIVE_DIRECTIONS
-from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.markers import MARKERS_47
 
 SERVOS = tuple(POSITIVE_DIRECTIONS)
 JOINTS = [JointRange(name, -2.0 if name == "jaw" else -35.0, 35.0) for name in SERVOS]
@@ -24,7 +24,7 @@ def test_guided_poses_of_a_linear_robot_are_found_again():
     poses = landmark_poses(MODEL)
     made = {pose.name: 1.0 + law @ (pose.coefficients - MODEL.rest) for pose in poses}
     guided = fit_guided(MODEL, JOINTS, made, "f" * 16)
-    for frame in MODEL.animphos[:20, 2]:
+    for frame in MODEL.animphos.samples[:20, 2]:
         expected = np.clip(1.0 + law @ (frame - MODEL.rest), *LIMITS)
         assert guided.positions_deg(frame) == pytest.approx(expected, abs=0.3)
     assert guided.positions_deg(MODEL.rest) == pytest.approx(np.ones(10))
@@ -48,10 +48,10 @@ def test_landmark_poses_look_like_their_names():
     }
 
     def opening(name):
-        return shape_mm[name][UPPER_INNER_LIP, 1] - shape_mm[name][LOWER_INNER_LIP, 1]
+        return shape_mm[name][MARKERS_47.upper_lip, 1] - shape_mm[name][MARKERS_47.lower_lip, 1]
 
     def width(name):
-        return np.ptp(shape_mm[name][list(LIP_MARKERS), 0])
+        return np.ptp(shape_mm[name][list(MARKERS_47.lips), 0])
 
     assert opening("closed") < 0.5 < 5.0 < opening("open")
     assert width("narrow") < width("closed") < width("wide")

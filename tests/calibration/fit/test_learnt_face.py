@@ -24,8 +24,8 @@ from calibration.simulated.face import (
     marker_positions_mm,
     simulated_face,
 )
-from lipsync.face.model import FaceModel
-from lipsync.markers import LOWER_INNER_LIP, MARKER_NAMES, UPPER_INNER_LIP
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
 
 SERVOS = tuple(POSITIVE_DIRECTIONS)
 JOINTS = tuple(JointRange(name, -40.0, 40.0) for name in SERVOS)
@@ -33,7 +33,7 @@ FACE = "0123456789abcdef"
 
 
 @pytest.fixture(scope="module")
-def model() -> FaceModel:
+def model() -> FaceWithAnimPhos:
     return small_model()
 
 
@@ -47,7 +47,15 @@ def face(model) -> SimulatedFace:
     return simulated_face(model.markers_mm(model.rest[None])[0], SERVOS)
 
 
-def model_of_the_face(face: SimulatedFace, model: FaceModel, drive: np.ndarray) -> FaceModel:
+def with_samples(model: FaceWithAnimPhos, samples: np.ndarray) -> FaceWithAnimPhos:
+    """The same face with other AnimPhos, in the same tables."""
+    units = dataclasses.replace(model.animphos, samples=samples)
+    return dataclasses.replace(model, animphos=units)
+
+
+def model_of_the_face(
+    face: SimulatedFace, model: FaceWithAnimPhos, drive: np.ndarray
+) -> FaceWithAnimPhos:
     """A talker whose every frame the face can reach: drive (n_servos, 5) degrees a unit."""
     tenth_deg = 0.1  # of such small angles the face is linear
     columns = [
@@ -56,9 +64,8 @@ def model_of_the_face(face: SimulatedFace, model: FaceModel, drive: np.ndarray) 
     ]
     q, r = np.linalg.qr(np.array(columns).reshape(5, -1).T)
     animphos = np.random.default_rng(3).uniform(-1, 1, (40, 5, 5)) @ r.T
-    return dataclasses.replace(
-        model, mean_mm=face.neutral_mm, basis=q.T, rest=np.zeros(5), animphos=animphos
-    )
+    face_model = dataclasses.replace(model, mean_mm=face.neutral_mm, basis=q.T, rest=np.zeros(5))
+    return with_samples(face_model, animphos)
 
 
 def test_rest_is_exactly_neutral(calibration, model):
@@ -98,12 +105,12 @@ def test_bounded_minimum_agrees_with_scipy():
 
 
 def mouth(face: SimulatedFace, limits: np.ndarray) -> RobotMouth:
-    names = correspond(MARKER_NAMES)
+    names = correspond(MARKERS_47.names)
     return RobotMouth(partial(marker_positions_mm, face), names, (-limits, limits))
 
 
 def features(face: SimulatedFace, positions_deg: np.ndarray) -> np.ndarray:
-    return correspond(MARKER_NAMES).shape_features.of(marker_positions_mm(face, positions_deg))
+    return correspond(MARKERS_47.names).shape_features.of(marker_positions_mm(face, positions_deg))
 
 
 def test_poses_of_the_face_itself_are_found_again(face):
@@ -158,9 +165,9 @@ def _tenth_motion(face: SimulatedFace, positions_deg: np.ndarray) -> np.ndarray:
 
 def test_a_closed_human_mouth_is_a_closed_robot_mouth(calibration, model, face):
     for phoneme in ("SIL", "M"):
-        for frame in model.animphos[model.of_phoneme(phoneme), 2]:
+        for frame in model.animphos.samples[model.animphos.of_phoneme(phoneme), 2]:
             markers_mm = marker_positions_mm(face, calibration.positions_deg(frame)[None])[0]
-            gap_mm = np.linalg.norm(markers_mm[UPPER_INNER_LIP] - markers_mm[LOWER_INNER_LIP])
+            gap_mm = np.linalg.norm(MARKERS_47.gap_vectors_mm(markers_mm[None])[0])
             assert gap_mm < 0.5
     assert calibration.errors.n_closures > 0
     assert calibration.errors.gap_correlation > 0.99
@@ -168,8 +175,10 @@ def test_a_closed_human_mouth_is_a_closed_robot_mouth(calibration, model, face):
 
 def test_an_open_vowel_opens_the_jaw_and_a_rounded_one_narrows_the_mouth(calibration, model):
     open_deg, round_deg = (
-        dict(zip(SERVOS, calibration.positions_deg(model.animphos[animpho, 2]), strict=True))
-        for animpho in (model.of_phoneme("AA")[0], model.of_phoneme("UW")[0])
+        dict(
+            zip(SERVOS, calibration.positions_deg(model.animphos.samples[animpho, 2]), strict=True)
+        )
+        for animpho in (model.animphos.of_phoneme("AA")[0], model.animphos.of_phoneme("UW")[0])
     )
     assert open_deg["jaw"] > 2.0 * round_deg["jaw"] > 0.0
     assert round_deg["corner_left_out"] < 0.0 > round_deg["corner_right_out"]
@@ -185,9 +194,9 @@ def test_the_same_seed_gives_the_same_calibration_and_another_seed_another(model
 def test_held_out_animphos_do_not_change_the_weights(model, calibration):
     """The first fifth of the seeded order is held out: bend those AnimPhos, only errors change."""
     order = np.random.default_rng(0).permutation(len(model.animphos))
-    bent = model.animphos.copy()
+    bent = model.animphos.samples.copy()
     bent[order[: len(order) // 5]] += 5.0
-    other = fit_calibration(dataclasses.replace(model, animphos=bent), JOINTS, FACE)
+    other = fit_calibration(with_samples(model, bent), JOINTS, FACE)
     assert np.array_equal(other.weights, calibration.weights)
     assert other.errors != calibration.errors
 
@@ -209,7 +218,7 @@ def test_no_pose_of_a_calibration_breaks_a_rule_between_joints(model):
     """Neither the poses of speech nor what a coefficient far outside of it gives."""
     fitted = fit_calibration(model, JOINTS, FACE, rules=RULES)
     free = fit_calibration(model, JOINTS, FACE)
-    frames = model.animphos.reshape(-1, 5)
+    frames = model.animphos.frames
     wild = np.random.default_rng(1).normal(size=(200, 5)) * 60.0
     broken = 0
     for frame in [*frames, *wild]:
@@ -223,7 +232,7 @@ def test_the_fit_knows_the_rules_and_finds_another_way_to_open_the_mouth(model):
     """A jaw that must not open far with the upper lip up: the lower lip goes farther down."""
     fitted = fit_calibration(model, JOINTS, FACE, rules=RULES[:1])
     only_kept = dataclasses.replace(fit_calibration(model, JOINTS, FACE), rules=RULES[:1])
-    wide = model.animphos[model.of_phoneme("AA"), 2]
+    wide = model.animphos.samples[model.animphos.of_phoneme("AA"), 2]
     lower = [SERVOS.index(f"lower_lip_{side}") for side in ("left", "right")]
     by_fit = np.median([fitted.positions_deg(f)[lower].sum() for f in wide])
     by_cut = np.median([only_kept.positions_deg(f)[lower].sum() for f in wide])
@@ -249,8 +258,8 @@ def test_rules_are_kept_within_the_limits_whatever_they_say(seed, n_rules):
 
 def test_hold_out_errors_match_numbers_by_hand():
     human_mm, robot_mm = np.zeros((2, 47, 3)), np.zeros((2, 47, 3))
-    human_mm[1, UPPER_INNER_LIP, 1] = 3.0
-    robot_mm[0, LOWER_INNER_LIP, 1] = -2.0
+    human_mm[1, MARKERS_47.upper_lip, 1] = 3.0
+    robot_mm[0, MARKERS_47.lower_lip, 1] = -2.0
     errors = measure_hold_out(
         human_mm, robot_mm, human_mm, np.array([[3.0], [-4.0]]), np.array([True, False])
     )
@@ -271,7 +280,7 @@ def test_hold_out_errors_match_numbers_by_hand():
 
 def test_a_face_that_never_moves_has_no_correlation_and_no_warning():
     still = np.zeros((3, 47, 3))
-    still[:, UPPER_INNER_LIP, 1] = 5.0
+    still[:, MARKERS_47.upper_lip, 1] = 5.0
     errors = measure_hold_out(still, still, still, np.zeros((3, 1)), np.zeros(3, dtype=bool))
     assert (errors.gap_correlation, errors.n_closures, errors.closed_gap_mm) == (0.0, 0, 0.0)
 

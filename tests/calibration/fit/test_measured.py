@@ -29,7 +29,7 @@ from calibration.run.inverse import ShapeFeatures, nearest_poses_deg
 from calibration.run.run_time_map import fit_run_time_map
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from calibration.simulated.robot import SimulatedRobot, draw_robot, true_markers_mm
-from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_NAMES, UPPER_INNER_LIP
+from lipsync.markers import MARKERS_47
 from lipsync.phonemes import VISEME_CLASSES
 
 SERVOS = tuple(POSITIVE_DIRECTIONS)
@@ -43,7 +43,7 @@ DRAW = draw_robot(REST_MM, SERVOS, 101)
 @pytest.fixture(scope="module")
 def capture() -> Capture:
     robot = SimulatedRobot(DRAW, noise_seed=5)
-    return capture_poses(plan_poses(JOINTS, 60), MARKER_NAMES, robot.move, robot.measure)
+    return capture_poses(plan_poses(JOINTS, 60), MARKERS_47.names, robot.move, robot.measure)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +62,7 @@ def test_seeds_draw_different_robots_and_the_same_seed_the_same():
 
 def test_a_face_without_noise_is_learnt_to_a_tenth_of_a_millimetre():
     robot = SimulatedRobot(DRAW, noise_mm=0.0)
-    clean = capture_poses(plan_poses(JOINTS, 60), MARKER_NAMES, robot.move, robot.measure)
+    clean = capture_poses(plan_poses(JOINTS, 60), MARKERS_47.names, robot.move, robot.measure)
     face = fit_robot_face(clean)
     poses_deg = np.random.default_rng(0).uniform(-12, 12, (50, 10)).clip(*LIMITS)
     missed_mm = face.markers_mm(poses_deg) - true_markers_mm(DRAW, poses_deg)
@@ -94,14 +94,14 @@ def test_lost_points_hardly_matter(capture):
 def test_one_dot_under_two_names_is_refused(capture, one, other):
     """There would be nothing to calibrate, and nothing off."""
     markers_mm = capture.markers_mm.copy()
-    markers_mm[:, MARKER_NAMES.index(one)] = markers_mm[:, MARKER_NAMES.index(other)]
+    markers_mm[:, MARKERS_47.names.index(one)] = markers_mm[:, MARKERS_47.names.index(other)]
     with pytest.raises(CalibrationError, match=f"'{other}' and '{one}' are the same point in eve"):
         fit_measured(MODEL, dataclasses.replace(capture, markers_mm=markers_mm), JOINTS, "x")
 
 
 def test_a_mouth_that_never_opens_or_has_no_width_is_refused(capture):
     markers_mm = capture.markers_mm.copy()
-    upper, lower = (MARKER_NAMES.index(f"inner_lip_{n}") for n in (13, 14))
+    upper, lower = (MARKERS_47.names.index(f"inner_lip_{n}") for n in (13, 14))
     noise = np.random.default_rng(0).normal(0, 0.1, markers_mm[:, lower].shape)
     markers_mm[:, lower] = markers_mm[:, upper] + noise
     with pytest.raises(CalibrationError, match=r"inner_lip_13 and inner_lip_14 part by .* at most"):
@@ -116,7 +116,7 @@ def test_a_mouth_that_never_opens_or_has_no_width_is_refused(capture):
 def with_few_markers(capture, markers_mm):
     names = ("inner_lip_13", "inner_lip_14", "outer_lip_61", "outer_lip_291", "chin_199",
              "outer_lip_0", "outer_lip_17", "outer_lip_39", "outer_lip_269")  # fmt: skip
-    rows = [MARKER_NAMES.index(name) for name in names]
+    rows = [MARKERS_47.names.index(name) for name in names]
     return dataclasses.replace(capture, marker_names=names, markers_mm=markers_mm[:, rows])
 
 
@@ -179,16 +179,16 @@ def test_the_run_time_map_finds_a_quadratic_law_again():
 
 def test_markers_that_no_model_knows_or_that_are_missing_are_named():
     with pytest.raises(CalibrationError, match="marker 'dot_7' is none of a talker's"):
-        correspond((*MARKER_NAMES, "dot_7"))
+        correspond((*MARKERS_47.names, "dot_7"))
     with pytest.raises(CalibrationError, match="marker 'outer_lip_61' is needed"):
-        correspond([name for name in MARKER_NAMES if name != "outer_lip_61"])
+        correspond([name for name in MARKERS_47.names if name != "outer_lip_61"])
 
 
 def held_out_lips_mm(fit: MeasuredFit) -> np.ndarray:
     x = fit.held_out - MODEL.rest
     poses_deg = np.array([fit.calibration.positions_deg(frame) for frame in fit.held_out])
     robot_mm = true_markers_mm(DRAW, poses_deg)
-    return lips_apart_mm(robot_mm, fit.retargeting.targets_mm(x), list(LIP_MARKERS))
+    return lips_apart_mm(robot_mm, fit.retargeting.targets_mm(x), list(MARKERS_47.lips))
 
 
 def test_the_real_robot_makes_the_held_out_shapes(fit):
@@ -197,11 +197,11 @@ def test_the_real_robot_makes_the_held_out_shapes(fit):
 
 
 def test_closed_lips_of_the_talker_are_closed_lips_of_the_robot(fit):
-    frames = MODEL.animphos.reshape(-1, MODEL.n_components)
+    frames = MODEL.animphos.frames
     gaps_mm = np.array([MODEL.lip_gap_mm(frame) for frame in frames])
     poses_deg = np.array([fit.calibration.positions_deg(frame) for frame in frames])
     robot_mm = true_markers_mm(DRAW, poses_deg)
-    robot_gaps_mm = robot_mm[:, UPPER_INNER_LIP, 1] - robot_mm[:, LOWER_INNER_LIP, 1]
+    robot_gaps_mm = robot_mm[:, MARKERS_47.upper_lip, 1] - robot_mm[:, MARKERS_47.lower_lip, 1]
     closed = gaps_mm <= CLOSED_GAP_MM
     assert closed.sum() > 20
     assert robot_gaps_mm[closed].max() < 0.3
@@ -209,14 +209,14 @@ def test_closed_lips_of_the_talker_are_closed_lips_of_the_robot(fit):
 
 
 def test_the_robot_is_asked_for_as_much_as_it_can_but_no_caricature(fit):
-    robot_width = np.ptp(DRAW.face.neutral_mm[list(LIP_MARKERS), 0])
-    size = robot_width / np.ptp(REST_MM[list(LIP_MARKERS), 0])
+    robot_width = np.ptp(DRAW.face.neutral_mm[list(MARKERS_47.lips), 0])
+    size = robot_width / np.ptp(REST_MM[list(MARKERS_47.lips), 0])
     assert 0.5 * size < fit.retargeting.scale[1] < 1.05 * MOST_EXAGGERATION * size
 
 
 def test_touch_is_where_the_lips_just_meet(fit):
     robot_mm = true_markers_mm(DRAW, fit.calibration.touch.positions_deg[None])[0]
-    assert abs(robot_mm[UPPER_INNER_LIP, 1] - robot_mm[LOWER_INNER_LIP, 1]) < 0.4
+    assert abs(robot_mm[MARKERS_47.upper_lip, 1] - robot_mm[MARKERS_47.lower_lip, 1]) < 0.4
 
 
 def test_the_calibration_grades_itself_honestly(fit):
@@ -225,7 +225,7 @@ def test_the_calibration_grades_itself_honestly(fit):
     assert errors.n_frames == len(fit.held_out) == 5 * 16
     assert 0.0 < errors.nearest_lip_rms_mm <= errors.lip_rms_mm
     assert abs(errors.lip_rms_mm - np.sqrt(np.mean(held_out_lips_mm(fit) ** 2))) < 0.5
-    known = {viseme[0] for viseme in VISEME_CLASSES if set(viseme) & MODEL.known_phonemes}
+    known = {viseme[0] for viseme in VISEME_CLASSES if set(viseme) & MODEL.animphos.known_phonemes}
     assert set(fit.calibration.coverage) == known
     assert all(0.0 <= reach.reachable <= 1.0 for reach in fit.calibration.coverage.values())
 
@@ -254,7 +254,7 @@ def test_a_measured_calibration_is_loaded_as_it_was(fit, tmp_path):
     save_calibration(full, path)
     loaded = load_calibration(path)
     assert calibration_text(loaded) == path.read_text()
-    frame = MODEL.animphos[3, 2]
+    frame = MODEL.animphos.samples[3, 2]
     assert loaded.positions_deg(frame) == pytest.approx(full.positions_deg(frame), abs=1e-9)
     assert loaded.origin == full.origin
     assert loaded.following.bandwidth_hz.tolist() == list(range(10))

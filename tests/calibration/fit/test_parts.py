@@ -17,7 +17,7 @@ from calibration.joint_range import JointRange
 from calibration.run.viseme_trim import VisemeTrim
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipservo.calibrating.guided_calibration import guide
-from lipsync.face.model import load_shipped_model
+from lipsync.training.trained_model import load_trained_model
 
 RANGES = {
     "jaw": {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 2048, "range_max": 2332},
@@ -52,8 +52,8 @@ def test_the_jaw_of_a_simulated_face_is_found_in_degrees():
 
 def test_the_talkers_jaw_opens_with_the_lips():
     """On the shipped talker alpha follows the lip gap: 0 at rest, near 1 in the widest frames."""
-    model = load_shipped_model()
-    frames = model.animphos[::10].reshape(-1, model.n_components)
+    model = load_trained_model()
+    frames = model.animphos.samples[::10].reshape(-1, model.n_components)
     jaw = talkers_jaw(model)
     alpha = jaw.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
     assert jaw.alpha(model.markers_mm(model.rest[None])[:, list(JAW_LINE)])[0] == pytest.approx(0)

@@ -45,7 +45,7 @@ def published(calibration, stalled_s=(math.inf, math.inf)):
     speech = Speech(
         ScriptedPhonemes(events),
         SteadyClock(),
-        PublishedSynthesizer(MODEL),
+        PublishedSynthesizer(MODEL.animphos),
         calibration,
         [joint.name for joint in JOINTS],
         channel,

@@ -11,7 +11,7 @@ from calibration.simulated.face import (
     marker_positions_mm,
     simulated_face,
 )
-from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_LANDMARKS, UPPER_INNER_LIP
+from lipsync.markers import MARKERS_47
 
 MIRROR_LANDMARKS = (
     *((61, 291), (39, 269), (37, 267), (181, 405), (84, 314), (78, 308), (82, 312), (87, 317)),
@@ -33,7 +33,7 @@ def motion_mm(face: SimulatedFace, **positions_deg: float) -> np.ndarray:
 
 
 def row(landmark: int) -> int:
-    return MARKER_LANDMARKS.index(landmark)
+    return MARKERS_47.landmarks.index(landmark)
 
 
 def test_all_servos_at_zero_give_the_neutral_face(face):
@@ -50,8 +50,8 @@ def test_jaw_turns_the_chin_about_the_hinge_by_hand(face):
 
 def test_lip_corners_follow_half_of_the_jaw_and_the_upper_lip_none(face):
     full, moved = motion_mm(face, jaw=10.0)[row(14)], motion_mm(face, jaw=10.0)
-    assert moved[UPPER_INNER_LIP] == pytest.approx((0, 0, 0))
-    assert moved[LOWER_INNER_LIP, 1] < -10.0
+    assert moved[MARKERS_47.upper_lip] == pytest.approx((0, 0, 0))
+    assert moved[MARKERS_47.lower_lip, 1] < -10.0
     assert 0.4 < moved[row(61), 1] / full[1] < 0.6
     assert np.abs(moved[row(2)]).max() < 1e-3  # under the nose
 
@@ -100,14 +100,14 @@ def test_left_servos_move_the_left_side_which_has_positive_x(face):
 def test_upper_lip_servos_leave_the_lower_lip_alone_and_open_the_mouth(face):
     upper = motion_mm(face, upper_lip_left=20.0, upper_lip_right=20.0)
     lower = motion_mm(face, lower_lip_left=20.0, lower_lip_right=20.0)
-    assert np.abs(upper[LOWER_INNER_LIP]).max() == 0.0
-    assert np.abs(lower[UPPER_INNER_LIP]).max() == 0.0
-    assert upper[UPPER_INNER_LIP, 1] > 1.0 > -1.0 > lower[LOWER_INNER_LIP, 1]
+    assert np.abs(upper[MARKERS_47.lower_lip]).max() == 0.0
+    assert np.abs(lower[MARKERS_47.upper_lip]).max() == 0.0
+    assert upper[MARKERS_47.upper_lip, 1] > 1.0 > -1.0 > lower[MARKERS_47.lower_lip, 1]
 
 
 def test_protrusion_brings_all_lips_forward_and_the_corners_together(face):
     moved = motion_mm(face, lip_protrusion=30.0)
-    assert moved[list(LIP_MARKERS), 2] == pytest.approx(HORN_ARM_MM * 0.5)
+    assert moved[list(MARKERS_47.lips), 2] == pytest.approx(HORN_ARM_MM * 0.5)
     assert moved[row(61), 0] == pytest.approx(-moved[row(291), 0])
     assert moved[row(61), 0] > 1.0
 

@@ -16,11 +16,11 @@ from lipsync.corpus.grid import read_grid
 from lipsync.evaluation.motion.methods import Heard, all_methods
 from lipsync.evaluation.motion.mishearing import KINDS
 from lipsync.evaluation.motion.paper_costs import cost_rows
-from lipsync.face.model import load_model, save_model
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import MARKERS_47
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PhonemeEvent
 from lipsync.training.face_training import train
+from lipsync.training.trained_model import load_trained_model, save_model
 
 #: The fields that a row must have.
 ROW = {
@@ -85,7 +85,7 @@ def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser
 
 def test_the_costs_of_table_3_add_up_and_equation_6_follows_from_them(folder, model):
     (clip,) = read_grid(folder).keep({"s0"}).utterances
-    rows = cost_rows(load_model(model), clip, 0, lambda u: Heard(u.phones))
+    rows = cost_rows(load_trained_model(model), clip, 0, lambda u: Heard(u.phones))
     lines = {row["of_a_phoneme"]: row for row in rows}
     for method in ("priority", LIVE_STRATEGY):
         parts = ("recognition_ms", "synthesis_ms", "blending_ms")
@@ -102,7 +102,7 @@ def test_self_correction_is_measured_and_everything_is_printed(folder, model, tm
     long = tmp_path / "long"
     shutil.copytree(folder, long)
     rng = np.random.default_rng(0)
-    face = rng.normal(0.0, 30.0, (len(RIGID) + len(MARKER_NAMES), 3))
+    face = rng.normal(0.0, 30.0, (len(RIGID) + len(MARKERS_47.names), 3))
     for number, first in enumerate("BTBT"):
         middle = [(first, 0.1), *[("AA", 0.1), ("UW", 0.1)] * 3]
         phones = [("SIL", 0.4), ("AA", 0.1), *middle, ("SIL", 0.4)]

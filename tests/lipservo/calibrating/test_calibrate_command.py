@@ -15,10 +15,10 @@ from calibration.simulated.face import marker_positions_mm, simulated_face
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.cli import app
 from lipservo.face.sim_process import simulated_port
-from lipsync.face.model import load_shipped_model
-from lipsync.markers import MARKER_NAMES
+from lipsync.markers import MARKERS_47
+from lipsync.training.trained_model import load_trained_model
 
-MODEL = load_shipped_model()
+MODEL = load_trained_model()
 REST_MM = MODEL.markers_mm(MODEL.rest[None])[0]
 LIPS = ("outer_lip_61", "outer_lip_291", "inner_lip_13", "inner_lip_14", "outer_lip_17")
 QUICK = ("--poses", "6", "--speed", "400", "--no-lags")
@@ -69,7 +69,7 @@ class OtherProgram(threading.Thread):
             if not file.tell():
                 writer.writerow(["pose", "marker", "x_mm", "y_mm", "z_mm"])
             for name in LIPS:
-                place = seen[MARKER_NAMES.index(name)].round(3)
+                place = seen[MARKERS_47.names.index(name)].round(3)
                 writer.writerow([stands["pose"], name, *place])
 
 
@@ -94,7 +94,7 @@ def test_servos_are_moved_and_another_program_records_the_markers(port, tmp_path
     assert calibration.origin.method == "measured"
     (memory,) = calibration.origin.servo_memories
     assert (memory.homing_offset, memory.drive_mode) == (0, 0)
-    wide = MODEL.animphos[MODEL.of_phoneme("AA"), 2]
+    wide = MODEL.animphos.samples[MODEL.animphos.of_phoneme("AA"), 2]
     assert np.median([calibration.positions_deg(c)[0] for c in wide]) > 4.0
     again = command(
         "calibrate", "--config", "face_jaw", "--port", port, "--tracker", markers, *QUICK, "-o", out
@@ -164,13 +164,13 @@ def looks(plan, servos, seed=100):
             yield int(row["pose"]), robot.measure()
 
 
-def write_markers(plan, path, servos, names=MARKER_NAMES):
+def write_markers(plan, path, servos, names=MARKERS_47.names):
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(["pose", "marker", "x_mm", "y_mm", "z_mm"])
         for pose, seen in looks(plan, servos):
             for name in names:
-                writer.writerow([pose, name, *seen[MARKER_NAMES.index(name)].round(2)])
+                writer.writerow([pose, name, *seen[MARKERS_47.names.index(name)].round(2)])
     return path
 
 
@@ -180,7 +180,7 @@ def test_pictures_of_coloured_dots_become_a_calibration(tmp_path):
     plan, folder = write_plan(tmp_path), tmp_path / "pictures"
     folder.mkdir()
     names = (*LIPS, "chin_199", "outer_lip_0")
-    rows = [MARKER_NAMES.index(name) for name in names]
+    rows = [MARKERS_47.names.index(name) for name in names]
 
     def pixels(seen):
         return np.column_stack([200 + 4 * seen[rows, 0], 200 - 4 * (seen[rows, 1] + 95)])
@@ -215,7 +215,7 @@ def test_c3d_files_become_a_calibration(tmp_path):
         file = ezc3d.c3d()
         file["parameters"]["POINT"]["UNITS"]["value"] = ["mm"]
         file["parameters"]["POINT"]["RATE"]["value"] = [100.0]
-        file["parameters"]["POINT"]["LABELS"]["value"] = list(MARKER_NAMES)
+        file["parameters"]["POINT"]["LABELS"]["value"] = list(MARKERS_47.names)
         data = np.ones((4, 47, 1))
         data[:3, :, 0] = seen[:, [0, 2, 1]].T * np.array([[1.0], [-1.0], [1.0]])  # z up
         file["data"]["points"] = data
@@ -259,7 +259,7 @@ def test_a_skeleton_has_a_jaw_and_no_lips(tmp_path):
     assert said["jaw_correlation"] > 0.99
     assert said["marker_rms_mm"] < 0.6
     calibration = load_calibration(out)
-    frames = MODEL.animphos[::5].reshape(-1, MODEL.n_components)
+    frames = MODEL.animphos.samples[::5].reshape(-1, MODEL.n_components)
     degrees = [calibration.positions_deg(frame)[0] for frame in frames]
     assert np.quantile(degrees, 0.98) == pytest.approx(0.9 * 25.0, rel=0.15)
     assert abs(calibration.positions_deg(MODEL.rest)[0]) < 0.5

@@ -6,8 +6,11 @@ import pytest
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipservo.face.assembly import assemble_face
 from lipservo.settings.settings import load_shipped_face, shipped_faces
-from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
+from lipsync.markers import MARKERS_47
 from lipsync.phonemes import PHONEMES
+from lipsync.training.trained_model import load_trained_model
+
+ANIMPHOS = load_trained_model().animphos
 
 
 @pytest.mark.parametrize("name", shipped_faces())
@@ -26,7 +29,7 @@ def test_speech_moves_every_shipped_face_rightly(name):
     mouth = list(load_shipped_face(name).mouth_servos)
 
     def middle_deg(phoneme: str) -> dict[str, float]:
-        frames = face.model.animphos[face.model.of_phoneme(phoneme), 2]
+        frames = ANIMPHOS.samples[ANIMPHOS.of_phoneme(phoneme), 2]
         degrees = np.median([face.calibration.positions_deg(f) for f in frames], axis=0)
         return dict(zip(face.calibration.servo_names, degrees, strict=True))
 
@@ -42,12 +45,12 @@ def test_speech_moves_every_shipped_face_rightly(name):
 def test_the_lips_of_every_shipped_face_open_as_the_speakers_do(name):
     face = assemble_face(name, None)
     mouth = list(load_shipped_face(name).mouth_servos)
-    frames = face.model.animphos[::20].reshape(-1, face.model.n_components)
+    frames = ANIMPHOS.samples[::20].reshape(-1, face.model.n_components)
     human_mm = [face.model.lip_gap_mm(frame) for frame in frames]
     robot = simulated_face(face.model.markers_mm(face.model.rest[None])[0], mouth)
     degrees = np.array([face.calibration.positions_deg(frame) for frame in frames])
     markers_mm = marker_positions_mm(robot, degrees)
-    gaps = markers_mm[:, UPPER_INNER_LIP] - markers_mm[:, LOWER_INNER_LIP]
+    gaps = markers_mm[:, MARKERS_47.upper_lip] - markers_mm[:, MARKERS_47.lower_lip]
     assert np.corrcoef(human_mm, np.linalg.norm(gaps, axis=1))[0, 1] > 0.95
 
 
@@ -58,15 +61,15 @@ def test_the_closed_mouth_is_zero_degrees_and_the_robot_closes_where_the_speaker
     robot = simulated_face(rest_mm, [joint.name for joint in face.joints])
     gaps_mm = []
     for phoneme in ("P", "B", "M", "AA"):
-        middle = face.model.animphos[face.model.of_phoneme(phoneme), 2]
+        middle = ANIMPHOS.samples[ANIMPHOS.of_phoneme(phoneme), 2]
         degrees = np.array([face.calibration.positions_deg(c) for c in middle])
         markers_mm = marker_positions_mm(robot, degrees)
-        gap = markers_mm[:, UPPER_INNER_LIP] - markers_mm[:, LOWER_INNER_LIP]
+        gap = markers_mm[:, MARKERS_47.upper_lip] - markers_mm[:, MARKERS_47.lower_lip]
         gaps_mm.append(float(np.median(np.linalg.norm(gap, axis=1))))
     assert max(gaps_mm[:3]) < 2.0 < 6.0 < gaps_mm[3]
 
 
 def test_the_speaker_never_said_these_phonemes_and_they_have_stand_ins():
     """Stated in the model card."""
-    known = assemble_face("face_sim", None).model.known_phonemes
+    known = ANIMPHOS.known_phonemes
     assert set(PHONEMES) - known == {"SH", "ZH", "NG", "ER", "OY", "UH"}

@@ -16,8 +16,10 @@ from lipservo.status.face_status import Status
 from lipservo.status.street_tick import StreetTick
 from lipservo.terminal.mouth_drawing import draw_mouth
 from lipservo.terminal.view import TerminalView
+from lipsync.animpho.other_layout import in_layout
 from lipsync.face.frame import Frame
-from lipsync.face.model import load_shipped_model
+from lipsync.markers import MARKERS_39, MARKERS_47
+from lipsync.training.trained_model import load_trained_model
 
 
 def dots(lines: list[str]) -> np.ndarray:
@@ -30,21 +32,30 @@ def test_an_open_mouth_is_drawn_taller_than_a_closed_one():
     rest_mm = model.markers_mm(model.rest[None])[0]
     heights = []
     for coefficients in (model.rest, model.rest + 40.0 * np.eye(5)[0]):
-        drawn = dots(draw_mouth(model.markers_mm(coefficients[None])[0], rest_mm))
+        drawn = dots(draw_mouth(model.markers_mm(coefficients[None])[0], rest_mm, model.layout))
         heights.append(drawn.any(axis=1).sum())
+    assert heights[1] > heights[0] > 2
+
+
+@pytest.mark.parametrize("layout", [MARKERS_39, MARKERS_47], ids=lambda layout: layout.name)
+def test_a_mouth_is_drawn_with_the_lips_that_its_layout_has(layout):
+    model = in_layout(small_model(), layout)
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    wide = model.markers_mm((model.rest + 40.0 * np.eye(5)[0])[None])[0]
+    heights = [dots(draw_mouth(mm, rest_mm, layout)).any(axis=1).sum() for mm in (rest_mm, wide)]
     assert heights[1] > heights[0] > 2
 
 
 def test_what_does_not_fit_is_left_out():
     far_mm = np.full((47, 3), 1e4)
-    assert not dots(draw_mouth(far_mm, np.zeros((47, 3)))).any()
+    assert not dots(draw_mouth(far_mm, np.zeros((47, 3)), MARKERS_47)).any()
 
 
 def test_at_rest_the_shipped_mouth_is_closed_straight_and_symmetrical():
     """The speaker's own lips are 0.7 mm apart at rest, and her head leans to one side."""
-    model = load_shipped_model()
+    model = load_trained_model()
     rest_mm = model.markers_mm(model.rest[None])[0]
-    drawn = dots(draw_mouth(rest_mm, rest_mm))
+    drawn = dots(draw_mouth(rest_mm, rest_mm, model.layout))
     heights = [np.flatnonzero(column) for column in drawn.T if column.any()]
     # Upper edge, the line between the lips, lower edge: all in the same row over the whole width.
     (line,) = set.intersection(*map(set, map(np.ndarray.tolist, heights[1:-1])))

@@ -8,8 +8,8 @@ from scipy.interpolate import CubicHermiteSpline
 from small_model import small_model
 
 from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
+from lipsync.animpho.index_lists import IndexLists
 from lipsync.animpho.trajectory import Trajectory, ease
-from lipsync.face.index_lists import IndexLists
 
 
 def column(*values: float) -> np.ndarray:
@@ -22,14 +22,14 @@ def test_equation_3_takes_the_successor_that_moves_most_like_the_chosen_one():
     animphos[1] = 0.0
     animphos[1, :, 0] = 3.0
     animphos[2, 4, 0] = 4.0
-    model = replace(
-        small_model(),
-        animphos=animphos,
+    units = replace(
+        small_model().animphos,
+        samples=animphos,
         successors=IndexLists.from_pairs(np.array([0, 0]), np.array([1, 2]), 4),
     )
-    assert choose_connected(model, previous=0, chosen=3) == 2
-    assert choose_connected(model, previous=0, chosen=1) == 1, "a_t itself when it follows"
-    assert choose_connected(model, previous=3, chosen=1) == 1, "nothing follows: a_t itself"
+    assert choose_connected(units, previous=0, chosen=3) == 2
+    assert choose_connected(units, previous=0, chosen=1) == 1, "a_t itself when it follows"
+    assert choose_connected(units, previous=3, chosen=1) == 1, "nothing follows: a_t itself"
 
 
 def test_translation_lays_the_first_frame_on_the_last_one_shown():

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_model import small_model
 
+from lipsync.animpho.index_lists import IndexLists
 from lipsync.animpho.selection import (
     Choice,
     NaiveSelection,
@@ -16,8 +17,7 @@ from lipsync.animpho.selection import (
     chain_lengths,
     smoothness_energy,
 )
-from lipsync.face.index_lists import IndexLists
-from lipsync.face.model import FaceModel
+from lipsync.animpho.units import AnimPhoUnits
 from lipsync.phonemes import PHONEMES
 
 FIRST, SECOND, THIRD = "B", "IY", "T"
@@ -28,7 +28,7 @@ ENDS = (1000.0, 8.0, 9.0, 10.0, 25.0, 39.0, 30.0, 35.0, 45.0)
 
 
 @pytest.fixture
-def figure_model() -> FaceModel:
+def figure_units() -> AnimPhoUnits:
     """The AnimPhos 1..8 of the figures under their own numbers."""
     animphos = np.zeros((9, 5, 5))
     animphos[:, :, 0] = np.linspace(BEGINS, ENDS, 5).T
@@ -37,77 +37,77 @@ def figure_model() -> FaceModel:
     columns = [n for numbers in table.values() for n in numbers]
     successors = IndexLists.from_pairs(np.array([1, 2, 5]), np.array([4, 5, 8]), 9)
     return replace(
-        small_model(),
+        small_model().animphos,
         rest=np.zeros(5),
-        animphos=animphos,
+        samples=animphos,
         successors=successors,
         predecessors=successors.transposed(9),
         phoneme_table=IndexLists.from_pairs(np.array(rows), np.array(columns), len(PHONEMES)),
     )
 
 
-def spell(strategy: SelectionStrategy, model: FaceModel, *phonemes: str) -> list[Choice]:
-    choices = [strategy.first(model, phonemes[0])]
+def spell(strategy: SelectionStrategy, units: AnimPhoUnits, *phonemes: str) -> list[Choice]:
+    choices = [strategy.first(units, phonemes[0])]
     for phoneme in phonemes[1:]:
-        choices.append(strategy.following(model, phoneme, choices[-1]))
+        choices.append(strategy.following(units, phoneme, choices[-1]))
     return choices
 
 
-def test_the_naive_strategy_takes_3_6_7_and_misses_twice(figure_model):
-    choices = spell(NaiveSelection(), figure_model, FIRST, SECOND, THIRD)
+def test_the_naive_strategy_takes_3_6_7_and_misses_twice(figure_units):
+    choices = spell(NaiveSelection(), figure_units, FIRST, SECOND, THIRD)
     assert [c.animpho for c in choices] == [3, 6, 7]
     assert [c.missed for c in choices] == [False, True, True]
 
 
-def test_the_priority_strategy_recovers_the_chain_2_5_8(figure_model):
-    choices = spell(PrioritySelection(), figure_model, FIRST, SECOND, THIRD)
+def test_the_priority_strategy_recovers_the_chain_2_5_8(figure_units):
+    choices = spell(PrioritySelection(), figure_units, FIRST, SECOND, THIRD)
     assert [c.animpho for c in choices] == [3, 5, 8]
     assert [c.missed for c in choices] == [False, True, False]
 
 
-def test_priorities_are_those_printed_in_the_figure(figure_model):
-    first, second, third = spell(PrioritySelection(), figure_model, FIRST, SECOND, THIRD)
+def test_priorities_are_those_printed_in_the_figure(figure_units):
+    first, second, third = spell(PrioritySelection(), figure_units, FIRST, SECOND, THIRD)
     assert first.chain_lengths.tolist() == [0, 1, 1, 1, 0, 0, 0, 0, 0]
     assert second.chain_lengths.tolist() == [0, 0, 0, 0, 2, 2, 1, 0, 0]
     assert third.chain_lengths.tolist() == [0, 0, 0, 0, 0, 0, 0, 1, 3]
 
 
-def test_smoothness_is_the_distance_from_last_frame_to_first(figure_model):
-    assert smoothness_energy(figure_model, 3, np.array([4, 5, 6])).tolist() == [10.0, 2.0, 0.0]
+def test_smoothness_is_the_distance_from_last_frame_to_first(figure_units):
+    assert smoothness_energy(figure_units, 3, np.array([4, 5, 6])).tolist() == [10.0, 2.0, 0.0]
 
 
-def test_a_fallback_of_another_phoneme_is_a_miss_even_when_it_is_connected(figure_model):
+def test_a_fallback_of_another_phoneme_is_a_miss_even_when_it_is_connected(figure_units):
     """After 1 comes 4 in the corpus, and 4 is smoothest, but it does not say the phoneme."""
-    begins = np.array(figure_model.animphos)
+    begins = np.array(figure_units.samples)
     begins[4, 0, 0] = ENDS[1]
-    model = replace(figure_model, animphos=begins)
-    choice = NaiveSelection().following(model, THIRD, Choice(1, False, np.empty(0)))
+    units = replace(figure_units, samples=begins)
+    choice = NaiveSelection().following(units, THIRD, Choice(1, False, np.empty(0)))
     assert (choice.animpho, choice.missed) == (4, True)
 
 
 def test_the_priority_strategy_ends_the_longest_chain_that_spells_what_was_heard():
     """In the small model every order of phonemes exists, so the chain grows with each of them."""
     heard = ("SIL", "M", "AA", "IY", "UW", "M", "IY", "SIL")
-    choices = spell(PrioritySelection(), small_model(), *heard)
+    choices = spell(PrioritySelection(), small_model().animphos, *heard)
     assert [c.chain_lengths[c.animpho] for c in choices] == [1, 2, 3, 4, 5, 6, 7, 8]
 
 
 @given(st.lists(st.sampled_from(["SIL", "M", "AA", "IY", "UW"]), min_size=2, max_size=8))
 def test_chain_lengths_equal_the_definition_of_equation_2(phonemes):
-    model = small_model()
-    lengths = np.zeros(len(model.animphos))
-    lengths[model.of_phoneme(phonemes[0])] = 1
+    units = small_model().animphos
+    lengths = np.zeros(len(units))
+    lengths[units.of_phoneme(phonemes[0])] = 1
     for phoneme in phonemes[1:]:
-        candidates = model.of_phoneme(phoneme)
+        candidates = units.of_phoneme(phoneme)
         expected = np.zeros_like(lengths)
         for i in candidates:
             through = [
                 lengths[j] + 1
                 for j in range(len(lengths))
-                if lengths[j] and i in model.successors[j]
+                if lengths[j] and i in units.successors[j]
             ]
             expected[i] = max(through, default=1)
-        lengths = chain_lengths(model, candidates, lengths)
+        lengths = chain_lengths(units, candidates, lengths)
         assert lengths.tolist() == expected.tolist()
 
 

@@ -34,7 +34,7 @@ JOINTS_S = (0.58, 0.74, 0.79)
 @pytest.mark.parametrize("strategy", STRATEGIES.values(), ids=STRATEGIES.keys())
 @pytest.mark.parametrize("joint_s", JOINTS_S)
 def test_position_and_speed_are_continuous_at_every_joint(strategy, joint_s):
-    synthesizer = PublishedSynthesizer(small_model(), strategy)
+    synthesizer = PublishedSynthesizer(small_model().animphos, strategy)
     known(synthesizer, *CHAIN)
     jump, before, after = around(synthesizer, joint_s)
     assert abs(jump) < 1e-2
@@ -43,7 +43,7 @@ def test_position_and_speed_are_continuous_at_every_joint(strategy, joint_s):
 
 def test_published_mode_keeps_the_derivative_per_sample_spacing():
     """AA 160 ms, then IY 50 ms: the same derivative per spacing is 3.2 times the speed."""
-    synthesizer = PublishedSynthesizer(small_model(), published_derivatives=True)
+    synthesizer = PublishedSynthesizer(small_model().animphos, published_derivatives=True)
     known(synthesizer, *CHAIN)
     jump, before, after = around(synthesizer, 0.74)
     assert abs(jump) < 1e-2
@@ -57,14 +57,14 @@ def test_ten_minutes_give_as_many_frames_as_duration_times_rate_within_one():
     events = spoken(*phones)
     duration_s = events[-1].end_s
     assert duration_s > 590
-    synthesizer = PublishedSynthesizer(small_model())
+    synthesizer = PublishedSynthesizer(small_model().animphos)
     for rate_hz in (29.97, 30.0, 100.0):
         assert abs(len(render(synthesizer, events, rate_hz)) - duration_s * rate_hz) <= 1
 
 
 def test_a_long_pause_ends_in_closed_lips():
     model = small_model()
-    synthesizer = PublishedSynthesizer(model)
+    synthesizer = PublishedSynthesizer(model.animphos)
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("SIL", 1.0))
     assert model.lip_gap_mm(synthesizer.frame_at(0.55).coefficients) > 5.0
     for time_s in (0.85, 1.2, 1.59, 30.0):
@@ -72,14 +72,14 @@ def test_a_long_pause_ends_in_closed_lips():
 
 
 def test_a_short_silence_between_words_is_a_phoneme_like_any_other():
-    synthesizer = PublishedSynthesizer(small_model())
+    synthesizer = PublishedSynthesizer(small_model().animphos)
     known(synthesizer, ("AA", 0.2), ("SIL", 0.2), ("AA", 0.2))
     synthesizer.frame_at(0.59)
     assert synthesizer.phonemes_planned == 3
 
 
 def test_a_phone_that_goes_on_is_played_for_its_longest_time_and_then_held():
-    synthesizer = PublishedSynthesizer(small_model(), longest_phone_s=0.35)
+    synthesizer = PublishedSynthesizer(small_model().animphos, longest_phone_s=0.35)
     synthesizer.push(PhonemeUpdate(0.0, 9.0, 8.9, (PhonemeEvent("AA", 0.0, None),)))
     held = synthesizer.frame_at(1.0).coefficients
     np.testing.assert_array_equal(held, synthesizer.frame_at(8.0).coefficients)
@@ -87,7 +87,7 @@ def test_a_phone_that_goes_on_is_played_for_its_longest_time_and_then_held():
 
 
 def test_the_same_time_gives_the_same_face_also_after_a_look_back():
-    synthesizer = PublishedSynthesizer(small_model())
+    synthesizer = PublishedSynthesizer(small_model().animphos)
     known(synthesizer, *CHAIN)
     faces = {t: synthesizer.frame_at(t).coefficients for t in (0.60, 0.65, 0.80)}
     for time_s, face in faces.items():
@@ -95,7 +95,7 @@ def test_the_same_time_gives_the_same_face_also_after_a_look_back():
 
 
 def test_what_was_shown_is_not_taken_back_and_what_comes_joins_on():
-    synthesizer = PublishedSynthesizer(small_model())
+    synthesizer = PublishedSynthesizer(small_model().animphos)
     first = (PhonemeEvent("SIL", 0.0, 0.5), PhonemeEvent("AA", 0.5, None))
     synthesizer.push(PhonemeUpdate(0.0, 0.9, 0.0, first))
     shown = synthesizer.frame_at(0.7).coefficients
@@ -115,7 +115,7 @@ def test_every_phoneme_of_the_inventory_moves_the_mouth():
     for phoneme in PHONEMES:
         if phoneme == "SIL":
             continue
-        synthesizer = PublishedSynthesizer(small_model(), NaiveSelection())
+        synthesizer = PublishedSynthesizer(small_model().animphos, NaiveSelection())
         known(synthesizer, ("SIL", 0.4), (phoneme, 0.2), ("AA", 0.2), ("SIL", 0.5))
         frames = np.array([synthesizer.frame_at(0.4 + 0.01 * i).coefficients for i in range(20)])
         assert np.ptp(frames, axis=0).max() > 0.1, phoneme
@@ -123,21 +123,21 @@ def test_every_phoneme_of_the_inventory_moves_the_mouth():
 
 def test_nothing_heard_yet_is_a_closed_mouth():
     model = small_model()
-    synthesizer = PublishedSynthesizer(model)
+    synthesizer = PublishedSynthesizer(model.animphos)
     for time_s in (0.0, 0.1, 100.0):
         np.testing.assert_array_equal(synthesizer.frame_at(time_s).coefficients, model.rest)
 
 
 def test_an_open_last_event_cannot_be_rendered_offline():
     with pytest.raises(ValueError, match="AA has no end"):
-        render(PublishedSynthesizer(small_model()), (PhonemeEvent("AA", 0.0, None),), 30.0)
+        render(PublishedSynthesizer(small_model().animphos), (PhonemeEvent("AA", 0.0, None),), 30.0)
 
 
 @settings(max_examples=60, deadline=None)
 @given(update_streams())
 def test_motion_stays_continuous_whatever_arrives(updates):
     """Frames 1 ms apart never differ by more than the fastest AnimPho can move in that time."""
-    synthesizer = PublishedSynthesizer(small_model())
+    synthesizer = PublishedSynthesizer(small_model().animphos)
     frames, shown_s = [], 0.0
     for update in updates:
         synthesizer.push(update)

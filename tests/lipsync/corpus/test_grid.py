@@ -11,7 +11,7 @@ from small_corpus import write_corpus
 from lipsync.corpus.grid import read_grid
 from lipsync.corpus.head_motion import apply_similarity, fit_similarity, refine_mean
 from lipsync.corpus.utterance import CorpusError
-from lipsync.markers import LIP_MARKERS, MARKER_NAMES
+from lipsync.markers import MARKERS_47
 
 
 def moved(points: np.ndarray, n_frames: int, rng: np.random.Generator) -> np.ndarray:
@@ -57,12 +57,12 @@ def test_the_refined_mean_is_one_head_whatever_the_frames_did():
 def test_a_folder_is_read_in_millimetres_without_head_motion(tmp_path):
     corpus = read_grid(write_corpus(tmp_path / "c", 3))
     assert [u.name for u in corpus.utterances] == ["s0", "s1", "s2"]
-    assert corpus.marker_names == MARKER_NAMES
+    assert corpus.layout == MARKERS_47
     first = corpus.utterances[0]
     assert first.markers_mm.shape == (30, 47, 3)
     assert [p.phoneme for p in first.phones] == ["SIL", "B", "AA", "T", "UW", "SIL"]
     assert [w.text for w in first.words] == ["word"]
-    still = MARKER_NAMES.index("nose_2")
+    still = MARKERS_47.names.index("nose_2")
     assert np.ptp(first.markers_mm[:, still], axis=0).max() < 3.0, "noise only, no turning"
     eyes = corpus.head_reference_mm[:2]
     assert np.linalg.norm(eyes[0] - eyes[1]) == pytest.approx(90.0)
@@ -121,8 +121,8 @@ def test_sentences_without_a_phones_tier_are_kept_but_not_labelled(tmp_path):
 
 
 def test_there_are_47_markers_and_20_lip_points():
-    assert len(MARKER_NAMES) == len(set(MARKER_NAMES)) == 47
-    assert len(LIP_MARKERS) == 20
+    assert len(MARKERS_47.names) == len(set(MARKERS_47.names)) == 47
+    assert len(MARKERS_47.lips) == 20
 
 
 def test_the_real_corpus_is_read(corpus_dir):
@@ -131,5 +131,5 @@ def test_the_real_corpus_is_read(corpus_dir):
     assert len(corpus.labelled().utterances) == 825
     first = corpus.utterances[0]
     assert first.markers_mm.shape == (75, 47, 3)
-    lips = first.markers_mm[:, MARKER_NAMES.index("outer_lip_61")]
+    lips = first.markers_mm[:, MARKERS_47.names.index("outer_lip_61")]
     assert np.ptp(lips[:, 0]) < 15.0, "a mouth corner moves by millimetres, not with the head"

@@ -1,4 +1,4 @@
-"""The measures, the rivals, the splits: checked against worked examples and other libraries."""
+"""The measures, the splits: checked against worked examples and other libraries."""
 
 import json
 from itertools import pairwise
@@ -6,17 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.interpolate import CubicHermiteSpline
+from recorded_phrase import recorded
 from small_corpus import write_corpus
 from small_model import small_model
 from spoken_phonemes import spoken
 
-from lipsync.baselines.dominance import Dominance, fixed_reference
-from lipsync.baselines.regression import fit_regression
-from lipsync.baselines.spline import spline_faces
-from lipsync.baselines.tuning import tune_dominance
 from lipsync.corpus.grid import read_grid
-from lipsync.corpus.recorded_closures import lip_gaps_mm, observe_closures
+from lipsync.corpus.recorded_closures import observe_closures
 from lipsync.corpus.speech_frames import speech_frames
 from lipsync.corpus.utterance import CorpusError, Utterance, Word
 from lipsync.evaluation.motion.measures import (
@@ -37,20 +33,10 @@ from lipsync.evaluation.motion.recovery import CORRECTED_AFTER_S, NEVER_S, wrong
 from lipsync.evaluation.motion.scoring import Scores, add_scores, check_scorable
 from lipsync.evaluation.motion.splits import read_parts, words_part
 from lipsync.evaluation.motion.wrong_phonemes import error_rows
-from lipsync.face.model import load_shipped_model
+from lipsync.markers import MARKERS_39
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PHONEMES
-
-PHRASE = spoken(("SIL", 0.4), ("M", 0.12), ("AA", 0.2), ("UW", 0.2), ("M", 0.12), ("SIL", 0.4))
-
-
-def recorded(events=PHRASE, name="u", rate_hz=25.0, words=()) -> Utterance:
-    """The small model's own motion with a little noise: an utterance that can be scored."""
-    model = small_model()
-    times_s = np.arange(round(events[-1].end_s * rate_hz)) / rate_hz
-    faces = spline_faces(events, model.centres, times_s)
-    faces = faces + np.random.default_rng(0).normal(0.0, 0.3, faces.shape)
-    return Utterance(name, model.markers_mm(faces), rate_hz, Path(), events, words)
+from lipsync.training.trained_model import load_trained_model
 
 
 def measured(utterance: Utterance, faces: np.ndarray) -> dict[str, float]:
@@ -59,7 +45,9 @@ def measured(utterance: Utterance, faces: np.ndarray) -> dict[str, float]:
     made = Motion(model.markers_mm(faces), faces)
     rest = np.repeat(model.rest[None], len(faces), axis=0)
     reference = Motion(model.markers_mm(rest), rest)
-    return figures(sentence_sums(utterance, speech_frames(utterance), motion, made, reference))
+    return figures(
+        sentence_sums(model, utterance, speech_frames(utterance), motion, made, reference)
+    )
 
 
 def test_the_recording_itself_scores_perfectly():
@@ -83,7 +71,8 @@ def test_figures_are_those_computed_directly():
     still = np.linalg.norm(model.markers_mm(model.rest[None]) - utterance.markers_mm, axis=2)[
         speech
     ]
-    gaps = lip_gaps_mm(model.markers_mm(faces))[speech], lip_gaps_mm(utterance.markers_mm)[speech]
+    gaps = model.lip_gaps_mm(model.markers_mm(faces)), model.lip_gaps_mm(utterance.markers_mm)
+    gaps = gaps[0][speech], gaps[1][speech]
     assert found["rmse_mm"] == pytest.approx(np.sqrt((distance**2).mean()))
     assert found["ratio"] == pytest.approx(np.sqrt((distance**2).sum() / (still**2).sum()))
     assert found["gap_r"] == pytest.approx(np.corrcoef(*gaps)[0, 1])
@@ -101,7 +90,7 @@ def test_a_mouth_glued_shut_hits_every_closure_and_is_found_out():
 
 def test_a_mouth_always_open_hits_no_closure():
     utterance = recorded()
-    wide = np.repeat(small_model().centres[PHONEMES.index("AA")][None], 36, axis=0)
+    wide = np.repeat(small_model().baselines.centres[PHONEMES.index("AA")][None], 36, axis=0)
     assert measured(utterance, wide)["closure_hits"] == 0.0
 
 
@@ -125,61 +114,6 @@ def test_only_the_words_asked_for_count():
     )
 
 
-def test_the_reference_is_the_formula_of_the_definition():
-    """D = exp(-(24 |tau|)^1.4) from the centre, from the edge for silence, 0 inside."""
-    centres = small_model().centres
-    t = 0.50
-    taus = [0.10, 0.50 - 0.46, 0.62 - 0.50, 0.82 - 0.50, 0.98 - 0.50, 1.04 - 0.50]
-    weights = np.exp(-((24 * np.array(taus)) ** 1.4))
-    targets = centres[[PHONEMES.index(p.phoneme) for p in PHRASE]]
-    expected = weights @ targets / weights.sum()
-    made = fixed_reference().face_at(PHRASE, centres, np.array([t]))[0]
-    np.testing.assert_allclose(made, expected)
-
-
-def test_tuning_finds_the_dominance_that_made_the_motion():
-    model, utterance = small_model(), recorded()
-    true = Dominance(np.full((16, 2), 60.0), np.full((16, 2), 1.0))
-    times_s = np.arange(36) / 25.0
-    motion = true.face_at(PHRASE, model.centres, times_s)
-    tuned = tune_dominance([utterance], [motion], model.centres)
-
-    def error(dominance: Dominance) -> float:
-        speech = speech_frames(utterance)
-        return float(
-            ((dominance.face_at(PHRASE, model.centres, times_s) - motion)[speech] ** 2).sum()
-        )
-
-    assert error(tuned) < 0.01 * error(fixed_reference())
-
-
-def test_the_spline_is_the_hermite_spline_of_another_library():
-    model = small_model()
-    events = spoken(("M", 0.1), ("AA", 0.2), ("IY", 0.06), ("UW", 0.2))
-    knots_s = np.array([0.05, 0.2, 0.33, 0.46])
-    values = model.centres[[PHONEMES.index(p.phoneme) for p in events]]
-    slopes = np.zeros_like(values)
-    slopes[1:-1] = (values[2:] - values[:-2]) / (knots_s[2:] - knots_s[:-2])[:, None]
-    times_s = np.linspace(0.05, 0.46, 50)
-    np.testing.assert_allclose(
-        spline_faces(events, model.centres, times_s),
-        CubicHermiteSpline(knots_s, values, slopes)(times_s),
-        atol=1e-9,
-    )
-
-
-def test_the_plain_regression_recovers_a_linear_rule():
-    rng = np.random.default_rng(0)
-    phonemes = rng.integers(0, 41, (20_000, 5))
-    effect = rng.normal(size=(41, 3))
-    faces = effect[phonemes[:, 2]]
-    unknown = np.full((20_000, 6), np.nan)
-    regression = fit_regression(phonemes, unknown, np.zeros(20_000), faces)
-    made = regression.faces(phonemes, unknown, np.zeros(20_000))
-    assert np.abs(made - faces).max() < 0.6
-    assert ((made - faces) ** 2).mean() < 0.05
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_share_of_the_phonemes_is_misheard_and_time_is_kept(kind):
     events = spoken(*[("AA", 0.1)] * 1000)
@@ -201,14 +135,14 @@ SENTENCE = spoken(
 
 def made_by_ours(events, name="u") -> Utterance:
     """An utterance that the live method would play without an error."""
-    model = load_shipped_model()
+    model = load_trained_model()
     times_s = np.arange(round(events[-1].end_s * 25)) / 25.0
     faces = all_methods()[LIVE_STRATEGY].faces(model, Heard(events), times_s, 0.1)
     return Utterance(name, model.markers_mm(faces), 25.0, Path(), events, ())
 
 
 def test_a_wrong_phoneme_is_forgotten_and_sooner_when_it_is_put_right():
-    model, ours = load_shipped_model(), all_methods()[LIVE_STRATEGY]
+    model, ours = load_trained_model(), all_methods()[LIVE_STRATEGY]
     few = [made_by_ours(SENTENCE)] * 4
     delays_s = (NEVER_S, CORRECTED_AFTER_S, 0.0)
     never, late, at_once = wrong_phoneme_persistence(model, few, ours, delays_s, lookahead_s=0.1)
@@ -220,7 +154,7 @@ def test_a_wrong_phoneme_is_forgotten_and_sooner_when_it_is_put_right():
 
 
 def test_the_deeper_the_errors_the_worse_the_motion():
-    model, ours = load_shipped_model(), all_methods()[LIVE_STRATEGY]
+    model, ours = load_trained_model(), all_methods()[LIVE_STRATEGY]
     rows = error_rows(model, [made_by_ours(SENTENCE)], [ours], lookahead_s=0.1)
     errors = {r.rate: r.rmse_mm for r in rows if r.kind == "substitution"}
     assert errors[0.0] < 1e-6 < errors[0.5]
@@ -278,7 +212,7 @@ def test_methods_are_asked_for_the_sentences_of_the_pairs():
 
 def test_moments_of_closure_are_read_off_the_recording():
     """Lips are tightest in the middle of each M, 60 ms after its onset."""
-    many = observe_closures([recorded(name=str(i)) for i in range(5)])
+    many = observe_closures([recorded(name=str(i)) for i in range(5)], small_model().lip_gaps_mm)
     assert many.tightest_s[PHONEMES.index("M")] == pytest.approx(0.06, abs=0.02)
     assert many.tightest_s[PHONEMES.index("AA")] == 0.0
 
@@ -331,6 +265,6 @@ def test_a_bad_list_of_splits_says_so(folder, content, message):
 
 def test_a_model_of_other_markers_is_refused(folder):
     corpus = read_grid(folder)
-    other = type(corpus)(corpus.name, ("nose",), corpus.utterances, corpus.head_reference_mm)
+    other = type(corpus)(corpus.name, MARKERS_39, corpus.utterances, corpus.head_reference_mm)
     with pytest.raises(CorpusError, match="its markers are not the model's"):
         check_scorable(small_model(), other)

@@ -20,9 +20,9 @@ from lipsync.expectation.expectation import (
 )
 from lipsync.expectation.training.articulation import articulatory_features
 from lipsync.expectation.training.expectation_training import (
-    Lessons,
+    TrainingSet,
     articulation_table,
-    collect_lessons,
+    collect_training_set,
     fit_expectation,
     joined,
     phoneme_features,
@@ -136,48 +136,48 @@ def test_a_network_learns_what_no_linear_map_can():
     assert error.var() < 0.1 * targets.var()
 
 
-def some_lessons(n: int = 900) -> Lessons:
+def some_training_set(n: int = 900) -> TrainingSet:
     rng = np.random.default_rng(1)
     events = spoken(*[(PHONEMES[i % 40], 0.1) for i in range(3 * n // 10)])
     found = [contexts(track_of(events), rng.uniform(1.0, n * 0.03, n // 3), L) for L in (0, 0.1)]
     phonemes = np.concatenate([p for p, _ in found])
     faces = np.stack([phonemes[:, 2] % 3, phonemes[:, 1] % 2], axis=1) * 5.0
-    return Lessons(
+    return TrainingSet(
         phonemes, np.concatenate([t for _, t in found]), np.repeat([0.0, 0.1], n // 3), faces
     )
 
 
 def test_what_is_exported_says_what_the_lessons_say():
     """Tables and folded scaling reproduce targets that depend on two phonemes only."""
-    lessons = some_lessons(6000)
-    expectation = fit_expectation(lessons, np.zeros((40, 2)), seed=0)
-    made = expectation.faces(lessons.phonemes, lessons.times_s, lessons.lookahead_s)
-    assert ((made - lessons.faces) ** 2).mean() < 0.2 * lessons.faces.var()
+    training_set = some_training_set(6000)
+    expectation = fit_expectation(training_set, np.zeros((40, 2)), seed=0)
+    made = expectation.faces(training_set.phonemes, training_set.times_s, training_set.lookahead_s)
+    assert ((made - training_set.faces) ** 2).mean() < 0.2 * training_set.faces.var()
 
 
 def test_one_context_gives_the_same_face_as_many():
-    lessons = some_lessons()
-    expectation = fit_expectation(lessons, np.zeros((40, 2)), seed=0)
-    many = expectation.faces(lessons.phonemes[:5], lessons.times_s[:5], lessons.lookahead_s[:5])
+    known = some_training_set()
+    expectation = fit_expectation(known, np.zeros((40, 2)), seed=0)
+    many = expectation.faces(known.phonemes[:5], known.times_s[:5], known.lookahead_s[:5])
     for i in range(5):
         one = expectation.at(
-            lessons.phonemes[i].tolist(), lessons.times_s[i].tolist(), lessons.lookahead_s[i]
+            known.phonemes[i].tolist(), known.times_s[i].tolist(), known.lookahead_s[i]
         )
         np.testing.assert_allclose(one, many[i])
 
 
 def test_the_same_lessons_and_seed_give_the_same_expectation():
-    a, b = (fit_expectation(some_lessons(), np.zeros((40, 2)), seed=4) for _ in "ab")
+    a, b = (fit_expectation(some_training_set(), np.zeros((40, 2)), seed=4) for _ in "ab")
     for name, values in a.arrays().items():
         np.testing.assert_array_equal(values, b.arrays()[name])
 
 
 def test_too_few_lessons_give_the_centre_of_the_phoneme():
-    lessons = some_lessons(60)
+    training_set = some_training_set(60)
     centres = np.random.default_rng(0).normal(size=(40, 2))
-    expectation = fit_expectation(lessons, centres, seed=0)
-    made = expectation.faces(lessons.phonemes, lessons.times_s, lessons.lookahead_s)
-    np.testing.assert_allclose(made, centres[lessons.phonemes[:, 2]])
+    expectation = fit_expectation(training_set, centres, seed=0)
+    made = expectation.faces(training_set.phonemes, training_set.times_s, training_set.lookahead_s)
+    np.testing.assert_allclose(made, centres[training_set.phonemes[:, 2]])
 
 
 def test_a_stack_of_the_wrong_shape_is_refused():
@@ -223,9 +223,9 @@ def test_what_was_misheard_teaches_once_for_every_three_times_a_label_does(tmp_p
     """A sentence without sound teaches by its labels alone."""
     corpus = read_grid(write_corpus(tmp_path / "c", 2))
     motion = [np.ones((len(u.markers_mm), 3)) * i for i, u in enumerate(corpus.utterances)]
-    labels = collect_lessons(corpus.utterances, motion)
+    labels = collect_training_set(corpus.utterances, motion)
     heard = {"s1": corpus.utterances[1].phones}
-    misheard = collect_lessons(corpus.utterances, motion, heard)
+    misheard = collect_training_set(corpus.utterances, motion, heard)
     assert set(misheard.faces[:, 0]) == {1.0}
     assert len(labels.faces) == 2 * 3 * len(misheard.faces)
     both = joined([labels, misheard])

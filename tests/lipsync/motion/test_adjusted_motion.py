@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from spoken_phonemes import spoken
 
-from lipsync.face.model import load_shipped_model
 from lipsync.motion.eased_setting import ADJUSTING_S
 from lipsync.motion.live_synthesizer import STRONGEST, LiveSynthesizer, Style, StyleError
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeUpdate
+from lipsync.training.trained_model import load_trained_model
 
-MODEL = load_shipped_model()
+MODEL = load_trained_model()
 SENTENCE = spoken(
     ("SIL", 0.3), ("AA", 0.3), ("IY", 0.2), ("UW", 0.25), ("T", 0.08), ("AE", 0.6), ("SIL", 0.5)
 )
@@ -24,7 +24,7 @@ TIMES_S = np.arange(0.0, 2.2, STEP_S)
 
 def shown(style, changes=()):
     """(n, n_components): the faces at TIMES_S. changes: (time, name, value), in order."""
-    synthesizer = LiveSynthesizer(MODEL, style)
+    synthesizer = LiveSynthesizer(MODEL, MODEL.expectation, style)
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, SENTENCE))
     left, faces = list(changes), []
     for time_s in TIMES_S:
@@ -81,7 +81,7 @@ def test_no_change_makes_the_mouth_jump(several):
 
 
 def test_a_time_that_was_shown_is_shown_the_same_again_after_a_change():
-    synthesizer = LiveSynthesizer(MODEL)
+    synthesizer = LiveSynthesizer(MODEL, MODEL.expectation)
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, SENTENCE))
     synthesizer.frame_at(0.7)
     before = synthesizer.frame_at(0.5).coefficients
@@ -91,7 +91,7 @@ def test_a_time_that_was_shown_is_shown_the_same_again_after_a_change():
 
 
 def test_a_new_stream_begins_with_what_was_set():
-    synthesizer = LiveSynthesizer(MODEL)
+    synthesizer = LiveSynthesizer(MODEL, MODEL.expectation)
     synthesizer.adjust("strength", 0.0)
     synthesizer.reset()
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, SENTENCE))
@@ -111,4 +111,4 @@ def test_a_new_stream_begins_with_what_was_set():
 )
 def test_what_cannot_be_adjusted_is_refused(name, value):
     with pytest.raises(StyleError):
-        LiveSynthesizer(MODEL).adjust(name, value)
+        LiveSynthesizer(MODEL, MODEL.expectation).adjust(name, value)

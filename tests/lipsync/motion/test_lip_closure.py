@@ -7,13 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_model import small_model
 
-from lipsync.face.model import load_shipped_model
 from lipsync.motion.lip_closure import lip_gap_of
+from lipsync.training.trained_model import load_trained_model
 
 
 @given(st.lists(st.floats(-40.0, 40.0), min_size=8, max_size=8), st.floats(0.3, 3.0))
 def test_a_full_amount_brings_any_face_within_the_distance(face, distance_mm):
-    for model in (small_model(), load_shipped_model()):
+    for model in (small_model(), load_trained_model()):
         narrowed = lip_gap_of(model).narrowed(
             np.array(face[: model.n_components]), distance_mm, 1.0
         )

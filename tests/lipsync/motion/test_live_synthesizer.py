@@ -9,12 +9,17 @@ from hypothesis import strategies as st
 from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
-from lipsync.face.model import load_shipped_model
 from lipsync.motion.expected_motion import LEAD
 from lipsync.motion.live_synthesizer import LiveSynthesizer, Style, StyleError
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
+from lipsync.training.trained_model import load_trained_model
+
+
+def shipped(style: Style | None = None) -> LiveSynthesizer:
+    model = load_trained_model()
+    return LiveSynthesizer(model, model.expectation, style)
 
 
 def known(synthesizer: LiveSynthesizer, *phones: tuple[str, float]) -> None:
@@ -30,7 +35,7 @@ def faces(synthesizer: LiveSynthesizer, start_s: float, end_s: float, step_s=0.0
 def test_the_future_beyond_the_look_ahead_makes_no_difference(lookahead_s):
     """Two sentences alike until 0.60 s give the same faces until 0.60 s - look-ahead."""
     same = (("SIL", 0.4), ("AA", 0.15), ("IY", 0.05))
-    a, b = (LiveSynthesizer(load_shipped_model(), Style(lookahead_s)) for _ in "ab")
+    a, b = (shipped(Style(lookahead_s)) for _ in "ab")
     known(a, *same, ("M", 0.1), ("AA", 0.3))
     known(b, *same, ("UW", 0.2), ("T", 0.3))
     until_s = 0.60 - lookahead_s - TICK_S
@@ -40,7 +45,7 @@ def test_the_future_beyond_the_look_ahead_makes_no_difference(lookahead_s):
 
 def test_a_phoneme_moves_the_mouth_before_its_end_is_known():
     model = small_model()
-    synthesizer = LiveSynthesizer(model, Style(0.0))
+    synthesizer = LiveSynthesizer(model, model.expectation, Style(0.0))
     events = (PhonemeEvent("SIL", 0.0, 0.5), PhonemeEvent("AA", 0.5, None))
     synthesizer.push(PhonemeUpdate(0.0, 0.6, 0.6, events))
     assert model.lip_gap_mm(synthesizer.frame_at(0.49).coefficients) < 0.1
@@ -49,9 +54,9 @@ def test_a_phoneme_moves_the_mouth_before_its_end_is_known():
 
 def test_a_step_of_the_expectation_is_extrapolated_for_one_recorded_frame_and_then_forgotten():
     model = small_model()
-    synthesizer = LiveSynthesizer(model, Style(0.0))
+    synthesizer = LiveSynthesizer(model, model.expectation, Style(0.0))
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("UW", 0.3), ("SIL", 0.4))
-    ah, uw = (model.centres[PHONEMES.index(p)] for p in ("AA", "UW"))
+    ah, uw = (model.baselines.centres[PHONEMES.index(p)] for p in ("AA", "UW"))
     shown = faces(synthesizer, 0.5, 0.8, TICK_S)
     np.testing.assert_allclose(shown[9], ah, atol=1e-9)
     np.testing.assert_allclose(shown[13], uw + LEAD * (uw - ah), atol=1e-9)
@@ -62,8 +67,8 @@ def test_a_step_of_the_expectation_is_extrapolated_for_one_recorded_frame_and_th
 @pytest.mark.parametrize("lookahead_s", [0.0, 0.1])
 @pytest.mark.parametrize("phoneme", ["P", "B", "M"])
 def test_lips_touch_within_every_labial_at_any_strength(phoneme, lookahead_s, strength):
-    model = load_shipped_model()
-    synthesizer = LiveSynthesizer(model, Style(lookahead_s, strength))
+    model = load_trained_model()
+    synthesizer = LiveSynthesizer(model, model.expectation, Style(lookahead_s, strength))
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), (phoneme, 0.06), ("AE", 0.2), ("SIL", 0.4))
     gaps_mm = [model.lip_gap_mm(c) for c in faces(synthesizer, 0.60, 0.66)]
     assert min(gaps_mm) <= 1.0
@@ -72,16 +77,16 @@ def test_lips_touch_within_every_labial_at_any_strength(phoneme, lookahead_s, st
 @pytest.mark.parametrize("strength", [0.5, 1.5])
 @pytest.mark.parametrize("phoneme", ["F", "V"])
 def test_the_lower_lip_rises_as_far_as_in_the_recordings_in_f_and_v(phoneme, strength):
-    model = load_shipped_model()
-    synthesizer = LiveSynthesizer(model, Style(0.1, strength))
+    model = load_trained_model()
+    synthesizer = LiveSynthesizer(model, model.expectation, Style(0.1, strength))
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), (phoneme, 0.1), ("AA", 0.2), ("SIL", 0.4))
     gaps_mm = [model.lip_gap_mm(c) for c in faces(synthesizer, 0.60, 0.70)]
     assert min(gaps_mm) <= model.labiodental_gap_mm
 
 
 def test_a_labial_told_late_still_closes_the_lips():
-    model = load_shipped_model()
-    synthesizer = LiveSynthesizer(model, Style(0.0))
+    model = load_trained_model()
+    synthesizer = LiveSynthesizer(model, model.expectation, Style(0.0))
     believed = (PhonemeEvent("SIL", 0.0, 0.4), PhonemeEvent("AA", 0.4, None))
     synthesizer.push(PhonemeUpdate(0.0, 0.65, 0.4, believed))
     faces(synthesizer, 0.0, 0.65)
@@ -91,15 +96,15 @@ def test_a_labial_told_late_still_closes_the_lips():
 
 
 def test_a_long_pause_ends_in_the_closed_mouth():
-    model = load_shipped_model()
-    synthesizer = LiveSynthesizer(model)
+    model = load_trained_model()
+    synthesizer = LiveSynthesizer(model, model.expectation)
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("SIL", 2.0))
     np.testing.assert_allclose(synthesizer.frame_at(1.5).coefficients, model.rest, atol=1e-6)
 
 
 def test_the_mouth_leaves_rest_and_returns_to_it_over_several_ticks():
-    model = load_shipped_model()
-    synthesizer = LiveSynthesizer(model, Style(0.1))
+    model = load_trained_model()
+    synthesizer = LiveSynthesizer(model, model.expectation, Style(0.1))
     known(synthesizer, ("SIL", 0.6), ("AA", 0.2), ("SIL", 2.0))
     for start_s, end_s in ((0.4, 0.6), (1.05, 1.5)):
         moved = faces(synthesizer, start_s, end_s, TICK_S)
@@ -111,8 +116,8 @@ def test_the_mouth_leaves_rest_and_returns_to_it_over_several_ticks():
 
 
 def test_without_look_ahead_the_mouth_leaves_rest_at_the_onset_and_no_tick_later():
-    model = load_shipped_model()
-    synthesizer = LiveSynthesizer(model, Style(0.0))
+    model = load_trained_model()
+    synthesizer = LiveSynthesizer(model, model.expectation, Style(0.0))
     known(synthesizer, ("SIL", 0.6), ("AA", 0.3))
     faces(synthesizer, 0.0, 0.59, TICK_S)
     np.testing.assert_allclose(synthesizer.frame_at(0.59).coefficients, model.rest)
@@ -120,10 +125,10 @@ def test_without_look_ahead_the_mouth_leaves_rest_at_the_onset_and_no_tick_later
 
 
 def test_strength_zero_keeps_the_mouth_at_rest_and_one_and_a_half_opens_it_further():
-    model = load_shipped_model()
+    model = load_trained_model()
     gaps_mm = []
     for strength in (0.0, 1.0, 1.5):
-        synthesizer = LiveSynthesizer(model, Style(0.1, strength))
+        synthesizer = LiveSynthesizer(model, model.expectation, Style(0.1, strength))
         known(synthesizer, ("SIL", 0.4), ("AA", 0.3), ("SIL", 0.4))
         gaps_mm.append(max(model.lip_gap_mm(c) for c in faces(synthesizer, 0.4, 0.7)))
     assert gaps_mm[0] == pytest.approx(model.lip_gap_mm(model.rest))
@@ -132,7 +137,7 @@ def test_strength_zero_keeps_the_mouth_at_rest_and_one_and_a_half_opens_it_furth
 
 def test_smoothness_takes_acceleration_away():
     def acceleration(smoothness: float) -> float:
-        synthesizer = LiveSynthesizer(load_shipped_model(), Style(0.1, 1.0, smoothness))
+        synthesizer = shipped(Style(0.1, 1.0, smoothness))
         known(synthesizer, ("SIL", 0.4), ("AA", 0.1), ("T", 0.1), ("UW", 0.1), ("AA", 0.3))
         return float((np.diff(faces(synthesizer, 0.3, 0.9, 0.01), n=2, axis=0) ** 2).sum())
 
@@ -140,7 +145,7 @@ def test_smoothness_takes_acceleration_away():
 
 
 def test_the_same_time_gives_the_same_face_also_after_a_revision():
-    synthesizer = LiveSynthesizer(load_shipped_model())
+    synthesizer = shipped()
     known(synthesizer, ("SIL", 0.4), ("AA", 0.2), ("UW", 0.2))
     shown = faces(synthesizer, 0.45, 0.70, 0.013)
     synthesizer.push(PhonemeUpdate(0.0, 0.8, 0.8, spoken(("SIL", 0.4), ("M", 0.4))))
@@ -158,8 +163,8 @@ def test_a_wrong_phoneme_put_right_leaves_nothing_after_a_tenth_of_a_second(
 ):
     """The context is right at once; what remains is to part lips that were closed for nothing."""
     before, after = [("SIL", 0.4), ("AA", 0.12), ("T", 0.1)], [("IY", 0.12), ("UW", 0.4)]
-    model = load_shipped_model()
-    mistaken, untouched = (LiveSynthesizer(model, Style(ahead_s)) for _ in "ab")
+    model = load_trained_model()
+    mistaken, untouched = (LiveSynthesizer(model, model.expectation, Style(ahead_s)) for _ in "ab")
     phones = [*before, ("EH", duration_s), *after]
     known(untouched, *phones)
     mistaken.push(PhonemeUpdate(0.0, 0.715, 0.6, spoken(*before, (wrong, duration_s), *after)))
@@ -174,8 +179,11 @@ def test_a_wrong_phoneme_put_right_leaves_nothing_after_a_tenth_of_a_second(
 
 
 def test_reset_forgets_everything():
-    model = load_shipped_model()
-    used, fresh = LiveSynthesizer(model), LiveSynthesizer(model)
+    model = load_trained_model()
+    used, fresh = (
+        LiveSynthesizer(model, model.expectation),
+        LiveSynthesizer(model, model.expectation),
+    )
     known(used, ("AA", 0.5))
     used.frame_at(0.4)
     used.reset()
@@ -195,7 +203,7 @@ def test_a_style_out_of_range_says_what_is_allowed(name, value):
 def test_told_one_by_one_or_all_at_once_gives_the_same_faces():
     """What lies beyond the look-ahead is not used even where it is known."""
     events = spoken(("SIL", 0.4), ("B", 0.07), ("AA", 0.2), ("F", 0.1), ("IY", 0.2), ("SIL", 0.3))
-    at_once, one_by_one = (LiveSynthesizer(load_shipped_model(), Style(0.1)) for _ in "ab")
+    at_once, one_by_one = (shipped(Style(0.1)) for _ in "ab")
     at_once.push(PhonemeUpdate(0.0, math.inf, math.inf, events))
     source = ScriptedPhonemes(events, 0.1)
     for tick in range(120):
@@ -211,7 +219,9 @@ def test_told_one_by_one_or_all_at_once_gives_the_same_faces():
 @given(update_streams(), st.floats(0.0, 0.3), st.floats(0.0, 1.5), st.floats(0.0, 1.0))
 def test_position_and_speed_are_continuous_whatever_arrives(updates, ahead_s, strength, smoothness):
     """Within a tick the face follows a smooth curve, and neighbours meet in place and speed."""
-    synthesizer = LiveSynthesizer(small_model(), Style(ahead_s, strength, smoothness))
+    synthesizer = LiveSynthesizer(
+        small_model(), small_model().expectation, Style(ahead_s, strength, smoothness)
+    )
     tick, step_s = 0, 1e-7
     for update in updates:
         synthesizer.push(update)

@@ -8,15 +8,15 @@ from spoken_phonemes import spoken
 
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.face.frame import Expression, Frame
-from lipsync.face.model import load_shipped_model
 from lipsync.motion.closing_synthesizer import ClosingSynthesizer
 from lipsync.motion.lip_closure import lip_gap_of
 from lipsync.motion.resting_synthesizer import RestingSynthesizer
 from lipsync.motion.scaled_synthesizer import ScaledSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
+from lipsync.training.trained_model import load_trained_model
 
-MODEL = load_shipped_model()
+MODEL = load_trained_model()
 PHONES = (("SIL", 0.4), ("AA", 0.2), ("M", 0.1), ("AA", 0.2), ("SIL", 1.0))
 
 
@@ -39,7 +39,10 @@ def closing(inner):
 
 
 def test_with_closures_around_it_the_published_strategy_shuts_the_lips_and_moves_alike_elsewhere():
-    bare, wrapped = faces(PublishedSynthesizer(MODEL)), faces(closing(PublishedSynthesizer(MODEL)))
+    bare, wrapped = (
+        faces(PublishedSynthesizer(MODEL.animphos)),
+        faces(closing(PublishedSynthesizer(MODEL.animphos))),
+    )
     gaps_mm = np.array([MODEL.lip_gap_mm(face) for face in wrapped])
     # M: 0.60 to 0.70 s.
     assert gaps_mm[60:70].min() <= 0.75
@@ -54,7 +57,7 @@ def test_with_rest_around_it_the_mouth_is_closed_in_a_pause_that_it_spends_open(
         def frame_at(self, time_s):
             return Frame(time_s, MODEL.rest + 1.0, Expression(brow=0.5))
 
-    synthesizer = RestingSynthesizer(AlwaysOpen(MODEL), MODEL.rest, 0.1)
+    synthesizer = RestingSynthesizer(AlwaysOpen(MODEL.animphos), MODEL.rest, 0.1)
     moved = faces(synthesizer) - MODEL.rest
     np.testing.assert_allclose(moved[50:85], 1.0)
     np.testing.assert_allclose(moved[:30], 0.0)
@@ -66,14 +69,14 @@ def test_with_rest_around_it_the_mouth_is_closed_in_a_pause_that_it_spends_open(
 
 @pytest.mark.parametrize("strength", [0.0, 0.4, 1.0, 1.5])
 def test_strength_multiplies_the_distance_from_rest(strength):
-    bare = faces(PublishedSynthesizer(MODEL))
-    inner = PublishedSynthesizer(MODEL)
+    bare = faces(PublishedSynthesizer(MODEL.animphos))
+    inner = PublishedSynthesizer(MODEL.animphos)
     scaled = faces(ScaledSynthesizer(inner, MODEL.rest, strength, strongest=1.5))
     np.testing.assert_allclose(scaled - MODEL.rest, strength * (bare - MODEL.rest), atol=1e-12)
 
 
 def test_a_wrapped_synthesiser_forgets_everything_when_it_is_reset():
-    wrapped = closing(RestingSynthesizer(PublishedSynthesizer(MODEL), MODEL.rest, 0.1))
+    wrapped = closing(RestingSynthesizer(PublishedSynthesizer(MODEL.animphos), MODEL.rest, 0.1))
     first = faces(wrapped)
     assert wrapped.event_at(0.65).phoneme == "M"
     assert wrapped.phonemes_planned > 0

@@ -27,7 +27,6 @@ from lipsync.evaluation.recognition.closing_times import (
     with_gap,
 )
 from lipsync.evaluation.recognition.recognized_file import recognize_file
-from lipsync.face.model import load_shipped_model
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.network import StreamingNetwork
@@ -35,6 +34,7 @@ from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.scripted import read_phonemes
 from lipsync.recognition.weights import SHIPPED, load_shipped_weights
 from lipsync.timeline import PhonemeTimeline
+from lipsync.training.trained_model import load_trained_model
 
 RATE_HZ = 16_000
 #: Posteriors that torch gave for frames 100 to 119 of the clip: make_recognizer_posteriors.py.
@@ -144,7 +144,7 @@ def test_white_noise_is_no_speech(weights, level_db):
 
 @pytest.fixture(scope="module")
 def closing(weights):
-    return ClosingBench(NetworkRecognizer(weights), load_shipped_model(), 0.1)
+    return ClosingBench(NetworkRecognizer(weights), load_trained_model(), 0.1)
 
 
 @pytest.mark.parametrize("cut_s", [1.8, 4.4, 6.0])

@@ -12,10 +12,12 @@ from small_corpus import write_corpus
 from lipsync.corpus.grid import read_grid
 from lipsync.corpus.utterance import Corpus
 from lipsync.expectation.training.hearing import hear_sentences
-from lipsync.face.model import ModelError, load_model, load_shipped_model, save_model
+from lipsync.face.model_file import ModelError
+from lipsync.markers import MARKERS_47
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.weights import load_shipped_weights
-from lipsync.training.face_training import N_COMPONENTS, TrainingError, cut_segments, train
+from lipsync.training.face_training import DEFAULT_COMPONENTS, TrainingError, cut_segments, train
+from lipsync.training.trained_model import load_trained_model, save_model
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +34,14 @@ def test_training_twice_gives_the_same_model(corpus, tmp_path):
 def test_a_saved_model_comes_back_as_it_was_to_float32(corpus, tmp_path):
     model = train(corpus)
     save_model(model, tmp_path / "m.npz")
-    again = load_model(tmp_path / "m.npz")
+    again = load_trained_model(tmp_path / "m.npz")
     assert again.checksum == model.checksum
     assert again.training_sentences == model.training_sentences
-    assert again.known_phonemes == {"SIL", "B", "AA", "T", "UW"}
-    np.testing.assert_allclose(again.animphos, model.animphos, rtol=1e-6, atol=1e-5)
-    np.testing.assert_array_equal(again.predecessors.indices, model.predecessors.indices)
+    assert again.animphos.known_phonemes == {"SIL", "B", "AA", "T", "UW"}
+    np.testing.assert_allclose(again.animphos.samples, model.animphos.samples, rtol=1e-6, atol=1e-5)
+    np.testing.assert_array_equal(
+        again.animphos.predecessors.indices, model.animphos.predecessors.indices
+    )
 
 
 def test_segments_are_five_even_samples_and_neighbours_share_one(corpus):
@@ -55,18 +59,20 @@ def test_tables_say_what_the_corpus_says(corpus):
     model = train(corpus, n_animphos=10_000)
 
     assert len(model.animphos) == model.provenance["segments"] == 72
-    assert len(model.successors.indices) == 12 * 5, "five joints in each of twelve sentences"
+    assert len(model.animphos.successors.indices) == 12 * 5, (
+        "five joints in each of twelve sentences"
+    )
     for phoneme in ("B", "AA"):
-        assert len(model.of_phoneme(phoneme)) == 12
-    b = model.of_phoneme("B")[0]
-    follower = model.successors[b][0]
-    said = [p for i, p in enumerate(PHONEMES) if follower in model.phoneme_table[i]]
+        assert len(model.animphos.of_phoneme(phoneme)) == 12
+    b = model.animphos.of_phoneme("B")[0]
+    follower = model.animphos.successors[b][0]
+    said = [p for i, p in enumerate(PHONEMES) if follower in model.animphos.phoneme_table[i]]
     assert said[0] in {"AA", "SIL"}
 
 
 def test_the_basis_is_orthonormal_and_the_rest_is_a_closed_mouth(corpus):
     model = train(corpus)
-    np.testing.assert_allclose(model.basis @ model.basis.T, np.eye(N_COMPONENTS), atol=1e-9)
+    np.testing.assert_allclose(model.basis @ model.basis.T, np.eye(DEFAULT_COMPONENTS), atol=1e-9)
     frames = np.concatenate([u.markers_mm for u in corpus.utterances])
     gaps = [model.lip_gap_mm(c) for c in model.coefficients(frames)]
     assert model.lip_gap_mm(model.rest) < np.quantile(gaps, 0.6)
@@ -84,14 +90,14 @@ def test_a_sentence_without_sound_teaches_by_its_labels_alone(tmp_path):
 
 
 def test_a_corpus_without_labels_or_motion_is_refused(corpus):
-    nothing = Corpus("c", corpus.marker_names, (), corpus.head_reference_mm)
+    nothing = Corpus("c", corpus.layout, (), corpus.head_reference_mm)
     with pytest.raises(TrainingError, match="no sentence has a phones tier"):
         train(nothing)
     first = corpus.utterances[0]
     frozen = type(first)(
         first.name, np.zeros_like(first.markers_mm), 25.0, first.sound_path, first.phones, ()
     )
-    still = Corpus("c", corpus.marker_names, (frozen,), corpus.head_reference_mm)
+    still = Corpus("c", corpus.layout, (frozen,), corpus.head_reference_mm)
     with pytest.raises(TrainingError, match="does not move"):
         train(still)
 
@@ -102,7 +108,7 @@ def test_a_frame_that_is_not_a_number_is_named(corpus):
     markers_mm[9, 3] = np.nan
     broken = type(first)(first.name, markers_mm, 25.0, first.sound_path, first.phones, ())
     with pytest.raises(TrainingError, match="s0, frame 9: markers that are not numbers"):
-        train(Corpus("c", corpus.marker_names, (broken,), corpus.head_reference_mm))
+        train(Corpus("c", corpus.layout, (broken,), corpus.head_reference_mm))
 
 
 def test_one_sentence_is_enough(corpus):
@@ -134,7 +140,7 @@ def about(path: Path, **fields: object) -> np.ndarray:
 
 def test_a_missing_model_file_says_how_to_get_one(tmp_path):
     with pytest.raises(ModelError, match="no such model file; train one with"):
-        load_model(tmp_path / "none.npz")
+        load_trained_model(tmp_path / "none.npz")
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"hello"])
@@ -142,43 +148,41 @@ def test_a_damaged_file_is_refused(tmp_path, content):
     path = tmp_path / "m.npz"
     path.write_bytes(content)
     with pytest.raises(ModelError, match="damaged or not a lipservo model"):
-        load_model(path)
+        load_trained_model(path)
 
 
 def test_a_truncated_file_is_refused(saved):
     saved.write_bytes(saved.read_bytes()[:-500])
     with pytest.raises(ModelError, match="damaged"):
-        load_model(saved)
+        load_trained_model(saved)
 
 
 def test_another_version_is_refused_with_the_remedy(saved):
     with pytest.raises(ModelError, match=r"model version 99.*train it again"):
-        load_model(changed(saved, about=about(saved, version=99)))
+        load_trained_model(changed(saved, about=about(saved, version=99)))
 
 
 def test_wrong_contents_are_named(saved):
     with pytest.raises(ModelError, match="rest has shape"):
-        load_model(changed(saved, rest=np.zeros(4, np.float32)))
+        load_trained_model(changed(saved, **{"face/rest": np.zeros(4, np.float32)}))
     with pytest.raises(ModelError, match="rest holds values that are not finite"):
-        load_model(changed(saved, rest=np.full(N_COMPONENTS, np.nan, np.float32)))
-    with pytest.raises(ModelError, match="phoneme inventory differs"):
-        load_model(
-            changed(
-                saved, rest=np.zeros(N_COMPONENTS, np.float32), about=about(saved, phonemes=["A"])
-            )
+        load_trained_model(
+            changed(saved, **{"face/rest": np.full(DEFAULT_COMPONENTS, np.nan, np.float32)})
         )
+    with pytest.raises(ModelError, match="phoneme inventory differs"):
+        load_trained_model(changed(saved, about=about(saved, phonemes=["A"])))
 
 
 def test_tables_that_point_outside_are_refused(saved):
     with np.load(saved) as file:
-        successors = file["successors"].copy()
+        successors = file["animphos/successors"].copy()
     successors[0] = 10_000
     with pytest.raises(ModelError, match="points outside"):
-        load_model(changed(saved, successors=successors))
+        load_trained_model(changed(saved, **{"animphos/successors": successors}))
 
 
 def test_the_shipped_model_is_whole():
-    model = load_shipped_model()
-    assert len(model.marker_names) == 47
-    assert 3.3 < model.mean_successors < 3.6
+    model = load_trained_model()
+    assert model.layout == MARKERS_47
+    assert 3.3 < model.animphos.mean_successors < 3.6
     assert model.lip_gap_mm(model.rest) < 1.0

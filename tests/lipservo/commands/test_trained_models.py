@@ -1,0 +1,122 @@
+"""Models of other components and other points, trained on a small corpus, drive a face."""
+
+import json
+import math
+import shutil
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from small_corpus import write_corpus
+from speech import CLIP_PATH
+from spoken_phonemes import spoken
+from typer.testing import CliRunner, Result
+
+from lipservo.cli import app
+from lipsync.markers import MARKERS_39, MARKERS_47
+from lipsync.motion.live_synthesizer import LiveSynthesizer
+from lipsync.phonemes import PhonemeUpdate
+from lipsync.training.trained_model import load_trained_model
+
+PHONES = spoken(("SIL", 0.4), ("AA", 0.2), ("B", 0.1), ("UW", 0.2), ("SIL", 0.4))
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory) -> Path:
+    return write_corpus(tmp_path_factory.mktemp("corpus") / "c", 6)
+
+
+def lipservo(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [*map(str, arguments), "-q"])
+
+
+def test_the_papers_own_model_is_trained_calibrated_and_plays(corpus, tmp_path):
+    """Five components of 39 markers, from the recordings to the servo of a jaw."""
+    path, calibration = tmp_path / "paper.npz", tmp_path / "face_jaw.calibration.yaml"
+    made = lipservo(
+        "train", corpus, "-o", path, "--components", 5, "--markers", 39, "--phonemes", "true",
+        "--json",
+    )  # fmt: skip
+    assert made.exit_code == 0, made.output
+    said = json.loads(made.stdout)
+    assert (said["components"], said["points"], said["layout"]) == (5, 39, "markers-39")
+    model = load_trained_model(path)
+    assert model.layout == MARKERS_39
+    assert model.basis.shape == (5, 117)
+
+    made = lipservo("calibrate", "--config", "face_jaw", "--model", path, "-o", calibration)
+    assert made.exit_code == 0, made.output
+    face = tmp_path / "face.yaml"
+    shutil.copy(str(resources.files("lipservo.config") / "face_jaw.yaml"), face)
+    samples, rate_hz = soundfile.read(CLIP_PATH)
+    sound = tmp_path / "short.wav"
+    soundfile.write(sound, samples[: int(1.5 * rate_hz)], rate_hz)
+    for strategy in ("expected", "priority"):
+        trace = tmp_path / f"{strategy}.jsonl"
+        played = lipservo(
+            "replay", sound, "--config", face, "--model", path, "--strategy", strategy,
+            "--trace", trace,
+        )  # fmt: skip
+        assert played.exit_code == 0, played.output
+        _, *ticks, _ = [json.loads(line) for line in trace.read_text().splitlines()]
+        assert {len(tick["coefficients"]) for tick in ticks} == {5}
+        assert np.ptp([tick["sent_deg"][0] for tick in ticks]) > 0.3
+
+
+@pytest.mark.parametrize("n_components", [1, 3, 12])
+def test_a_model_of_any_number_of_components_closes_the_lips(corpus, tmp_path, n_components):
+    path = tmp_path / "m.npz"
+    made = lipservo("train", corpus, "-o", path, "--components", n_components, "--phonemes", "true")
+    assert made.exit_code == 0, made.output
+    model = load_trained_model(path)
+    assert model.n_components == n_components
+    assert model.layout == MARKERS_47
+    synthesizer = LiveSynthesizer(model, model.expectation)
+    synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, PHONES))
+    faces = np.array([synthesizer.coefficients_at(tick / 100) for tick in range(130)])
+    assert faces.shape == (130, n_components)
+    assert np.isfinite(faces).all()
+
+
+def test_a_mesh_given_by_a_file_is_learned_and_scored(corpus, tmp_path):
+    """The 47 markers and three points of the skin; `bench motion` reads what the model has."""
+    points = MARKERS_47.description()
+    points["name"] = "mesh"
+    points["groups"]["skin"] = [10, 6, 168]
+    layout, path = tmp_path / "mesh.json", tmp_path / "m.npz"
+    layout.write_text(json.dumps(points))
+    made = lipservo("train", corpus, "-o", path, "--markers", layout, "--phonemes", "true")
+    assert made.exit_code == 0, made.output
+    assert load_trained_model(path).mean_mm.shape == (50, 3)
+    scored = lipservo(
+        "bench", "motion", "--corpus", corpus, "--model", path, "--strategy", "expected",
+        "--lookahead-ms", "100", "--json",
+    )  # fmt: skip
+    assert scored.exit_code == 0, scored.output
+    assert np.isfinite(json.loads(scored.stdout)["results"][0]["ratio"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--components", 0), "0 components: a face of 47 points has 1 to 141"),
+        (("--components", -3), "-3 components: a face of 47 points has 1 to 141"),
+        (
+            ("--components", 118, "--markers", 39),
+            "118 components: a face of 39 points has 1 to 117",
+        ),
+        (("--components", 141), "30 frames are too few for 141 components"),
+        (("--markers", 12), "12: neither a known layout (39, 47, 478) nor a readable file"),
+        (("--markers", 478), "landmark_ids lacks 1, 3, 4, 5, 7, ..."),
+    ],
+)
+def test_what_cannot_be_trained_is_refused_in_one_line(corpus, tmp_path, arguments, said):
+    if arguments == ("--components", 141):
+        corpus = write_corpus(tmp_path / "short", 1)
+    done = lipservo("train", corpus, "-o", tmp_path / "m.npz", *arguments, "--phonemes", "true")
+    assert done.exit_code == 1
+    assert said in str(done.exception)
+    assert "\n" not in str(done.exception)
+    assert not (tmp_path / "m.npz").exists()

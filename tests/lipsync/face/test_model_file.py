@@ -1,0 +1,127 @@
+"""Model files: who plays a face reads only what it plays; former files are read or refused."""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+from former_model import write_former_model
+from speech import CLIP_PATH
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+from lipservo.street.motion_options import Manner, make_synthesizer
+from lipsync.errors import UserError
+from lipsync.face.model import load_face
+from lipsync.face.model_file import ModelError
+from lipsync.training.trained_model import TrainedModel, load_trained_model, save_model
+
+PARTS = {"face", "expectation", "animphos", "baselines"}
+
+
+@pytest.fixture(scope="module")
+def shipped() -> TrainedModel:
+    return load_trained_model()
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> Path:
+    samples, rate_hz = soundfile.read(CLIP_PATH)
+    path = tmp_path_factory.mktemp("sound") / "short.wav"
+    soundfile.write(path, samples[: int(0.6 * rate_hz)], rate_hz)
+    return path
+
+
+def with_junk(model: TrainedModel, path: Path, *parts: str) -> Path:
+    """The model's file with every array of these parts replaced by bytes that are none."""
+    save_model(model, path)
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, b"junk" if name.split("/")[0] in parts else content)
+    return path
+
+
+def replay(sound: Path, model: Path, strategy: str, trace: Path):
+    arguments = ["replay", sound, "--model", model, "--strategy", strategy, "--trace", trace, "-q"]
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+@pytest.mark.parametrize(
+    ("strategy", "needed"),
+    [("expected", "expectation"), ("priority", "animphos"), ("naive", "animphos")],
+)
+def test_a_replay_reads_the_face_and_what_moves_it_and_nothing_else(
+    shipped, sound, tmp_path, strategy, needed
+):
+    others = PARTS - {"face", needed}
+    done = replay(
+        sound, with_junk(shipped, tmp_path / "a.npz", *others), strategy, tmp_path / "trace"
+    )
+    assert done.exit_code == 0, done.output
+    done = replay(
+        sound, with_junk(shipped, tmp_path / "b.npz", needed), strategy, tmp_path / "none"
+    )
+    assert isinstance(done.exception, ModelError)
+    assert "b.npz: damaged or not a lipservo model" in str(done.exception)
+
+
+def test_evaluation_reads_the_baselines_too(shipped, tmp_path):
+    for part in sorted(PARTS):
+        with pytest.raises(ModelError, match="damaged or not a lipservo model"):
+            load_trained_model(with_junk(shipped, tmp_path / "m.npz", part))
+
+
+def test_a_part_that_is_not_there_is_named_with_the_command_that_makes_it(shipped, tmp_path):
+    path = tmp_path / "m.npz"
+    save_model(shipped, path)
+    with zipfile.ZipFile(path) as archive:
+        kept = [n for n in archive.namelist() if not n.startswith("animphos/")]
+        members = {name: archive.read(name) for name in kept}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, content)
+    face = load_face(path)
+    make_synthesizer(face, Manner(), path)
+    with pytest.raises(ModelError, match=r"holds no part 'animphos'; .*`lipservo train`"):
+        make_synthesizer(face, Manner(strategy="priority"), path)
+
+
+def test_a_file_that_was_replaced_between_two_readings_is_noticed(shipped, tmp_path):
+    path = tmp_path / "m.npz"
+    save_model(shipped, path)
+    face = load_face(path)
+    with np.load(path) as file:
+        content = {key: file[key] for key in file.files}
+    content["face/mean_mm"] = content["face/mean_mm"] + 1.0
+    np.savez(path, **content)
+    with pytest.raises(ModelError, match="has changed while it was being read"):
+        make_synthesizer(face, Manner(), path)
+
+
+def test_a_file_of_version_3_is_the_same_model_and_plays(shipped, sound, tmp_path):
+    path = tmp_path / "former.npz"
+    write_former_model(shipped, path)
+    former = load_trained_model(path)
+    assert former.checksum == shipped.checksum
+    assert former.layout == shipped.layout
+    assert former.training_sentences == shipped.training_sentences
+    for name in ("mean_mm", "basis", "rest", "covariance", "tightest_s"):
+        np.testing.assert_array_equal(getattr(former, name), getattr(shipped, name))
+    np.testing.assert_array_equal(former.animphos.samples, shipped.animphos.samples)
+    np.testing.assert_array_equal(former.baselines.centres, shipped.baselines.centres)
+    for name, values in former.expectation.arrays().items():
+        np.testing.assert_array_equal(values, shipped.expectation.arrays()[name])
+    done = replay(sound, path, "expected", tmp_path / "trace")
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_older_files_are_refused_with_the_command_that_makes_them_anew(shipped, tmp_path, version):
+    path = tmp_path / "old.npz"
+    write_former_model(shipped, path, version)
+    with pytest.raises(UserError, match=rf"model version {version}, .*`lipservo train`") as refused:
+        load_face(path)
+    assert "\n" not in str(refused.value)
