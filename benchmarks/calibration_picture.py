@@ -13,6 +13,7 @@ from calibration.capture.capture import capture_poses
 from calibration.capture.capture_plan import plan_poses
 from calibration.fit.measured import fit_measured
 from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.run.backlash import BacklashCompensation
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.settings.settings import load_shipped_face
@@ -42,12 +43,12 @@ def loops(markers_mm: NDArray[np.float64], middle_mm: NDArray[np.float64], style
 def main(path: Path) -> None:
     """Calibrate one robot and draw it."""
     model, mouth = load_shipped_model(), load_shipped_face("face_sim").mouth_servos
-    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
+    joints = tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items())
     rest_mm = model.markers_mm(model.rest[None])
     draw = draw_robot(rest_mm[0], list(mouth), SEED)
     robot = SimulatedRobot(draw, noise_seed=SEED)
     capture = capture_poses(plan_poses(joints, 60), MARKER_NAMES, robot.move, robot.measure)
-    fit = fit_measured(model, capture, joints, "")
+    fit = fit_measured(model, capture, MouthServos(joints))
     play = BacklashCompensation(fit.face.backlash_deg)
     middle_mm = draw.face.neutral_mm[LOOPS[0], :2].mean(axis=0) - [0.0, 6.0]
     cells = []

@@ -5,20 +5,17 @@ from dataclasses import dataclass, field, fields, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array, Indices
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.hold_out import HoldOutErrors
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-_REMEDY = "run `lipservo calibrate --config FACE -o FILE`"
+_REMEDY = "run `lipservo calibrate fit --config FACE -o FILE`, or `measure` on its servos"
 _OTHER_MODEL = (
     "give the model it was made for with --model (without --model it is the shipped one), or run "
-    "`lipservo calibrate --config FACE --model MODEL -o FILE` for this one"
+    "`lipservo calibrate fit --config FACE --model MODEL -o FILE` for this one"
 )
 #: Models keep their rest in float32, about 1e-6 of a coefficient; any other rest is another mouth.
 _REST_TOLERANCE = 1e-4

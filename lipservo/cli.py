@@ -11,7 +11,7 @@ from lipservo.commands.bench import closures as bench_closures
 from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
-from lipservo.commands.calibrate import calibration
+from lipservo.commands.calibrate import app as calibrate
 from lipservo.commands.learn import alignment, recognition, training
 from lipservo.commands.run import health, processes, stop, street, trace
 
@@ -22,7 +22,6 @@ for command in (
     street.replay,
     street.devices,
     training.train,
-    calibration.calibrate,
     alignment.align,
     recognition.recognize,
     recognition.train_recognizer,
@@ -31,7 +30,7 @@ for command in (
     app.command()(command)
 # Degrees may be negative, which looks like an option.
 _DEGREES = {"ignore_unknown_options": True}
-app.command("trim", context_settings=_DEGREES)(calibration.trim)
+app.command("trim", context_settings=_DEGREES, hidden=True)(calibrate.old_trim)
 app.command("jog", context_settings=_DEGREES)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
@@ -48,6 +47,7 @@ app.command("stop")(stop.stop)
 app.command("status")(stop.status)
 app.command("limp")(stop.limp)
 app.command()(health.health)
+app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(bench.app, name="bench")
 app.add_typer(trace.app, name="trace")
 

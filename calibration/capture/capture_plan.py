@@ -10,14 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.joint_range import JointRange
-
-Array = NDArray[np.float64]
 
 #: The last step to a pose; more than twice the play of a printed gear train.
 LEAD_IN_DEG = 3.0

@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKER_NAMES
-
-Array = NDArray[np.float64]
 
 #: A joint is dead if it moves all markers together by no more than chance would: chance gives a
 #: ratio of 1 to 1.2, the joints of simulated robots (seeds 100 to 103) 4 and more.

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -24,8 +24,6 @@ from calibration.hold_out import HoldOutErrors
 from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
 from lipsync.yaml_depth import is_nested_deeper
-
-Array = NDArray[np.float64]
 
 #: Older ones lack what came with the next: calibration_text.py says what.
 READABLE_VERSIONS = (1, 2, 3)
@@ -60,7 +58,8 @@ def load_calibration(path: Path) -> Calibration:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise CalibrationError(
-            f"{path}: no such calibration; run `lipservo calibrate --config FACE -o {path.name}`"
+            f"{path}: no such calibration; run "
+            f"`lipservo calibrate fit --config FACE -o {path.name}`"
         ) from None
     except UnicodeDecodeError as error:
         raise CalibrationError(f"{path}: not a text file") from error

@@ -4,13 +4,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import Calibration, Following, Touch, VisemeReach
 from calibration.hold_out import HoldOutErrors
 from lipsync.phonemes import VISEME_CLASSES
-
-Array = NDArray[np.float64]
 
 #: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest,
 #: version 2 no error of each marker and nothing of the servos' own settings.

@@ -4,14 +4,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.run.inverse import Look, MarkersOf, nearest_poses_deg
 from lipsync.markers import LIP_MARKERS, MARKER_NAMES
-
-Array = NDArray[np.float64]
 
 #: Upper and lower; the middle one says how open a mouth is.
 _GAP_NAMES = (

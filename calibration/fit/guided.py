@@ -5,13 +5,13 @@ the robot looks like it. A line through a dozen points: usable, and coarser than
 Loads scikit-learn; the live path never does.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.linear_model import RidgeCV
 
+from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -19,12 +19,10 @@ from calibration.calibration import (
     linear_calibration_parts,
 )
 from calibration.hold_out import HoldOutErrors
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.run.run_time_map import rounded
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKER_LANDMARKS
-
-Array = NDArray[np.float64]
 
 #: From a weak to a strong pull towards not moving; leave-one-out chooses among a dozen poses.
 _STRENGTHS = np.logspace(-1, 4, 16)
@@ -105,12 +103,10 @@ def landmark_poses(model: FaceModel) -> tuple[LandmarkPose, ...]:
 
 def fit_guided(
     model: FaceModel,
-    joints: Sequence[JointRange],
+    servos: MouthServos,
     made_deg: Mapping[str, Array],
-    face_checksum: str,
     *,
     date: str = "",
-    servo_models: tuple[str, ...] = (),
 ) -> Calibration:
     """made_deg: for each landmark pose that the person made, the angles (n_servos,).
 
@@ -124,26 +120,26 @@ def fit_guided(
     if len(poses) < model.n_components + 2:
         raise CalibrationError(
             f"{len(poses)} poses are too few, {model.n_components + 2} are needed; "
-            "run `lipservo calibrate --guided` again and make more of them"
+            "run `lipservo calibrate guided` again and make more of them"
         )
     closed_deg = made_deg[CLOSED]
     x = np.array([pose.coefficients - model.rest for pose in poses if pose.name != CLOSED])
     turned_deg = np.array([made_deg[p.name] - closed_deg for p in poses if p.name != CLOSED])
     weights, left_out_deg = _ridge(x, turned_deg)
-    bends, _, x_range = linear_calibration_parts(len(joints), model.n_components)
+    bends, _, x_range = linear_calibration_parts(len(servos.joints), model.n_components)
     return Calibration(
-        servo_names=tuple(joint.name for joint in joints),
+        servo_names=servos.names,
         weights=weights,
         bends=bends,
         rest=model.rest,
         rest_deg=rounded(closed_deg),
         x_range=x_range,
-        min_deg=np.array([joint.min_deg for joint in joints]),
-        max_deg=np.array([joint.max_deg for joint in joints]),
+        min_deg=servos.limits_deg[0],
+        max_deg=servos.limits_deg[1],
         errors=_unmeasured(left_out_deg),
         model_checksum=model.checksum,
-        face_checksum=face_checksum,
-        origin=Origin("guided", date, len(poses), servo_models),
+        face_checksum=servos.face_checksum,
+        origin=Origin("guided", date, len(poses), servos.models),
     )
 
 

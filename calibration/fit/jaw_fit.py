@@ -9,8 +9,8 @@ Loads scikit-learn; the live path never does.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -24,11 +24,9 @@ from calibration.fit.learnt_face import ridge_weights
 from calibration.fit.measured import play_only, split_frames
 from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import HoldOutErrors, each_marker_rms_mm
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKER_NAMES
-
-Array = NDArray[np.float64]
 
 #: Enough for a curve that hardly bends.
 _SWEEP = 12
@@ -46,15 +44,12 @@ def jaw_markers(marker_names: Sequence[str]) -> tuple[int, ...]:
 def fit_jaw(
     model: FaceModel,
     capture: Capture,
-    joint: JointRange,
-    face_checksum: str,
+    servos: MouthServos,
     *,
     date: str = "",
-    servo_models: tuple[str, ...] = (),
-    positive: Sequence[str] = (),
     seed: int = 0,
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """The calibration and warnings. Only markers of the jaw line count.
+    """The calibration of one servo, and warnings. Only markers of the jaw line count.
 
     Raises CalibrationError for fewer than three of them, and for a capture that cannot be trusted.
     """
@@ -64,8 +59,9 @@ def fit_jaw(
             f"{len(line)} markers on the jaw, {_LEAST_MARKERS} are needed: names that begin with "
             "`jaw` or `chin`"
         )
-    warnings = check_capture(capture, model, positive)
+    warnings = check_capture(capture, model, servos.positive)
     face = fit_robot_face(capture)
+    (joint,) = servos.joints
     sweep_deg = np.linspace(joint.min_deg, _USED_SHARE * joint.max_deg, _SWEEP)
     swept_mm = face.markers_mm(sweep_deg[:, None])[:, line]
     closed_mm = face.markers_mm(np.zeros((1, 1)))[0, line]
@@ -77,7 +73,7 @@ def fit_jaw(
         return talker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
 
     fit, held_out = split_frames(model, seed)
-    limits = (np.array([joint.min_deg]), np.array([joint.max_deg]))
+    limits = servos.limits_deg
     # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
     degrees_per_alpha = float(degrees.alphas @ degrees.degrees / (degrees.alphas @ degrees.alphas))
     weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
@@ -112,8 +108,8 @@ def fit_jaw(
         max_deg=limits[1],
         errors=errors,
         model_checksum=model.checksum,
-        face_checksum=face_checksum,
-        origin=Origin("jaw alone", date, len(capture), servo_models),
+        face_checksum=servos.face_checksum,
+        origin=Origin("jaw alone", date, len(capture), servos.models),
         following=play_only(face.backlash_deg),
     )
     return calibration, warnings

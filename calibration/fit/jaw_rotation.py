@@ -8,13 +8,11 @@ differences. For mouths of one servo, and as a check of others.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKER_NAMES
-
-Array = NDArray[np.float64]
 
 #: The markers that ride on the jaw.
 JAW_LINE: tuple[int, ...] = tuple(

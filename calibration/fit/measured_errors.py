@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import VisemeReach
 from calibration.fit.correspondence import RobotMouth
 from calibration.fit.retargeting import Retargeting
@@ -17,8 +18,6 @@ from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors, each_marker_rms_m
 from calibration.run.run_time_map import RunTimeMap
 from lipsync.face.model import FaceModel
 from lipsync.phonemes import VISEME_CLASSES
-
-Array = NDArray[np.float64]
 
 #: A shape counts as reachable when the best pose is within this, rms over the lips.
 REACHABLE_MM = 0.5

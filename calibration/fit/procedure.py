@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 
+from calibration.arrays import Array
 from calibration.capture.capture import (
     Arrived,
     Capture,
@@ -32,8 +32,6 @@ from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
 from lipsync.face.model import FaceModel
-
-Array = NDArray[np.float64]
 
 #: The part of a plan that is taken where speech will be, and the part of these with lips closed. On
 #: development robots (seeds 106, 107, 116, 117) 16 of 60 poses took a quarter off the error of the

@@ -10,14 +10,12 @@ function of the talker's coefficients like the talker's shapes themselves; lip g
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.fit.correspondence import Correspondence, RobotMouth
 from calibration.hold_out import CLOSED_GAP_MM
 from lipsync.face.model import FaceModel
-
-Array = NDArray[np.float64]
 
 #: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that
 #: is off by this much still closes. On development robots the gap of closed lips was 0.1 to 0.25 mm

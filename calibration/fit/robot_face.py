@@ -15,6 +15,7 @@ from sklearn.model_selection import KFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
+from calibration.arrays import Array
 from calibration.capture.capture import Capture
 from calibration.fit.skin_process import (
     Likely,
@@ -23,8 +24,6 @@ from calibration.fit.skin_process import (
     most_likely,
     squared_distances_mm2,
 )
-
-Array = NDArray[np.float64]
 
 _FOLDS = 6
 #: Rounds between the likeliest setting and the points that the tracker lost.

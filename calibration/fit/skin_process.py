@@ -14,12 +14,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from calibration.arrays import Array
 from lipsync.markers import MARKER_LANDMARKS, MARKER_NAMES
-
-Array = NDArray[np.float64]
 
 #: Variance of where a marker is on average, mm^2: unknown.
 _CONSTANT_MM2 = 100.0

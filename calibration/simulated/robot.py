@@ -9,16 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.simulated.face import (
     JAW,
     SimulatedFace,
     marker_positions_mm,
     simulated_face,
 )
-
-Array = NDArray[np.float64]
 
 #: rms of the tracker's noise in each axis (the bar of the benchmark).
 SENSOR_NOISE_MM = 0.5

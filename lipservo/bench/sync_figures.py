@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import Calibration
 from calibration.fit.servo_response import lag_between_s
 from calibration.run.following import Follower
@@ -13,8 +13,6 @@ from calibration.simulated.servos import SimulatedServos
 from lipsync.face.model import FaceModel
 from lipsync.markers import LOWER_INNER_LIP, UPPER_INNER_LIP
 from lipsync.phonemes import SILENCE
-
-Array = NDArray[np.float64]
 
 _RATE_HZ = 100.0
 LOOK_AHEAD_S = 0.200

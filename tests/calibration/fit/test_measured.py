@@ -25,6 +25,7 @@ from calibration.fit.retargeting import MOST_EXAGGERATION
 from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.run.inverse import Look, nearest_poses_deg
 from calibration.run.run_time_map import fit_run_time_map
 from calibration.simulated.face import POSITIVE_DIRECTIONS
@@ -33,8 +34,9 @@ from lipsync.markers import LIP_MARKERS, LOWER_INNER_LIP, MARKER_NAMES, UPPER_IN
 from lipsync.phonemes import VISEME_CLASSES
 
 SERVOS = tuple(POSITIVE_DIRECTIONS)
-JOINTS = [JointRange(name, -2.0 if name == "jaw" else -35.0, 35.0) for name in SERVOS]
-LIMITS = (np.array([j.min_deg for j in JOINTS]), np.array([j.max_deg for j in JOINTS]))
+JOINTS = tuple(JointRange(name, -2.0 if name == "jaw" else -35.0, 35.0) for name in SERVOS)
+MOUTH = MouthServos(JOINTS, "f" * 16, models=("XL330-M288",) * 10)
+LIMITS = MOUTH.limits_deg
 MODEL = small_model()
 REST_MM = MODEL.markers_mm(MODEL.rest[None])[0]
 DRAW = draw_robot(REST_MM, SERVOS, 101)
@@ -48,9 +50,7 @@ def capture() -> Capture:
 
 @pytest.fixture(scope="module")
 def fit(capture) -> MeasuredFit:
-    return fit_measured(
-        MODEL, capture, JOINTS, "f" * 16, date="2026-11-21", servo_models=("XL330-M288",) * 10
-    )
+    return fit_measured(MODEL, capture, MOUTH, date="2026-11-21")
 
 
 def test_seeds_draw_different_robots_and_the_same_seed_the_same():
@@ -96,7 +96,7 @@ def test_one_dot_under_two_names_is_refused(capture, one, other):
     markers_mm = capture.markers_mm.copy()
     markers_mm[:, MARKER_NAMES.index(one)] = markers_mm[:, MARKER_NAMES.index(other)]
     with pytest.raises(CalibrationError, match=f"'{other}' and '{one}' are the same point in eve"):
-        fit_measured(MODEL, dataclasses.replace(capture, markers_mm=markers_mm), JOINTS, "x")
+        fit_measured(MODEL, dataclasses.replace(capture, markers_mm=markers_mm), MOUTH)
 
 
 def test_a_mouth_that_never_opens_or_has_no_width_is_refused(capture):
@@ -105,12 +105,12 @@ def test_a_mouth_that_never_opens_or_has_no_width_is_refused(capture):
     noise = np.random.default_rng(0).normal(0, 0.1, markers_mm[:, lower].shape)
     markers_mm[:, lower] = markers_mm[:, upper] + noise
     with pytest.raises(CalibrationError, match=r"inner_lip_13 and inner_lip_14 part by .* at most"):
-        fit_measured(MODEL, with_few_markers(capture, markers_mm), JOINTS, "x")
+        fit_measured(MODEL, with_few_markers(capture, markers_mm), MOUTH)
     narrow_mm = capture.markers_mm * np.array([0.1, 1.0, 1.0])
     with pytest.raises(
         CalibrationError, match=r"outer_lip_61 and outer_lip_291 are \d\.\d mm apart"
     ):
-        fit_measured(MODEL, with_few_markers(capture, narrow_mm), JOINTS, "x")
+        fit_measured(MODEL, with_few_markers(capture, narrow_mm), MOUTH)
 
 
 def with_few_markers(capture, markers_mm):
@@ -228,9 +228,7 @@ def test_fit_and_held_out_frames_are_of_different_animphos():
 
 
 def test_the_same_capture_gives_the_same_file(fit, capture):
-    again = fit_measured(
-        MODEL, capture, JOINTS, "f" * 16, date="2026-11-21", servo_models=("XL330-M288",) * 10
-    )
+    again = fit_measured(MODEL, capture, MOUTH, date="2026-11-21")
     assert calibration_text(again.calibration) == calibration_text(fit.calibration)
 
 
