@@ -49,13 +49,13 @@ def main(path: Path) -> None:
     robot = SimulatedRobot(draw, noise_seed=SEED)
     capture = capture_poses(plan_poses(joints, 60), MARKER_NAMES, robot.move, robot.measure)
     fit = fit_measured(model, capture, MouthServos(joints))
-    play = BacklashCompensation(fit.face.backlash_deg)
+    backlash = BacklashCompensation(fit.face.backlash_deg)
     middle_mm = draw.face.neutral_mm[LOOPS[0], :2].mean(axis=0) - [0.0, 6.0]
     cells = []
     for n, phoneme in enumerate(SHOWN):
         frames = model.animphos[model.of_phoneme(phoneme), 2]
         frame = frames[np.abs(frames - np.median(frames, axis=0)).sum(axis=1).argmin()]
-        robot.move(play.feed(fit.calibration.positions_deg(frame)))
+        robot.move(backlash.feed(fit.calibration.positions_deg(frame)))
         copy_mm = draw.face.neutral_mm + fit.retargeting.scale * (
             model.markers_mm(frame[None]) - rest_mm
         )

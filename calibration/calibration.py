@@ -87,19 +87,20 @@ class Origin:
 class Calibration:
     """Quadratic about the model's rest, within the limits.
 
-    angles = rest_deg + weights @ x + bends @ (x_i x_j), x = coefficients - rest, kept in x_range.
+    angles = rest_deg + weights @ x + quadratic_weights @ (x_i x_j), x = coefficients - rest, kept
+    in x_range.
 
-    weights: (n_servos, n_components), degrees; bends: (n_servos, n_pairs), pairs i <= j row by row,
-    or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,), the angles there;
-    x_range: (2, n_components), least and most that the fit saw; min_deg, max_deg: (n_servos,), the
-    face's limits at the time of the fit. trim: degrees (n_servos,) to add for a viseme class, by
-    the first phoneme of the class. rules: of the face's YAML, never of the file; kept by every
-    pose.
+    weights: (n_servos, n_components), degrees; quadratic_weights: (n_servos, n_pairs), pairs
+    i <= j row by row, or no columns for a linear map; rest: (n_components,); rest_deg:
+    (n_servos,), the angles there; x_range: (2, n_components), least and most that the fit saw;
+    min_deg, max_deg: (n_servos,), the face's limits at the time of the fit. trim: degrees
+    (n_servos,) to add for a viseme class, by the first phoneme of the class. rules: of the face's
+    YAML, never of the file; kept by every pose.
     """
 
     servo_names: tuple[str, ...]
     weights: Array
-    bends: Array
+    quadratic_weights: Array
     rest: Array
     rest_deg: Array
     x_range: Array
@@ -119,9 +120,9 @@ class Calibration:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
         x = np.minimum(np.maximum(coefficients - self.rest, self.x_range[0]), self.x_range[1])
         free_deg = self.rest_deg + self.weights @ x
-        if self.bends.shape[1]:
+        if self.quadratic_weights.shape[1]:
             first, second = pairs(len(x))
-            free_deg = free_deg + self.bends @ (x[first] * x[second])
+            free_deg = free_deg + self.quadratic_weights @ (x[first] * x[second])
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         return keep_rules(self.rules, kept_deg)
 
@@ -148,7 +149,7 @@ class Calibration:
             self,
             servo_names=tuple(servo_names),
             weights=spread(self.weights),
-            bends=spread(self.bends),
+            quadratic_weights=spread(self.quadratic_weights),
             rest_deg=spread(self.rest_deg),
             min_deg=spread(self.min_deg),
             max_deg=spread(self.max_deg),
@@ -172,7 +173,7 @@ def pairs(n_components: int) -> tuple[Indices, Indices]:
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:
-    """bends, rest_deg and x_range of a map that is linear and 0 degrees at rest."""
+    """quadratic_weights, rest_deg and x_range of a map that is linear and 0 degrees at rest."""
     bound = np.full(n_components, np.inf)
     return np.zeros((n_servos, 0)), np.zeros(n_servos), np.array([-bound, bound])
 

@@ -165,7 +165,7 @@ def _bare(word: str) -> str:
 def _check_swapped_everywhere(capture: Capture, model: FaceModel) -> None:
     """Two names exchanged throughout: the robot's neutral looks more like a face the other way.
 
-    Compared with the talker's rest after moving and scaling one onto the other, axis by axis.
+    Compared with the speaker's rest after moving and scaling one onto the other, axis by axis.
     """
     human_mm = model.markers_mm(model.rest[None])[0]
     known = [i for i, name in enumerate(capture.marker_names) if name in MARKER_NAMES]

@@ -159,7 +159,7 @@ class TypedTracker:
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """As given."""
+        """The names that it was made with."""
         return self._names
 
     def arrived(self, pose: int, _reached_deg: Array) -> None:
@@ -194,7 +194,7 @@ class SeenByComputation:
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """As given."""
+        """The names that it was made with."""
         return self._names
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:

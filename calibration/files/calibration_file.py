@@ -26,7 +26,7 @@ from lipsync.phonemes import VISEME_CLASSES
 from lipsync.yaml_depth import is_nested_deeper
 
 #: Older ones lack what came with the next: calibration_text.py says what.
-READABLE_VERSIONS = (1, 2, 3)
+READABLE_VERSIONS = (1, 2, 3, 4)
 #: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
 _SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -102,17 +102,19 @@ def _parse(file: Place) -> Calibration:
         if not servo.at("min_deg").number() <= 0.0 <= servo.at("max_deg").number():
             raise CalibrationError(f"{servo.path}: needs min_deg <= 0 <= max_deg")
     weights = np.array([servo.at("weights").numbers(len(rest)) for servo in servos])
-    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     if version > 1:
         rest_deg = np.array([servo.at("rest_deg").number() for servo in servos])
-    if any(servo.has("bends") for servo in servos):
+    # Until version 3 the quadratic weights were called bends.
+    key = "quadratic_weights" if version > 3 else "bends"
+    if any(servo.has(key) for servo in servos):
         n_pairs = len(pairs(len(rest))[0])
-        bends = np.array([servo.at("bends").numbers(n_pairs) for servo in servos])
+        quadratic_weights = np.array([servo.at(key).numbers(n_pairs) for servo in servos])
         x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
     return Calibration(
         servo_names=names,
         weights=weights,
-        bends=bends,
+        quadratic_weights=quadratic_weights,
         rest=rest,
         rest_deg=rest_deg,
         x_range=x_range,

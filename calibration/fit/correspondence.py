@@ -1,4 +1,4 @@
-"""Which points of the robot are which of the talker, and what the robot can do with them."""
+"""Which points of the robot are which of the speaker, and what the robot can do with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
-from calibration.run.inverse import Look, MarkersOf, nearest_poses_deg
+from calibration.run.inverse import MarkersOf, ShapeFeatures, nearest_poses_deg
 from lipsync.markers import LIP_MARKERS, MARKER_NAMES
 
 #: Upper and lower; the middle one says how open a mouth is.
@@ -29,12 +29,12 @@ class Correspondence:
 
     marker_names: tuple[str, ...]
     human: tuple[int, ...]
-    look: Look
+    shape_features: ShapeFeatures
     corners: tuple[int, int]
 
 
 def correspond(marker_names: Sequence[str]) -> Correspondence:
-    """Find what the robot's markers are called in the talker's face: the same.
+    """Find what the robot's markers are called in the speaker's face: the same.
 
     Raises CalibrationError for names that no model knows, or without the middle and the corners of
     the lips, which say how open and how wide a mouth is.
@@ -43,7 +43,7 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
     unknown = [name for name in names if name not in MARKER_NAMES]
     if unknown:
         raise CalibrationError(
-            f"marker {unknown[0]!r} is none of a talker's; known: {', '.join(MARKER_NAMES)}"
+            f"marker {unknown[0]!r} is none of a speaker's; known: {', '.join(MARKER_NAMES)}"
         )
     for name in (*_MIDDLE_GAP, *_CORNERS):
         if name not in names:
@@ -56,7 +56,7 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
         if upper in names and lower in names
     )
     right, left = (names.index(name) for name in _CORNERS)
-    return Correspondence(names, human, Look(lips, gaps), (right, left))
+    return Correspondence(names, human, ShapeFeatures(lips, gaps), (right, left))
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,9 +73,11 @@ class RobotMouth:
         return np.asarray(self.markers_of(np.zeros((1, len(self.limits_deg[0]))))[0])
 
     def nearest_deg(self, wanted: Array) -> Array:
-        """Features (n, n_features) of the look -> (n, n_servos), the poses that come nearest."""
-        look = self.names.look
-        return nearest_poses_deg(self.markers_of, wanted, look, self.limits_deg, rules=self.rules)
+        """Features (n, n_features) of shapes -> (n, n_servos), the poses that come nearest."""
+        shape_features = self.names.shape_features
+        return nearest_poses_deg(
+            self.markers_of, wanted, shape_features, self.limits_deg, rules=self.rules
+        )
 
     def kept_deg(self, free_deg: Array) -> Array:
         """(n, n_servos) -> the same within limits and rules, as the live path keeps them."""

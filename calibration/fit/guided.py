@@ -1,6 +1,6 @@
 """Calibration without a tracker: a person puts the mouth into a dozen named poses.
 
-Each pose is a shape that the talker of the model really made; the person moves the servos until
+Each pose is a shape that the speaker of the model really made; the person moves the servos until
 the robot looks like it. A line through a dozen points: usable, and coarser than a measured map.
 Loads scikit-learn; the live path never does.
 """
@@ -26,14 +26,14 @@ from lipsync.markers import MARKER_LANDMARKS
 
 #: From a weak to a strong pull towards not moving; leave-one-out chooses among a dozen poses.
 _STRENGTHS = np.logspace(-1, 4, 16)
-#: Landmark poses are near the talker's extremes, not at them, which are odd frames.
+#: Landmark poses are near the speaker's extremes, not at them, which are odd frames.
 _QUANTILE = 0.97
 CLOSED = "closed"
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkPose:
-    """One pose to make: its name, what to do, and the talker's frame (n_components,)."""
+    """One pose to make: its name, what to do, and the speaker's frame (n_components,)."""
 
     name: str
     instruction: str
@@ -87,7 +87,7 @@ _POSES: tuple[tuple[str, str, tuple[tuple[Callable[[Array], Array], float], ...]
 
 
 def landmark_poses(model: FaceModel) -> tuple[LandmarkPose, ...]:
-    """The closed mouth, then the poses above, each a frame of the talker's."""
+    """The closed mouth, then the poses above, each a frame of the speaker's."""
     frames = model.animphos.reshape(-1, model.n_components)
     markers_mm = model.markers_mm(frames)
     poses = [LandmarkPose(CLOSED, "close the mouth, lips just touching", model.rest)]
@@ -126,11 +126,11 @@ def fit_guided(
     x = np.array([pose.coefficients - model.rest for pose in poses if pose.name != CLOSED])
     turned_deg = np.array([made_deg[p.name] - closed_deg for p in poses if p.name != CLOSED])
     weights, left_out_deg = _ridge(x, turned_deg)
-    bends, _, x_range = linear_calibration_parts(len(servos.joints), model.n_components)
+    quadratic_weights, _, x_range = linear_calibration_parts(len(servos.joints), model.n_components)
     return Calibration(
         servo_names=servos.names,
         weights=weights,
-        bends=bends,
+        quadratic_weights=quadratic_weights,
         rest=model.rest,
         rest_deg=rounded(closed_deg),
         x_range=x_range,

@@ -13,7 +13,8 @@ from calibration.fit.guided import LandmarkPose
 from calibration.joint_range import JointRange
 from lipsync.output_file import write_whole
 
-#: Degrees of a key press: one is about the play of a printed gear train, five cross a range soon.
+#: Degrees of a key press: one is about the backlash of a printed gear train, five cross a
+#: range soon.
 _SMALL_DEG, _LARGE_DEG = 1.0, 5.0
 #: What each key is for, as shown to the person.
 KEYS: Mapping[str, str] = {

@@ -1,8 +1,8 @@
 """A calibration of a jaw alone, from markers on the jaw: the mouth of a talking skeleton.
 
-The talker's jaw blend (jaw_rotation.py) is linear in the model's coefficients. A sweep of the robot
-says which angle is which part of its own way from closed to open; the talker's widest jaw becomes
-the robot's. Lips are not looked at, so P, B and M close as far as the talker's jaw does.
+The speaker's jaw blend (jaw_rotation.py) is linear in the model's coefficients. A sweep of the
+robot says which angle is which part of its own way from closed to open; the speaker's widest jaw
+becomes the robot's. Lips are not looked at, so P, B and M close as far as the speaker's jaw does.
 Loads scikit-learn; the live path never does.
 """
 
@@ -19,9 +19,9 @@ from calibration.calibration import (
 )
 from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
-from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, talkers_jaw
+from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, speakers_jaw
 from calibration.fit.learnt_face import ridge_weights
-from calibration.fit.measured import play_only, split_frames
+from calibration.fit.measured import backlash_only, split_frames
 from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import HoldOutErrors, each_marker_rms_mm
 from calibration.mouth_servos import MouthServos
@@ -67,17 +67,17 @@ def fit_jaw(
     closed_mm = face.markers_mm(np.zeros((1, 1)))[0, line]
     robot = jaw_blend(closed_mm, swept_mm[-1])
     degrees = jaw_degrees(robot, sweep_deg, swept_mm)
-    talker = talkers_jaw(model)
+    speaker = speakers_jaw(model)
 
     def wanted_alpha(frames: Array) -> Array:
-        return talker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+        return speaker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
 
     fit, held_out = split_frames(model, seed)
     limits = servos.limits_deg
     # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
     degrees_per_alpha = float(degrees.alphas @ degrees.degrees / (degrees.alphas @ degrees.alphas))
     weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
-    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     free_deg = (held_out - model.rest) @ weights.T
     mapped_deg = np.clip(free_deg, *limits)
     wanted_deg = degrees.degrees_at(wanted_alpha(held_out))[:, None]
@@ -100,7 +100,7 @@ def fit_jaw(
     calibration = Calibration(
         servo_names=capture.servo_names,
         weights=weights,
-        bends=bends,
+        quadratic_weights=quadratic_weights,
         rest=model.rest,
         rest_deg=rest_deg,
         x_range=x_range,
@@ -110,15 +110,15 @@ def fit_jaw(
         model_checksum=model.checksum,
         face_checksum=servos.face_checksum,
         origin=Origin("jaw alone", date, len(capture), servos.models),
-        following=play_only(face.backlash_deg),
+        following=backlash_only(face.backlash_deg),
     )
     return calibration, warnings
 
 
 def jaw_agreement(model: FaceModel, calibration: Calibration, joint: int) -> float:
-    """Correlation of one joint with the talker's jaw, over the model's frames: a check."""
+    """Correlation of one joint with the speaker's jaw, over the model's frames: a check."""
     frames = model.animphos[:: max(1, len(model.animphos) // 200)].reshape(-1, model.n_components)
-    alpha = talkers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+    alpha = speakers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
     turned_deg = np.array([calibration.positions_deg(frame)[joint] for frame in frames])
     if turned_deg.std() == 0.0 or alpha.std() == 0.0:
         return 0.0

@@ -24,7 +24,7 @@ _DIFFERENCE = 0.1
 _STEPS = 2
 #: A jaw line that moves less than this between closed and open says nothing.
 _LEAST_MOTION_MM = 1.0
-#: The talker's open jaw: wider is rare.
+#: The speaker's open jaw: wider is rare.
 _OPEN_QUANTILE = 0.98
 
 
@@ -56,10 +56,10 @@ class JawBlend:
         return alpha
 
 
-def talkers_jaw(model: FaceModel) -> JawBlend:
+def speakers_jaw(model: FaceModel) -> JawBlend:
     """From the model's rest to the mean of its widest open frames.
 
-    Raises CalibrationError for a talker whose jaw line hardly moves.
+    Raises CalibrationError for a speaker whose jaw line hardly moves.
     """
     frames = model.animphos.reshape(-1, model.n_components)
     line = list(JAW_LINE)

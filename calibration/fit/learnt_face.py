@@ -51,13 +51,13 @@ def fit_calibration(
         raise CalibrationError(str(error)) from error
     names = correspond(MARKER_NAMES)
     mouth = RobotMouth(partial(marker_positions_mm, face), names, (min_deg, max_deg), tuple(rules))
-    nearest_deg = mouth.nearest_deg(names.look.features(model.markers_mm(fit)))
+    nearest_deg = mouth.nearest_deg(names.shape_features.of(model.markers_mm(fit)))
     weights = ridge_weights(fit - model.rest, nearest_deg)
-    bends, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     return Calibration(
         servo_names=face.servo_names,
         weights=weights,
-        bends=bends,
+        quadratic_weights=quadratic_weights,
         rest=model.rest,
         rest_deg=rest_deg,
         x_range=x_range,
@@ -93,7 +93,7 @@ def _split(model: FaceModel, seed: int, max_animphos: int) -> tuple[Array, Array
 
 def _errors(model: FaceModel, mouth: RobotMouth, weights: Array, held_out: Array) -> HoldOutErrors:
     human_mm = model.markers_mm(held_out)
-    nearest_deg = mouth.nearest_deg(mouth.names.look.features(human_mm))
+    nearest_deg = mouth.nearest_deg(mouth.names.shape_features.of(human_mm))
     free_deg = (held_out - model.rest) @ weights.T
     positions_deg = mouth.kept_deg(free_deg)
     return measure_hold_out(

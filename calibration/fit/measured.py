@@ -70,12 +70,12 @@ def fit_measured(
     retargeting = fit_retargeting(model, fit, mouth)
     found = ShapeErrors(model, mouth, retargeting)
     poses_deg = found.best_deg(retargeting.targets_mm(fit - model.rest))
-    run = fit_run_time_map(fit - model.rest, poses_deg, face.markers_mm, names.look)
+    run = fit_run_time_map(fit - model.rest, poses_deg, face.markers_mm, names.shape_features)
     errors, coverage = measure_shapes(found, run, held_out)
     calibration = Calibration(
         servo_names=capture.servo_names,
         weights=run.weights,
-        bends=run.bends,
+        quadratic_weights=run.quadratic_weights,
         rest=model.rest,
         rest_deg=run.rest_deg,
         x_range=run.x_range,
@@ -85,7 +85,7 @@ def fit_measured(
         model_checksum=model.checksum,
         face_checksum=servos.face_checksum,
         origin=Origin("measured", date, len(capture), servos.models),
-        following=play_only(face.backlash_deg),
+        following=backlash_only(face.backlash_deg),
         touch=Touch(_touch_deg(mouth, retargeting), TOUCH_CURRENT_MA),
         coverage=coverage,
         rules=servos.rules,
@@ -104,7 +104,7 @@ def split_frames(model: FaceModel, seed: int) -> tuple[Array, Array]:
     return np.concatenate(frames[fit]), np.concatenate(frames[held_out])
 
 
-def play_only(backlash_deg: Array) -> Following:
+def backlash_only(backlash_deg: Array) -> Following:
     """Nothing known of lags and speeds yet: no lag, no limit."""
     unknown = np.full(len(backlash_deg), np.inf)
     return Following(np.zeros(len(backlash_deg)), backlash_deg, unknown, unknown)
@@ -116,11 +116,11 @@ def _touch_deg(mouth: RobotMouth, retargeting: Retargeting) -> Array:
     The closed mouth of speech is pressed, and the shape of the pressed lips pulls the gap with it;
     so the gap asked for is put off by what was missed, a few times.
     """
-    look = mouth.names.look
+    shape_features = mouth.names.shape_features
     closed_mm = retargeting.neutral_mm[None]
-    gaps_mm = look.gaps_mm(closed_mm)
+    gaps_mm = shape_features.gaps_mm(closed_mm)
     gaps_mm[..., 1] = 0.0
     for _ in range(_TOUCH_ROUNDS):
-        pose_deg = mouth.nearest_deg(look.features(closed_mm, gaps_mm))
-        gaps_mm[..., 1] -= look.gaps_mm(mouth.markers_of(pose_deg))[:, :1, 1]
+        pose_deg = mouth.nearest_deg(shape_features.of(closed_mm, gaps_mm))
+        gaps_mm[..., 1] -= shape_features.gaps_mm(mouth.markers_of(pose_deg))[:, :1, 1]
     return np.asarray(pose_deg[0])

@@ -27,7 +27,7 @@ _FRAMES_PER_CLASS = 30
 
 @dataclass(frozen=True, slots=True)
 class ShapeErrors:
-    """What shapes are measured with: the talker, the mouth as learnt, what is aimed for."""
+    """What shapes are measured with: the speaker, the mouth as learnt, what is aimed for."""
 
     model: FaceModel
     mouth: RobotMouth
@@ -35,11 +35,11 @@ class ShapeErrors:
 
     def best_deg(self, targets_mm: Array) -> Array:
         """(n, n_markers, 3) -> (n, n_servos): the poses that come nearest."""
-        return self.mouth.nearest_deg(self.mouth.names.look.features(targets_mm))
+        return self.mouth.nearest_deg(self.mouth.names.shape_features.of(targets_mm))
 
     def apart_mm(self, poses_deg: Array, targets_mm: Array) -> Array:
         """(n,): distance of the face's lips from the targets, rms over the lip markers."""
-        lips = list(self.mouth.names.look.lips)
+        lips = list(self.mouth.names.shape_features.lips)
         return lips_apart_mm(self.mouth.markers_of(poses_deg), targets_mm, lips)
 
 
@@ -83,7 +83,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
 
 
 def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
-    """By the first phoneme of each class the talker ever said."""
+    """By the first phoneme of each class the speaker ever said."""
     rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
     from_rest = on.model.animphos[np.concatenate(list(rows.values())), 2] - on.model.rest
@@ -111,7 +111,7 @@ def _rows_of(model: FaceModel, viseme: tuple[str, ...]) -> NDArray[np.int64]:
 
 def _signed_gap_mm(on: ShapeErrors, markers_mm: Array) -> Array:
     """(n,): height of the middle of the upper inner lip over the lower; below 0: pressed."""
-    upper, lower = on.mouth.names.look.gaps[0]
+    upper, lower = on.mouth.names.shape_features.gaps[0]
     return np.asarray(markers_mm[:, upper, 1] - markers_mm[:, lower, 1])
 
 

@@ -37,13 +37,13 @@ from lipsync.face.model import FaceModel
 #: development robots (seeds 106, 107, 116, 117) 16 of 60 poses took a quarter off the error of the
 #: learnt face in speech, and half off that of closed lips; 8 closed ones of them were no better.
 _SPEECH_SHARE, _CLOSED_SHARE = 0.27, 0.25
-#: So many of the talker's frames say well enough where speech is.
+#: So many of the speaker's frames say well enough where speech is.
 _FRAMES = 400
 
 
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """What is captured: the talker, the joints, how many poses, what must not go together."""
+    """What is captured: the speaker, the joints, how many poses, what must not go together."""
 
     model: FaceModel
     joints: Sequence[JointRange]
@@ -79,7 +79,7 @@ class Procedure:
         frames = split_frames(self.model, self.seed)[0]
         frames = frames[:: max(1, len(frames) // _FRAMES)]
         wanted_mm = fit_retargeting(self.model, frames, mouth).targets_mm(frames - self.model.rest)
-        poses_deg = mouth.nearest_deg(mouth.names.look.features(wanted_mm))
+        poses_deg = mouth.nearest_deg(mouth.names.shape_features.of(wanted_mm))
         gaps_mm = np.array([self.model.lip_gap_mm(frame) for frame in frames])
         closed = gaps_mm <= CLOSED_GAP_MM
         n_closed = round(_CLOSED_SHARE * n_poses) if closed.any() else 0

@@ -1,10 +1,11 @@
-"""From the talker's mouth to this robot's: the same mouth, as this robot's skin can make it.
+"""From the speaker's mouth to this robot's: the same mouth, as this robot's skin can make it.
 
-Markers correspond by name. First the talker's motion is laid on the robot's neutral, larger or
-smaller by one factor for each axis (`RangeMatch`): openings and widths of the talker fill those of
-the robot, and lips that touch, touch. A skin drawn by a few horns cannot copy a talker's skin point
-by point, so what the robot does at the poses nearest to that becomes the shape to aim for, a linear
-function of the talker's coefficients like the talker's shapes themselves; lip gaps weigh most.
+Markers correspond by name. First the speaker's motion is laid on the robot's neutral, larger or
+smaller by one factor for each axis (`RangeMatch`): openings and widths of the speaker fill those of
+the robot, and lips that touch, touch. A skin drawn by a few horns cannot copy a speaker's skin
+point by point, so what the robot does at the poses nearest to that becomes the shape to aim for, a
+linear function of the speaker's coefficients like the speaker's shapes themselves; lip gaps weigh
+most.
 """
 
 from dataclasses import dataclass
@@ -19,11 +20,11 @@ from lipsync.face.model import FaceModel
 
 #: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that
 #: is off by this much still closes. On development robots the gap of closed lips was 0.1 to 0.25 mm
-#: larger than learnt, spread by 0.1 to 0.2 mm, and play added 0.1 to 0.2 mm.
+#: larger than learnt, spread by 0.1 to 0.2 mm, and backlash added 0.1 to 0.2 mm.
 PRESS_MM = 1.2
-#: The talker's range that is matched; more is rare and would make everything else small.
+#: The speaker's range that is matched; more is rare and would make everything else small.
 _RANGE_QUANTILE = 0.98
-#: A robot may exaggerate its talker by this factor over the ratio of their sizes, not more: its
+#: A robot may exaggerate its speaker by this factor over the ratio of their sizes, not more: its
 #: range is used, but a jaw that can drop by 30 degrees does not do so at every vowel (design).
 MOST_EXAGGERATION = 1.3
 #: And it is asked for this share of what it can do, so that limits are met rarely.
@@ -43,8 +44,8 @@ class Retargeting:
     """target = neutral_mm + (coefficients - rest) @ slopes, a shape of the robot's markers.
 
     neutral_mm: (n_markers, 3), lips just closed; slopes: (n_components, n_markers * 3).
-    scale: (3,), robot over talker, across, up, forward. difference_mm: how far, rms over the lips,
-    these shapes are from a copy of the talker's at that scale.
+    scale: (3,), robot over speaker, across, up, forward. difference_mm: how far, rms over the lips,
+    these shapes are from a copy of the speaker's at that scale.
     """
 
     neutral_mm: Array
@@ -58,7 +59,7 @@ class Retargeting:
 
 
 def fit_retargeting(model: FaceModel, frames: Array, mouth: RobotMouth) -> Retargeting:
-    """As large as the robot can follow. frames: (n, n_components), the talker's motion to serve."""
+    """As large as the robot can follow. frames: (n, n_components), speech to serve."""
     widest = match_ranges(model.markers_mm(frames)[:, list(mouth.names.human)], mouth)
     some = np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_TO_TRY)).astype(int)
     for size in _SIZES:
@@ -80,13 +81,13 @@ def _aim(model: FaceModel, frames: Array, mouth: RobotMouth, scale: Array) -> _A
     human_mm = model.markers_mm(frames)[:, human]
     rest_mm = model.markers_mm(model.rest[None])[:, human]
     copies_mm = mouth.neutral_mm() + scale * (human_mm - rest_mm)
-    look = mouth.names.look
-    wanted = look.features(copies_mm, wanted_gaps_mm(human_mm, mouth.names, scale))
+    shape_features = mouth.names.shape_features
+    wanted = shape_features.of(copies_mm, wanted_gaps_mm(human_mm, mouth.names, scale))
     shapes_mm = mouth.markers_of(mouth.nearest_deg(wanted))
     inputs = np.hstack([np.ones((len(frames), 1)), frames - model.rest])
     fit = np.asarray(np.linalg.lstsq(inputs, shapes_mm.reshape(len(frames), -1), rcond=None)[0])
     aims_mm = (inputs @ fit).reshape(shapes_mm.shape)
-    lips = list(look.lips)
+    lips = list(shape_features.lips)
     left_mm = np.sqrt(np.sum((shapes_mm - aims_mm)[:, lips] ** 2, axis=2).mean(axis=1))
     copy_mm = np.sum((shapes_mm - copies_mm)[:, lips] ** 2, axis=2)
     retargeting = Retargeting(fit[0].reshape(-1, 3), fit[1:], scale, float(np.sqrt(copy_mm.mean())))
@@ -94,14 +95,14 @@ def _aim(model: FaceModel, frames: Array, mouth: RobotMouth, scale: Array) -> _A
 
 
 def wanted_gaps_mm(human_mm: Array, names: Correspondence, scale: Array) -> Array:
-    """(n, n_gaps, 3): the talker's at the robot's scale, less what still counts as closed."""
-    gaps_mm = scale * names.look.gaps_mm(human_mm)
+    """(n, n_gaps, 3): the speaker's at the robot's scale, less what still counts as closed."""
+    gaps_mm = scale * names.shape_features.gaps_mm(human_mm)
     gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
     return gaps_mm
 
 
 def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
-    """(3,): robot over talker. Up: so that openings fill the robot's; across: so that widths do.
+    """(3,): robot over speaker. Up: so that openings fill the robot's; across: so that widths do.
 
     What is forward is scaled as what is across: both are what the lips' ring does when it rounds.
     """
@@ -110,7 +111,10 @@ def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
     _check_a_mouth(mouth)
     width_mm = human_mm[:, left, 0] - human_mm[:, right, 0]
     size = _width_mm(mouth.neutral_mm(), names) / np.median(width_mm)
-    opening_mm = human_mm[:, names.look.gaps[0][0], 1] - human_mm[:, names.look.gaps[0][1], 1]
+    opening_mm = (
+        human_mm[:, names.shape_features.gaps[0][0], 1]
+        - human_mm[:, names.shape_features.gaps[0][1], 1]
+    )
     most_open_mm, least_wide_mm, most_wide_mm = _robot_ranges_mm(mouth)
     up = most_open_mm / np.quantile(opening_mm, _RANGE_QUANTILE)
     human_range_mm = np.diff(np.quantile(width_mm, [1 - _RANGE_QUANTILE, _RANGE_QUANTILE]))[0]
@@ -130,7 +134,7 @@ def _check_a_mouth(mouth: RobotMouth) -> None:
             f"the corners {names[right]} and {names[left]} are {width_mm:.1f} mm apart from right "
             "to left; are they the right points, in millimetres, x to the robot's left?"
         )
-    upper, lower = mouth.names.look.gaps[0]
+    upper, lower = mouth.names.shape_features.gaps[0]
     opening_mm = _robot_ranges_mm(mouth)[0]
     if opening_mm < _LEAST_OPENING_MM:
         raise CalibrationError(
@@ -151,7 +155,7 @@ def _robot_ranges_mm(mouth: RobotMouth) -> tuple[float, float, float]:
     """
     names, limits_deg, markers_of = mouth.names, mouth.limits_deg, mouth.markers_of
     right, left = names.corners
-    upper, lower = names.look.gaps[0]
+    upper, lower = names.shape_features.gaps[0]
 
     def best(measure: Array) -> float:
         """measure: (n_markers * 3,) signs of what should grow."""

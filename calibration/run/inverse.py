@@ -28,13 +28,13 @@ _DIFFERENCE_DEG = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class ShapeFeatures:
     """What counts of a shape. lips: indices of lip markers; gaps: (n_gaps, 2), upper and lower."""
 
     lips: tuple[int, ...]
     gaps: tuple[tuple[int, int], ...]
 
-    def features(self, markers_mm: Array, gaps_mm: Array | None = None) -> Array:
+    def of(self, markers_mm: Array, gaps_mm: Array | None = None) -> Array:
         """(n, n_markers, 3) -> (n, n_features): weighted positions, then weighted lip gaps.
 
         gaps_mm: (n, n_gaps, 3), where other gaps are wanted than those of the markers.
@@ -55,13 +55,13 @@ class Look:
 def nearest_poses_deg(
     markers_of: MarkersOf,
     wanted: Array,
-    look: Look,
+    shape_features: ShapeFeatures,
     limits_deg: tuple[Array, Array],
     *,
     rules: Sequence[CouplingRule] = (),
     steady_mm_per_deg: float = 0.0,
 ) -> Array:
-    """Features (n, n_features) of `look` -> (n, n_servos) within the limits, keeping the rules.
+    """Features (n, n_features) of shapes -> (n, n_servos) within the limits, keeping the rules.
 
     Gauss-Newton from neutral. steady_mm_per_deg: what a degree of difference to the neighbouring
     frames costs, where the n frames follow one another.
@@ -69,8 +69,8 @@ def nearest_poses_deg(
     n_servos = len(limits_deg[0])
     angles_deg = np.zeros((len(wanted), n_servos))
     for _ in range(_ROUNDS):
-        reached = look.features(markers_of(angles_deg))
-        slopes = _slopes(markers_of, look, angles_deg, reached)
+        reached = shape_features.of(markers_of(angles_deg))
+        slopes = _slopes(markers_of, shape_features, angles_deg, reached)
         missing = wanted - reached + np.einsum("nks,ns->nk", slopes, angles_deg)
         cost = np.einsum("nks,nkt->nst", slopes, slopes)
         cost += _NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos)
@@ -87,10 +87,12 @@ def nearest_poses_deg(
     return angles_deg
 
 
-def _slopes(markers_of: MarkersOf, look: Look, angles_deg: Array, reached: Array) -> Array:
+def _slopes(
+    markers_of: MarkersOf, shape_features: ShapeFeatures, angles_deg: Array, reached: Array
+) -> Array:
     """(n, n_features, n_servos): change of the features by degree, as forward differences."""
     columns = [
-        (look.features(markers_of(angles_deg + step)) - reached) / _DIFFERENCE_DEG
+        (shape_features.of(markers_of(angles_deg + step)) - reached) / _DIFFERENCE_DEG
         for step in _DIFFERENCE_DEG * np.eye(angles_deg.shape[1])
     ]
     return np.stack(columns, axis=2)

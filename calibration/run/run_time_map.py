@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calibration.calibration import pairs
-from calibration.run.inverse import Look, MarkersOf
+from calibration.run.inverse import MarkersOf, ShapeFeatures
 
 Array = NDArray[np.float64]
 
@@ -30,24 +30,26 @@ class RunTimeMap:
 
     rest_deg: Array
     weights: Array
-    bends: Array
+    quadratic_weights: Array
     x_range: Array
 
     def free_deg(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_servos), before the limits."""
         x = np.clip(from_rest, *self.x_range)
         first, second = pairs(x.shape[1])
-        products = x[:, first] * x[:, second] if self.bends.shape[1] else np.zeros((len(x), 0))
-        return np.asarray(self.rest_deg + x @ self.weights.T + products @ self.bends.T)
+        products = (
+            x[:, first] * x[:, second] if self.quadratic_weights.shape[1] else np.zeros((len(x), 0))
+        )
+        return np.asarray(self.rest_deg + x @ self.weights.T + products @ self.quadratic_weights.T)
 
 
 def fit_run_time_map(
-    from_rest: Array, poses_deg: Array, markers_of: MarkersOf, look: Look
+    from_rest: Array, poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures
 ) -> RunTimeMap:
     """from_rest: (n, n_components); poses_deg: (n, n_servos), the pose wanted at each.
 
     Generalised least squares: the metric of angle errors is the mean of J'J over the poses, J the
-    slope of the look's features. With one metric for all frames and one ridge for all features the
+    slope of the shape features. With one metric for all frames and one ridge for all features the
     solution does not depend on the metric but for the ridge, so each principal direction of the
     metric is regressed on its own, with a ridge in inverse proportion to how much it shows.
     """
@@ -55,7 +57,7 @@ def fit_run_time_map(
     features = np.hstack([from_rest, from_rest[:, first] * from_rest[:, second]])
     centre, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
     inputs = (features - centre) / spread
-    metric = _metric(poses_deg, markers_of, look)
+    metric = _metric(poses_deg, markers_of, shape_features)
     shows, directions = np.linalg.eigh(metric)
     outputs = poses_deg @ directions
     middle = outputs.mean(axis=0)
@@ -70,7 +72,7 @@ def fit_run_time_map(
     return RunTimeMap(
         rest_deg=rounded(rest_deg),
         weights=rounded(slopes[:n].T),
-        bends=rounded(slopes[n:].T),
+        quadratic_weights=rounded(slopes[n:].T),
         x_range=rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)])),
     )
 
@@ -81,13 +83,13 @@ def rounded(values: Array) -> Array:
     return np.array(kept).reshape(values.shape)
 
 
-def _metric(poses_deg: Array, markers_of: MarkersOf, look: Look) -> Array:
+def _metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures) -> Array:
     """(n_servos, n_servos): weighted square millimetres of a square degree, over all poses."""
     n_servos = poses_deg.shape[1]
-    at = look.features(markers_of(poses_deg))
+    at = shape_features.of(markers_of(poses_deg))
     slopes = np.stack(
         [
-            (look.features(markers_of(poses_deg + step)) - at) / _DIFFERENCE_DEG
+            (shape_features.of(markers_of(poses_deg + step)) - at) / _DIFFERENCE_DEG
             for step in _DIFFERENCE_DEG * np.eye(n_servos)
         ],
         axis=2,

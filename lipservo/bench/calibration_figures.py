@@ -1,7 +1,7 @@
 """The figures of `lipservo bench calibration`: whole procedures on simulated robots, scored.
 
 Every seed draws a robot (geometry, backlash, lags). What fits sees `move` and `measure` only; the
-score is taken on markers without noise, with the play as it lies.
+score is taken on markers without noise, with the backlash as it lies.
 """
 
 import time
@@ -156,24 +156,24 @@ def _figures(
 def _score_shapes(
     model: FaceModel, fit: MeasuredFit, draw: RobotDraw, servos: MouthServos, seed: int
 ) -> _ShapeScores:
-    """On the held-out frames, sent one after another with play made up for as live."""
+    """On the held-out frames, sent one after another with backlash made up for as live."""
 
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
 
     limits = servos.limits_deg
     targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
-    look, lips = fit.names.look, list(LIP_MARKERS)
+    shape_features, lips = fit.names.shape_features, list(LIP_MARKERS)
 
     def best_apart_mm(wanted_mm: Array) -> Array:
-        best_deg = nearest_poses_deg(truth, look.features(wanted_mm), look, limits)
+        best_deg = nearest_poses_deg(truth, shape_features.of(wanted_mm), shape_features, limits)
         return lips_apart_mm(truth(best_deg), wanted_mm, lips)
 
     robot = SimulatedRobot(draw)
-    play = BacklashCompensation(fit.face.backlash_deg)
+    backlash = BacklashCompensation(fit.face.backlash_deg)
     seen_mm = np.empty_like(targets_mm)
     for frame, coefficients in enumerate(fit.held_out):
-        robot.move(play.feed(fit.calibration.positions_deg(coefficients)))
+        robot.move(backlash.feed(fit.calibration.positions_deg(coefficients)))
         seen_mm[frame] = robot.true_markers_mm()
     rest_mm = model.markers_mm(model.rest[None])
     copies_mm = draw.face.neutral_mm + fit.retargeting.scale * (
@@ -201,7 +201,7 @@ def _guided_apart_mm(
 ) -> Array:
     """A person makes the landmark poses by eye; the score's targets are the measured ones.
 
-    The person is shown the talker's mouth, as large as the robot's and exaggerated as usual, finds
+    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual, finds
     the pose nearest to it, and is off by a few key presses.
     """
 
@@ -215,10 +215,10 @@ def _guided_apart_mm(
     right, left = fit.names.corners
     size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
     scale = np.full(3, MOST_EXAGGERATION * size)
-    wanted = fit.names.look.features(
+    wanted = fit.names.shape_features.of(
         neutral_mm + scale * (shown_mm - closed_mm), wanted_gaps_mm(shown_mm, fit.names, scale)
     )
-    best_deg = nearest_poses_deg(truth, wanted, fit.names.look, limits)
+    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
     off_deg = np.where([j.name == JAW for j in servos.joints], _PERSON_JAW_DEG, _PERSON_DEG)
     noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
     made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)

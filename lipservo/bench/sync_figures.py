@@ -25,7 +25,7 @@ _WINDOW_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SyncErrors:
-    """Time between the talker's lip gap and the robot's, rms over windows.
+    """Time between the speaker's lip gap and the robot's, rms over windows.
 
     gap_r: correlation of the two gaps in motion, after compensation.
     """
@@ -38,7 +38,7 @@ class SyncErrors:
 def sync_errors(
     model: FaceModel, calibration: Calibration, draw: RobotDraw, servos: SimulatedServos, seed: int
 ) -> SyncErrors:
-    """Twenty seconds of AnimPhos, through map, follower, late servos and play."""
+    """Twenty seconds of AnimPhos, through map, follower, late servos and backlash."""
     motion = _motion(model, np.random.default_rng([seed, 3]))
     wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
     poses_deg = np.array([calibration.positions_deg(frame) for frame in motion])
@@ -80,7 +80,7 @@ def _motion(model: FaceModel, rng: np.random.Generator) -> Array:
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
-    """(n,): the robot's lip gap, shafts late and horns with play."""
+    """(n,): the robot's lip gap, shafts late and horns with backlash."""
     shafts_deg = servos.shafts_deg(goals_deg, _RATE_HZ)
     horns_deg = np.empty_like(shafts_deg)
     horn, half_deg = shafts_deg[0], draw.backlash_deg / 2

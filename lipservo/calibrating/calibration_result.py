@@ -62,7 +62,7 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
 
 
 def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None:
-    """Correlation of the joint that opens with the talker's jaw; None without such a joint."""
+    """Correlation of the joint that opens with the speaker's jaw; None without such a joint."""
     positive = setup.servos.positive
     if "opens" not in positive:
         return None

@@ -1,4 +1,4 @@
-"""What a calibration is made of: the face, the talker's model, and how servos are moved for it."""
+"""What a calibration is made of: the face, the speaker's model, and how servos are moved for it."""
 
 import datetime
 from collections.abc import Callable, Iterator

@@ -114,7 +114,7 @@ def _best_off(
     found = ShapeErrors(model, mouth, fit.retargeting)
     targets_mm = fit.retargeting.targets_mm(frames - model.rest)
     right, left = fit.names.corners
-    upper, lower = fit.names.look.gaps[0]
+    upper, lower = fit.names.shape_features.gaps[0]
     opening_mm = targets_mm[:, upper, 1] - targets_mm[:, lower, 1]
     width_mm = targets_mm[:, left, 0] - targets_mm[:, right, 0]
     return opening_mm, width_mm, found.apart_mm(found.best_deg(targets_mm), targets_mm)

@@ -1,4 +1,4 @@
-"""`lipservo calibrate guided`: the talker's mouth, the robot's beside it, and keys."""
+"""`lipservo calibrate guided`: the speaker's mouth, the robot's beside it, and keys."""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

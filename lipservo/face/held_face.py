@@ -1,4 +1,4 @@
-"""A face whose servos are on and held: led from pose to pose through the bridge, as speech is.
+"""A face whose servos are on and held: moved from pose to pose through the bridge, as speech is.
 
 Everything goes through the last gate. One thread speaks to the bus; whoever waits for a person or a
 tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.

@@ -48,7 +48,7 @@ def face(model) -> SimulatedFace:
 
 
 def model_of_the_face(face: SimulatedFace, model: FaceModel, drive: np.ndarray) -> FaceModel:
-    """A talker whose every frame the face can reach: drive (n_servos, 5) degrees a unit."""
+    """A speaker whose every frame the face can reach: drive (n_servos, 5) degrees a unit."""
     tenth_deg = 0.1  # of such small angles the face is linear
     columns = [
         (marker_positions_mm(face, tenth_deg * d[None])[0] - face.neutral_mm) / tenth_deg
@@ -70,7 +70,7 @@ def test_positions_are_weights_times_distance_from_rest_within_limits(calibratio
         calibration,
         servo_names=("a", "b"),
         weights=np.array([[2.0, 0.0], [1.0, -1.0]]),
-        bends=np.zeros((2, 0)),
+        quadratic_weights=np.zeros((2, 0)),
         rest=np.array([1.0, 1.0]),
         rest_deg=np.zeros(2),
         x_range=np.array([[-np.inf] * 2, [np.inf] * 2]),
@@ -103,7 +103,7 @@ def mouth(face: SimulatedFace, limits: np.ndarray) -> RobotMouth:
 
 
 def features(face: SimulatedFace, positions_deg: np.ndarray) -> np.ndarray:
-    return correspond(MARKER_NAMES).look.features(marker_positions_mm(face, positions_deg))
+    return correspond(MARKER_NAMES).shape_features.of(marker_positions_mm(face, positions_deg))
 
 
 def test_poses_of_the_face_itself_are_found_again(face):
