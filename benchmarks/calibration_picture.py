@@ -13,6 +13,7 @@ from calibration.capture.capture import capture_poses
 from calibration.capture.capture_plan import plan_poses
 from calibration.fit.measured import fit_measured
 from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.run.backlash import BacklashCompensation
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.settings.settings import load_shipped_face
@@ -42,19 +43,19 @@ def loops(markers_mm: NDArray[np.float64], middle_mm: NDArray[np.float64], style
 def main(path: Path) -> None:
     """Calibrate one robot and draw it."""
     model, mouth = load_face_with_animphos(), load_shipped_face("face_sim").mouth_servos
-    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
+    joints = tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items())
     rest_mm = model.markers_mm(model.rest[None])
     draw = draw_robot(rest_mm[0], list(mouth), SEED)
     robot = SimulatedRobot(draw, noise_seed=SEED)
     capture = capture_poses(plan_poses(joints, 60), MARKERS_47.names, robot.move, robot.measure)
-    fit = fit_measured(model, capture, joints, "")
-    play = BacklashCompensation(fit.face.backlash_deg)
+    fit = fit_measured(model, capture, MouthServos(joints))
+    backlash = BacklashCompensation(fit.face.backlash_deg)
     middle_mm = draw.face.neutral_mm[LOOPS[0], :2].mean(axis=0) - [0.0, 6.0]
     cells = []
     for n, phoneme in enumerate(SHOWN):
         frames = model.animphos.samples[model.animphos.of_phoneme(phoneme), 2]
         frame = frames[np.abs(frames - np.median(frames, axis=0)).sum(axis=1).argmin()]
-        robot.move(play.feed(fit.calibration.positions_deg(frame)))
+        robot.move(backlash.feed(fit.calibration.positions_deg(frame)))
         copy_mm = draw.face.neutral_mm + fit.retargeting.scale * (
             model.markers_mm(frame[None]) - rest_mm
         )

@@ -5,20 +5,17 @@ from dataclasses import dataclass, field, fields
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array, Indices
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.hold_out import HoldOutErrors
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-_REMEDY = "run `lipservo calibrate --config FACE -o FILE`"
+_REMEDY = "run `lipservo calibrate fit --config FACE -o FILE`, or `measure` on its servos"
 _OTHER_MODEL = (
     "give the model it was made for with --model (without --model it is the shipped one), or run "
-    "`lipservo calibrate --config FACE --model MODEL -o FILE` for this one"
+    "`lipservo calibrate fit --config FACE --model MODEL -o FILE` for this one"
 )
 #: Models keep their rest in float32, about 1e-6 of a coefficient; any other rest is another mouth.
 _REST_TOLERANCE = 1e-4
@@ -112,11 +109,11 @@ class Calibration:
     in x_range.
 
     weights: (n_servos, n_components), degrees; quadratic_weights: (n_servos, n_pairs), pairs
-    i <= j row by row, or no columns for a linear map; rest: (n_components,); rest_deg: (n_servos,),
-    the angles there; x_range: (2, n_components), least and most that the fit saw; min_deg, max_deg:
-    (n_servos,), the face's limits at the time of the fit. trim: degrees (n_servos,) to add for a
-    viseme class, by the first phoneme of the class. rules: of the face's YAML, never of the file;
-    kept by every pose.
+    i <= j row by row, or no columns for a linear map; rest: (n_components,); rest_deg:
+    (n_servos,), the angles there; x_range: (2, n_components), least and most that the fit saw;
+    min_deg, max_deg: (n_servos,), the face's limits at the time of the fit. trim: degrees
+    (n_servos,) to add for a viseme class, by the first phoneme of the class. rules: of the face's
+    YAML, never of the file; kept by every pose.
     """
 
     servo_names: tuple[str, ...]
@@ -155,7 +152,7 @@ def pairs(n_components: int) -> tuple[Indices, Indices]:
 
 
 def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, Array, Array]:
-    """bends, rest_deg and x_range of a map that is linear and 0 degrees at rest."""
+    """quadratic_weights, rest_deg and x_range of a map that is linear and 0 degrees at rest."""
     bound = np.full(n_components, np.inf)
     return np.zeros((n_servos, 0)), np.zeros(n_servos), np.array([-bound, bound])
 

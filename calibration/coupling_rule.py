@@ -1,12 +1,17 @@
-"""Joints that must not go there together, as a calibration keeps them."""
+"""Joints that must not go there together, as a calibration keeps them.
+
+The face's YAML is where such a rule is written (`PreventSettings`, joints by name), and
+`PreventSettings.factors` is the one place where names become numbers. The gate has a type of its
+own, `PreventRule`, since calibration and gate may not import one another and do different things
+with a rule: the gate cuts a step short, here a pose is scaled towards neutral.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from calibration.arrays import Array
 
 _SAME_DEG = 1e-9
 
@@ -23,7 +28,7 @@ class CouplingRule:
 
 
 def keep_rules(rules: Sequence[CouplingRule], positions_deg: Array) -> Array:
-    """(n_servos,) within the limits -> the same, led towards neutral until no rule is broken.
+    """(n_servos,) within the limits -> the same, scaled towards neutral until no rule is broken.
 
     The joints of a broken rule go back by the same share of their way, which stays within limits
     that hold 0. Where that breaks another rule in turn, all joints go back together.

@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 #: The human's lips count as closed at this gap, as in training.
 CLOSED_GAP_MM = 1.0

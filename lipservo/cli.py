@@ -13,7 +13,7 @@ from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import replay as bench_replay
 from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
-from lipservo.commands.calibrate import calibration
+from lipservo.commands.calibrate import app as calibrate
 from lipservo.commands.learn import alignment, recognition, training
 from lipservo.commands.run import health, processes, set_value, stop, street, trace
 
@@ -24,7 +24,6 @@ for command in (
     street.replay,
     street.devices,
     training.train,
-    calibration.calibrate,
     alignment.align,
     recognition.recognize,
     recognition.train_recognizer,
@@ -33,7 +32,7 @@ for command in (
     app.command()(command)
 # A number may be negative, which looks like an option.
 _NUMBERS = {"ignore_unknown_options": True}
-app.command("trim", context_settings=_NUMBERS)(calibration.trim)
+app.command("trim", context_settings=_NUMBERS, hidden=True)(calibrate.old_trim)
 app.command("jog", context_settings=_NUMBERS)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
@@ -53,6 +52,7 @@ app.command("status")(stop.status)
 app.command("limp")(stop.limp)
 app.command("set", context_settings=_NUMBERS)(set_value.set_value)
 app.command()(health.health)
+app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(bench.app, name="bench")
 app.add_typer(trace.app, name="trace")
 

@@ -7,12 +7,10 @@ import re
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from lipsync.extras import check_extra
-
-Array = NDArray[np.float64]
 
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 _AXIS = re.compile(r"^([+-]?)([xyz])$")

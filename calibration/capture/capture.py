@@ -10,13 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.capture_plan import PosePlan
 from lipsync.output_file import write_whole
-
-Array = NDArray[np.float64]
 
 #: Go to joint degrees (n_servos,), at a speed the face's owner holds safe, settle, and give back
 #: where the encoders are.

@@ -1,8 +1,8 @@
 """Which poses a robot is moved through to learn its face: decided before anything moves.
 
-Every pose is reached by a short last step from a known side of each joint, so that play lies on a
-known side too: from below a joint's horn lags by half the play, from above it leads by half. Poses
-are thereby independent of one another, and a capture can stop and go on.
+Every pose is reached by a short last step from a known side of each joint, so that backlash lies on
+a known side too: from below a joint's horn lags by half the backlash, from above it leads by half.
+Poses are thereby independent of one another, and a capture can stop and go on.
 Loads SciPy; the live path never does.
 """
 
@@ -10,16 +10,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import qmc
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.joint_range import JointRange
 
-Array = NDArray[np.float64]
-
-#: The last step to a pose; more than twice the play of a printed gear train.
+#: The last step to a pose; more than twice the backlash of a printed gear train.
 LEAD_IN_DEG = 3.0
 #: How far along its range a single-joint sweep goes: far enough to be seen above the tracker's
 #: noise, not so far that a limit set a little wrong does harm.
@@ -60,7 +58,7 @@ def plan_poses(
 ) -> PosePlan:
     """Neutral, every joint alone from both sides, then a Latin hypercube within the limits.
 
-    rules: what the joints must not do together; a pose that breaks one is led back to neutral.
+    rules: what the joints must not do together; a pose that breaks one is scaled towards neutral.
     Raises CalibrationError for fewer poses than `least_poses`.
     """
     least = least_poses(len(joints))

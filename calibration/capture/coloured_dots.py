@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from lipsync.extras import check_extra
-
-Array = NDArray[np.float64]
 
 #: Dots are of one size: a spot larger than this many of the middle one is two dots that touch, as
 #: those of closed lips do.

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.coloured_dots import DotColour, dots_mm, find_dots_px, name_dots
-
-Array = NDArray[np.float64]
 
 NAMES_FILE = "dots.csv"
 _COLUMNS = ("marker", "column_px", "row_px", "mm_per_px")

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.c3d_markers import read_c3d_folder
 from calibration.capture.capture import Capture
@@ -23,8 +23,6 @@ from calibration.capture.capture_plan import LEAD_IN_DEG, PosePlan
 from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
 from lipsync.errors import shown
 from lipsync.output_file import write_whole
-
-Array = NDArray[np.float64]
 
 _AXES = ("x_mm", "y_mm", "z_mm")
 _COLUMNS = ("pose", "marker", *_AXES)
@@ -49,8 +47,14 @@ def is_plan(head: bytes) -> bool:
 
 def read_plan(path: Path, servo_names: tuple[str, ...]) -> PosePlan:
     """A plan that was written before. Raises CalibrationError, with file and line."""
-    _, goals_deg, from_below = _read_plan(path, servo_names)
-    return PosePlan(servo_names, goals_deg, from_below, goals_deg - LEAD_IN_DEG * from_below)
+    return read_numbered_plan(path, servo_names)[1]
+
+
+def read_numbered_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], PosePlan]:
+    """The same with the number of each pose, as its line has it."""
+    numbers, goals_deg, from_below = _read_plan(path, servo_names)
+    start_deg = goals_deg - LEAD_IN_DEG * from_below
+    return numbers, PosePlan(servo_names, goals_deg, from_below, start_deg)
 
 
 def read_capture(

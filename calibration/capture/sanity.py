@@ -8,14 +8,12 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 #: A joint is dead if it moves all markers together by no more than chance would: chance gives a
 #: ratio of 1 to 1.2, the joints of simulated robots (seeds 100 to 103) 4 and more.
@@ -167,7 +165,7 @@ def _bare(word: str) -> str:
 def _check_swapped_everywhere(capture: Capture, model: FaceModel) -> None:
     """Two names exchanged throughout: the robot's neutral looks more like a face the other way.
 
-    Compared with the talker's rest after moving and scaling one onto the other, axis by axis.
+    Compared with the speaker's rest after moving and scaling one onto the other, axis by axis.
     """
     human_mm = model.markers_mm(model.rest[None])[0]
     known = [i for i, name in enumerate(capture.marker_names) if name in MARKERS_47.names]

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
 from calibration.capture.marker_files import read_readings
 from lipsync.output_file import write_whole
-
-Array = NDArray[np.float64]
 
 #: Seconds pass, servos held.
 Wait = Callable[[float], None]
@@ -161,7 +159,7 @@ class TypedTracker:
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """As given."""
+        """The names that it was made with."""
         return self._names
 
     def arrived(self, pose: int, _reached_deg: Array) -> None:
@@ -196,7 +194,7 @@ class SeenByComputation:
 
     @property
     def marker_names(self) -> tuple[str, ...]:
-        """As given."""
+        """The names that it was made with."""
         return self._names
 
     def arrived(self, _pose: int, reached_deg: Array) -> None:

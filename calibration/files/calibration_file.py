@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -25,10 +25,8 @@ from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
 from lipsync.yaml_depth import is_nested_deeper
 
-Array = NDArray[np.float64]
-
 #: Older ones lack what came with the next: calibration_text.py says what.
-READABLE_VERSIONS = (1, 2, 3)
+READABLE_VERSIONS = (1, 2, 3, 4)
 #: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
 _SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -60,7 +58,8 @@ def load_calibration(path: Path) -> Calibration:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise CalibrationError(
-            f"{path}: no such calibration; run `lipservo calibrate --config FACE -o {path.name}`"
+            f"{path}: no such calibration; run "
+            f"`lipservo calibrate fit --config FACE -o {path.name}`"
         ) from None
     except UnicodeDecodeError as error:
         raise CalibrationError(f"{path}: not a text file") from error
@@ -106,9 +105,11 @@ def _parse(file: Place) -> Calibration:
     quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
     if version > 1:
         rest_deg = np.array([servo.at("rest_deg").number() for servo in servos])
-    if any(servo.has("bends") for servo in servos):
+    # Until version 3 the quadratic weights were called bends.
+    key = "quadratic_weights" if version > 3 else "bends"
+    if any(servo.has(key) for servo in servos):
         n_pairs = len(pairs(len(rest))[0])
-        quadratic_weights = np.array([servo.at("bends").numbers(n_pairs) for servo in servos])
+        quadratic_weights = np.array([servo.at(key).numbers(n_pairs) for servo in servos])
         x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
     return Calibration(
         servo_names=names,

@@ -4,22 +4,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import Calibration, Following, Touch, VisemeReach
 from calibration.hold_out import HoldOutErrors
 from lipsync.phonemes import VISEME_CLASSES
 
-Array = NDArray[np.float64]
-
 #: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest,
-#: version 2 no error of each marker and nothing of the servos' own settings.
-CALIBRATION_VERSION = 3
+#: version 2 no error of each marker and nothing of the servos' own settings, version 3 another
+#: name for the quadratic weights.
+CALIBRATION_VERSION = 4
 
 _HEADER = """\
-# From a talker's mouth to this robot's servos, made by `lipservo calibrate`.
+# From a speaker's mouth to this robot's servos, made by `lipservo calibrate`.
 # With x = coefficients - rest, kept within x_least .. x_most, the degrees of a servo are
-# rest_deg + weights . x + bends . (x_i x_j, i <= j, row by row), kept between min_deg and max_deg.
+# rest_deg + weights . x + quadratic_weights . (x_i x_j, i <= j, row by row), kept between min_deg
+# and max_deg.
 # The coefficients are the principal components of the model named below, in millimetres; rest is
 # the closed mouth. hold_out tells how far off the map is on motion left out of the fit.
 # Made for one model and one face: change either, and lipservo asks for a new calibration.
@@ -27,7 +27,7 @@ _HEADER = """\
 _HOLD_OUT_NOTES = {
     "n_frames": "0: nothing was measured in millimetres",
     "nearest_lip_rms_mm": "the best this face can do",
-    "n_closures": "frames with the talker's lips closed",
+    "n_closures": "frames with the speaker's lips closed",
     "closed_gap_mm": "the robot's gap in 95 % of them, at most",
 }
 #: One for each servo, and written there; one for each marker.
@@ -76,7 +76,7 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
         f"    weights: {_list(calibration.weights[i], _six)}",
     ]
     if calibration.quadratic_weights.shape[1]:
-        lines.append(f"    bends: {_list(calibration.quadratic_weights[i], _six)}")
+        lines.append(f"    quadratic_weights: {_list(calibration.quadratic_weights[i], _six)}")
     lines += _following_lines(calibration.following, i)
     return [*lines, f"    hold_out_rms_deg: {_four(calibration.errors.joint_rms_deg[i])}"]
 

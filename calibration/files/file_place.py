@@ -3,12 +3,10 @@
 import sys
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from lipsync.errors import shown
-
-Array = NDArray[np.float64]
 
 _MAX = sys.float_info.max
 

@@ -1,17 +1,15 @@
-"""Which points of the robot are which of the talker, and what the robot can do with them."""
+"""Which points of the robot are which of the speaker, and what the robot can do with them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.run.inverse import MarkersOf, ShapeFeatures, nearest_poses_deg
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 #: Upper and lower; the middle one says how open a mouth is.
 _GAP_NAMES = (
@@ -36,7 +34,7 @@ class Correspondence:
 
 
 def correspond(marker_names: Sequence[str]) -> Correspondence:
-    """Find what the robot's markers are called in the talker's face: the same.
+    """Find what the robot's markers are called in the speaker's face: the same.
 
     Raises CalibrationError for names that no model knows, or without the middle and the corners of
     the lips, which say how open and how wide a mouth is.
@@ -45,7 +43,7 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
     unknown = [name for name in names if name not in MARKERS_47.names]
     if unknown:
         raise CalibrationError(
-            f"marker {unknown[0]!r} is none of a talker's; known: {', '.join(MARKERS_47.names)}"
+            f"marker {unknown[0]!r} is none of a speaker's; known: {', '.join(MARKERS_47.names)}"
         )
     for name in (*_MIDDLE_GAP, *_CORNERS):
         if name not in names:
@@ -75,7 +73,7 @@ class RobotMouth:
         return np.asarray(self.markers_of(np.zeros((1, len(self.limits_deg[0]))))[0])
 
     def nearest_deg(self, wanted: Array) -> Array:
-        """Shape features (n, n_features) -> (n, n_servos), the poses that come nearest."""
+        """Features (n, n_features) of shapes -> (n, n_servos), the poses that come nearest."""
         shape_features = self.names.shape_features
         return nearest_poses_deg(
             self.markers_of, wanted, shape_features, self.limits_deg, rules=self.rules

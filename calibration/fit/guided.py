@@ -1,17 +1,17 @@
 """Calibration without a tracker: a person puts the mouth into a dozen named poses.
 
-Each pose is a shape that the talker of the model really made; the person moves the servos until
+Each pose is a shape that the speaker of the model really made; the person moves the servos until
 the robot looks like it. A line through a dozen points: usable, and coarser than a measured map.
 Loads scikit-learn; the live path never does.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.linear_model import RidgeCV
 
+from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -19,23 +19,21 @@ from calibration.calibration import (
     linear_calibration_parts,
 )
 from calibration.hold_out import HoldOutErrors
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.run.run_time_map import rounded
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.markers import MARKERS_47
 
-Array = NDArray[np.float64]
-
 #: From a weak to a strong pull towards not moving; leave-one-out chooses among a dozen poses.
 _STRENGTHS = np.logspace(-1, 4, 16)
-#: Landmark poses are near the talker's extremes, not at them, which are odd frames.
+#: Landmark poses are near the speaker's extremes, not at them, which are odd frames.
 _QUANTILE = 0.97
 CLOSED = "closed"
 
 
 @dataclass(frozen=True, slots=True)
 class LandmarkPose:
-    """One pose to make: its name, what to do, and the talker's frame (n_components,)."""
+    """One pose to make: its name, what to do, and the speaker's frame (n_components,)."""
 
     name: str
     instruction: str
@@ -89,7 +87,7 @@ _POSES: tuple[tuple[str, str, tuple[tuple[Callable[[Array], Array], float], ...]
 
 
 def landmark_poses(model: FaceWithAnimPhos) -> tuple[LandmarkPose, ...]:
-    """The closed mouth, then the poses above, each a frame of the talker's."""
+    """The closed mouth, then the poses above, each a frame of the speaker's."""
     frames = model.animphos.frames
     markers_mm = model.markers_mm(frames)
     poses = [LandmarkPose(CLOSED, "close the mouth, lips just touching", model.rest)]
@@ -105,12 +103,10 @@ def landmark_poses(model: FaceWithAnimPhos) -> tuple[LandmarkPose, ...]:
 
 def fit_guided(
     model: FaceWithAnimPhos,
-    joints: Sequence[JointRange],
+    servos: MouthServos,
     made_deg: Mapping[str, Array],
-    face_checksum: str,
     *,
     date: str = "",
-    servo_models: tuple[str, ...] = (),
 ) -> Calibration:
     """made_deg: for each landmark pose that the person made, the angles (n_servos,).
 
@@ -124,26 +120,26 @@ def fit_guided(
     if len(poses) < model.n_components + 2:
         raise CalibrationError(
             f"{len(poses)} poses are too few, {model.n_components + 2} are needed; "
-            "run `lipservo calibrate --guided` again and make more of them"
+            "run `lipservo calibrate guided` again and make more of them"
         )
     closed_deg = made_deg[CLOSED]
     x = np.array([pose.coefficients - model.rest for pose in poses if pose.name != CLOSED])
     turned_deg = np.array([made_deg[p.name] - closed_deg for p in poses if p.name != CLOSED])
     weights, left_out_deg = _ridge(x, turned_deg)
-    quadratic_weights, _, x_range = linear_calibration_parts(len(joints), model.n_components)
+    quadratic_weights, _, x_range = linear_calibration_parts(len(servos.joints), model.n_components)
     return Calibration(
-        servo_names=tuple(joint.name for joint in joints),
+        servo_names=servos.names,
         weights=weights,
         quadratic_weights=quadratic_weights,
         rest=model.rest,
         rest_deg=rounded(closed_deg),
         x_range=x_range,
-        min_deg=np.array([joint.min_deg for joint in joints]),
-        max_deg=np.array([joint.max_deg for joint in joints]),
+        min_deg=servos.limits_deg[0],
+        max_deg=servos.limits_deg[1],
         errors=_unmeasured(left_out_deg),
         model_checksum=model.checksum,
-        face_checksum=face_checksum,
-        origin=Origin("guided", date, len(poses), servo_models),
+        face_checksum=servos.face_checksum,
+        origin=Origin("guided", date, len(poses), servos.models),
     )
 
 

@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.fit.guided import LandmarkPose
 from calibration.joint_range import JointRange
 from lipsync.output_file import write_whole
 
-Array = NDArray[np.float64]
-
-#: Degrees of a key press: one is about the play of a printed gear train, five cross a range soon.
+#: Degrees of a key press: one is about the backlash of a printed gear train, five cross a
+#: range soon.
 _SMALL_DEG, _LARGE_DEG = 1.0, 5.0
 #: What each key is for, as shown to the person.
 KEYS: Mapping[str, str] = {

@@ -1,16 +1,16 @@
 """A calibration of a jaw alone, from markers on the jaw: the mouth of a talking skeleton.
 
-The talker's jaw blend (jaw_rotation.py) is linear in the model's coefficients. A sweep of the robot
-says which angle is which part of its own way from closed to open; the talker's widest jaw becomes
-the robot's. Lips are not looked at, so P, B and M close as far as the talker's jaw does.
+The speaker's jaw blend (jaw_rotation.py) is linear in the model's coefficients. A sweep of the
+robot says which angle is which part of its own way from closed to open; the speaker's widest jaw
+becomes the robot's. Lips are not looked at, so P, B and M close as far as the speaker's jaw does.
 Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -19,16 +19,14 @@ from calibration.calibration import (
 )
 from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
-from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, talkers_jaw
+from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, speakers_jaw
 from calibration.fit.learnt_face import ridge_weights
-from calibration.fit.measured import play_only, split_frames
+from calibration.fit.measured import backlash_only, split_frames
 from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import HoldOutErrors, each_marker_rms_mm
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 #: Enough for a curve that hardly bends.
 _SWEEP = 12
@@ -46,15 +44,12 @@ def jaw_markers(marker_names: Sequence[str]) -> tuple[int, ...]:
 def fit_jaw(
     model: FaceWithAnimPhos,
     capture: Capture,
-    joint: JointRange,
-    face_checksum: str,
+    servos: MouthServos,
     *,
     date: str = "",
-    servo_models: tuple[str, ...] = (),
-    positive: Sequence[str] = (),
     seed: int = 0,
 ) -> tuple[Calibration, tuple[str, ...]]:
-    """The calibration and warnings. Only markers of the jaw line count.
+    """The calibration of one servo, and warnings. Only markers of the jaw line count.
 
     Raises CalibrationError for fewer than three of them, and for a capture that cannot be trusted.
     """
@@ -64,20 +59,21 @@ def fit_jaw(
             f"{len(line)} markers on the jaw, {_LEAST_MARKERS} are needed: names that begin with "
             "`jaw` or `chin`"
         )
-    warnings = check_capture(capture, model, positive)
+    warnings = check_capture(capture, model, servos.positive)
     face = fit_robot_face(capture)
+    (joint,) = servos.joints
     sweep_deg = np.linspace(joint.min_deg, _USED_SHARE * joint.max_deg, _SWEEP)
     swept_mm = face.markers_mm(sweep_deg[:, None])[:, line]
     closed_mm = face.markers_mm(np.zeros((1, 1)))[0, line]
     robot = jaw_blend(closed_mm, swept_mm[-1])
     degrees = jaw_degrees(robot, sweep_deg, swept_mm)
-    talker = talkers_jaw(model)
+    speaker = speakers_jaw(model)
 
     def wanted_alpha(frames: Array) -> Array:
-        return talker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+        return speaker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
 
     fit, held_out = split_frames(model, seed)
-    limits = (np.array([joint.min_deg]), np.array([joint.max_deg]))
+    limits = servos.limits_deg
     # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
     degrees_per_alpha = float(degrees.alphas @ degrees.degrees / (degrees.alphas @ degrees.alphas))
     weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
@@ -112,18 +108,18 @@ def fit_jaw(
         max_deg=limits[1],
         errors=errors,
         model_checksum=model.checksum,
-        face_checksum=face_checksum,
-        origin=Origin("jaw alone", date, len(capture), servo_models),
-        following=play_only(face.backlash_deg),
+        face_checksum=servos.face_checksum,
+        origin=Origin("jaw alone", date, len(capture), servos.models),
+        following=backlash_only(face.backlash_deg),
     )
     return calibration, warnings
 
 
 def jaw_agreement(model: FaceWithAnimPhos, calibration: Calibration, joint: int) -> float:
-    """Correlation of one joint with the talker's jaw, over the model's frames: a check."""
+    """Correlation of one joint with the speaker's jaw, over the model's frames: a check."""
     some = model.animphos.samples[:: max(1, len(model.animphos) // 200)]
     frames = some.reshape(-1, model.n_components)
-    alpha = talkers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+    alpha = speakers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
     turned_deg = np.array([calibration.positions_deg(frame)[joint] for frame in frames])
     if turned_deg.std() == 0.0 or alpha.std() == 0.0:
         return 0.0

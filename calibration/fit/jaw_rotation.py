@@ -8,13 +8,11 @@ differences. For mouths of one servo, and as a check of others.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 #: The markers that ride on the jaw.
 JAW_LINE: tuple[int, ...] = tuple(
@@ -26,7 +24,7 @@ _DIFFERENCE = 0.1
 _STEPS = 2
 #: A jaw line that moves less than this between closed and open says nothing.
 _LEAST_MOTION_MM = 1.0
-#: The talker's open jaw: wider is rare.
+#: The speaker's open jaw: wider is rare.
 _OPEN_QUANTILE = 0.98
 
 
@@ -58,10 +56,10 @@ class JawBlend:
         return alpha
 
 
-def talkers_jaw(model: FaceWithAnimPhos) -> JawBlend:
+def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
     """From the model's rest to the mean of its widest open frames.
 
-    Raises CalibrationError for a talker whose jaw line hardly moves.
+    Raises CalibrationError for a speaker whose jaw line hardly moves.
     """
     frames = model.animphos.frames
     line = list(JAW_LINE)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.linear_model import RidgeCV
 
+from calibration.arrays import Array
 from calibration.calibration import Calibration, CalibrationError, linear_calibration_parts
 from calibration.coupling_rule import CouplingRule
 from calibration.fit.correspondence import RobotMouth, correspond
@@ -15,8 +15,6 @@ from calibration.joint_range import JointRange
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 HOLD_OUT_SHARE = 0.2
 #: Half or twice as many changed the lip error on grid_s1 by less than 0.02 mm; 3 s to fit.

@@ -3,12 +3,11 @@
 Loads scikit-learn; the live path never does.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -18,16 +17,13 @@ from calibration.calibration import (
 )
 from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
-from calibration.coupling_rule import CouplingRule
 from calibration.fit.correspondence import Correspondence, RobotMouth, correspond
 from calibration.fit.measured_errors import ShapeErrors, measure_shapes
 from calibration.fit.retargeting import Retargeting, fit_retargeting
 from calibration.fit.robot_face import RobotFace, fit_robot_face
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.run.run_time_map import fit_run_time_map
 from lipsync.animpho.units import FaceWithAnimPhos
-
-Array = NDArray[np.float64]
 
 HOLD_OUT_SHARE = 0.2
 #: At most so many AnimPhos of 5 frames are fitted to: a map of 45 numbers for each servo needs no
@@ -56,27 +52,21 @@ class MeasuredFit:
 def fit_measured(
     model: FaceWithAnimPhos,
     capture: Capture,
-    joints: Sequence[JointRange],
-    face_checksum: str,
+    servos: MouthServos,
     *,
     date: str = "",
-    servo_models: tuple[str, ...] = (),
-    positive: Sequence[str] = (),
-    rules: tuple[CouplingRule, ...] = (),
     seed: int = 0,
 ) -> MeasuredFit:
     """The whole way: sanity, face, retargeting, inverse, run-time map, errors on held-out AnimPhos.
 
-    positive: what a positive angle does, one word a joint as in the face YAML; lets a reversed
-    joint be found. rules: what the joints must not do together. Raises CalibrationError for a
-    capture that cannot be trusted.
+    Raises CalibrationError for a capture that cannot be trusted.
     """
     names = correspond(capture.marker_names)
-    warnings = check_capture(capture, model, positive)
+    warnings = check_capture(capture, model, servos.positive)
     face = fit_robot_face(capture)
-    limits = (np.array([j.min_deg for j in joints]), np.array([j.max_deg for j in joints]))
+    limits = servos.limits_deg
     fit, held_out = split_frames(model, seed)
-    mouth = RobotMouth(face.markers_mm, names, limits, rules)
+    mouth = RobotMouth(face.markers_mm, names, limits, servos.rules)
     retargeting = fit_retargeting(model, fit, mouth)
     found = ShapeErrors(model, mouth, retargeting)
     poses_deg = found.best_deg(retargeting.targets_mm(fit - model.rest))
@@ -93,12 +83,12 @@ def fit_measured(
         max_deg=limits[1],
         errors=errors,
         model_checksum=model.checksum,
-        face_checksum=face_checksum,
-        origin=Origin("measured", date, len(capture), servo_models),
-        following=play_only(face.backlash_deg),
+        face_checksum=servos.face_checksum,
+        origin=Origin("measured", date, len(capture), servos.models),
+        following=backlash_only(face.backlash_deg),
         touch=Touch(_touch_deg(mouth, retargeting), TOUCH_CURRENT_MA),
         coverage=coverage,
-        rules=rules,
+        rules=servos.rules,
     )
     return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
 
@@ -114,7 +104,7 @@ def split_frames(model: FaceWithAnimPhos, seed: int) -> tuple[Array, Array]:
     return np.concatenate(frames[fit]), np.concatenate(frames[held_out])
 
 
-def play_only(backlash_deg: Array) -> Following:
+def backlash_only(backlash_deg: Array) -> Following:
     """Nothing known of lags and speeds yet: no lag, no limit."""
     unknown = np.full(len(backlash_deg), np.inf)
     return Following(np.zeros(len(backlash_deg)), backlash_deg, unknown, unknown)

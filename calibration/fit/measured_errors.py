@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import VisemeReach
 from calibration.fit.correspondence import RobotMouth
 from calibration.fit.retargeting import Retargeting
@@ -17,8 +18,6 @@ from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors, each_marker_rms_m
 from calibration.run.run_time_map import RunTimeMap
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.phonemes import VISEME_CLASSES
-
-Array = NDArray[np.float64]
 
 #: A shape counts as reachable when the best pose is within this, rms over the lips.
 REACHABLE_MM = 0.5
@@ -28,7 +27,7 @@ _FRAMES_PER_CLASS = 30
 
 @dataclass(frozen=True, slots=True)
 class ShapeErrors:
-    """What shapes are measured with: the talker, the mouth as learnt, what is aimed for."""
+    """What shapes are measured with: the speaker, the mouth as learnt, what is aimed for."""
 
     model: FaceWithAnimPhos
     mouth: RobotMouth
@@ -84,7 +83,7 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
 
 
 def _coverage(on: ShapeErrors, run: RunTimeMap) -> dict[str, VisemeReach]:
-    """By the first phoneme of each class the talker ever said."""
+    """By the first phoneme of each class the speaker ever said."""
     rows = {viseme[0]: _rows_of(on.model, viseme) for viseme in VISEME_CLASSES}
     rows = {viseme: chosen for viseme, chosen in rows.items() if len(chosen)}
     from_rest = on.model.animphos.samples[np.concatenate(list(rows.values())), 2] - on.model.rest

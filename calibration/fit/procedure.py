@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 
+from calibration.arrays import Array
 from calibration.capture.capture import (
     Arrived,
     Capture,
@@ -33,19 +33,17 @@ from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
 from lipsync.animpho.units import FaceWithAnimPhos
 
-Array = NDArray[np.float64]
-
 #: The part of a plan that is taken where speech will be, and the part of these with lips closed. On
 #: development robots (seeds 106, 107, 116, 117) 16 of 60 poses took a quarter off the error of the
 #: learnt face in speech, and half off that of closed lips; 8 closed ones of them were no better.
 _SPEECH_SHARE, _CLOSED_SHARE = 0.27, 0.25
-#: So many of the talker's frames say well enough where speech is.
+#: So many of the speaker's frames say well enough where speech is.
 _FRAMES = 400
 
 
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """What is captured: the talker, the joints, how many poses, what must not go together."""
+    """What is captured: the speaker, the joints, how many poses, what must not go together."""
 
     model: FaceWithAnimPhos
     joints: Sequence[JointRange]

@@ -1,34 +1,40 @@
 """What a fresh calibration says of itself, for people."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from calibration.calibration import Calibration
-from calibration.fit.measured import MeasuredFit
 from calibration.fit.servo_response import CHIRP_END_HZ, chirp_amplitude_deg
 from calibration.joint_range import JointRange
 from lipsync.phonemes import VISEME_CLASSES
+
+if TYPE_CHECKING:  # loads scikit-learn, and `calibrate show` does without it
+    from calibration.fit.measured import MeasuredFit
 
 #: A viseme class with fewer of its shapes in reach than this is warned of.
 _WELL_REACHED = 0.9
 
 
-def report_lines(calibration: Calibration, written: str, fit: MeasuredFit | None) -> list[str]:
+def report_lines(
+    calibration: Calibration, written: str, fit: "MeasuredFit | None", *, with_servos: bool = True
+) -> list[str]:
     """How far off the map is, then each joint, then what the robot cannot reach.
 
-    fit: of the measured way; None for the others.
+    fit: of a measured calibration; None for the others. with_servos: with a line for each servo.
     """
     lines = [f"{written}: {_summary(calibration)}"]
     if fit is not None:
         lines += [
             f"learnt face: {fit.face.kind}; poses left out {fit.face.left_out_rms_mm:.2f} mm off "
             f"in each axis, of which the tracker's noise is about {fit.face.noise_mm:.2f}",
-            f"the mouth moves {fit.retargeting.scale[1]:.2f} times as much as the talker's up and "
+            f"the mouth moves {fit.retargeting.scale[1]:.2f} times as much as the speaker's up and "
             f"down, {fit.retargeting.scale[0]:.2f} times across",
         ]
     lines += _worst_markers(calibration.errors.each_marker_rms_mm)
-    lines += _joint_lines(calibration)
+    if with_servos:
+        lines += following_lines(calibration)
     if calibration.touch is not None:
         lines.append(
             "so that lips which meet are not pressed hard, give the mouth's servos max_current_ma: "
@@ -49,7 +55,7 @@ def _summary(calibration: Calibration) -> str:
     if origin.method == "jaw alone":
         return (
             f"on {errors.n_frames} frames left out the jaw line is {errors.marker_rms_mm:.2f} mm "
-            "from where the talker's would be; lips were not seen"
+            "from where the speaker's would be; lips were not seen"
         )
     if origin.method == "measured":
         return (
@@ -75,14 +81,14 @@ def _reach_lines(calibration: Calibration) -> list[str]:
     ]
 
 
-def _joint_lines(calibration: Calibration) -> list[str]:
+def following_lines(calibration: Calibration) -> list[str]:
     """How each joint does, and how it follows."""
     lines = []
     following = calibration.following
     for i, name in enumerate(calibration.servo_names):
         parts = [f"{calibration.errors.joint_rms_deg[i]:.1f} deg off the best pose"]
         if following is not None:
-            parts.append(f"play {following.backlash_deg[i]:.1f} deg")
+            parts.append(f"backlash {following.backlash_deg[i]:.1f} deg")
             if np.isfinite(following.bandwidth_hz[i]):
                 parts.append(f"{following.lag_s[i] * 1e3:.0f} ms late")
                 low, high = calibration.min_deg[i], calibration.max_deg[i]

@@ -1,31 +1,30 @@
-"""From the talker's mouth to this robot's: the same mouth, as this robot's skin can make it.
+"""From the speaker's mouth to this robot's: the same mouth, as this robot's skin can make it.
 
-Markers correspond by name. First the talker's motion is laid on the robot's neutral, larger or
-smaller by one factor for each axis (`RangeMatch`): openings and widths of the talker fill those of
-the robot, and lips that touch, touch. A skin drawn by a few horns cannot copy a talker's skin point
-by point, so what the robot does at the poses nearest to that becomes the shape to aim for, a linear
-function of the talker's coefficients like the talker's shapes themselves; lip gaps weigh most.
+Markers correspond by name. First the speaker's motion is laid on the robot's neutral, larger or
+smaller by one factor for each axis (`RangeMatch`): openings and widths of the speaker fill those of
+the robot, and lips that touch, touch. A skin drawn by a few horns cannot copy a speaker's skin
+point by point, so what the robot does at the poses nearest to that becomes the shape to aim for, a
+linear function of the speaker's coefficients like the speaker's shapes themselves; lip gaps weigh
+most.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.fit.correspondence import Correspondence, RobotMouth
 from calibration.hold_out import CLOSED_GAP_MM
 from lipsync.face.model import FaceModel
 
-Array = NDArray[np.float64]
-
 #: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that
 #: is off by this much still closes. On development robots the gap of closed lips was 0.1 to 0.25 mm
-#: larger than learnt, spread by 0.1 to 0.2 mm, and play added 0.1 to 0.2 mm.
+#: larger than learnt, spread by 0.1 to 0.2 mm, and backlash added 0.1 to 0.2 mm.
 PRESS_MM = 1.2
-#: The talker's range that is matched; more is rare and would make everything else small.
+#: The speaker's range that is matched; more is rare and would make everything else small.
 _RANGE_QUANTILE = 0.98
-#: A robot may exaggerate its talker by this factor over the ratio of their sizes, not more: its
+#: A robot may exaggerate its speaker by this factor over the ratio of their sizes, not more: its
 #: range is used, but a jaw that can drop by 30 degrees does not do so at every vowel (design).
 MOST_EXAGGERATION = 1.3
 #: And it is asked for this share of what it can do, so that limits are met rarely.
@@ -45,8 +44,8 @@ class Retargeting:
     """target = neutral_mm + (coefficients - rest) @ slopes, a shape of the robot's markers.
 
     neutral_mm: (n_markers, 3), lips just closed; slopes: (n_components, n_markers * 3).
-    scale: (3,), robot over talker, across, up, forward. difference_mm: how far, rms over the lips,
-    these shapes are from a copy of the talker's at that scale.
+    scale: (3,), robot over speaker, across, up, forward. difference_mm: how far, rms over the lips,
+    these shapes are from a copy of the speaker's at that scale.
     """
 
     neutral_mm: Array
@@ -60,7 +59,7 @@ class Retargeting:
 
 
 def fit_retargeting(model: FaceModel, frames: Array, mouth: RobotMouth) -> Retargeting:
-    """As large as the robot can follow. frames: (n, n_components), the talker's motion to serve."""
+    """As large as the robot can follow. frames: (n, n_components), speech to serve."""
     widest = match_ranges(model.markers_mm(frames)[:, list(mouth.names.human)], mouth)
     some = np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_TO_TRY)).astype(int)
     for size in _SIZES:
@@ -96,14 +95,14 @@ def _aim(model: FaceModel, frames: Array, mouth: RobotMouth, scale: Array) -> _A
 
 
 def wanted_gaps_mm(human_mm: Array, names: Correspondence, scale: Array) -> Array:
-    """(n, n_gaps, 3): the talker's at the robot's scale, less what still counts as closed."""
+    """(n, n_gaps, 3): the speaker's at the robot's scale, less what still counts as closed."""
     gaps_mm = scale * names.shape_features.gaps_mm(human_mm)
     gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
     return gaps_mm
 
 
 def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
-    """(3,): robot over talker. Up: so that openings fill the robot's; across: so that widths do.
+    """(3,): robot over speaker. Up: so that openings fill the robot's; across: so that widths do.
 
     What is forward is scaled as what is across: both are what the lips' ring does when it rounds.
     """

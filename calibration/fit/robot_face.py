@@ -15,19 +15,18 @@ from sklearn.model_selection import KFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
+from calibration.arrays import Array
 from calibration.capture.capture import Capture
 from calibration.fit.skin_process import (
-    Likely,
+    Hyperparameters,
     Poses,
+    fit_hyperparameters,
     fit_process,
-    most_likely,
     squared_distances_mm2,
 )
 
-Array = NDArray[np.float64]
-
 _FOLDS = 6
-#: Rounds between the likeliest setting and the points that the tracker lost.
+#: Rounds between the fit of the hyperparameters and the points that the tracker lost.
 _ROUNDS = 2
 
 
@@ -39,7 +38,7 @@ class Learnt(Protocol):
 
 
 class Learner(Protocol):
-    """Something that learns from poses, as the rivals below do."""
+    """Something that learns from poses, as the baselines below do."""
 
     def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
         """Learn (n, n_servos) -> (n, n_markers, 3)."""
@@ -47,7 +46,7 @@ class Learner(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class RobotFace:
-    """A learnt face. backlash_deg: (n_servos,), the whole width of the play.
+    """A learnt face. backlash_deg: (n_servos,), the whole width of the backlash.
 
     kind: which regression cross-validation chose; left_out_rms_mm: its error on poses left out, in
     each axis, the tracker's noise included; noise_mm: what the fit leaves unexplained.
@@ -65,7 +64,7 @@ class RobotFace:
     noise_mm: float
 
     def markers_mm(self, output_deg: Array) -> Array:
-        """(n, n_servos), degrees in the middle of the play -> (n, n_markers, 3)."""
+        """(n, n_servos), degrees in the middle of the backlash -> (n, n_markers, 3)."""
         inputs = (output_deg - self.middle_deg) / self.half_range_deg
         return np.asarray(self.centre_mm + self.learnt.predict(inputs))
 
@@ -73,8 +72,8 @@ class RobotFace:
 def fit_robot_face(capture: Capture) -> RobotFace:
     """Learn the face from a capture; points that the tracker lost are left out of the fit.
 
-    Play is found from the side that each pose was reached from, together with the face. The kind of
-    regression is chosen by cross-validation over poses.
+    Backlash is found from the side that each pose was reached from, together with the face. The
+    kind of regression is chosen by cross-validation over poses.
     """
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
     half_range_deg = np.maximum((high - low) / 2, 1e-6)
@@ -84,11 +83,11 @@ def fit_robot_face(capture: Capture) -> RobotFace:
     from_centre_mm = np.where(seen, capture.markers_mm - centre_mm, 0.0)
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
     for _ in range(1 if seen.all() else _ROUNDS):
-        likely = most_likely(poses, from_centre_mm, apart_mm2)
-        inputs = poses.inputs(likely.play_deg)
-        process = fit_process(likely, inputs, from_centre_mm, apart_mm2)
+        hyperparameters = fit_hyperparameters(poses, from_centre_mm, apart_mm2)
+        inputs = poses.inputs(hyperparameters.backlash_deg)
+        process = fit_process(hyperparameters, inputs, from_centre_mm, apart_mm2)
         from_centre_mm = np.where(seen, from_centre_mm, process.predict(inputs))
-    learners = _learners(likely, apart_mm2)
+    learners = _learners(hyperparameters, apart_mm2)
     left_out_mm = {
         kind: _left_out_rms_mm(learner, inputs, from_centre_mm, seen)
         for kind, learner in learners.items()
@@ -104,7 +103,7 @@ def fit_robot_face(capture: Capture) -> RobotFace:
         centre_mm=centre_mm,
         middle_deg=poses.middle_deg,
         half_range_deg=half_range_deg,
-        backlash_deg=likely.play_deg,
+        backlash_deg=hyperparameters.backlash_deg,
         left_out_rms_mm=left_out_mm[kind],
         noise_mm=float(np.sqrt(np.mean(missed_mm**2))),
     )
@@ -114,11 +113,11 @@ def fit_robot_face(capture: Capture) -> RobotFace:
 class _Process:
     """The process of skin_process.py, its setting found beforehand."""
 
-    likely: Likely
+    hyperparameters: Hyperparameters
     apart_mm2: Array
 
     def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
-        return fit_process(self.likely, inputs, from_centre_mm, self.apart_mm2)
+        return fit_process(self.hyperparameters, inputs, from_centre_mm, self.apart_mm2)
 
 
 class _Ridge:
@@ -135,10 +134,10 @@ class _Ridge:
         return np.asarray(self._regressor.predict(inputs)).reshape(len(inputs), -1, 3)
 
 
-def _learners(likely: Likely, apart_mm2: Array) -> Mapping[str, Learner]:
+def _learners(hyperparameters: Hyperparameters, apart_mm2: Array) -> Mapping[str, Learner]:
     """Regressions to choose from; inputs run from -1 to 1, outputs are millimetres off centre."""
     return {
-        "gaussian process": _Process(likely, apart_mm2),
+        "gaussian process": _Process(hyperparameters, apart_mm2),
         "ridge, straight": _Ridge(Ridge(0.03)),
         "ridge, own squares": _Ridge(make_pipeline(FunctionTransformer(_own_squares), Ridge(0.1))),
     }

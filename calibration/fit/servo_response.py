@@ -3,12 +3,10 @@
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError, Following
 from calibration.joint_range import JointRange
-
-Array = NDArray[np.float64]
 
 #: Send goals (n, n_servos), one each 1 / rate_hz, and give back the encoders at the same instants.
 Drive = Callable[[Array, float], Array]

@@ -1,12 +1,13 @@
-"""One Gaussian process over joints and skin: neighbouring markers move alike, joints bend a little.
+"""One Gaussian process over joints and skin: neighbouring markers move alike, almost linearly.
 
     cov(marker p at pose x, marker q at pose y) = K(x, y) S(p, q), each axis for itself, plus noise
-    K(x, y) = K0 + s + bend s^2,  s = sum_j reach_j x_j y_j     (straight lines, squares, products)
+    K(x, y) = K0 + s + curvature s^2, s = sum_j reach_j x_j y_j     (lines, squares, products)
     S(p, q) = exp(-d(p, q)^2 / 2 width^2) + own [p = q],         d along the skin
 
 The covariance is a Kronecker product, so two small eigendecompositions solve it (Rasmussen and
-Williams, Gaussian Processes for Machine Learning, 2006, sections 2.2 and 5.4.1). The play of the
-joints, their reaches, bend, width and noise are those under which the capture is most likely.
+Williams, Gaussian Processes for Machine Learning, 2006, sections 2.2 and 5.4.1). The backlash of
+the joints, their reaches, curvature, width and noise are hyperparameters; those are taken that
+minimise the negative log likelihood of the capture.
 Loads SciPy; the live path never does.
 """
 
@@ -14,19 +15,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from calibration.arrays import Array
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 #: Variance of where a marker is on average, mm^2: unknown.
 _CONSTANT_MM2 = 100.0
-#: The plays of one robot are like one another by so much, about a common mean.
-_PLAY_SD_DEG = 0.4
-_FIRST_PLAY_DEG = 0.5
-#: Where the search for the most likely setting begins: reach in mm^2 of a half range, bend per
+#: The backlashes of one robot are like one another by so much, about a common mean.
+_BACKLASH_SD_DEG = 0.4
+_FIRST_BACKLASH_DEG = 0.5
+#: Where the search for the hyperparameters begins: reach in mm^2 of a half range, curvature per
 #: mm^2, noise in mm^2, width in mm, own part. It ends at the same place from half or twice these.
 _FIRST = (3.0, 0.02, 0.3, 14.0, 0.05)
 _MOST_STEPS = 200
@@ -50,19 +49,19 @@ class Poses:
     middle_deg: Array
     half_range_deg: Array
 
-    def inputs(self, play_deg: Array) -> Array:
-        """(n, n_servos): where the horns stood, behind the play."""
-        reached_deg = self.goals_deg - self.from_below * play_deg / 2
+    def inputs(self, backlash_deg: Array) -> Array:
+        """(n, n_servos): where the horns stood, behind the backlash."""
+        reached_deg = self.goals_deg - self.from_below * backlash_deg / 2
         return np.asarray((reached_deg - self.middle_deg) / self.half_range_deg)
 
 
 @dataclass(frozen=True, slots=True)
-class Likely:
-    """The most likely setting. play_deg, reach_mm2: (n_servos,)."""
+class Hyperparameters:
+    """Those that maximise the likelihood of a capture. backlash_deg, reach_mm2: (n_servos,)."""
 
-    play_deg: Array
+    backlash_deg: Array
     reach_mm2: Array
-    bend: float
+    curvature: float
     noise_mm2: float
     width_mm: float
     own: float
@@ -70,7 +69,7 @@ class Likely:
     def joints(self, one: Array, other: Array) -> Array:
         """(n, n_servos) and (m, n_servos) -> K, (n, m)."""
         straight = (one * self.reach_mm2) @ other.T
-        return np.asarray(_CONSTANT_MM2 + straight + self.bend * straight**2)
+        return np.asarray(_CONSTANT_MM2 + straight + self.curvature * straight**2)
 
     def skin(self, apart_mm2: Array) -> Array:
         """Squared distances (n_markers, n_markers) -> S."""
@@ -85,13 +84,13 @@ class SkinProcess:
     solved: (n, n_markers, 3), what each captured pose adds.
     """
 
-    likely: Likely
+    hyperparameters: Hyperparameters
     inputs: Array
     solved: Array
 
     def predict(self, inputs: Array) -> Array:
         """(m, n_servos) -> (m, n_markers, 3), off the centre."""
-        weights = self.likely.joints(inputs, self.inputs)
+        weights = self.hyperparameters.joints(inputs, self.inputs)
         return np.asarray(np.tensordot(weights, self.solved, axes=1))
 
 
@@ -110,18 +109,18 @@ def _side(name: str) -> float:
     return float(landmark in _UPPER_LIP) - float(landmark in _LOWER_LIP)
 
 
-def most_likely(poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> Likely:
+def fit_hyperparameters(poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> Hyperparameters:
     """from_centre_mm: (n, n_markers, 3), without gaps; apart_mm2 as from above."""
     n_servos = poses.goals_deg.shape[1]
     first = np.concatenate(
         [
-            np.full(n_servos, _FIRST_PLAY_DEG),
+            np.full(n_servos, _FIRST_BACKLASH_DEG),
             np.log(np.concatenate([np.full(n_servos, _FIRST[0]), _FIRST[1:]])),
         ]
     )
     bounds = [(0.0, None)] * n_servos + [(-20.0, 20.0)] * (n_servos + 4)
     found = minimize(
-        _Unlikeliness(poses, from_centre_mm, apart_mm2),
+        _NegativeLogLikelihood(poses, from_centre_mm, apart_mm2),
         first,
         jac=True,
         method="L-BFGS-B",
@@ -132,21 +131,30 @@ def most_likely(poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> Likely
 
 
 def fit_process(
-    likely: Likely, inputs: Array, from_centre_mm: Array, apart_mm2: Array
+    hyperparameters: Hyperparameters, inputs: Array, from_centre_mm: Array, apart_mm2: Array
 ) -> SkinProcess:
-    """What a capture says under a setting: the process given the captured poses."""
-    on = _Solution(likely.joints(inputs, inputs), likely.skin(apart_mm2), likely.noise_mm2)
+    """The process conditioned on the captured poses."""
+    on = _Solution(
+        hyperparameters.joints(inputs, inputs),
+        hyperparameters.skin(apart_mm2),
+        hyperparameters.noise_mm2,
+    )
     weighed = on.rotated(from_centre_mm) / on.spread[:, :, None]
     solved = np.einsum(
-        "ni,ijk,mj,mp->npk", on.poses, weighed, on.points, likely.skin(apart_mm2), optimize=True
+        "ni,ijk,mj,mp->npk",
+        on.poses,
+        weighed,
+        on.points,
+        hyperparameters.skin(apart_mm2),
+        optimize=True,
     )
-    return SkinProcess(likely, inputs, solved)
+    return SkinProcess(hyperparameters, inputs, solved)
 
 
-def _unpacked(parameters: Array, n_servos: int) -> Likely:
+def _unpacked(parameters: Array, n_servos: int) -> Hyperparameters:
     reach = np.exp(parameters[n_servos : 2 * n_servos])
-    bend, noise, width, own = np.exp(parameters[2 * n_servos :]).tolist()
-    return Likely(parameters[:n_servos], reach, bend, noise, width, own)
+    curvature, noise, width, own = np.exp(parameters[2 * n_servos :]).tolist()
+    return Hyperparameters(parameters[:n_servos], reach, curvature, noise, width, own)
 
 
 class _Solution:
@@ -165,7 +173,7 @@ class _Solution:
         )
 
 
-class _Unlikeliness:
+class _NegativeLogLikelihood:
     """Minus the log likelihood and its slope, by the parameters of `_unpacked`."""
 
     def __init__(self, poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> None:
@@ -175,9 +183,13 @@ class _Unlikeliness:
 
     def __call__(self, parameters: Array) -> tuple[float, Array]:
         n_servos = self._poses.goals_deg.shape[1]
-        likely = _unpacked(parameters, n_servos)
-        x = self._poses.inputs(likely.play_deg)
-        on = _Solution(likely.joints(x, x), likely.skin(self._apart), likely.noise_mm2)
+        hyperparameters = _unpacked(parameters, n_servos)
+        x = self._poses.inputs(hyperparameters.backlash_deg)
+        on = _Solution(
+            hyperparameters.joints(x, x),
+            hyperparameters.skin(self._apart),
+            hyperparameters.noise_mm2,
+        )
         rotated = on.rotated(self._values)
         weighed = rotated / on.spread[:, :, None]
         axes = self._values.shape[2]
@@ -191,19 +203,21 @@ class _Unlikeliness:
         by_skin = 0.5 * on.points @ by_point @ on.points.T
         by_noise = 0.5 * (axes * (1.0 / on.spread).sum() - (weighed**2).sum())
 
-        straight = (x * likely.reach_mm2) @ x.T
-        by_straight = by_joints * (1.0 + 2.0 * likely.bend * straight)
-        by_input = 2.0 * by_straight @ (x * likely.reach_mm2)
-        by_play = (by_input * -self._poses.from_below / 2 / self._poses.half_range_deg).sum(axis=0)
-        unlike = likely.play_deg - likely.play_deg.mean()
-        cost += 0.5 * float((unlike**2).sum()) / _PLAY_SD_DEG**2
-        by_play += unlike / _PLAY_SD_DEG**2
+        straight = (x * hyperparameters.reach_mm2) @ x.T
+        by_straight = by_joints * (1.0 + 2.0 * hyperparameters.curvature * straight)
+        by_input = 2.0 * by_straight @ (x * hyperparameters.reach_mm2)
+        by_backlash = (by_input * -self._poses.from_below / 2 / self._poses.half_range_deg).sum(
+            axis=0
+        )
+        unlike = hyperparameters.backlash_deg - hyperparameters.backlash_deg.mean()
+        cost += 0.5 * float((unlike**2).sum()) / _BACKLASH_SD_DEG**2
+        by_backlash += unlike / _BACKLASH_SD_DEG**2
         by_reach = np.einsum("ns,nm,ms->s", x, by_straight, x, optimize=True)
-        alike = np.exp(-0.5 * self._apart / likely.width_mm**2)
+        alike = np.exp(-0.5 * self._apart / hyperparameters.width_mm**2)
         slopes = [
-            likely.bend * (by_joints * straight**2).sum(),
-            likely.noise_mm2 * by_noise,
-            (by_skin * alike * self._apart).sum() / likely.width_mm**2,
-            likely.own * np.trace(by_skin),
+            hyperparameters.curvature * (by_joints * straight**2).sum(),
+            hyperparameters.noise_mm2 * by_noise,
+            (by_skin * alike * self._apart).sum() / hyperparameters.width_mm**2,
+            hyperparameters.own * np.trace(by_skin),
         ]
-        return cost, np.concatenate([by_play, likely.reach_mm2 * by_reach, slopes])
+        return cost, np.concatenate([by_backlash, hyperparameters.reach_mm2 * by_reach, slopes])

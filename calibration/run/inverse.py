@@ -29,7 +29,7 @@ _DIFFERENCE_DEG = 0.5
 
 @dataclass(frozen=True, slots=True)
 class ShapeFeatures:
-    """What counts of a shape. lips: indices of lip markers; gaps: (n_gaps, 2), upper, lower."""
+    """What counts of a shape. lips: indices of lip markers; gaps: (n_gaps, 2), upper and lower."""
 
     lips: tuple[int, ...]
     gaps: tuple[tuple[int, int], ...]
@@ -61,7 +61,7 @@ def nearest_poses_deg(
     rules: Sequence[CouplingRule] = (),
     steady_mm_per_deg: float = 0.0,
 ) -> Array:
-    """Shape features (n, n_features) -> (n, n_servos) within the limits, keeping the rules.
+    """Features (n, n_features) of shapes -> (n, n_servos) within the limits, keeping the rules.
 
     Gauss-Newton from neutral. steady_mm_per_deg: what a degree of difference to the neighbouring
     frames costs, where the n frames follow one another.

@@ -49,9 +49,9 @@ def fit_run_time_map(
     """from_rest: (n, n_components); poses_deg: (n, n_servos), the pose wanted at each.
 
     Generalised least squares: the metric of angle errors is the mean of J'J over the poses, J the
-    slope of the shape features. With one metric for all frames and one ridge for all features
-    the solution does not depend on the metric but for the ridge, so each principal direction of
-    the metric is regressed on its own, with a ridge in inverse proportion to how much it shows.
+    slope of the shape features. With one metric for all frames and one ridge for all features the
+    solution does not depend on the metric but for the ridge, so each principal direction of the
+    metric is regressed on its own, with a ridge in inverse proportion to how much it shows.
     """
     first, second = pairs(from_rest.shape[1])
     features = np.hstack([from_rest, from_rest[:, first] * from_rest[:, second]])

@@ -16,11 +16,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 JAW = "jaw"
 PROTRUSION = "lip_protrusion"

@@ -9,16 +9,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.simulated.face import (
     JAW,
     SimulatedFace,
     marker_positions_mm,
     simulated_face,
 )
-
-Array = NDArray[np.float64]
 
 #: rms of the tracker's noise in each axis (the bar of the benchmark).
 SENSOR_NOISE_MM = 0.5
@@ -76,7 +74,7 @@ def _other_pull(pull: Array, rng: np.random.Generator) -> Array:
 
 
 class SimulatedRobot:
-    """Servos with play behind a skin, and a noisy tracker before it."""
+    """Servos with backlash behind a skin, and a noisy tracker before it."""
 
     def __init__(
         self,
@@ -85,14 +83,14 @@ class SimulatedRobot:
         noise_seed: int = 0,
         noise_mm: float = SENSOR_NOISE_MM,
     ) -> None:
-        """All servos at 0, in the middle of their play."""
+        """All servos at 0, in the middle of their backlash."""
         self._draw = draw
         self._noise = np.random.default_rng(noise_seed)
         self._noise_mm = noise_mm
         self._output_deg = np.zeros(len(draw.zero_deg))
 
     def move(self, positions_deg: Array) -> Array:
-        """Go there and settle; the encoders then, (n_servos,). Play: the horn lags behind."""
+        """Go there and settle; the encoders then, (n_servos,). Backlash: the horn lags behind."""
         half_deg = self._draw.backlash_deg / 2
         self._output_deg = np.clip(
             self._output_deg, positions_deg - half_deg, positions_deg + half_deg
@@ -109,5 +107,5 @@ class SimulatedRobot:
 
 
 def true_markers_mm(draw: RobotDraw, output_deg: Array) -> Array:
-    """(n, n_servos), angles behind the play -> (n, 47, 3), without noise."""
+    """(n, n_servos), angles behind the backlash -> (n, 47, 3), without noise."""
     return marker_positions_mm(draw.face, output_deg + draw.zero_deg)

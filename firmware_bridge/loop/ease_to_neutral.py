@@ -5,7 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from firmware_bridge.arrays import Array
-from firmware_bridge.gate.limits import EASE_PEAK_SLOPE, ease
+from firmware_bridge.gate.limits import EASE_PEAK_SLOPE
+from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.joints import Joint
 
 #: Time to neutral when the joints can make it: a person waits for it.
@@ -20,18 +21,16 @@ class EaseToNeutral:
     def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
-        self._start_deg = start_deg
-        self._start_s = start_s
-        self._lasts_s = max(_EASE_S, needed_s)
+        neutral_deg = np.zeros_like(start_deg)
+        self._ramp = Ramp(start_deg, neutral_deg, start_s, max(_EASE_S, needed_s), eased=True)
         #: Whether every joint was told to be at neutral, which is where it goes limp.
         self.arrived = False
 
     def at(self, time_s: float) -> Array:
         """Where the joints should be, (n_joints,) degrees."""
-        return self._start_deg * (1.0 - ease((time_s - self._start_s) / self._lasts_s))
+        return self._ramp.at(time_s)
 
     def over(self, sent_deg: Array, time_s: float) -> bool:
         """Whether the joints were sent to neutral, or have been on their way for too long."""
-        elapsed_s = time_s - self._start_s
-        self.arrived = elapsed_s >= self._lasts_s and not sent_deg.any()
-        return self.arrived or elapsed_s >= _LONGEST_S
+        self.arrived = self._ramp.is_over(time_s) and not sent_deg.any()
+        return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S

@@ -1,16 +1,17 @@
 """The figures of `lipservo bench calibration`: whole procedures on simulated robots, scored.
 
 Every seed draws a robot (geometry, backlash, lags). What fits sees `move` and `measure` only; the
-score is taken on markers without noise, with the play as it lies.
+score is taken on markers without noise, with the backlash as it lies.
 """
 
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured
@@ -20,6 +21,7 @@ from calibration.fit.retargeting import MOST_EXAGGERATION, wanted_gaps_mm
 from calibration.fit.servo_response import identify
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.run.backlash import BacklashCompensation
 from calibration.run.inverse import nearest_poses_deg
 from calibration.simulated.face import JAW
@@ -29,8 +31,6 @@ from lipservo.bench.sync_figures import SyncErrors, sync_errors
 from lipservo.settings.settings import FaceSettings, load_shipped_face
 from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
 from lipsync.markers import MARKERS_47
-
-Array = NDArray[np.float64]
 
 N_POSES = 60
 #: A person who puts a mouth into a pose by eye, with keys of one degree: off by so much, rms
@@ -60,23 +60,27 @@ class SeedFigures:
 
 def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
     """Calibrate one simulated robot from capture to lags, and score it."""
-    joints = [JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()]
+    servos = MouthServos(
+        joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
+        face_checksum=settings.checksum,
+        positive=tuple(servo.positive for servo in settings.servos.values()),
+    )
+    joints = servos.joints
     rest_mm = model.markers_mm(model.rest[None])[0]
-    draw = draw_robot(rest_mm, [joint.name for joint in joints], seed)
+    draw = draw_robot(rest_mm, servos.names, seed)
     robot = SimulatedRobot(draw, noise_seed=seed)
-    servos = SimulatedServos.drawn(len(joints), seed)
-    positive = [servo.positive for servo in settings.servos.values()]
+    late_servos = SimulatedServos.drawn(len(joints), seed)
 
     began_s = time.perf_counter()
     procedure = Procedure(model, joints, N_POSES, seed=seed)
     capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
-    fit = fit_measured(model, capture, joints, settings.checksum, positive=positive)
-    following = identify(servos.encoders_deg, joints, fit.face.backlash_deg)
+    fit = fit_measured(model, capture, servos)
+    following = identify(late_servos.encoders_deg, joints, fit.face.backlash_deg)
     procedure_s = time.perf_counter() - began_s
 
     fit = replace(fit, calibration=replace(fit.calibration, following=following))
-    shapes = _score_shapes(model, fit, draw, joints, seed)
-    sync = sync_errors(model, fit.calibration, draw, servos, seed)
+    shapes = _score_shapes(model, fit, draw, servos, seed)
+    sync = sync_errors(model, fit.calibration, draw, late_servos, seed)
     return _figures(shapes, sync, _map_time_us(model, fit), procedure_s)
 
 
@@ -150,18 +154,14 @@ def _figures(
 
 
 def _score_shapes(
-    model: FaceWithAnimPhos,
-    fit: MeasuredFit,
-    draw: RobotDraw,
-    joints: Sequence[JointRange],
-    seed: int,
+    model: FaceWithAnimPhos, fit: MeasuredFit, draw: RobotDraw, servos: MouthServos, seed: int
 ) -> _ShapeScores:
-    """On the held-out frames, sent one after another with play made up for as live."""
+    """On the held-out frames, sent one after another with backlash made up for as live."""
 
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
 
-    limits = (np.array([j.min_deg for j in joints]), np.array([j.max_deg for j in joints]))
+    limits = servos.limits_deg
     targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
     shape_features, lips = fit.names.shape_features, list(MARKERS_47.lips)
 
@@ -170,16 +170,16 @@ def _score_shapes(
         return lips_apart_mm(truth(best_deg), wanted_mm, lips)
 
     robot = SimulatedRobot(draw)
-    play = BacklashCompensation(fit.face.backlash_deg)
+    backlash = BacklashCompensation(fit.face.backlash_deg)
     seen_mm = np.empty_like(targets_mm)
     for frame, coefficients in enumerate(fit.held_out):
-        robot.move(play.feed(fit.calibration.positions_deg(coefficients)))
+        robot.move(backlash.feed(fit.calibration.positions_deg(coefficients)))
         seen_mm[frame] = robot.true_markers_mm()
     rest_mm = model.markers_mm(model.rest[None])
     copies_mm = draw.face.neutral_mm + fit.retargeting.scale * (
         model.markers_mm(fit.held_out) - rest_mm
     )
-    guided = _guided_apart_mm(model, fit, draw, joints, targets_mm, seed)
+    guided = _guided_apart_mm(model, fit, draw, servos, targets_mm, seed)
     return _ShapeScores(
         apart_mm=lips_apart_mm(seen_mm, targets_mm, lips),
         all_apart_mm=lips_apart_mm(seen_mm, targets_mm, list(range(len(MARKERS_47.names)))),
@@ -195,23 +195,23 @@ def _guided_apart_mm(
     model: FaceWithAnimPhos,
     fit: MeasuredFit,
     draw: RobotDraw,
-    joints: Sequence[JointRange],
+    servos: MouthServos,
     targets_mm: Array,
     seed: int,
 ) -> Array:
     """A person makes the landmark poses by eye; the score's targets are the measured ones.
 
-    The person is shown the talker's mouth, as large as the robot's and exaggerated as usual, finds
+    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual, finds
     the pose nearest to it, and is off by a few key presses.
     """
 
     def truth(output_deg: Array) -> Array:
         return true_markers_mm(draw, output_deg)
 
-    limits = (np.array([j.min_deg for j in joints]), np.array([j.max_deg for j in joints]))
+    limits = servos.limits_deg
     poses = landmark_poses(model)
     shown_mm = model.markers_mm(np.array([pose.coefficients for pose in poses]))
-    neutral_mm, closed_mm = truth(np.zeros((1, len(joints))))[0], shown_mm[0]
+    neutral_mm, closed_mm = truth(np.zeros((1, len(servos.joints))))[0], shown_mm[0]
     right, left = fit.names.corners
     size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
     scale = np.full(3, MOST_EXAGGERATION * size)
@@ -219,13 +219,12 @@ def _guided_apart_mm(
         neutral_mm + scale * (shown_mm - closed_mm), wanted_gaps_mm(shown_mm, fit.names, scale)
     )
     best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
-    off_deg = np.where([j.name == JAW for j in joints], _PERSON_JAW_DEG, _PERSON_DEG)
+    off_deg = np.where([j.name == JAW for j in servos.joints], _PERSON_JAW_DEG, _PERSON_DEG)
     noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
     made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
     made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch
-    guided = fit_guided(
-        model, joints, {p.name: d for p, d in zip(poses, made_deg, strict=True)}, ""
-    )
+    made = {pose.name: degrees for pose, degrees in zip(poses, made_deg, strict=True)}
+    guided = fit_guided(model, servos, made)
     angles_deg = np.array([guided.positions_deg(frame) for frame in fit.held_out])
     return lips_apart_mm(truth(angles_deg), targets_mm, list(MARKERS_47.lips))
 

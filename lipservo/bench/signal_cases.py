@@ -72,16 +72,16 @@ def _at_port(*arguments: str) -> Callable[[RobotAtPort], list[str]]:
     return lambda robot: [*arguments, "--config", FACE, "--port", str(robot.port)]
 
 
-def _calibrate(*arguments: str) -> Callable[[RobotAtPort], list[str]]:
+def _calibrate(step: str, *arguments: str) -> Callable[[RobotAtPort], list[str]]:
     def made(robot: RobotAtPort) -> list[str]:
         output = str(robot.folder / "c.calibration.yaml")
-        return ["calibrate", "--config", FACE, *arguments, "--output", output]
+        return ["calibrate", step, "--config", FACE, *arguments, "--output", output]
 
     return made
 
 
-def _calibrate_at_port(*arguments: str) -> Callable[[RobotAtPort], list[str]]:
-    return lambda robot: [*_calibrate(*arguments)(robot), "--port", str(robot.port)]
+def _calibrate_at_port(step: str, *arguments: str) -> Callable[[RobotAtPort], list[str]]:
+    return lambda robot: [*_calibrate(step, *arguments)(robot), "--port", str(robot.port)]
 
 
 def _new_face(robot: RobotAtPort) -> list[str]:
@@ -115,15 +115,15 @@ COMMANDS: Final = {
         Command("jog", _at_port("jog", "jaw", "10", "--hold-s", "30")),
         Command("neutral", _at_port("neutral"), _stand_away),
         Command("new-face", _new_face, _without_current_limits, answers="jaw\nopens\ny\n"),
-        Command("calibrate-typed", _calibrate_at_port("--tracker", "typed")),
-        Command("calibrate-guided", _calibrate_at_port("--guided")),
+        Command("calibrate-typed", _calibrate_at_port("measure", "--tracker", "typed")),
+        Command("calibrate-guided", _calibrate_at_port("guided")),
         Command("setup-servos", _at_port("setup-servos"), _forget_limits, arms=False),
         Command(
             "run-sim",
             lambda _: ["run", "--sim", "pty", "--config", FACE, "--wav", str(CLIP)],
             own_servos=True,
         ),
-        Command("calibrate-sim", _calibrate("--sim", "pty"), own_servos=True),
+        Command("calibrate-sim", _calibrate("measure", "--sim", "pty"), own_servos=True),
     )
 }
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import Calibration
 from calibration.fit.servo_response import lag_between_s
 from calibration.run.following import Follower
@@ -13,8 +13,6 @@ from calibration.simulated.servos import SimulatedServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.markers import MARKERS_47
 from lipsync.phonemes import SILENCE
-
-Array = NDArray[np.float64]
 
 _RATE_HZ = 100.0
 LOOK_AHEAD_S = 0.200
@@ -27,7 +25,7 @@ _WINDOW_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class SyncErrors:
-    """Time between the talker's lip gap and the robot's, rms over windows.
+    """Time between the speaker's lip gap and the robot's, rms over windows.
 
     gap_r: correlation of the two gaps in motion, after compensation.
     """
@@ -44,7 +42,7 @@ def sync_errors(
     servos: SimulatedServos,
     seed: int,
 ) -> SyncErrors:
-    """Twenty seconds of AnimPhos, through map, follower, late servos and play."""
+    """Twenty seconds of AnimPhos, through map, follower, late servos and backlash."""
     motion = _motion(model, np.random.default_rng([seed, 3]))
     wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
     poses_deg = np.array([calibration.positions_deg(frame) for frame in motion])
@@ -86,7 +84,7 @@ def _motion(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
 
 
 def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
-    """(n,): the robot's lip gap, shafts late and horns with play."""
+    """(n,): the robot's lip gap, shafts late and horns with backlash."""
     shafts_deg = servos.shafts_deg(goals_deg, _RATE_HZ)
     horns_deg = np.empty_like(shafts_deg)
     horn, half_deg = shafts_deg[0], draw.backlash_deg / 2

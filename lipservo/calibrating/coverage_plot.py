@@ -4,10 +4,11 @@ Needs matplotlib, the extra `plots`.
 """
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calibration.arrays import Array
 from calibration.calibration import Calibration, CalibrationError
 from calibration.fit.correspondence import RobotMouth
 from calibration.fit.measured import MeasuredFit
@@ -16,7 +17,8 @@ from lipservo.terminal.pictures import save_picture, without_screen
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.phonemes import VISEME_CLASSES
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 PICTURE = "coverage.png"
 _FRAMES = 1500
@@ -32,7 +34,9 @@ def draw_coverage(
     Raises CalibrationError for a calibration that measured nothing.
     """
     if fit is None:
-        raise CalibrationError("--plots needs a measured way; this one knows no millimetres")
+        raise CalibrationError(
+            "--plots needs lips that were measured; this calibration knows no millimetres"
+        )
     without_screen()
     from matplotlib import pyplot as plt
 
@@ -57,22 +61,48 @@ def draw_coverage(
     left.set_ylabel("opening asked for, mm (below 0: pressed)")
     left.set_title(f"{1 - missed.mean():.0%} of speech within {REACHABLE_MM} mm; red circles: not")
     figure.colorbar(points, ax=left, label="best pose off, mm rms over the lips")
-    names = [" ".join(v) for v in VISEME_CLASSES if v[0] in calibration.coverage]
-    reach = [calibration.coverage[v[0]] for v in VISEME_CLASSES if v[0] in calibration.coverage]
-    rows = np.arange(len(names))
-    right.barh(rows, [each.reachable for each in reach], color="tab:blue", height=0.6)
-    for row, each in zip(rows, reach, strict=True):
-        right.text(1.01, row, f"{each.off_mm:.2f} mm", va="center", fontsize=8)
-    right.set_yticks(rows, names, fontsize=8)
-    right.invert_yaxis()
-    right.set_xlim(0.0, 1.0)
-    right.set_xlabel("part within reach; beside it, how far off this map is")
+    _draw_classes(right, calibration)
     figure.suptitle(f"What this robot can make of speech, {calibration.origin.poses} poses")
     figure.tight_layout()
     path = folder / PICTURE
     save_picture(figure, path)
     plt.close(figure)
     return path
+
+
+def draw_reach(folder: Path, calibration: Calibration) -> Path:
+    """`coverage.png` from a calibration file alone: the viseme classes.
+
+    Raises CalibrationError for a calibration that measured none.
+    """
+    if not calibration.coverage:
+        raise CalibrationError(
+            f"--plots needs a measured calibration; this one is {calibration.origin.method}"
+        )
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(5.5, 4.6))
+    _draw_classes(axes, calibration)
+    figure.tight_layout()
+    path = folder / PICTURE
+    save_picture(figure, path)
+    plt.close(figure)
+    return path
+
+
+def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
+    """A bar for each viseme class: the part of its shapes within reach."""
+    classes = [viseme for viseme in VISEME_CLASSES if viseme[0] in calibration.coverage]
+    reach = [calibration.coverage[viseme[0]] for viseme in classes]
+    rows = np.arange(len(classes))
+    axes.barh(rows, [each.reachable for each in reach], color="tab:blue", height=0.6)
+    for row, each in enumerate(reach):
+        axes.text(1.01, row, f"{each.off_mm:.2f} mm", va="center", fontsize=8)
+    axes.set_yticks(rows, [" ".join(viseme) for viseme in classes], fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.0)
+    axes.set_xlabel("part within reach; beside it, how far off this map is")
 
 
 def _best_off(

@@ -1,16 +1,14 @@
-"""`lipservo calibrate --guided`: the talker's mouth, the robot's beside it, and keys."""
+"""`lipservo calibrate guided`: the speaker's mouth, the robot's beside it, and keys."""
 
-import datetime
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from calibration.calibration import Calibration
+from calibration.arrays import Array
 from calibration.capture.capture import Move
 from calibration.fit.guided import fit_guided, landmark_poses
 from calibration.fit.guided_session import (
@@ -21,46 +19,54 @@ from calibration.fit.guided_session import (
     start_session,
 )
 from calibration.joint_range import JointRange
-from lipservo.settings.settings import FaceSettings
+from calibration.simulated.face import marker_positions_mm, simulated_face
+from lipservo.calibrating.calibration_result import CalibrationResult
+from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, today
+from lipservo.calibrating.servo_lags import with_lags
+from lipservo.face.servos import servo_memories
+from lipservo.terminal.keys import read_key
 from lipservo.terminal.mouth_drawing import draw_mouth
+from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import FaceWithAnimPhos
-
-Array = NDArray[np.float64]
 
 #: Joint degrees (n_servos,) -> markers (47, 3), where the robot's face can be drawn.
 Drawn = Callable[[Array], Array]
 
 
-def calibrate_by_eye(
-    settings: FaceSettings,
-    model: FaceWithAnimPhos,
-    *,
-    move: Move,
-    read_key: Callable[[], str],
-    console: Console,
-    keep: Path | None = None,
-    drawn: Drawn | None = None,
-) -> Calibration:
-    """The whole guided way. drawn: None where the person looks at a real face.
+def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
+    """Poses made with keys, on the face's own servos or on simulated ones.
 
     Raises CalibrationError for too few poses.
     """
-    mouth = settings.mouth_servos
-    joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()]
-    made_deg = guide(model, joints, move, read_key, console, keep=keep, drawn=drawn)
-    return fit_guided(
-        model,
-        joints,
-        made_deg,
-        settings.checksum,
-        date=datetime.date.today().isoformat(),
-        servo_models=tuple(servo.model for servo in mouth.values()),
-    )
+    model, joints = setup.model, setup.servos.joints
+    if setup.settings.bus.kind == "simulated":
+        face = simulated_face(model.markers_mm(model.rest[None])[0], setup.servos.names)
+
+        def drawn(positions_deg: Array) -> Array:
+            return np.asarray(marker_positions_mm(face, positions_deg[None])[0])
+
+        made_deg = guide(
+            model, joints, lambda goal_deg: goal_deg, read_key, MESSAGES,
+            keep=setup.keep, drawn=drawn,
+        )  # fmt: skip
+        return _fit(setup, made_deg)
+    memories = servo_memories(setup.settings)
+    with held_servos(setup) as robot:
+        made_deg = guide(
+            model, joints, robot.lead, lambda: robot.hold_while(read_key), MESSAGES, keep=setup.keep
+        )
+        result = _fit(setup, made_deg).with_memories(memories)
+        return with_lags(setup, robot, result) if setup.lags else result
+
+
+def _fit(setup: CalibrationSetup, made_deg: Mapping[str, Array]) -> CalibrationResult:
+    calibration = fit_guided(setup.model, setup.servos, made_deg, date=today())
+    return CalibrationResult(calibration)
 
 
 def guide(
     model: FaceWithAnimPhos,
-    joints: list[JointRange],
+    joints: Sequence[JointRange],
     move: Move,
     read_key: Callable[[], str],
     console: Console,

@@ -1,1 +1,1 @@
-"""The servos of one face: put together from its YAML, led slowly from pose to pose, let go."""
+"""The servos of one face: put together from its YAML, moved slowly from pose to pose, let go."""

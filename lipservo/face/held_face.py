@@ -1,4 +1,4 @@
-"""A face whose servos are on and held: led from pose to pose through the bridge, as speech is.
+"""A face whose servos are on and held: moved from pose to pose through the bridge, as speech is.
 
 Everything goes through the last gate. One thread speaks to the bus; whoever waits for a person or a
 tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from firmware_bridge.bus import BusError, PortError, PortGone, ServoBus
 from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.budget import budget
+from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.stopping import StopLevel
@@ -107,7 +108,7 @@ class HeldFace:
         """The same without waiting; where it stands on the way."""
         whole_deg = self._goal_deg.copy()
         whole_deg[self._posed] = goal_deg
-        self._lead_all(whole_deg)
+        self._move_all(whole_deg)
         return self.stands_deg
 
     def hold(self, seconds: float) -> None:
@@ -180,7 +181,7 @@ class HeldFace:
             self._life.start()
             self._goal_deg = np.nan_to_num(self._bus.read().positions_deg)
             if self._from_neutral:
-                self._lead_all(np.zeros_like(self._goal_deg))
+                self._move_all(np.zeros_like(self._goal_deg))
                 self._settle()
             self._leaving = leaving.pop_all()
 
@@ -201,15 +202,14 @@ class HeldFace:
         if isinstance(error, ImmediateStop) or overtaken:
             raise FaceStopped(life.report, life.signal_number) from error
 
-    def _lead_all(self, whole_deg: Array) -> None:
-        start_deg = self._goal_deg
-        lasts_s = float(np.abs(whole_deg - start_deg).max()) / self._speed_deg_s
+    def _move_all(self, whole_deg: Array) -> None:
         start_s = self._clock.now()
-        share = 0.0
-        while share < 1.0:
-            elapsed_s = self._clock.now() - start_s
-            share = min(1.0, elapsed_s / lasts_s) if lasts_s else 1.0
-            self._goal_deg = start_deg + share * (whole_deg - start_deg)
+        ramp = Ramp.at_speed(self._goal_deg, whole_deg, start_s, self._speed_deg_s)
+        over = False
+        while not over:
+            now_s = self._clock.now()
+            over = ramp.is_over(now_s)
+            self._goal_deg = ramp.at(now_s)
             self._tick()
 
     def _settle(self) -> Array:

@@ -22,6 +22,7 @@ from firmware_bridge.dynamixel.provisioning import (
 from firmware_bridge.dynamixel.units import CENTER_PULSE, PULSES_PER_TURN
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
@@ -36,7 +37,8 @@ from lipsync.errors import UserError, shown
 from lipsync.output_file import check_output
 
 NUDGE_DEG = 3.0
-_NUDGE_S = 0.5
+#: For each of the two ways.
+_NUDGE_S = 0.25
 _NUDGE_RATE_HZ = 50.0
 #: Careful beginnings; the builder widens them.
 _LIMIT_DEG, _SPEED_DEG_S = 10.0, 200.0
@@ -117,18 +119,26 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
         bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
         with face_life("new-face", port, bridge, clock, quiet=True) as life:
             life.start()
-            start_s = clock.now()
+            there, back = _nudge_ramps(clock.now())
             for time_s, late in life.ticks():
-                share = 1.0 - abs((time_s - start_s) / _NUDGE_S - 1.0)
-                goal_deg = NUDGE_DEG * min(max(share * 2.0, 0.0), 1.0)
-                channel.publish(ServoTargets(time_s, np.array([goal_deg])))
+                ramp = there if time_s < back.start_s else back
+                channel.publish(ServoTargets(time_s, ramp.at(time_s)))
                 bridge.tick(time_s, late)
-                if share < 0.0 and not life.stopping:
+                if back.is_over(time_s) and not life.stopping:
                     life.stop(StopLevel.LIMP)
     assert life.report is not None
     if life.stopped_by_person or not life.report.complete:
         raise FaceStopped(life.report, life.signal_number)
     return place
+
+
+def _nudge_ramps(start_s: float) -> tuple[Ramp, Ramp]:
+    """There; and back after a rest that is as long as both ways together."""
+    away_deg, here_deg = np.array([NUDGE_DEG]), np.zeros(1)
+    return (
+        Ramp(here_deg, away_deg, start_s, _NUDGE_S),
+        Ramp(away_deg, here_deg, start_s + 3.0 * _NUDGE_S, _NUDGE_S),
+    )
 
 
 def check_face_file(path: Path) -> None:

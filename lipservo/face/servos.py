@@ -46,10 +46,7 @@ def mounted_servos(face: FaceSettings) -> list[MountedServo]:
 def prevent_rules(face: FaceSettings) -> list[PreventRule]:
     """What the face's joints must not do together."""
     return [
-        PreventRule(
-            tuple(rule.joints.get(name, 0.0) for name in face.servos), rule.above, rule.because
-        )
-        for rule in face.prevent
+        PreventRule(rule.factors(face.servos), rule.above, rule.because) for rule in face.prevent
     ]
 
 
@@ -86,10 +83,7 @@ def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
     Necks and eyes count as at rest: a calibration moves the mouth only.
     """
     return tuple(
-        CouplingRule(
-            np.array([rule.joints.get(name, 0.0) for name in face.mouth_servos]), rule.above
-        )
-        for rule in face.prevent
+        CouplingRule(np.array(rule.factors(face.mouth_servos)), rule.above) for rule in face.prevent
     )
 
 

@@ -1,6 +1,6 @@
 """What a face YAML may say about the last gate: rules between joints, silence, following."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Self
 
 from pydantic import model_validator
@@ -14,6 +14,10 @@ class PreventSettings(Strict):
     joints: Mapping[JointName, Factor]
     above: Factor
     because: Text
+
+    def factors(self, names: Iterable[str]) -> tuple[float, ...]:
+        """One for each of these joints, 0 for one that has no part in the rule."""
+        return tuple(self.joints.get(name, 0.0) for name in names)
 
 
 class StaleSettings(Strict):

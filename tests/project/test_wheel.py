@@ -162,7 +162,9 @@ def test_the_wheel_alone_calibrates_and_speaks_with_what_it_made(alone, short_cl
     text = (Path(alone.python(shipped).strip()) / "face_jaw.yaml").read_text()
     made = "my_face.calibration.yaml"
     face.write_text(text.replace("face_jaw.calibration.yaml", made))
-    told = alone.succeeds("calibrate", "--config", face, "--no-lags", "-o", alone.folder / made)
+    told = alone.succeeds(
+        "calibrate", "fit", "--config", face, "--no-lags", "-o", alone.folder / made
+    )
     assert made in told
     alone.succeeds("replay", short_clip, "--config", face, "-q")
 

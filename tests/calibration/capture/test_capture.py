@@ -154,7 +154,7 @@ def test_a_sound_capture_has_nothing_to_say(capture):
 
 
 def test_play_of_the_simulated_robot_is_a_play_operator():
-    """From below the horn stands half the play behind the goal, from above half before it."""
+    """From below the horn stands half the backlash behind the goal, from above half before it."""
     robot = new_robot(noise_mm=0.0)
     draw = draw_robot(MODEL.markers_mm(MODEL.rest[None])[0], SERVOS, 100)
     for step, side in ((-3.0, 1.0), (3.0, -1.0)):

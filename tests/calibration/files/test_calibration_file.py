@@ -74,9 +74,9 @@ def test_a_failed_write_leaves_the_old_file(calibration, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("version: 3", "version: 4", "version 4, this lipservo reads version 3"),
-        ("version: 3\n", "", "version is missing"),
-        ("version: 3", "version: one", "version is 'one', expected a whole number >= 0"),
+        ("version: 4", "version: 5", "version 5, this lipservo reads version 4"),
+        ("version: 4\n", "", "version is missing"),
+        ("version: 4", "version: one", "version is 'one', expected a whole number >= 0"),
         ("  jaw:\n", "  jaw: [\n", "line .*: not readable as YAML"),
         ("servos:", "joints:", "servos is missing"),
         ("weights: [", "weights: [.nan, ", r"servos\.jaw\.weights holds 6 numbers, expected 5"),
@@ -89,7 +89,7 @@ def test_a_failed_write_leaves_the_old_file(calibration, tmp_path):
         ("rest: [", "rest: 1 # [", "rest should be a list of numbers"),
         (f'"{FACE}"', "7", "face_checksum is 7, expected text in quotes"),
         ("hold_out:\n", "hold_out: 3\nmore:\n", "hold_out should hold `key: value` lines"),
-        ("version: 3", "version: 2024-13-01", "not readable as YAML"),
+        ("version: 4", "version: 2024-13-01", "not readable as YAML"),
     ],
 )
 def test_a_damaged_file_says_where_and_what_was_expected(calibration, tmp_path, old, new, message):
@@ -101,6 +101,21 @@ def test_a_damaged_file_says_where_and_what_was_expected(calibration, tmp_path, 
         load_calibration(path)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_calls_its_quadratic_weights_bends_is_the_same_calibration(calibration):
+    """Version 3, the last with that name."""
+    n_servos, n_components = calibration.weights.shape
+    n_pairs = n_components * (n_components + 1) // 2
+    quadratic = dataclasses.replace(
+        calibration,
+        quadratic_weights=np.arange(1.0, n_servos * n_pairs + 1).reshape(n_servos, n_pairs),
+        x_range=np.array([[-9.0], [9.0]]).repeat(n_components, axis=1),
+    )
+    text = calibration_text(quadratic)
+    old = text.replace("version: 4", "version: 3").replace("    quadratic_weights:", "    bends:")
+    assert old.count("    bends:") == n_servos
+    assert calibration_text(parse_calibration(old, "old")) == text
 
 
 @pytest.mark.parametrize("content", ["", "[]", "just words", "\x00\x01"])

@@ -101,7 +101,7 @@ def command(*arguments):
 def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
     """A jaw measured by hand: five points of the lips and the chin, in a spreadsheet."""
     plan_path, out = tmp_path / "plan.csv", tmp_path / "jaw.calibration.yaml"
-    done = command("calibrate", "--config", "face_jaw", "--plan", plan_path, "--poses", "15")
+    done = command("calibrate", "plan", plan_path, "--config", "face_jaw", "--poses", "15")
     assert done.exit_code == 0
     model = load_trained_model()
     robot = SimulatedRobot(draw_robot(model.markers_mm(model.rest[None])[0], ["jaw"], 100))
@@ -116,7 +116,7 @@ def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
             readings += [(row["pose"], name, *seen[name].round(2)) for name in names]
     markers = write_markers(tmp_path / "m.csv", readings)
     done = command(
-        "calibrate", "--config", "face_jaw", "--plan", plan_path, "--markers", markers,
+        "calibrate", "fit", "--config", "face_jaw", "--plan", plan_path, "--markers", markers,
         "-o", out, "--json",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
@@ -130,7 +130,7 @@ def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
 def test_practice_on_a_simulated_robot_tells_errors_play_and_lags(tmp_path):
     out, keep = tmp_path / "c.yaml", tmp_path / "poses.jsonl"
     done = command(
-        "calibrate", "--config", "face_four", "--practise", "100", "--poses", "30",
+        "calibrate", "practise", "100", "--config", "face_four", "--poses", "30",
         "--keep", keep, "-o", out,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
@@ -141,7 +141,7 @@ def test_practice_on_a_simulated_robot_tells_errors_play_and_lags(tmp_path):
 
 
 def test_markers_without_a_plan_and_no_output_are_refused(tmp_path):
-    assert command("calibrate", "--markers", tmp_path / "m.csv", "-o", "x").exit_code != 0
+    assert command("calibrate", "fit", "--markers", tmp_path / "m.csv", "-o", "x").exit_code != 0
     assert command("calibrate").exit_code != 0
 
 

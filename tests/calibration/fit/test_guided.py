@@ -9,12 +9,14 @@ from calibration.files.calibration_file import parse_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from lipsync.markers import MARKERS_47
 
 SERVOS = tuple(POSITIVE_DIRECTIONS)
-JOINTS = [JointRange(name, -2.0 if name == "jaw" else -35.0, 35.0) for name in SERVOS]
-LIMITS = (np.array([j.min_deg for j in JOINTS]), np.array([j.max_deg for j in JOINTS]))
+JOINTS = tuple(JointRange(name, -2.0 if name == "jaw" else -35.0, 35.0) for name in SERVOS)
+MOUTH = MouthServos(JOINTS, "f" * 16)
+LIMITS = MOUTH.limits_deg
 MODEL = small_model()
 
 
@@ -23,7 +25,7 @@ def test_guided_poses_of_a_linear_robot_are_found_again():
     law = np.random.default_rng(6).normal(size=(10, 5)) / 3
     poses = landmark_poses(MODEL)
     made = {pose.name: 1.0 + law @ (pose.coefficients - MODEL.rest) for pose in poses}
-    guided = fit_guided(MODEL, JOINTS, made, "f" * 16)
+    guided = fit_guided(MODEL, MOUTH, made)
     for frame in MODEL.animphos.samples[:20, 2]:
         expected = np.clip(1.0 + law @ (frame - MODEL.rest), *LIMITS)
         assert guided.positions_deg(frame) == pytest.approx(expected, abs=0.3)
@@ -36,10 +38,10 @@ def test_guided_poses_without_the_closed_mouth_or_too_few_are_refused():
     poses = landmark_poses(MODEL)
     made = {pose.name: np.zeros(10) for pose in poses}
     with pytest.raises(CalibrationError, match="the pose 'closed' is missing"):
-        fit_guided(MODEL, JOINTS, {k: v for k, v in made.items() if k != CLOSED}, "x")
+        fit_guided(MODEL, MOUTH, {k: v for k, v in made.items() if k != CLOSED})
     few = {pose.name: np.zeros(10) for pose in poses[:5]}
     with pytest.raises(CalibrationError, match="5 poses are too few, 7 are needed"):
-        fit_guided(MODEL, JOINTS, few, "x")
+        fit_guided(MODEL, MOUTH, few)
 
 
 def test_landmark_poses_look_like_their_names():

@@ -56,7 +56,7 @@ def with_samples(model: FaceWithAnimPhos, samples: np.ndarray) -> FaceWithAnimPh
 def model_of_the_face(
     face: SimulatedFace, model: FaceWithAnimPhos, drive: np.ndarray
 ) -> FaceWithAnimPhos:
-    """A talker whose every frame the face can reach: drive (n_servos, 5) degrees a unit."""
+    """A speaker whose every frame the face can reach: drive (n_servos, 5) degrees a unit."""
     tenth_deg = 0.1  # of such small angles the face is linear
     columns = [
         (marker_positions_mm(face, tenth_deg * d[None])[0] - face.neutral_mm) / tenth_deg

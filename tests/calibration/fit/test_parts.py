@@ -12,7 +12,7 @@ from small_model import small_model
 
 from calibration.calibration import CalibrationError
 from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
-from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, talkers_jaw
+from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, speakers_jaw
 from calibration.joint_range import JointRange
 from calibration.run.viseme_trim import VisemeTrim
 from calibration.simulated.face import marker_positions_mm, simulated_face
@@ -50,11 +50,11 @@ def test_the_jaw_of_a_simulated_face_is_found_in_degrees():
     assert found == pytest.approx(between, abs=0.2)
 
 
-def test_the_talkers_jaw_opens_with_the_lips():
-    """On the shipped talker alpha follows the lip gap: 0 at rest, near 1 in the widest frames."""
+def test_the_speakers_jaw_opens_with_the_lips():
+    """On the shipped speaker alpha follows the lip gap: 0 at rest, near 1 in the widest frames."""
     model = load_trained_model()
     frames = model.animphos.samples[::10].reshape(-1, model.n_components)
-    jaw = talkers_jaw(model)
+    jaw = speakers_jaw(model)
     alpha = jaw.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
     assert jaw.alpha(model.markers_mm(model.rest[None])[:, list(JAW_LINE)])[0] == pytest.approx(0)
     assert 0.6 < np.quantile(alpha, 0.99) < 1.3

@@ -6,11 +6,11 @@ from scipy.optimize import approx_fprime
 from scipy.stats import multivariate_normal
 
 from calibration.fit.skin_process import (
-    Likely,
+    Hyperparameters,
     Poses,
-    _Unlikeliness,
+    _NegativeLogLikelihood,
+    fit_hyperparameters,
     fit_process,
-    most_likely,
     squared_distances_mm2,
 )
 
@@ -20,7 +20,7 @@ PLACES_MM = RNG.normal(size=(4, 3)) * 8
 APART_MM2 = squared_distances_mm2(NAMES, PLACES_MM)
 POSES = Poses(RNG.uniform(-20, 20, (9, 2)), RNG.choice([-1.0, 1.0], (9, 2)), np.zeros(2),
               np.full(2, 20.0))  # fmt: skip
-SETTING = Likely(np.array([0.8, 1.1]), np.array([2.0, 0.5]), 0.03, 0.2, 11.0, 0.1)
+SETTING = Hyperparameters(np.array([0.8, 1.1]), np.array([2.0, 0.5]), 0.03, 0.2, 11.0, 0.1)
 VALUES_MM = RNG.normal(size=(9, 4, 3))
 
 
@@ -30,7 +30,7 @@ def dense(one, other):
 
 
 def test_predictions_are_those_of_the_dense_process():
-    inputs = POSES.inputs(SETTING.play_deg)
+    inputs = POSES.inputs(SETTING.backlash_deg)
     asked = RNG.uniform(-1, 1, (5, 2))
     noisy = dense(inputs, inputs) + SETTING.noise_mm2 * np.eye(9 * 4)
     expected = dense(asked, inputs) @ np.linalg.solve(noisy, VALUES_MM.reshape(36, 3))
@@ -39,17 +39,17 @@ def test_predictions_are_those_of_the_dense_process():
 
 
 def parameters(setting):
-    rest = [setting.bend, setting.noise_mm2, setting.width_mm, setting.own]
-    return np.concatenate([setting.play_deg, np.log(np.concatenate([setting.reach_mm2, rest]))])
+    rest = [setting.curvature, setting.noise_mm2, setting.width_mm, setting.own]
+    return np.concatenate([setting.backlash_deg, np.log(np.concatenate([setting.reach_mm2, rest]))])
 
 
 def test_the_likelihood_is_scipys_and_its_slope_is_true():
-    unlikeliness = _Unlikeliness(POSES, VALUES_MM, APART_MM2)
-    inputs = POSES.inputs(SETTING.play_deg)
+    unlikeliness = _NegativeLogLikelihood(POSES, VALUES_MM, APART_MM2)
+    inputs = POSES.inputs(SETTING.backlash_deg)
     noisy = dense(inputs, inputs) + SETTING.noise_mm2 * np.eye(36)
     density = multivariate_normal(np.zeros(36), noisy)
     log_likelihood = sum(density.logpdf(axis) for axis in VALUES_MM.reshape(36, 3).T)
-    unlike = SETTING.play_deg - SETTING.play_deg.mean()
+    unlike = SETTING.backlash_deg - SETTING.backlash_deg.mean()
     expected = -log_likelihood - 1.5 * 36 * np.log(2 * np.pi) + (unlike**2).sum() / (2 * 0.4**2)
     cost, slope = unlikeliness(parameters(SETTING))
     assert cost == pytest.approx(expected)
@@ -58,26 +58,26 @@ def test_the_likelihood_is_scipys_and_its_slope_is_true():
 
 
 def test_a_setting_is_found_again_from_what_it_makes():
-    """Noise within a tenth, skin width within a fifth, play within what 60 poses can show."""
+    """Noise within a tenth, skin width within a fifth, backlash within what 60 poses can show."""
     rng = np.random.default_rng(1)
     places_mm = rng.uniform(-30, 30, (20, 3))
     names = tuple(f"dot_{i}" for i in range(20))
     apart_mm2 = squared_distances_mm2(names, places_mm)
-    made = Likely(np.array([0.6, 1.4]), np.array([9.0, 4.0]), 0.01, 0.25, 18.0, 1e-4)
+    made = Hyperparameters(np.array([0.6, 1.4]), np.array([9.0, 4.0]), 0.01, 0.25, 18.0, 1e-4)
     poses = Poses(
         rng.uniform(-20, 20, (60, 2)),
         rng.choice([-1.0, 1.0], (60, 2)),
         np.zeros(2),
         np.full(2, 20.0),
     )
-    inputs = poses.inputs(made.play_deg)
+    inputs = poses.inputs(made.backlash_deg)
     joints = np.linalg.cholesky(made.joints(inputs, inputs) + 1e-9 * np.eye(60))
     skin = np.linalg.cholesky(made.skin(apart_mm2))
     true_mm = np.einsum("ni,ijk,mj->nmk", joints, rng.normal(size=(60, 20, 3)), skin)
-    found = most_likely(poses, true_mm + rng.normal(0, 0.5, true_mm.shape), apart_mm2)
+    found = fit_hyperparameters(poses, true_mm + rng.normal(0, 0.5, true_mm.shape), apart_mm2)
     assert found.noise_mm2 == pytest.approx(0.25, rel=0.1)
     assert found.width_mm == pytest.approx(18.0, rel=0.2)
-    assert found.play_deg == pytest.approx(made.play_deg, abs=0.3)
+    assert found.backlash_deg == pytest.approx(made.backlash_deg, abs=0.3)
 
 
 def test_the_lips_are_not_glued_together():

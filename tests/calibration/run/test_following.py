@@ -1,4 +1,4 @@
-"""Lags found by step and chirp, goals sent ahead by them, and play made up for."""
+"""Lags found by step and chirp, goals sent ahead by them, and backlash made up for."""
 
 import numpy as np
 import pytest
@@ -107,17 +107,17 @@ def test_after_a_reset_nothing_is_left_of_earlier_poses():
 
 
 @settings(deadline=None)  # machines are shared
-@given(seed=st.integers(0, 1000), play_deg=st.floats(0.1, 2.0))
-def test_horns_behind_play_stand_where_they_should_once_moving(seed, play_deg):
-    """A play operator after the compensation: off by the play at most within the dead band."""
+@given(seed=st.integers(0, 1000), backlash_deg=st.floats(0.1, 2.0))
+def test_horns_behind_play_stand_where_they_should_once_moving(seed, backlash_deg):
+    """Backlash after its compensation: off by its width at most, within the dead band."""
     rng = np.random.default_rng(seed)
     wanted = np.interp(np.arange(200), np.arange(0, 201, 20), rng.uniform(-20, 20, 11))
-    compensation = BacklashCompensation(np.array([play_deg]))
-    horn = wanted[0] - play_deg / 2
+    compensation = BacklashCompensation(np.array([backlash_deg]))
+    horn = wanted[0] - backlash_deg / 2
     for n, angle in enumerate(wanted):
         (goal,) = compensation.feed(np.array([angle]))
-        horn = np.clip(horn, goal - play_deg / 2, goal + play_deg / 2)
-        assert abs(horn - angle) <= play_deg + 1e-9
+        horn = np.clip(horn, goal - backlash_deg / 2, goal + backlash_deg / 2)
+        assert abs(horn - angle) <= backlash_deg + 1e-9
         if n and abs(angle - wanted[n - 1]) > 0.5:
             assert horn == pytest.approx(angle)
 

@@ -91,7 +91,7 @@ def test_a_trim_reaches_the_servos_while_its_class_is_spoken(calibration):
 
 
 def test_after_a_stall_the_servos_are_asked_as_if_there_had_been_none(calibration):
-    """Lag, play and trim remember what the stall skipped; it is worked out for them."""
+    """Lag, backlash and trim remember what the stall skipped; it is worked out for them."""
     following = Following(LAG_S, np.array([1.2, 0.8]), np.full(2, np.inf), np.full(2, np.inf))
     trim = {"P": np.array([-1.5, 2.0]), "AA": np.array([1.0, 0.5])}
     late_and_loose = dataclasses.replace(calibration, following=following, trim=trim)

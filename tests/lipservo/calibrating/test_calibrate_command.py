@@ -1,4 +1,4 @@
-"""`lipservo calibrate` and `trim` as they are typed, on servos behind a terminal and on files."""
+"""`lipservo calibrate` as it is typed, on servos behind a terminal and on files."""
 
 import csv
 import json
@@ -26,6 +26,10 @@ QUICK = ("--poses", "6", "--speed", "400", "--no-lags")
 
 def command(*arguments, **options):
     return CliRunner().invoke(app, [str(a) for a in arguments], **options)
+
+
+def calibrate(*arguments, **options):
+    return command("calibrate", *arguments, **options)
 
 
 @pytest.fixture(autouse=True)
@@ -77,8 +81,8 @@ def test_servos_are_moved_and_another_program_records_the_markers(port, tmp_path
     markers, out = tmp_path / "markers.csv", tmp_path / "jaw.yaml"
     other = OtherProgram(markers)
     other.start()
-    done = command(
-        "calibrate", "--config", "face_jaw", "--port", port, "--tracker", markers, *QUICK,
+    done = calibrate(
+        "measure", "--config", "face_jaw", "--port", port, "--tracker", markers, *QUICK,
         "-o", out, "--keep", tmp_path / "kept.jsonl",
     )  # fmt: skip
     other.stop = True
@@ -97,7 +101,17 @@ def test_servos_are_moved_and_another_program_records_the_markers(port, tmp_path
     wide = MODEL.animphos.samples[MODEL.animphos.of_phoneme("AA"), 2]
     assert np.median([calibration.positions_deg(c)[0] for c in wide]) > 4.0
     again = command(
-        "calibrate", "--config", "face_jaw", "--port", port, "--tracker", markers, *QUICK, "-o", out
+        "calibrate",
+        "measure",
+        "--config",
+        "face_jaw",
+        "--port",
+        port,
+        "--tracker",
+        markers,
+        *QUICK,
+        "-o",
+        out,
     )
     assert again.exit_code == 1
     assert "pose 1 is there already" in str(again.exception)
@@ -105,7 +119,7 @@ def test_servos_are_moved_and_another_program_records_the_markers(port, tmp_path
 
 def test_a_calibration_of_servos_that_were_set_up_anew_is_refused(port, tmp_path):
     out = tmp_path / "jaw.calibration.yaml"
-    done = command("calibrate", "--config", "face_jaw", "--port", port, "--guided", "--no-lags",
+    done = calibrate("guided", "--config", "face_jaw", "--port", port, "--no-lags",
                    "-o", out, input="\n" * 14)  # fmt: skip
     assert done.exit_code == 0, done.output
     face = tmp_path / "jaw.yaml"
@@ -121,8 +135,8 @@ def test_a_calibration_of_servos_that_were_set_up_anew_is_refused(port, tmp_path
 def test_arrow_keys_move_real_servos_and_enter_keeps_the_pose(port, tmp_path):
     """Closed; then three degrees of jaw for open, by an arrow and a letter; then the others."""
     out, keep = tmp_path / "c.yaml", tmp_path / "poses.json"
-    done = command(
-        "calibrate", "--guided", "--config", "face_jaw", "--port", port, "--no-lags",
+    done = calibrate(
+        "guided", "--config", "face_jaw", "--port", port, "--no-lags",
         "--speed", "400", "-o", out, "--keep", keep, input="\n" + "\x1b[C\x1b[Cd\n" + "a\n" * 12,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
@@ -136,7 +150,7 @@ def test_arrow_keys_move_real_servos_and_enter_keeps_the_pose(port, tmp_path):
 
 def test_the_end_of_a_script_keeps_what_was_made(tmp_path):
     keep = tmp_path / "poses.json"
-    done = command("calibrate", "--guided", "--config", "face_jaw", "-o", tmp_path / "c.yaml",
+    done = calibrate("guided", "--config", "face_jaw", "-o", tmp_path / "c.yaml",
                    "--keep", keep, input="\n\n")  # fmt: skip
     assert done.exit_code == 1
     assert "2 poses are too few, 10 are needed" in str(done.exception)
@@ -146,7 +160,7 @@ def test_the_end_of_a_script_keeps_what_was_made(tmp_path):
 
 def write_plan(tmp_path, config="face_jaw", poses=15):
     plan = tmp_path / "plan.csv"
-    done = command("calibrate", "--config", config, "--plan", plan, "--poses", poses)
+    done = calibrate("plan", plan, "--config", config, "--poses", poses)
     assert done.exit_code == 0, done.output
     return plan
 
@@ -199,7 +213,7 @@ def test_pictures_of_coloured_dots_become_a_calibration(tmp_path):
             cv2.circle(picture, centre, 4 * 16, (200, 60, 20), -1, cv2.LINE_AA, 4)
         cv2.imwrite(str(folder / f"pose_{pose}.png"), picture)
     out = tmp_path / "c.yaml"
-    done = command("calibrate", "--config", "face_jaw", "--plan", plan, "--markers", folder,
+    done = calibrate("fit", "--config", "face_jaw", "--plan", plan, "--markers", folder,
                    "-o", out, "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
@@ -220,7 +234,7 @@ def test_c3d_files_become_a_calibration(tmp_path):
         data[:3, :, 0] = seen[:, [0, 2, 1]].T * np.array([[1.0], [-1.0], [1.0]])  # z up
         file["data"]["points"] = data
         file.write(str(folder / f"pose_{pose}.c3d"))
-    done = command("calibrate", "--config", "face_jaw", "--plan", plan, "--markers", folder,
+    done = calibrate("fit", "--config", "face_jaw", "--plan", plan, "--markers", folder,
                    "--axes", "x z -y", "-o", tmp_path / "c.yaml", "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["gap_correlation"] > 0.95
@@ -231,13 +245,13 @@ def test_a_plan_is_refined_where_speech_will_be_and_a_picture_drawn(tmp_path):
     servos = ["jaw", "corner_left_out", "corner_right_out", "lip_protrusion"]
     plan, longer = write_plan(tmp_path, "face_four", 24), tmp_path / "longer.csv"
     markers = write_markers(plan, tmp_path / "m.csv", servos, LIPS)
-    done = command("calibrate", "--config", "face_four", "--plan", plan, "--markers", markers,
-                   "--refine", longer, "--poses", "24", "--json")  # fmt: skip
+    done = calibrate("plan", longer, "--config", "face_four", "--refine", plan,
+                   "--markers", markers, "--poses", "24", "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert json.loads(done.stdout)["poses"] == 24 + 6
     assert longer.read_text().startswith(plan.read_text().rstrip()[:200])
     write_markers(longer, markers, servos, LIPS)
-    done = command("calibrate", "--config", "face_four", "--plan", longer, "--markers", markers,
+    done = calibrate("fit", "--config", "face_four", "--plan", longer, "--markers", markers,
                    "-o", tmp_path / "c.yaml", "--plots", tmp_path / "plots")  # fmt: skip
     assert done.exit_code == 0, done.output
     assert "farthest off:" in done.stdout
@@ -246,12 +260,12 @@ def test_a_plan_is_refined_where_speech_will_be_and_a_picture_drawn(tmp_path):
 
 
 def test_a_skeleton_has_a_jaw_and_no_lips(tmp_path):
-    """Markers on the chin alone: the angle is the talker's jaw blend, full range for the widest."""
+    """Markers on the chin alone: the angle is the jaw blend, full range for the widest."""
     plan = write_plan(tmp_path, poses=20)
     names = ("chin_199", "jaw_152", "jaw_176", "jaw_400")
     markers = write_markers(plan, tmp_path / "m.csv", ["jaw"], names)
     out = tmp_path / "c.yaml"
-    done = command("calibrate", "--config", "face_jaw", "--plan", plan, "--markers", markers,
+    done = calibrate("fit", "--config", "face_jaw", "--plan", plan, "--markers", markers,
                    "-o", out, "--json")  # fmt: skip
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
@@ -264,68 +278,6 @@ def test_a_skeleton_has_a_jaw_and_no_lips(tmp_path):
     assert np.quantile(degrees, 0.98) == pytest.approx(0.9 * 25.0, rel=0.15)
     assert abs(calibration.positions_deg(MODEL.rest)[0]) < 0.5
     few = write_markers(plan, tmp_path / "few.csv", ["jaw"], names[:2])
-    done = command("calibrate", "--config", "face_jaw", "--plan", plan, "--markers", few, "-o", out)
+    done = calibrate("fit", "--config", "face_jaw", "--plan", plan, "--markers", few, "-o", out)
     assert done.exit_code == 1
     assert "2 markers on the jaw, 3 are needed" in str(done.exception)
-
-
-def test_trims_are_set_shown_and_taken_back(tmp_path):
-    shipped = resources.files("lipservo.config") / "face_four.calibration.yaml"
-    path = tmp_path / "c.yaml"
-    path.write_text(shipped.read_text())
-    assert command("trim", path).stdout == "no trims\n"
-    assert command("trim", path, "B", "jaw", "-1.5").stdout == "P: jaw -1.5 deg\n"
-    assert load_calibration(path).trim["P"].tolist() == [-1.5, 0.0, 0.0, 0.0]
-    assert command("trim", path, "AA", "lip_protrusion", "2").exit_code == 0
-    assert command("trim", path).stdout == "P: jaw -1.5 deg\nAA: lip_protrusion +2 deg\n"
-    assert command("trim", path, "P", "jaw", "0").stdout == "AA: lip_protrusion +2 deg\n"
-    before = path.read_text()
-    for wrong, said in (
-        (("Q", "jaw", "1"), "no phoneme 'Q'; one of each class: SIL P"),
-        (("P", "tail", "1"), "no joint 'tail' in this calibration; it has jaw,"),
-        (("P", "jaw", "99"), "99 deg is more than jaw can turn, 27"),
-        (("P", "jaw", "nan"), "nan deg is more than jaw can turn, 27"),
-    ):
-        done = command("trim", path, *wrong)
-        assert done.exit_code == 1
-        assert said in str(done.exception)
-    assert path.read_text() == before
-
-
-def test_limits_wider_than_a_range_file_of_lerobot_are_refused(tmp_path):
-    ranges = tmp_path / "ranges.json"
-    entry = {"id": 11, "drive_mode": 0, "homing_offset": 0, "range_min": 2000}
-    ranges.write_text(json.dumps({"jaw": entry | {"range_max": 2400}}))
-    plan = tmp_path / "p.csv"
-    how = ("calibrate", "--config", "face_jaw", "--plan", plan, "--poses", "8", "--ranges", ranges)
-    assert command(*how).exit_code == 0
-    ranges.write_text(json.dumps({"jaw": entry | {"range_max": 2200}}))
-    done = command(*how)
-    assert done.exit_code == 1
-    assert "'jaw': its limits span 27 deg, its recorded range 18" in str(done.exception)
-
-
-def test_a_port_without_anybody_who_sees_the_markers_moves_nothing(tmp_path):
-    """Markers of a computed face would be a calibration of nothing."""
-    out = tmp_path / "c.yaml"
-    done = command("calibrate", "--config", "face_jaw", "--port", "/dev/ttyUSB77", "-o", out)
-    assert done.exit_code == 2
-    assert "who sees the markers" in done.stderr
-    assert not out.exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--tracker", "typo.txt", "--sim", "pty"), "--tracker typo.txt: expected `typed`, a"),
-        (("--port", "/dev/ttyUSB77", "--tracker", "typed"), "/dev/ttyUSB77: no such port"),
-        (("--sim", "usb"), "--sim knows `pty` only"),
-        (("--poses", "4", "--practise", "1"), "4 poses are too few for 1 servos"),
-    ],
-)
-def test_bad_wishes_are_one_clear_line_and_write_nothing(tmp_path, arguments, said):
-    out = tmp_path / "c.yaml"
-    done = command("calibrate", "--config", "face_jaw", *arguments, "-o", out)
-    assert done.exit_code == 1
-    assert said in str(done.exception)
-    assert not out.exists()

@@ -213,7 +213,9 @@ def test_train_writes_a_model_that_a_calibration_and_a_replay_accept(tmp_path, s
     face = tmp_path / "face.yaml"
     face.write_text(FACE)
     calibration = tmp_path / "face_sim.calibration.yaml"
-    done = lipservo("calibrate", "--config", face, "--model", model, "--no-lags", "-o", calibration)
+    done = lipservo(
+        "calibrate", "fit", "--config", face, "--model", model, "--no-lags", "-o", calibration
+    )
     assert done.returncode == 0, done.stderr
     done = lipservo("replay", short_clip, "--config", face, "--model", model, "--json")
     assert done.returncode == 0, done.stderr

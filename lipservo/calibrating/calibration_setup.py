@@ -1,0 +1,89 @@
+"""What a calibration is made of: the face, the speaker's model, and how servos are moved for it."""
+
+import datetime
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from calibration.fit.procedure import Procedure
+from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
+from firmware_bridge.clock import MonotonicClock
+from lipservo.face.held_face import SPEED_DEG_S, HeldFace
+from lipservo.face.servos import bus_for, mouth_rules
+from lipservo.settings.settings import FaceSettings
+from lipservo.terminal.output import MESSAGES
+from lipsync.animpho.units import FaceWithAnimPhos
+
+#: Neutral, each of ten joints alone from both sides, and as many again spread over the range and
+#: over speech: docs/benchmarks.md has the errors for this number.
+N_POSES = 60
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSetup:
+    """The same for every sub-command that makes a calibration.
+
+    keep: the file that holds every captured pose; quiet: no progress bar; lags: whether servos are
+    moved by chirps and steps; speed_deg_s: how fast servos are moved from pose to pose.
+    """
+
+    settings: FaceSettings
+    model: FaceWithAnimPhos
+    n_poses: int = N_POSES
+    keep: Path | None = None
+    quiet: bool = False
+    lags: bool = True
+    speed_deg_s: float = SPEED_DEG_S
+
+    @property
+    def servos(self) -> MouthServos:
+        """The mouth's servos, as the fits want them."""
+        mouth = self.settings.mouth_servos
+        return MouthServos(
+            joints=tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()),
+            face_checksum=self.settings.checksum,
+            models=tuple(servo.model for servo in mouth.values()),
+            positive=tuple(servo.positive for servo in mouth.values()),
+            rules=mouth_rules(self.settings),
+        )
+
+    def procedure(self, seed: int = 0) -> Procedure:
+        """What is captured of this face."""
+        servos = self.servos
+        return Procedure(self.model, servos.joints, self.n_poses, servos.rules, seed)
+
+
+def today() -> str:
+    """The date that a calibration made now carries, ISO 8601."""
+    return datetime.date.today().isoformat()
+
+
+@contextmanager
+def held_servos(setup: CalibrationSetup) -> Iterator[HeldFace]:
+    """The face's own servos, in neutral and held until the block ends."""
+    clock = MonotonicClock()
+    with ExitStack() as stack:
+        bus = stack.enter_context(bus_for(setup.settings, clock))
+        yield stack.enter_context(
+            HeldFace(setup.settings, bus, clock, speed_deg_s=setup.speed_deg_s)
+        )
+
+
+@contextmanager
+def progress_bar(setup: CalibrationSetup, what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar with the time left; what it yields is called with the number done."""
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=MESSAGES,
+        transient=True,
+        disable=setup.quiet,
+    ) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.update(task, completed=done)

@@ -1,0 +1,107 @@
+"""`calibrate plan` and `calibrate fit`: for robots that something else moves, or for none."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.calibrate.making import check_files, finish, load_setup
+from lipservo.commands.calibrate.options import Axes, Lags, Markers, Output, Plots, Poses, Ranges
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.output_file import check_output
+
+PLAN_EXAMPLE = "Example: lipservo calibrate plan poses.csv --config my_face.yaml"
+FIT_EXAMPLE = (
+    "Example: lipservo calibrate fit --config my_face.yaml --plan poses.csv "
+    "--markers markers.csv -o my_face.calibration.yaml"
+)
+
+
+def plan(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The plan to write, CSV.")],
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    poses: Poses = 60,
+    refine: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="PLAN",
+            help="With --markers recorded at it: write that plan with further poses of speech.",
+            show_default=False,
+        ),
+    ] = None,
+    markers: Markers = None,
+    axes: Axes = "x y z",
+    ranges: Ranges = None,
+    as_json: Json = False,
+) -> None:
+    """Write poses to move a robot through: neutral, each joint alone, then all joints together."""
+    from calibration.capture.capture_plan import joined
+    from calibration.capture.marker_files import is_plan, read_capture, read_plan, write_plan
+
+    if (refine is None) != (markers is None):
+        raise typer.BadParameter("--refine PLAN and --markers FILE go together")
+    setup = replace(load_setup(config, model, ranges), n_poses=poses)
+    check_output(file, replaces=is_plan, kind="plan of poses", inputs=[markers, refine])
+    procedure, names = setup.procedure(), setup.servos.names
+    if refine is None or markers is None:
+        made = procedure.whole_range_plan()
+        then = f"--plan {file} --markers FILE -o FILE"
+    else:
+        capture = read_capture(refine, markers, names, axes=axes)
+        further = procedure.speech_plan(capture, max(1, procedure.n_of_speech))
+        made = joined(read_plan(refine, names), further)
+        then = f"--plan {file} --markers {markers} -o FILE"
+    write_plan(made, file)
+    if as_json:
+        print_json({"plan": str(file), "poses": len(made)})
+        return
+    RESULTS.print(
+        f"{file}: {len(made)} poses. Reach each from the side it names (`lipservo calibrate pose "
+        f"{file}` does), record the markers, then `lipservo calibrate fit {then}`",
+        soft_wrap=True,
+    )
+
+
+def fit(
+    output: Output,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="The plan that --markers were recorded at.", show_default=False
+        ),
+    ] = None,
+    markers: Markers = None,
+    axes: Axes = "x y z",
+    lags: Lags = True,
+    ranges: Ranges = None,
+    plots: Plots = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Fit to recorded markers; without --plan and --markers: to the simulated face.
+
+    Lags of servos are found here for simulated ones only, and not for recorded markers.
+    """
+    if (plan is None) != (markers is None):
+        raise typer.BadParameter("--plan and --markers go together; `calibrate plan` writes a plan")
+    if plots is not None and markers is None:
+        raise typer.BadParameter("needs --markers: nothing is measured on the simulated face")
+    setup = replace(load_setup(config, model, ranges), quiet=quiet or as_json, lags=lags)
+    check_files(output, plots=plots, inputs=[plan, markers])
+    if plan is None or markers is None:
+        from lipservo.calibrating.simulated_calibration import fit_simulated_face
+
+        result = fit_simulated_face(setup)
+    else:
+        from calibration.capture.marker_files import read_capture
+        from lipservo.calibrating.calibration_result import fit_capture
+
+        capture = read_capture(plan, markers, setup.servos.names, axes=axes)
+        with MESSAGES.status("fitting", spinner="line"):
+            result = fit_capture(setup, capture)
+    finish(setup, result, output, plots=plots, as_json=as_json)

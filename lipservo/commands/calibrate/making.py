@@ -1,0 +1,121 @@
+"""What the sub-commands that make a calibration have in common: before the work, and after it."""
+
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lipservo.settings.setting_types import CALIBRATION_NAME
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.errors import UserError
+from lipsync.output_file import check_output
+
+if TYPE_CHECKING:
+    from lipservo.calibrating.calibration_result import CalibrationResult
+    from lipservo.calibrating.calibration_setup import CalibrationSetup
+
+
+def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "CalibrationSetup":
+    """The face and the model. ranges: a LeRobot file that the face's limits must lie within."""
+    from lipservo.calibrating.calibration_setup import CalibrationSetup
+    from lipservo.face.assembly import load_settings
+    from lipsync.animpho.other_layout import in_layout
+    from lipsync.animpho.units import load_face_with_animphos
+    from lipsync.markers import MARKERS_47
+
+    settings, _ = load_settings(config)
+    if ranges is not None:
+        from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
+
+        limits = {name: (s.min_deg, s.max_deg) for name, s in settings.mouth_servos.items()}
+        check_within_recorded(read_ranges(ranges), limits)
+    # A model of other points is fitted through the markers that calibration knows.
+    return CalibrationSetup(settings, in_layout(load_face_with_animphos(model), MARKERS_47))
+
+
+@contextmanager
+def setup_at_port(
+    setup: "CalibrationSetup", port: str | None, sim: str | None, config: str
+) -> Iterator["CalibrationSetup"]:
+    """The same with its servos at the port asked for, or at one made for `--sim pty`."""
+    from lipservo.face.assembly import settings_at_port
+    from lipservo.face.sim_process import servo_port
+
+    with servo_port(port, sim, config) as found:
+        if found is None:
+            yield setup
+        else:
+            yield replace(setup, settings=settings_at_port(setup.settings, found))
+
+
+def check_files(
+    output: Path,
+    *,
+    keep: Path | None = None,
+    plots: Path | None = None,
+    inputs: Iterable[Path | None] = (),
+) -> None:
+    """See before the work that everything can be written. Raises UserError."""
+    from calibration.files.calibration_file import is_calibration
+
+    if not re.match(CALIBRATION_NAME, output.name):
+        raise UserError(f"{output}: a face can only name a file such as my_face.calibration.yaml")
+    check_output(output, replaces=is_calibration, kind="calibration", inputs=inputs)
+    if keep is not None and not keep.exists():
+        check_output(keep)
+    if plots is not None:
+        from lipservo.calibrating.coverage_plot import PICTURE
+        from lipservo.terminal.pictures import check_folder
+
+        check_folder(plots, [PICTURE])
+
+
+def finish(
+    setup: "CalibrationSetup",
+    result: "CalibrationResult",
+    output: Path,
+    *,
+    plots: Path | None = None,
+    as_json: bool,
+) -> None:
+    """Save, draw, and say how good it is."""
+    from calibration.files.calibration_file import save_calibration
+    from calibration.fit.report import report_lines
+    from lipservo.calibrating.calibration_result import jaw_check
+
+    calibration, fit = result.calibration, result.fit
+    save_calibration(calibration, output)
+    if plots is not None:
+        from lipservo.calibrating.coverage_plot import draw_coverage
+
+        drawn = draw_coverage(plots, setup.model, calibration, fit)
+        MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
+    jaw_r = jaw_check(setup, calibration)
+    if as_json:
+        told = {
+            "calibration": str(output),
+            "method": calibration.origin.method,
+            "poses": calibration.origin.poses,
+            **asdict(calibration.errors),
+            "coverage": {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()},
+            "jaw_correlation": jaw_r,
+            "warnings": result.warnings,
+        }
+        if fit is not None:
+            told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
+        print_json(told)
+        return
+    for line in result.warnings:
+        MESSAGES.print(line, soft_wrap=True, highlight=False)
+    for line in report_lines(calibration, str(output), fit):
+        RESULTS.print(line, soft_wrap=True, highlight=False)
+    if jaw_r is not None:
+        RESULTS.print(f"the jaw goes with the speaker's: correlation {jaw_r:.2f}")
+    if setup.settings.calibration != output.name:
+        RESULTS.print(
+            f"to use it, write `calibration: {output.name}` into the face's YAML, and keep both "
+            "files in one folder",
+            soft_wrap=True,
+        )

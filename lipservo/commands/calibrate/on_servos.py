@@ -1,0 +1,155 @@
+"""`calibrate measure`, `guided` and `practise`: servos that are moved for a whole calibration."""
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.calibrate.making import check_files, finish, load_setup, setup_at_port
+from lipservo.commands.calibrate.options import (
+    Axes,
+    Keep,
+    Lags,
+    Output,
+    Plots,
+    Poses,
+    Ranges,
+    ServoPort,
+    Sim,
+    Speed,
+)
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
+
+MEASURE_EXAMPLE = (
+    "Example: lipservo calibrate measure --config my_face.yaml --port /dev/ttyUSB0 "
+    "--tracker markers.csv -o my_face.calibration.yaml"
+)
+GUIDED_EXAMPLE = (
+    "Example: lipservo calibrate guided --config my_face.yaml --port /dev/ttyUSB0 "
+    "-o my_face.calibration.yaml"
+)
+PRACTISE_EXAMPLE = "Example: lipservo calibrate practise 3 -o practice.calibration.yaml"
+
+
+def measure(
+    output: Output,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    port: ServoPort = None,
+    sim: Sim = None,
+    tracker: Annotated[
+        str | None,
+        typer.Option(
+            help="Who sees the markers: a .csv, .json or folder filled meanwhile, or `typed`.",
+            show_default=False,
+        ),
+    ] = None,
+    axes: Axes = "x y z",
+    poses: Poses = 60,
+    keep: Keep = None,
+    lags: Lags = True,
+    speed: Speed = 30.0,
+    ranges: Ranges = None,
+    plots: Plots = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Move the servos through poses, measure markers at each, fit, and find the servos' lags.
+
+    With --sim pty and no --tracker the markers are computed: a rehearsal of all but the skin.
+    """
+    from lipservo.calibrating.measured_calibration import (
+        calibrate_on_computed_skin,
+        calibrate_on_servos,
+        tracker_of,
+    )
+
+    if tracker is None and sim is None:
+        raise typer.BadParameter(
+            "say who sees the markers: --tracker FILE, FOLDER or typed; by eye it is "
+            "`lipservo calibrate guided`"
+        )
+    setup = replace(
+        load_setup(config, model, ranges),
+        n_poses=poses,
+        keep=keep,
+        quiet=quiet or as_json,
+        lags=lags,
+        speed_deg_s=speed,
+    )
+    check_files(output, keep=keep, plots=plots)
+    with setup_at_port(setup, port, sim, config) as at:
+        if tracker is None:
+            result = calibrate_on_computed_skin(at)
+        else:
+            result = calibrate_on_servos(at, tracker_of(at, tracker, axes))
+    finish(setup, result, output, plots=plots, as_json=as_json)
+
+
+def guided(
+    output: Output,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    port: ServoPort = None,
+    sim: Sim = None,
+    keep: Keep = None,
+    lags: Lags = True,
+    speed: Speed = 30.0,
+    ranges: Ranges = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """No tracker: put the mouth into 14 named poses with keys, by eye.
+
+    Coarser than a measured calibration: nobody knows millimetres without a tracker.
+    """
+    from lipservo.calibrating.guided_calibration import calibrate_by_eye
+
+    setup = replace(
+        load_setup(config, model, ranges),
+        keep=keep,
+        quiet=quiet or as_json,
+        lags=lags,
+        speed_deg_s=speed,
+    )
+    check_files(output, keep=keep)
+    with setup_at_port(setup, port, sim, config) as at:
+        result = calibrate_by_eye(at)
+    finish(setup, result, output, as_json=as_json)
+
+
+def practise(
+    seed: Annotated[int, typer.Argument(metavar="SEED", help="Which robot is drawn.")],
+    output: Output,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    sim: Sim = None,
+    poses: Poses = 60,
+    keep: Keep = None,
+    lags: Lags = True,
+    speed: Speed = 30.0,
+    plots: Plots = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure a simulated robot drawn from a seed, of which nothing is known; no servo is needed.
+
+    With --sim pty its servos are simulated to the byte and spoken to over a wire, at their speed.
+    """
+    from lipservo.calibrating.simulated_calibration import practise_in_memory, practise_over_wire
+
+    setup = replace(
+        load_setup(config, model),
+        n_poses=poses,
+        keep=keep,
+        quiet=quiet or as_json,
+        lags=lags,
+        speed_deg_s=speed,
+    )
+    check_files(output, keep=keep, plots=plots)
+    if sim is None:
+        result = practise_in_memory(setup, seed)
+    else:
+        with setup_at_port(setup, None, sim, config) as at:
+            result = practise_over_wire(at, seed)
+    finish(setup, result, output, plots=plots, as_json=as_json)

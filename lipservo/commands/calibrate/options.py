@@ -1,0 +1,49 @@
+"""Options that several sub-commands of `calibrate` share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="The calibration to write.")]
+Markers = Annotated[
+    Path | None,
+    typer.Option(
+        help="Markers recorded at the poses of a plan: CSV, JSON, a folder of C3D or of pictures.",
+        show_default=False,
+    ),
+]
+Axes = Annotated[
+    str, typer.Option(help="Axes of C3D files that point to the robot's left, up and forward.")
+]
+ServoPort = Annotated[
+    str | None,
+    typer.Option(
+        "--port", help="Serial port of the servos; default: the face's.", show_default=False
+    ),
+]
+Sim = Annotated[
+    str | None,
+    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
+]
+Poses = Annotated[int, typer.Option(help="How many poses are captured.")]
+Keep = Annotated[
+    Path | None,
+    typer.Option(
+        help="Keep every captured pose in this file at once; go on from it.", show_default=False
+    ),
+]
+Lags = Annotated[bool, typer.Option(help="Find the servos' lags too, by chirps and steps.")]
+Speed = Annotated[
+    float,
+    typer.Option(min=5.0, max=400.0, help="Servos move from pose to pose so fast, degrees/s."),
+]
+Ranges = Annotated[
+    Path | None,
+    typer.Option(help="LeRobot range file that the limits must lie within.", show_default=False),
+]
+Plots = Annotated[
+    Path | None,
+    typer.Option(help="Folder for a picture of what is within reach.", show_default=False),
+]
+CalibrationFile = Annotated[Path, typer.Argument(metavar="FILE", help="The calibration.")]

@@ -1,0 +1,84 @@
+"""`calibrate trim` and `calibrate show`: a calibration file that is there already."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.calibrate.options import CalibrationFile
+from lipservo.commands.options import Json
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+
+TRIM_EXAMPLE = "Example: lipservo calibrate trim my_face.calibration.yaml P jaw -1"
+SHOW_EXAMPLE = "Example: lipservo calibrate show my_face.calibration.yaml --config my_face.yaml"
+
+
+def trim(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The calibration to change.")],
+    viseme: Annotated[
+        str | None, typer.Argument(help="A phoneme of the class, P for P B M.", show_default=False)
+    ] = None,
+    joint: Annotated[str | None, typer.Argument(help="Which joint.", show_default=False)] = None,
+    deg: Annotated[
+        float | None,
+        typer.Argument(
+            help="Degrees to add while the class is spoken; 0: none.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Add degrees to a joint while a viseme class is spoken; without VISEME: show what is added."""
+    from calibration.files.calibration_file import load_calibration, save_calibration
+    from calibration.run.viseme_trim import trimmed
+    from lipservo.calibrating.shown_calibration import trim_lines
+
+    calibration = load_calibration(file)
+    if viseme is not None:
+        if joint is None or deg is None:
+            raise typer.BadParameter("give VISEME, JOINT and DEG, or none of them")
+        calibration = trimmed(calibration, viseme, joint, deg)
+        save_calibration(calibration, file)
+    for line in trim_lines(calibration):
+        RESULTS.print(line, highlight=False)
+
+
+def show(
+    file: CalibrationFile,
+    config: Annotated[
+        str | None,
+        typer.Option(
+            help="Face whose rules between joints are shown too; its name, or a YAML file.",
+            show_default=False,
+        ),
+    ] = None,
+    plots: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for a picture of what is within reach (lipservo[plots]).",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Print what a calibration says: of each servo error, lag and backlash; rules, reach, trims."""
+    from calibration.files.calibration_file import load_calibration
+    from lipservo.calibrating.shown_calibration import servo_table, shown_lines, shown_values
+
+    calibration = load_calibration(file)
+    rules = None
+    if config is not None:
+        from lipservo.face.assembly import load_settings
+
+        rules = load_settings(config)[0].prevent
+    if plots is not None:
+        from lipservo.calibrating.coverage_plot import PICTURE, draw_reach
+        from lipservo.terminal.pictures import check_folder
+
+        check_folder(plots, [PICTURE])
+        drawn = draw_reach(plots, calibration)
+        MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
+    if as_json:
+        print_json({"calibration": str(file), **shown_values(calibration, rules)})
+        return
+    RESULTS.print(servo_table(calibration))
+    for line in shown_lines(calibration, str(file), rules):
+        RESULTS.print(line, soft_wrap=True, highlight=False)

@@ -1,0 +1,57 @@
+"""What `lipservo calibrate` refuses before anything moves."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+
+
+def calibrate(*arguments):
+    return CliRunner().invoke(app, ["calibrate", *(str(a) for a in arguments)])
+
+
+def test_limits_wider_than_a_range_file_of_lerobot_are_refused(tmp_path):
+    ranges = tmp_path / "ranges.json"
+    entry = {"id": 11, "drive_mode": 0, "homing_offset": 0, "range_min": 2000}
+    ranges.write_text(json.dumps({"jaw": entry | {"range_max": 2400}}))
+    plan = tmp_path / "p.csv"
+    how = ("plan", plan, "--config", "face_jaw", "--poses", "8", "--ranges", ranges)
+    assert calibrate(*how).exit_code == 0
+    ranges.write_text(json.dumps({"jaw": entry | {"range_max": 2200}}))
+    done = calibrate(*how)
+    assert done.exit_code == 1
+    assert "'jaw': its limits span 27 deg, its recorded range 18" in str(done.exception)
+
+
+def test_a_port_without_anybody_who_sees_the_markers_moves_nothing(tmp_path):
+    """Markers of a computed face would be a calibration of nothing."""
+    out = tmp_path / "c.yaml"
+    done = calibrate("measure", "--config", "face_jaw", "--port", "/dev/ttyUSB77", "-o", out)
+    assert done.exit_code == 2
+    assert "who sees the markers" in done.stderr
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ("measure", "--tracker", "typo.txt", "--sim", "pty"),
+            "--tracker typo.txt: expected `typed`, a",
+        ),
+        (
+            ("measure", "--port", "/dev/ttyUSB77", "--tracker", "typed"),
+            "/dev/ttyUSB77: no such port",
+        ),
+        (("measure", "--sim", "usb"), "--sim knows `pty` only"),
+        (("practise", "1", "--poses", "4"), "4 poses are too few for 1 servos"),
+    ],
+)
+def test_bad_wishes_are_one_clear_line_and_write_nothing(tmp_path, arguments, said):
+    out = tmp_path / "c.yaml"
+    done = calibrate(*arguments, "--config", "face_jaw", "-o", out)
+    assert done.exit_code == 1
+    assert said in str(done.exception)
+    assert not out.exists()

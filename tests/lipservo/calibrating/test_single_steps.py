@@ -1,0 +1,84 @@
+"""`lipservo calibrate pose` and `lags`: servos moved for one step of a calibration."""
+
+import dataclasses
+from importlib import resources
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from calibration.capture.marker_files import read_plan, write_plan
+from calibration.files.calibration_file import load_calibration
+from calibration.files.calibration_text import calibration_text
+from lipservo.cli import app
+from lipservo.face.held_face import HeldFace
+from lipservo.face.sim_process import simulated_port
+
+SHIPPED = resources.files("lipservo.config") / "face_jaw.calibration.yaml"
+
+
+def calibrate(*arguments, **options):
+    return CliRunner().invoke(app, ["calibrate", *(str(a) for a in arguments)], **options)
+
+
+@pytest.fixture
+def plan(tmp_path):
+    path = tmp_path / "plan.csv"
+    assert calibrate("plan", path, "--config", "face_jaw", "--poses", "8").exit_code == 0
+    return path
+
+
+def test_servos_stand_in_each_pose_reached_from_the_side_it_names(plan, monkeypatch):
+    led_deg = []
+    move = HeldFace.move
+
+    def noted(face, goal_deg):
+        led_deg.append(goal_deg.tolist())
+        return move(face, goal_deg)
+
+    monkeypatch.setattr(HeldFace, "move", noted)
+    with simulated_port(["--config", "face_jaw", "--on-time"]) as port:
+        done = calibrate(
+            "pose", plan, 4, 7, "--config", "face_jaw", "--port", port, "--speed", "400",
+            input="\n\n",
+        )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    told = [line for line in done.stdout.splitlines() if line.startswith("pose")]
+    assert [line.split(":")[0] for line in told] == ["pose 4", "pose 7"]
+    goals_deg = read_plan(plan, ("jaw",)).goals_deg[[3, 6], 0]
+    for line, goal_deg in zip(told, goals_deg, strict=True):
+        stands, asked = (float(word) for word in line.split()[3:6:2])
+        assert asked == pytest.approx(goal_deg, abs=0.05)
+        assert stands == pytest.approx(goal_deg, abs=0.5)
+    from_below = read_plan(plan, ("jaw",)).from_below[[3, 6], 0]
+    starts_deg = np.clip(goals_deg - 3.0 * from_below, -2.0, 25.0)
+    expected = [step for pair in zip(starts_deg, goals_deg, strict=True) for step in pair]
+    assert np.array(led_deg)[:, 0] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_plan_of_another_face_moves_nothing(plan):
+    written = read_plan(plan, ("jaw",))
+    written.goals_deg[2] = 60.0
+    write_plan(written, plan)
+    done = calibrate("pose", plan, "--config", "face_jaw")
+    assert done.exit_code == 1
+    assert "pose 3: jaw at 60 deg is outside -2..25; is it a plan of this" in str(done.exception)
+
+
+def test_lags_are_found_anew_and_nothing_else_of_the_file_changes(tmp_path):
+    path = tmp_path / "jaw.calibration.yaml"
+    lines = SHIPPED.read_text().splitlines(keepends=True)
+    late = ["    lag_s: 0.1990\n" if line.startswith("    lag_s") else line for line in lines]
+    path.write_text("".join(late))
+    done = calibrate("lags", path, "--config", "face_jaw")
+    assert done.exit_code == 0, done.output
+    assert "ms late" in done.stdout
+    found, before = (
+        load_calibration(path),
+        load_calibration(path.with_name(path.name + ".previous")),
+    )
+    assert before.following.lag_s.tolist() == [0.199]
+    # Servos simulated to the byte in memory: 8 ms, the same whatever computer runs them.
+    assert found.following.lag_s[0] == pytest.approx(0.008, abs=0.002)
+    as_before = dataclasses.replace(found, following=before.following)
+    assert calibration_text(as_before) == calibration_text(before)
