@@ -7,7 +7,7 @@ import pytest
 
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.face.assembly import assemble_face
-from lipservo.street.motion_options import Manner, make_synthesizer
+from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipservo.street.recognized_phonemes import RecognizedPhonemes
 from lipservo.street.speech import Speech
 from lipsync.audio.playback_clock import SteadyClock, clock_for
@@ -60,7 +60,7 @@ class Deaf:
 def test_the_sound_of_a_drifting_card_is_shown_with_the_declared_delay(drift):
     face = assemble_face("face_sim", None)
     card, ears = Card(drift), Deaf()
-    synthesizer = make_synthesizer(face.model, Manner())
+    synthesizer = make_synthesizer(face.model, MotionOptions())
     speech = Speech(
         RecognizedPhonemes(card, ears),
         clock_for(card),
@@ -81,7 +81,7 @@ def targets_of(name: str, until_s: float = 2.0) -> tuple[list[str], np.ndarray]:
     face = assemble_face(name, None)
     events = [PhonemeEvent("SIL", 0.0, 0.4), PhonemeEvent("AA", 0.4, 0.8)]
     names, channel = list(face.settings.servos), MemoryTargetChannel()
-    synthesizer = make_synthesizer(face.model, Manner())
+    synthesizer = make_synthesizer(face.model, MotionOptions())
     script = ScriptedPhonemes(events)
     speech = Speech(script, SteadyClock(), synthesizer, face.calibration, names, channel)
     found = []
@@ -104,7 +104,7 @@ def test_a_face_with_neck_and_eyes_moves_its_mouth_as_one_without_and_keeps_the_
 
 def test_a_calibrated_servo_that_the_face_has_not_is_refused():
     face = assemble_face("face_sim", None)
-    synthesizer = make_synthesizer(face.model, Manner())
+    synthesizer = make_synthesizer(face.model, MotionOptions())
     with pytest.raises(ValueError, match="jaw"):
         Speech(
             ScriptedPhonemes(()),

@@ -5,7 +5,7 @@ from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
 from lipservo.face.assembly import assemble_face, make_bus
-from lipservo.street.motion_options import Manner, make_synthesizer
+from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipservo.street.street import make_street_of
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
@@ -17,7 +17,7 @@ def test_a_label_file_drives_the_servos_in_time_without_any_sound():
     """The clip's labels: what is shown is what they say, and P B M shut the lips."""
     events = read_phonemes(CLIP_LABELS_PATH)
     face, clock = assemble_face("face_sim", None), ManualClock()
-    synthesizer = make_synthesizer(face.model, Manner())
+    synthesizer = make_synthesizer(face.model, MotionOptions())
     phonemes = ScriptedPhonemes(events)
     with make_bus(face, clock) as bus:
         street = make_street_of(face, phonemes, SteadyClock(), bus, RATE_HZ, synthesizer)

@@ -11,7 +11,7 @@ from speech import CLIP_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipservo.street.motion_options import Manner, make_synthesizer
+from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipsync.errors import UserError
 from lipsync.face.model import load_face
 from lipsync.face.model_file import ModelError
@@ -84,9 +84,9 @@ def test_a_part_that_is_not_there_is_named_with_the_command_that_makes_it(shippe
         for name, content in members.items():
             archive.writestr(name, content)
     face = load_face(path)
-    make_synthesizer(face, Manner(), path)
+    make_synthesizer(face, MotionOptions(), path)
     with pytest.raises(ModelError, match=r"holds no part 'animphos'; .*`lipservo train`"):
-        make_synthesizer(face, Manner(strategy="priority"), path)
+        make_synthesizer(face, MotionOptions(strategy="priority"), path)
 
 
 def test_a_file_that_was_replaced_between_two_readings_is_noticed(shipped, tmp_path):
@@ -98,7 +98,7 @@ def test_a_file_that_was_replaced_between_two_readings_is_noticed(shipped, tmp_p
     content["face/mean_mm"] = content["face/mean_mm"] + 1.0
     np.savez(path, **content)
     with pytest.raises(ModelError, match="has changed while it was being read"):
-        make_synthesizer(face, Manner(), path)
+        make_synthesizer(face, MotionOptions(), path)
 
 
 def test_a_file_of_version_3_is_the_same_model_and_plays(shipped, sound, tmp_path):
