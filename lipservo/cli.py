@@ -14,20 +14,20 @@ from lipservo.commands.bench import replay as bench_replay
 from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import app as calibrate
-from lipservo.commands.learn import alignment, recognition, training
-from lipservo.commands.run import health, processes, set_value, stop, street, trace
+from lipservo.commands.learn import alignment, recognizer, training
+from lipservo.commands.run import health, processes, run, set_value, stop, trace
 
 app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (
-    street.run,
-    street.daemon,
-    street.replay,
-    street.devices,
+    run.run,
+    run.daemon,
+    run.replay,
+    run.devices,
     training.train,
     alignment.align,
-    recognition.recognize,
-    recognition.train_recognizer,
-    recognition.plot_training,
+    recognizer.recognize,
+    recognizer.train_recognizer,
+    recognizer.plot_training,
 ):
     app.command()(command)
 # A number may be negative, which looks like an option.

@@ -13,15 +13,15 @@ from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
 from lipsync.evaluation.motion.methods import Heard, Method, PublishedMethod, all_methods
 from lipsync.evaluation.motion.miss_rates import count_misses
-from lipsync.evaluation.motion.paper_tables import paper_tables
-from lipsync.evaluation.motion.recovery import recovery_rows
-from lipsync.evaluation.motion.scoring import (
+from lipsync.evaluation.motion.motion_scores import (
     Listen,
     Scores,
     add_scores,
     check_scorable,
     true_phonemes,
 )
+from lipsync.evaluation.motion.paper_tables import paper_tables
+from lipsync.evaluation.motion.recovery import recovery_rows
 from lipsync.evaluation.motion.splits import Part, read_parts, words_part
 from lipsync.evaluation.motion.timing import method_times
 from lipsync.evaluation.recognition.recognized_file import recognize_file

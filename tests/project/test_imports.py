@@ -21,8 +21,6 @@ LIVE_FOLDERS = {
     "lipsync.recognition",
 }
 LIVE_MODULES = {"lipsync.animpho.synthesizer"}
-#: Live modules and the offline folders that they still import. To be emptied, never to grow.
-STILL_IMPORTED = {("lipsync.face.model", "lipsync.baselines")}
 
 
 @pytest.mark.parametrize("module", sorted(MODULES))
@@ -73,7 +71,7 @@ def test_nothing_live_imports_what_is_only_for_training_and_measuring():
             else:
                 waiting.append(other)
 
-    assert found == STILL_IMPORTED
+    assert found == set()
 
 
 def test_every_live_place_exists():

@@ -24,33 +24,6 @@ CONTRACTS = {
     ("lipsync", "synthesizer.py"): "lipsync/face/synthesizer.py:Synthesizer",
 }
 
-# What does not keep to the rules yet. To be emptied, never to grow.
-STILL_LONG = {
-    "firmware_bridge/loop/bridge.py",
-    "lipsync/recognition/training/network_training.py",
-    "tests/firmware_bridge/dynamixel/test_bus.py",
-    "tests/firmware_bridge/loop/test_life_cycle.py",
-    "tests/firmware_bridge/process/test_supervisor.py",
-    "tests/firmware_bridge/simulator/test_servo_settings.py",
-    "tests/lipservo/calibrating/test_calibrate_command.py",
-    "tests/lipservo/health/test_health_log.py",
-    "tests/lipservo/settings/test_settings.py",
-    "tests/lipsync/audio/test_file.py",
-    "tests/lipsync/evaluation/test_measures.py",
-}
-STILL_MANY_PARAMETERS = {
-    "calibration/fit/measured.py:fit_measured",
-    "firmware_bridge/loop/bridge.py:Bridge.__init__",
-    "firmware_bridge/loop/life_cycle.py:LifeCycle.__init__",
-    "lipservo/commands/run/processes.py:supervise",
-    "tests/support/disturbed_transport.py:DisturbedTransport.__init__",
-}
-STILL_OF_ONE_NAME = {
-    ("lipservo", "recognition.py"),
-    ("lipservo", "street.py"),
-    ("lipsync", "scoring.py"),
-}
-
 
 def files(*names):
     """Every file below these folders of the root, but what Python and tools leave there."""
@@ -80,7 +53,7 @@ def test_no_file_is_longer_than_one_reads_in_one_go():
         place(path) for path in SOURCES if len(path.read_text("utf-8").splitlines()) > MOST_LINES
     }
 
-    assert long == STILL_LONG
+    assert long == set()
 
 
 def command_functions():
@@ -130,7 +103,7 @@ def test_no_function_has_more_parameters_than_one_keeps_in_mind():
         if n_parameters(function) > MOST_PARAMETERS
     }
 
-    assert many - command_functions() == STILL_MANY_PARAMETERS
+    assert many - command_functions() == set()
 
 
 def test_commands_are_recognised():
@@ -169,7 +142,7 @@ def test_two_files_of_a_package_share_a_name_only_as_one_contract():
             of_name[path.relative_to(ROOT).parts[0], path.name].add(place(path))
     shared = {key for key, paths in of_name.items() if len(paths) > 1}
 
-    assert shared - set(CONTRACTS) == STILL_OF_ONE_NAME
+    assert shared - set(CONTRACTS) == set()
     for key, contract in CONTRACTS.items():
         file, _, name = contract.partition(":")
         assert file in of_name[key]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lipservo.commands.bench.recognition import Cache, Limit, Speakers
-from lipservo.commands.learn.recognition import progress_bar
+from lipservo.commands.learn.recognizer import progress_bar
 from lipservo.commands.options import Json, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S

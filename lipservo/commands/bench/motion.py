@@ -107,7 +107,7 @@ def _answer(
     """Rows, the paper's tables, self-correction; pictures on the way."""
     from lipservo.bench import motion_figures as measure
     from lipsync.corpus.grid import read_grid
-    from lipsync.evaluation.motion.scoring import seen_in_training
+    from lipsync.evaluation.motion.motion_scores import seen_in_training
     from lipsync.expectation.training.hearing import hear_sentences
     from lipsync.markers import MARKERS_47
     from lipsync.recognition.weights import load_shipped_weights

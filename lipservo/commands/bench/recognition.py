@@ -7,7 +7,7 @@ from typing import Annotated, TypeVar
 
 import typer
 
-from lipservo.commands.learn.recognition import Advance, progress_bar
+from lipservo.commands.learn.recognizer import Advance, progress_bar
 from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsChoice
 from lipservo.settings.motion_names import Engine
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.bench.recognition import Limit, Speakers
-from lipservo.commands.learn.recognition import progress_bar
+from lipservo.commands.learn.recognizer import progress_bar
 from lipservo.commands.options import Json, Quiet, WeightsChoice
 from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights

@@ -6,8 +6,16 @@ from typing import Annotated
 
 import typer
 
+from lipservo.commands.calibrate.calibration_options import (
+    Axes,
+    Lags,
+    Markers,
+    Output,
+    Plots,
+    Poses,
+    Ranges,
+)
 from lipservo.commands.calibrate.making import check_files, finish, load_setup
-from lipservo.commands.calibrate.options import Axes, Lags, Markers, Output, Plots, Poses, Ranges
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.output_file import check_output

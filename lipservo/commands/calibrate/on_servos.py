@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.calibrate.making import check_files, finish, load_setup, setup_at_port
-from lipservo.commands.calibrate.options import (
+from lipservo.commands.calibrate.calibration_options import (
     Axes,
     Keep,
     Lags,
@@ -18,6 +17,7 @@ from lipservo.commands.calibrate.options import (
     Sim,
     Speed,
 )
+from lipservo.commands.calibrate.making import check_files, finish, load_setup, setup_at_port
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 
 MEASURE_EXAMPLE = (

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from lipservo.commands.calibrate.calibration_options import CalibrationFile, ServoPort, Sim, Speed
 from lipservo.commands.calibrate.making import load_setup, setup_at_port
-from lipservo.commands.calibrate.options import CalibrationFile, ServoPort, Sim, Speed
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.terminal.output import RESULTS, print_json, say_simulated
 

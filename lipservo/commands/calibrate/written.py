@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.calibrate.options import CalibrationFile
+from lipservo.commands.calibrate.calibration_options import CalibrationFile
 from lipservo.commands.options import Json
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 

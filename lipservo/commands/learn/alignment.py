@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.learn.recognition import progress_bar
+from lipservo.commands.learn.recognizer import progress_bar
 from lipservo.commands.options import Json, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 

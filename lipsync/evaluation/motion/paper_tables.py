@@ -14,8 +14,8 @@ from lipsync.animpho.selection import STRATEGIES
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import all_methods
 from lipsync.evaluation.motion.miss_rates import miss_rate
+from lipsync.evaluation.motion.motion_scores import Listen, Scores, add_scores, true_phonemes
 from lipsync.evaluation.motion.paper_costs import cost_rows
-from lipsync.evaluation.motion.scoring import Listen, Scores, add_scores, true_phonemes
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.training.trained_model import TrainedModel
 

@@ -9,7 +9,7 @@ import numpy as np
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.evaluation.recognition.conditions import Condition
-from lipsync.evaluation.recognition.scoring import Score, phone_sequence
+from lipsync.evaluation.recognition.recognition_scores import Score, phone_sequence
 from lipsync.evaluation.recognition.stream_observers import label_frames
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.alignment.alignment_cache import LABELLED, AlignedUtterance

@@ -29,8 +29,8 @@ from lipsync.evaluation.motion.minimal_pairs import (
     recorded_persistence,
 )
 from lipsync.evaluation.motion.mishearing import KINDS, misheard
+from lipsync.evaluation.motion.motion_scores import Scores, add_scores, check_scorable
 from lipsync.evaluation.motion.recovery import CORRECTED_AFTER_S, NEVER_S, wrong_phoneme_persistence
-from lipsync.evaluation.motion.scoring import Scores, add_scores, check_scorable
 from lipsync.evaluation.motion.splits import read_parts, words_part
 from lipsync.evaluation.motion.wrong_phonemes import error_rows
 from lipsync.markers import MARKERS_39

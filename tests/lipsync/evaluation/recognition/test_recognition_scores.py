@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.evaluation.recognition.scoring import Score, edit_distance
+from lipsync.evaluation.recognition.recognition_scores import Score, edit_distance
 from lipsync.phonemes import PHONEMES
 
 
