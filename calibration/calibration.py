@@ -6,9 +6,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from calibration.arrays import Array, Indices
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.hold_out import HoldOutErrors
+from lipsync.arrays import Array, Indices
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
 

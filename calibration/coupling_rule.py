@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.arrays import Array
+from lipsync.arrays import Array
 
 _SAME_DEG = 1e-9
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.arrays import Array
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 #: The human's lips count as closed at this gap, as in training.

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.coupling_rule import CouplingRule
 from calibration.joint_range import JointRange
+from lipsync.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)

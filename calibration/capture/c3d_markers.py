@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
+from lipsync.arrays import Array
 from lipsync.extras import check_extra
 
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.capture_plan import PosePlan
+from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 
 #: Go to joint degrees (n_servos,), at a speed the face's owner holds safe, settle, and give back

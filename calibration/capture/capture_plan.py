@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.joint_range import JointRange
+from lipsync.arrays import Array
 
 #: The last step to a pose; more than twice the backlash of a printed gear train.
 LEAD_IN_DEG = 3.0

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
+from lipsync.arrays import Array
 from lipsync.extras import check_extra
 
 #: Dots are of one size: a spot larger than this many of the middle one is two dots that touch, as

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.coloured_dots import DotColour, dots_mm, find_dots_px, name_dots
+from lipsync.arrays import Array
 
 NAMES_FILE = "dots.csv"
 _COLUMNS = ("marker", "column_px", "row_px", "mm_per_px")

@@ -15,12 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.c3d_markers import read_c3d_folder
 from calibration.capture.capture import Capture
 from calibration.capture.capture_plan import LEAD_IN_DEG, PosePlan
 from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
+from lipsync.arrays import Array
 from lipsync.errors import shown
 from lipsync.output_file import write_whole
 

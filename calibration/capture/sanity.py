@@ -9,9 +9,9 @@ from itertools import combinations
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture
+from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
 

@@ -11,10 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
 from calibration.capture.marker_files import read_readings
+from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 
 #: Seconds pass, servos held.

@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -21,6 +20,7 @@ from calibration.calibration import (
 from calibration.files.calibration_text import CALIBRATION_VERSION, calibration_text
 from calibration.files.file_place import Place
 from calibration.hold_out import HoldOutErrors
+from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
 from lipsync.yaml_depth import is_nested_deeper

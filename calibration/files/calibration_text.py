@@ -5,9 +5,9 @@ from dataclasses import asdict, fields
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import Calibration, Following, Touch, VisemeReach
 from calibration.hold_out import HoldOutErrors
+from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
 
 #: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest,

@@ -4,8 +4,8 @@ import sys
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
+from lipsync.arrays import Array
 from lipsync.errors import shown
 
 _MAX = sys.float_info.max

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.coupling_rule import CouplingRule, keep_rules
 from calibration.run.inverse import MarkersOf, ShapeFeatures, nearest_poses_deg
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 #: Upper and lower; the middle one says how open a mouth is.

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.linear_model import RidgeCV
 
-from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -22,6 +21,7 @@ from calibration.hold_out import HoldOutErrors
 from calibration.mouth_servos import MouthServos
 from calibration.run.run_time_map import rounded
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 #: From a weak to a strong pull towards not moving; leave-one-out chooses among a dozen poses.

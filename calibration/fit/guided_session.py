@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.fit.guided import LandmarkPose
 from calibration.joint_range import JointRange
+from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 
 #: Degrees of a key press: one is about the backlash of a printed gear train, five cross a

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -26,6 +25,7 @@ from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import HoldOutErrors, each_marker_rms_mm
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 #: Enough for a curve that hardly bends.

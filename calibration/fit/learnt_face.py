@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 from sklearn.linear_model import RidgeCV
 
-from calibration.arrays import Array
 from calibration.calibration import Calibration, CalibrationError, linear_calibration_parts
 from calibration.coupling_rule import CouplingRule
 from calibration.fit.correspondence import RobotMouth, correspond
@@ -14,6 +13,7 @@ from calibration.hold_out import HoldOutErrors, measure_hold_out
 from calibration.joint_range import JointRange
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 HOLD_OUT_SHARE = 0.2

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import (
     Calibration,
     CalibrationError,
@@ -24,6 +23,7 @@ from calibration.fit.robot_face import RobotFace, fit_robot_face
 from calibration.mouth_servos import MouthServos
 from calibration.run.run_time_map import fit_run_time_map
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 
 HOLD_OUT_SHARE = 0.2
 #: At most so many AnimPhos of 5 frames are fitted to: a map of 45 numbers for each servo needs no

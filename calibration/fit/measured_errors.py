@@ -10,13 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.arrays import Array
 from calibration.calibration import VisemeReach
 from calibration.fit.correspondence import RobotMouth
 from calibration.fit.retargeting import Retargeting
 from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors, each_marker_rms_mm
 from calibration.run.run_time_map import RunTimeMap
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
 
 #: A shape counts as reachable when the best pose is within this, rms over the lips.

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from sklearn.cluster import KMeans
 
-from calibration.arrays import Array
 from calibration.capture.capture import (
     Arrived,
     Capture,
@@ -32,6 +31,7 @@ from calibration.fit.robot_face import fit_robot_face
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 
 #: The part of a plan that is taken where speech will be, and the part of these with lips closed. On
 #: development robots (seeds 106, 107, 116, 117) 16 of 60 poses took a quarter off the error of the

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.fit.correspondence import Correspondence, RobotMouth
 from calibration.hold_out import CLOSED_GAP_MM
+from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 
 #: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that

@@ -15,7 +15,6 @@ from sklearn.model_selection import KFold
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
-from calibration.arrays import Array
 from calibration.capture.capture import Capture
 from calibration.fit.skin_process import (
     Hyperparameters,
@@ -24,6 +23,7 @@ from calibration.fit.skin_process import (
     fit_process,
     squared_distances_mm2,
 )
+from lipsync.arrays import Array
 
 _FOLDS = 6
 #: Rounds between the fit of the hyperparameters and the points that the tracker lost.

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from calibration.arrays import Array
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 #: Variance of where a marker is on average, mm^2: unknown.

@@ -1,9 +1,8 @@
 """Backlash of gears and horns, and goals that make up for it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 #: A turn smaller than this is not made up for: goals would chatter by the whole backlash at every
 #: rounding. About four steps of the encoder (360/4096 degrees).

@@ -4,12 +4,10 @@ Streaming; NumPy only, a few microseconds a frame.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.calibration import Following
 from calibration.run.backlash import BacklashCompensation
-
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 
 class LagCompensation:

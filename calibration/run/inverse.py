@@ -4,11 +4,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.coupling_rule import CouplingRule
-
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 #: (n, n_servos) degrees -> (n, n_markers, 3) millimetres.
 MarkersOf = Callable[[Array], Array]

@@ -7,12 +7,10 @@ that two servos that part the lips together err together. Loads NumPy only.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.calibration import pairs
 from calibration.run.inverse import MarkersOf, ShapeFeatures
-
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 #: Poses are noisy by a few tenths of a degree where the face hardly shows a joint; this keeps the
 #: quadratic terms from following that. In degrees per unit of a standardised feature, squared.

@@ -4,12 +4,10 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calibration.calibration import Calibration, CalibrationError
+from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES, VISEME_OF
-
-Array = NDArray[np.float64]
 
 #: Trims come and go with this time constant: within a phone of 80 ms, without a step that the
 #: servos would make audible.

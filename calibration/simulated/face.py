@@ -17,7 +17,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from calibration.arrays import Array
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 JAW = "jaw"

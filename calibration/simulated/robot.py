@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.simulated.face import (
     JAW,
     SimulatedFace,
     marker_positions_mm,
     simulated_face,
 )
+from lipsync.arrays import Array
 
 #: rms of the tracker's noise in each axis (the bar of the benchmark).
 SENSOR_NOISE_MM = 0.5

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.arrays import Array
+from lipsync.arrays import Array
 
 #: Whole lag in slow motion, dead time of bus and servo within it, and top speed: drawn from these.
 #: The bar of the benchmark asks for 40 to 90 ms; an XL330-M288-T makes 618 deg/s without load.

@@ -11,7 +11,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured
@@ -30,6 +29,7 @@ from calibration.simulated.servos import SimulatedServos
 from lipservo.bench.sync_figures import SyncErrors, sync_errors
 from lipservo.settings.settings import FaceSettings, load_shipped_face
 from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 N_POSES = 60

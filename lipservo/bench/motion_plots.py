@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipservo.terminal.pictures import save_picture, without_screen
+from lipsync.arrays import Array
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import REFERENCE, Heard, all_methods
@@ -21,8 +21,6 @@ from lipsync.training.trained_model import TrainedModel
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Array = NDArray[np.float64]
 Row = Mapping[str, object]
 
 #: Look-ahead of the trajectories drawn.

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import Calibration
 from calibration.fit.servo_response import lag_between_s
 from calibration.run.following import Follower
 from calibration.simulated.robot import RobotDraw, true_markers_mm
 from calibration.simulated.servos import SimulatedServos
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 from lipsync.phonemes import SILENCE
 

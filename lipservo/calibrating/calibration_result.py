@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import Calibration, Following, ServoMemory
 from calibration.capture.capture import Capture
 from calibration.fit.correspondence import LIPS_NEEDED
 from calibration.fit.jaw_fit import fit_jaw, jaw_agreement, jaw_markers
 from calibration.fit.measured import MeasuredFit, fit_measured
 from lipservo.calibrating.calibration_setup import CalibrationSetup, today
+from lipsync.arrays import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import Calibration, CalibrationError
 from calibration.fit.correspondence import RobotMouth
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.measured_errors import REACHABLE_MM, ShapeErrors
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ from rich.console import Console, Group
 from rich.table import Table
 from rich.text import Text
 
-from calibration.arrays import Array
 from calibration.capture.capture import Move
 from calibration.fit.guided import fit_guided, landmark_poses
 from calibration.fit.guided_session import (
@@ -28,6 +27,7 @@ from lipservo.terminal.keys import read_key
 from lipservo.terminal.mouth_drawing import draw_mouth
 from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
 
 #: Joint degrees (n_servos,) -> markers (47, 3), where the robot's face can be drawn.
 Drawn = Callable[[Array], Array]

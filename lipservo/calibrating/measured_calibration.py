@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture, Measure, Move
 from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker, TypedTracker
@@ -18,6 +17,7 @@ from lipservo.face.held_face import HeldFace
 from lipservo.face.servos import servo_memories
 from lipservo.terminal.keys import read_line
 from lipservo.terminal.output import MESSAGES
+from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 #: What a person who types is asked for: the least that says how open and how wide a mouth is, and

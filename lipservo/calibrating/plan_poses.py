@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
-from calibration.arrays import Array
 from calibration.calibration import CalibrationError
 from calibration.capture.capture_plan import PosePlan
 from calibration.capture.marker_files import read_numbered_plan
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos
+from lipsync.arrays import Array
 
 
 def read_poses(

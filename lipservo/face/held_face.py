@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from typing import Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_bridge.bus import BusError, PortError, PortGone, ServoBus
 from firmware_bridge.clock import Clock
@@ -24,8 +23,8 @@ from lipservo.face.face_life import face_life
 from lipservo.face.face_stopped import FaceStopped
 from lipservo.face.servos import bridge_for
 from lipservo.settings.settings import FaceSettings
+from lipsync.arrays import Array
 
-Array = NDArray[np.float64]
 Answer = TypeVar("Answer")
 
 #: Slow enough to watch and to stop; no joint is in a hurry here.

@@ -9,11 +9,9 @@ from datetime import date
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipservo.health.health_log import DAY_FILE
-
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 _QUANTITIES = ("temperature_degc", "load", "voltage_v", "current_ma", "errors", "torque_on")
 _COUNTS = ("reboots", "unanswered")

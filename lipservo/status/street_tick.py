@@ -3,13 +3,9 @@
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
 from firmware_bridge.loop.report import TickReport
+from lipsync.arrays import Array
 from lipsync.face.frame import Frame
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

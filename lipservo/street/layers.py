@@ -7,7 +7,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
+
 Indices = NDArray[np.intp]
 
 #: A servo goes over from one owner to the next in this time: slower than speech, so that no

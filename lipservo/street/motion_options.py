@@ -33,10 +33,9 @@ from lipsync.motion.live_synthesizer import (
 )
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
+from lipsync.recognition.network import LATENCY_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, SHIPPED, check_weights, find_weights
 
-#: The recogniser's share of the delay: the network's committing head (docs/recognition.md).
-LATENCY_S = 0.095
 _POCKETSPHINX_LATENCY_S = 0.09
 #: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
 #: from sound to face, which is declared at the start and stays.

@@ -3,9 +3,6 @@
 Live running and `replay` share it; they differ in the clock and in who watches.
 """
 
-import numpy as np
-from numpy.typing import NDArray
-
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
@@ -14,13 +11,12 @@ from lipservo.face.servos import bridge_for
 from lipservo.status.street_tick import StreetTick
 from lipservo.street.recognized_phonemes import RecognizedPhonemes
 from lipservo.street.speech import Speech
+from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock, clock_for
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame
 from lipsync.face.synthesizer import Synthesizer
 from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeSource
-
-Array = NDArray[np.float64]
 
 
 class Street:

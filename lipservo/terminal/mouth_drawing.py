@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.markers import INNER_LIP_GROUP, OUTER_LIP_GROUP, PointLayout
 
-Array = NDArray[np.float64]
 Canvas = NDArray[np.int64]
 
 #: Dots of a Braille character by column and row, as bits above U+2800 (Unicode, block Braille).

@@ -6,14 +6,12 @@ Both are laid over one another by sound time, so that another delay alone is no 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipservo.traces.trace_reader import Trace
+from lipsync.arrays import Array
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
-
-Array = NDArray[np.float64]
 
 #: The lag is looked for within this, in steps of a millisecond.
 _MOST_LAG_S, _LAG_STEP_S = 0.25, 0.001

@@ -9,11 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipservo.traces.trace_writer import TRACE_VERSION, TraceError
-
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 #: More than a day at 200 Hz, unpacked; a small file may unpack to any size.
 _MOST_BYTES = 8_000_000_000

@@ -4,11 +4,9 @@ Samples are numbered 1..5 as in the paper in the formulas, 0..4 in the code.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
-
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 
 def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:

@@ -8,12 +8,9 @@ meet half-way between the outer lips when the mouth is at rest.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipsync.animpho.units import FaceWithAnimPhos, face_fields
 from lipsync.markers import LayoutError, PointLayout
-
-Array = NDArray[np.float64]
 
 #: For each point of the inner lips the outer one that it moves with, and the one opposite to it.
 _OUTER_OF_INNER = {

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.animpho.units import AnimPhoUnits
+from lipsync.arrays import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 

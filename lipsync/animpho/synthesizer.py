@@ -10,18 +10,16 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
 from lipsync.animpho.selection import Choice, PrioritySelection, SelectionStrategy
 from lipsync.animpho.trajectory import Trajectory, ease
 from lipsync.animpho.units import AnimPhoUnits
+from lipsync.arrays import Array
 from lipsync.expectation.context import PhonemeTrack, track_of
 from lipsync.face.frame import Frame
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate, stand_in
 from lipsync.timeline import PhonemeTimeline
-
-Array = NDArray[np.float64]
 
 #: Phones longer than this are held (architecture.md, Time).
 LONGEST_PHONE_S = 0.35

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 #: Two sums of the same times differ by less than this; a joint is not past the end.
 _ROUNDING_S = 1e-9

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.animpho.index_lists import IndexLists
+from lipsync.arrays import Array
 from lipsync.face.model import FaceModel, read_face
 from lipsync.face.model_file import ModelFile, open_model
 from lipsync.phonemes import PHONEMES
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: The part of a model file that holds AnimPhos.

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.baselines.dominance import Dominance
 from lipsync.baselines.regression import PlainRegression
 from lipsync.face.model_file import ModelFile
 from lipsync.phonemes import PHONEMES
-
-Array = NDArray[np.float64]
 
 #: The part of a model file that holds the baselines.
 BASELINES_PART = "baselines"

@@ -8,11 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
-
-Array = NDArray[np.float64]
 
 #: The fixed reference of every ratio, never retuned: D = exp(-(24 |tau|)^1.4).
 REFERENCE_RATE_PER_S, REFERENCE_POWER = 24.0, 1.4

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.expectation.context import SLOTS, UNKNOWN
 from lipsync.expectation.expectation import timing_features
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Ridge in units of frames; any value from 10 to 1000 gives the same ratio to two digits.

@@ -7,11 +7,9 @@ difference of the two neighbours over their distance in time.
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF, PhonemeEvent
-
-Array = NDArray[np.float64]
 
 
 def viseme_centres(centres: Array, counts: Array) -> Array:

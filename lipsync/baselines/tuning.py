@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from lipsync.arrays import Array
 from lipsync.baselines.dominance import Dominance, distances_s, fixed_reference
 from lipsync.corpus.utterance import Utterance
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: 200 sentences pin 64 numbers down; more only take longer.

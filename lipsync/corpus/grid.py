@@ -9,15 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.corpus.head_motion import apply_similarity, fit_similarity, refine_mean
 from lipsync.corpus.utterance import Corpus, CorpusError, Utterance, Word
 from lipsync.markers import MARKERS_47, PointLayout
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
 from lipsync.textgrid import Interval, LabelError, read_tiers
 
-Array = NDArray[np.float64]
 Progress = Callable[[list[str]], Iterable[str]]
 
 #: Outer eye corners, and their distance: sets millimetres (corpus README).

@@ -6,9 +6,8 @@ analysis of Wei and Deng; the closed form is Umeyama's (IEEE PAMI 13(4), 1991, e
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lipsync.arrays import Array
 
 # The fit converges by a factor of about ten a round; ten rounds are exact to rounding.
 _ROUNDS = 10

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.corpus.utterance import Utterance
 from lipsync.phonemes import PHONEMES
-
-Array = NDArray[np.float64]
 
 #: Lips count as closed at this inner gap; 98 % of P closures in grid_s1 get there.
 CLOSED_GAP_MM = 1.0

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Two phonemes before, the one going on, two after.

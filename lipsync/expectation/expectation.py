@@ -12,10 +12,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.expectation.context import SLOTS, UNKNOWN
 from lipsync.phonemes import PHONEMES
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Times are capped here, s: since the starts of the phone before last, the last, this one; until

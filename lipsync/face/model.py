@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.face.model_file import ModelFile, open_model
 from lipsync.markers import PointLayout
 from lipsync.phonemes import PHONEMES
-
-Array = NDArray[np.float64]
 
 #: The part of a model file that holds a face.
 FACE_PART = "face"

@@ -11,8 +11,8 @@ from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.expectation.context import PhonemeTrack, context_at, track_of
 from lipsync.expectation.expectation import Expectation
 from lipsync.face.frame import Frame
@@ -22,8 +22,6 @@ from lipsync.motion.rest_plan import AT_REST, is_reached, planned_rest
 from lipsync.motion.tick_plan import TICK_S, TickPlan, tick_of
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
-
-Array = NDArray[np.float64]
 
 #: More look-ahead than this is allowed but not used: the model has learned no more.
 USED_LOOKAHEAD_S = 0.2

@@ -9,11 +9,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
-
-Array = NDArray[np.float64]
 
 #: Lips pressed together show this gap, mm. The bar is 1.0; the rest leaves room for the sampling
 #: of a face between two ticks. Closer costs accuracy (docs/motion.md).

@@ -2,17 +2,13 @@
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lipsync.arrays import Array
 from lipsync.expectation.context import context_at
 from lipsync.face.frame import Frame
 from lipsync.motion.amount import Amount
 from lipsync.motion.rest_plan import AT_REST, planned_rest
 from lipsync.motion.tick_plan import TICK_S, TickPlan
 from lipsync.motion.wrapped_synthesizer import TrackedSynthesizer, WrappedSynthesizer
-
-Array = NDArray[np.float64]
 
 
 class RestingSynthesizer(WrappedSynthesizer):

@@ -2,15 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from lipsync.arrays import Array
 from lipsync.face.frame import Frame
 from lipsync.motion.eased_setting import EasedSetting
 from lipsync.motion.tick_plan import TICK_S, tick_of
 from lipsync.motion.wrapped_synthesizer import TrackedSynthesizer, WrappedSynthesizer
-
-Array = NDArray[np.float64]
 
 
 class ScaledSynthesizer(WrappedSynthesizer):

@@ -2,11 +2,9 @@
 
 import numpy as np
 import soxr
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
-
-Array = NDArray[np.float32]
 
 #: Of a longer gap between blocks only this much is filled with silence, then time jumps to its end.
 HEARD_GAP_S = 2.0
@@ -24,7 +22,7 @@ class AudioInput:
         self._n_fed = 0  # samples at the stream's own rate, gaps among them
         self._resampler: soxr.ResampleStream | None = None
 
-    def take(self, block: AudioBlock) -> tuple[Array, float, Array]:
+    def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
         """Silence that comes first, seconds to jump over after it, and the block's own samples.
 
         The seconds are a multiple of 10 ms. Raises ValueError for a block that starts before the
@@ -56,8 +54,8 @@ class AudioInput:
         if rate_hz != SAMPLE_RATE_HZ:
             self._resampler = soxr.ResampleStream(rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32")
 
-    def _at_16_khz(self, samples: Array) -> Array:
+    def _at_16_khz(self, samples: Array32) -> Array32:
         if self._resampler is None or len(samples) == 0:
             return samples
-        resampled: Array = self._resampler.resample_chunk(samples)
+        resampled: Array32 = self._resampler.resample_chunk(samples)
         return np.clip(resampled, -1.0, 1.0)

@@ -10,14 +10,13 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.phonemes import PHONEMES, PhonemeEvent
 from lipsync.recognition.decoder import SMOOTH, best_heads, change_penalties, log_scores
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
-from lipsync.recognition.network import NetworkWeights
-from lipsync.recognition.network_recognizer import LATENCY_S, frames_of_delay
+from lipsync.recognition.network import LATENCY_S, NetworkWeights
+from lipsync.recognition.network_recognizer import frames_of_delay
 from lipsync.recognition.posteriors import PosteriorStream
-
-Array = NDArray[np.float32]
 
 #: Recordings side by side: enough that NumPy's own cost does not count, in little memory.
 TOGETHER = 64
@@ -26,7 +25,7 @@ _TAIL_S = 0.5
 
 
 def settled_phonemes(
-    weights: NetworkWeights, recordings: Sequence[Array], latency_s: float = LATENCY_S
+    weights: NetworkWeights, recordings: Sequence[Array32], latency_s: float = LATENCY_S
 ) -> Iterator[tuple[PhonemeEvent, ...]]:
     """The phonemes of each recording as they are final live; samples (n,) at 16 kHz each.
 
@@ -44,7 +43,7 @@ def settled_phonemes(
             yield _events(settled[: max(1, -(-len(samples) // HOP))])
 
 
-def recording_posteriors(weights: NetworkWeights, samples: Array, n_frames: int) -> Array:
+def recording_posteriors(weights: NetworkWeights, samples: Array32, n_frames: int) -> Array32:
     """(n_frames, n_heads, n_phonemes) of samples (n,) at 16 kHz, filled up with silence.
 
     In frame k the head that waits d frames speaks about frame k - d.
@@ -54,7 +53,7 @@ def recording_posteriors(weights: NetworkWeights, samples: Array, n_frames: int)
     return PosteriorStream(weights).push(padded)
 
 
-def _settled(posteriors: Array, delays: tuple[int, ...], delay: int) -> NDArray[np.int64]:
+def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArray[np.int64]:
     """(n_recordings, n_frames, n_heads, n_phonemes) -> (n_recordings, n_frames - delay).
 
     What `ViterbiDecoder` settles: `delay` frames after a frame, by the best path through the frames
@@ -67,7 +66,7 @@ def _settled(posteriors: Array, delays: tuple[int, ...], delay: int) -> NDArray[
     rows, states = np.arange(n_recordings), np.arange(n_phonemes)
     labels = np.empty((n_recordings, n_frames - delay), np.int64)
 
-    def step(best: Array, frame: int, age: int) -> tuple[Array, NDArray[np.int64]]:
+    def step(best: Array32, frame: int, age: int) -> tuple[Array32, NDArray[np.int64]]:
         head = heads[age - delays[0]]
         leader = best.argmax(axis=1)
         changed = best[rows, leader][:, None] - penalties

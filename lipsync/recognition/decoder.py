@@ -9,11 +9,9 @@ n - D, known from the quick heads, smooth what is settled without waiting any lo
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
-
-Array = NDArray[np.float32]
 
 _CLOSERS = (VISEME_OF["P"], VISEME_OF["F"])
 _SMALLEST = np.float32(1e-6)
@@ -63,11 +61,11 @@ class ViterbiDecoder:
         self._best = np.zeros(len(PHONEMES), np.float32)
         self._n_heard = 0
 
-    def scores(self, posteriors: Array) -> Array:
+    def scores(self, posteriors: Array32) -> Array32:
         """What `push` takes, of posteriors (..., n_heads, n_phonemes); the same shape."""
         return log_scores(posteriors, self._settings)
 
-    def push(self, scores: Array) -> tuple[int | None, list[int]]:
+    def push(self, scores: Array32) -> tuple[int | None, list[int]]:
         """Take the scores (n_heads, n_phonemes) of one frame.
 
         The phoneme (its number in `PHONEMES`) now settled, None before the first, and those of
@@ -94,7 +92,7 @@ class ViterbiDecoder:
         path = self._path(best, frames[1:])
         return (path[0], path[1:]) if oldest >= 0 else (None, path)
 
-    def _path(self, best: Array, frames: list[Array]) -> list[int]:
+    def _path(self, best: Array32, frames: list[Array32]) -> list[int]:
         """The best way through the frames, the one before them included.
 
         In each frame a phoneme stays, or comes from the best one at the penalty of a change.
@@ -122,24 +120,24 @@ def best_heads(delays: tuple[int, ...], delay: int) -> list[int]:
     ]
 
 
-def change_penalties(settings: DecoderSettings) -> Array:
+def change_penalties(settings: DecoderSettings) -> Array32:
     """(n_phonemes,): what a change to each phoneme costs."""
     penalties = np.where(_IS_CLOSURE, settings.closure_penalty, settings.switch_penalty)
     return penalties.astype(np.float32)
 
 
-def log_scores(posteriors: Array, settings: DecoderSettings) -> Array:
+def log_scores(posteriors: Array32, settings: DecoderSettings) -> Array32:
     """Of the viseme class and of the phone within it; (..., n_phonemes), as the posteriors."""
     classes = np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST)
     of_class = np.log(classes)[..., _CLASS_OF]
     of_phone = np.log(np.maximum(posteriors, _SMALLEST))
     weight = np.float32(settings.phone_weight)
     bonus = np.where(_IS_CLOSURE, np.float32(settings.closure_bonus), np.float32(0.0))
-    blended: Array = (1 - weight) * of_class + weight * of_phone + bonus
+    blended: Array32 = (1 - weight) * of_class + weight * of_phone + bonus
     return blended
 
 
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _IS_CLOSURE = np.isin(_CLASS_OF, _CLOSERS)
-_MEMBERSHIP: Array = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
+_MEMBERSHIP: Array32 = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
 SILENCE_INDEX = PHONEMES.index(SILENCE)

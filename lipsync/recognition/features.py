@@ -11,11 +11,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
-
-Array = NDArray[np.float32]
 
 N_BANDS = 40
 FRAMES_PER_S = 100
@@ -46,14 +44,14 @@ _PRIOR_FRAMES, _MEMORY_FRAMES = 100.0, 300.0
 _OFFSETS = np.arange(WINDOW)
 
 
-def log_mel(emphasised: Array) -> Array:
+def log_mel(emphasised: Array32) -> Array32:
     """Log-mel power (n, 40) of pre-emphasised samples (160 (n - 1) + 400,) at 16 kHz."""
     starts = np.arange(0, len(emphasised) - WINDOW + 1, HOP)
     # A copy: of a single frame, as live, numpy's sliding view takes longer to make.
     frames = emphasised[starts[:, None] + _OFFSETS]
     spectrum = np.fft.rfft(frames * _window(), _N_FFT).astype(np.complex64)
     power = np.square(spectrum.real) + np.square(spectrum.imag)
-    logs: Array = np.log(power @ _mel_filters() + _POWER_FLOOR)
+    logs: Array32 = np.log(power @ _mel_filters() + _POWER_FLOOR)
     return logs
 
 
@@ -62,9 +60,9 @@ class LogMelStream:
 
     def __init__(self) -> None:
         self._last_sample = np.float32(0.0)
-        self._waiting: Array = np.zeros(0, np.float32)
+        self._waiting: Array32 = np.zeros(0, np.float32)
 
-    def push(self, samples: Array) -> Array:
+    def push(self, samples: Array32) -> Array32:
         """The log-mel frames (n, 40) that samples (m,) at 16 kHz complete."""
         if len(samples) > 0:
             previous = np.concatenate(([self._last_sample], samples[:-1]))
@@ -83,11 +81,11 @@ class LogMelStream:
 class FeatureScale:
     """What training found typical: mean and standard deviation of each band (40,), below peak."""
 
-    mean: Array
-    deviation: Array
+    mean: Array32
+    deviation: Array32
 
     @classmethod
-    def of(cls, recordings: Iterable[Array]) -> "FeatureScale":
+    def of(cls, recordings: Iterable[Array32]) -> "FeatureScale":
         """The scale of the loud frames of log-mel recordings, (n, 40) each."""
         loud = []
         for frames in recordings:
@@ -105,7 +103,7 @@ class PeakFollower:
     def __init__(self) -> None:
         self._peak = _FIRST_PEAK
 
-    def push(self, frame: Array, level: float) -> tuple[Array, bool]:
+    def push(self, frame: Array32, level: float) -> tuple[Array32, bool]:
         """One log-mel frame (40,) below its peak, and whether it is within 35 dB of it.
 
         level: the frame's mean over the bands.
@@ -127,7 +125,7 @@ class LevelNormalizer:
         self._n_frames = _PRIOR_FRAMES
         self._peak = PeakFollower()
 
-    def push(self, frames: Array) -> Array:
+    def push(self, frames: Array32) -> Array32:
         """Features (n, 40) of log-mel frames (n, 40)."""
         features = np.empty_like(frames)
         levels = frames.mean(axis=1, dtype=np.float64).tolist()
@@ -141,12 +139,12 @@ class LevelNormalizer:
 
 
 @cache
-def _window() -> Array:
+def _window() -> Array32:
     return np.hamming(WINDOW).astype(np.float32)
 
 
 @cache
-def _mel_filters() -> Array:
+def _mel_filters() -> Array32:
     """Triangles (257, 40) with corners evenly spaced on the mel scale 2595 log10(1 + f / 700)."""
 
     def mel(hz: float) -> float:

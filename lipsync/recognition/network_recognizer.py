@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
 from lipsync.recognition.audio_input import AudioInput
@@ -18,13 +18,10 @@ from lipsync.recognition.decoder import (
     ViterbiDecoder,
 )
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
-from lipsync.recognition.network import NetworkWeights
+from lipsync.recognition.network import LATENCY_S, NetworkWeights
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.update_builder import UpdateBuilder
 
-Array = NDArray[np.float32]
-
-LATENCY_S = 0.095
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025
 #: Sound that is worked on at once where nobody waits for it: 64 frames make one matrix product.
@@ -82,7 +79,7 @@ class NetworkRecognizer:
 
         Raises ValueError for what `feed` refuses; then only `reset` helps.
         """
-        samples: list[Array] = []
+        samples: list[Array32] = []
         counts: list[tuple[float, int, int, int]] = []
         for block in blocks:
             silence, jump_s, sound = self._input.take(block)
@@ -137,7 +134,7 @@ class NetworkRecognizer:
         self._n_samples += n_samples
         return _n_frames(self._n_samples) - n_before
 
-    def _decode(self, scores: Array) -> None:
+    def _decode(self, scores: Array32) -> None:
         for frame in scores:
             settled, self._provisional = self._decoder.push(frame)
             if settled is not None:
@@ -153,9 +150,9 @@ class _PreparedBlock:
     """
 
     start_s: float
-    silence: Array
+    silence: Array32
     n_jumped: int
-    sound: Array
+    sound: Array32
 
 
 def frames_of_delay(latency_s: float) -> int:

@@ -5,13 +5,11 @@ its time (many frames in one matrix product), and for whole recordings.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.recognition.decoder import SILENCE_INDEX
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
-
-Array = NDArray[np.float32]
 
 #: Where no band reaches this log power there is no sound: digital silence gives -16.1, white noise
 #: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
@@ -35,7 +33,7 @@ class PosteriorStream:
         # Whether there was any sound in each of the last frames, the newest last.
         self._audible = np.ones(weights.delays[-1], np.bool_)
 
-    def push(self, samples: Array) -> Array:
+    def push(self, samples: Array32) -> Array32:
         """(n, n_heads, n_phonemes) of the frames that samples (m,) at 16 kHz complete.
 
         The head that waits d frames gives, at frame k, the posteriors of frame k - d. Where that

@@ -15,6 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from lipsync.animpho.index_lists import IndexLists
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, face_fields
+from lipsync.arrays import Array
 from lipsync.baselines.baselines import Baselines
 from lipsync.baselines.regression import fit_regression
 from lipsync.baselines.tuning import tune_dominance
@@ -39,7 +40,6 @@ from lipsync.phonemes import (
 )
 from lipsync.training.trained_model import TrainedModel
 
-Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 #: So many components unless asked otherwise. The paper keeps 5, which hold 96.6 % of its variance;

@@ -41,8 +41,8 @@ def closures(
 
     Where they are is told by forced alignment of what is said.
     """
-    from lipservo.street.motion_options import LATENCY_S
     from lipsync.evaluation.recognition.closure_hits import closure_figures, closure_hits
+    from lipsync.recognition.network import LATENCY_S
     from lipsync.recognition.network_recognizer import NetworkRecognizer
     from lipsync.training.trained_model import load_trained_model
 

@@ -12,7 +12,7 @@ from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.terminal.output import RESULTS, print_json, say_simulated
 
 if TYPE_CHECKING:
-    from calibration.arrays import Array
+    from lipsync.arrays import Array
 
 POSE_EXAMPLE = (
     "Example: lipservo calibrate pose poses.csv 7 8 --config my_face.yaml --port /dev/ttyUSB0"

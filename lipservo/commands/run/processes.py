@@ -26,8 +26,6 @@ from lipsync.errors import UserError
 Fd = Annotated[int, typer.Option(hidden=True)]
 Request = Annotated[str, typer.Option(help="What is run, whole: docs/architecture.md.")]
 
-#: Targets are published at 100 Hz: firmware_bridge's reader interpolates.
-_PUBLISH_S = 0.010
 #: The speech side says so often how it is.
 _STATUS_EVERY_S = 0.5
 
@@ -107,6 +105,7 @@ def speech_process(
     from firmware_bridge.clock import MonotonicClock, ticks
     from firmware_bridge.process.socket_channel import SocketTargetChannel
     from lipservo.face.assembly import assemble_face
+    from lipservo.street.delay import PUBLISH_PERIOD_S
     from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
     from lipservo.street.recognized_phonemes import RecognizedPhonemes
     from lipservo.street.sources import open_sound
@@ -145,7 +144,7 @@ def speech_process(
         n_said = 0
         settings: dict[str, float] = {}
         tell_at_s = float("-inf")
-        for time_s, _ in ticks(clock, 1.0 / _PUBLISH_S):
+        for time_s, _ in ticks(clock, 1.0 / PUBLISH_PERIOD_S):
             alive.beat()
             if signals.count or alive.closed:
                 return

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.corpus.utterance import Utterance
 from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 #: F and V: 95 % of the recordings' come so near (measured on grid_s1).

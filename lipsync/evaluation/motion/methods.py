@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lipsync.animpho.selection import STRATEGIES, SelectionStrategy
 from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.arrays import Array
 from lipsync.baselines.dominance import Dominance, fixed_reference
 from lipsync.baselines.spline import spline_faces, viseme_centres
 from lipsync.expectation.context import contexts, track_of
@@ -17,8 +17,6 @@ from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 from lipsync.training.trained_model import TrainedModel
-
-Array = NDArray[np.float64]
 
 #: A label that begins at t is known at t: "labels of sound up to t + L", the border included.
 _BORDER_S = 1e-6

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import Heard, Method
 from lipsync.phonemes import SILENCE, PhonemeEvent
 from lipsync.training.trained_model import TrainedModel
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Phonemes after the one that differs; they are the same on both sides, as is the one before.

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.corpus.speech_frames import speech_frames
 from lipsync.corpus.utterance import Corpus, CorpusError, Utterance
 from lipsync.evaluation.motion.measures import Motion, confidence_intervals, figures, sentence_sums
@@ -14,7 +14,6 @@ from lipsync.evaluation.motion.methods import REFERENCE, Heard, Method, all_meth
 from lipsync.face.model import FaceModel
 from lipsync.training.trained_model import TrainedModel
 
-Array = NDArray[np.float64]
 Listen = Callable[[Utterance], Heard]
 Progress = Callable[[list[Utterance]], Iterable[Utterance]]
 

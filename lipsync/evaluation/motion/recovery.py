@@ -10,8 +10,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
+from lipsync.audio_block import BLOCK_S
 from lipsync.corpus.utterance import Utterance
 from lipsync.evaluation.motion.methods import Heard, Method
 from lipsync.evaluation.motion.minimal_pairs import (
@@ -24,20 +25,16 @@ from lipsync.evaluation.motion.minimal_pairs import (
 )
 from lipsync.evaluation.motion.mishearing import misheard
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.network import LATENCY_S
 from lipsync.training.trained_model import TrainedModel
 
-Array = NDArray[np.float64]
 Row = dict[str, object]
 
 NEVER_S = math.inf
-#: The recogniser settles a phoneme so much later than its sound (docs/recognition.md).
-CORRECTED_AFTER_S = 0.095
 #: Sentences that a wrong phoneme is put into.
 _MOST_SENTENCES = 40
 #: Fine enough to see a phone of 30 ms.
 _RATE_HZ = 100.0
-#: The listener tells what it knows this often.
-_TOLD_EVERY_S = 0.01
 _N_RESAMPLINGS = 1000
 #: The cases, as rows name them.
 _NEVER, _CORRECTED, _TRUE = "never corrected", "corrected after 95 ms", "another true phoneme"
@@ -61,7 +58,7 @@ def recovery_rows(
     rows = [_row(_TRUE, "recorded", None, natural)]
     for method in methods:
         # What does not look ahead has the whole sentence at once, right or wrong.
-        delays_s = (NEVER_S, CORRECTED_AFTER_S) if method.looks_ahead else (NEVER_S,)
+        delays_s = (NEVER_S, LATENCY_S) if method.looks_ahead else (NEVER_S,)
         for ms in lookaheads_ms if method.looks_ahead else lookaheads_ms[:1]:
             made = made_persistence(model, utterances, pairs, method, lookahead_s=ms / 1e3)
             rows.append(_row(_TRUE, method.name, ms, made))
@@ -129,8 +126,8 @@ def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: 
     wrongly_heard = [*phones[:hit], replace(phones[hit], phoneme=wrong), *phones[hit + 1 :]]
     put_right_s = phones[hit].start_s + until_s
     updates = []
-    for step in range(math.ceil((phones[-1].end_s or 0.0) / _TOLD_EVERY_S) + 1):
-        heard_s = step * _TOLD_EVERY_S
+    for step in range(math.ceil((phones[-1].end_s or 0.0) / BLOCK_S) + 1):
+        heard_s = step * BLOCK_S
         believed = phones if heard_s >= put_right_s else wrongly_heard
         known = [p for p in believed if p.start_s <= heard_s]
         events = tuple(p if (p.end_s or 0.0) <= heard_s else replace(p, end_s=None) for p in known)

@@ -14,6 +14,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
 from lipsync.motion.lip_closure import lip_gap_of
 from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
@@ -21,7 +22,6 @@ from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 from lipsync.training.trained_model import TrainedModel
 
-Array = NDArray[np.float64]
 Samples = NDArray[np.float32]
 #: (phoneme, first frame, frame after the last), 10 ms each.
 Phones = Sequence[tuple[str, int, int]]

@@ -4,12 +4,10 @@ import zlib
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.errors import UserError
 from lipsync.recognition.training import noise
-
-Array = NDArray[np.float32]
 
 KINDS = ("white", "music", "babble", "level", "telephone", "clipped")
 #: Those that are made of the speech alone; the number after the colon is a level, or not needed.
@@ -27,7 +25,7 @@ class Condition:
     kind: str
     db: float
 
-    def apply(self, samples: Array, name: str, voices: list[Array]) -> Array:
+    def apply(self, samples: Array32, name: str, voices: list[Array32]) -> Array32:
         """The samples (n,) as they are heard; the utterance's name chooses the random numbers.
 
         voices: other recordings, for babble.
@@ -40,7 +38,7 @@ class Condition:
         if self.kind == "clipped":
             # Ten times over full scale (design measurement).
             gain = np.float32(10.0 / max(np.abs(samples).max(), 1e-9))
-            clipped: Array = np.clip(samples * gain, -1.0, 1.0)
+            clipped: Array32 = np.clip(samples * gain, -1.0, 1.0)
             return clipped
         maker = {"white": noise.white, "music": noise.band, "babble": noise.babble(voices)}
         return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)

@@ -5,13 +5,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF, LiveRecognizer, PhonemeUpdate
 from lipsync.recognition.alignment.alignment_cache import PHONEME_INDEX
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 from lipsync.timeline import PhonemeTimeline
 
-Array = NDArray[np.float32]
 Labels = NDArray[np.int64]
 
 _HOP = round(BLOCK_S * SAMPLE_RATE_HZ)
@@ -69,7 +69,7 @@ class UpdateLog:
             self.updates.append(update)
 
 
-def label_frames(recognizer: LiveRecognizer, samples: Array) -> tuple[FrameLabels, StepCosts]:
+def label_frames(recognizer: LiveRecognizer, samples: Array32) -> tuple[FrameLabels, StepCosts]:
     """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
 
     The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start

@@ -6,11 +6,9 @@ their order matters to a model that learns from them.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from lipsync.arrays import Array
 from lipsync.phonemes import PHONEMES, SILENCE
-
-Array = NDArray[np.float64]
 
 #: Vowels: openness, backness and rounding, each at the beginning and at the end, 0 to 1.
 _VOWELS: dict[str, tuple[float, float, float, float, float, float]] = {

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from lipsync.arrays import Array
 from lipsync.corpus.utterance import Utterance
 from lipsync.expectation.context import SLOTS, UNKNOWN, contexts, track_of
 from lipsync.expectation.expectation import (
@@ -22,7 +23,6 @@ from lipsync.expectation.training.articulation import articulatory_features
 from lipsync.expectation.training.networks import Layers, Schedule, fit, initial_layers
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
 
-Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 Indices = NDArray[np.int64]
 Progress = Callable[[str], None]

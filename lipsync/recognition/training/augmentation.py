@@ -6,11 +6,11 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.recognition.features import FRAMES_PER_S
 from lipsync.recognition.training import noise
 
-Array = NDArray[np.float32]
 Labels = NDArray[np.int64]
 
 #: The recipe's gain was -25..+5 dB and lost .12 at -30 dB; -40 covers it.
@@ -23,7 +23,7 @@ _SPEED = (0.88, 1.12)
 class LabelledSamples:
     """Samples (n,) float32 at 16 kHz and the label of each 10 ms frame."""
 
-    samples: Array
+    samples: Array32
     labels: Labels
 
 
@@ -53,14 +53,14 @@ def augment_heavily(
     return LabelledSamples(_at_level(rng, samples, *_GAIN_DB), changed.labels)
 
 
-def no_speech(rng: np.random.Generator, n: int) -> Array:
+def no_speech(rng: np.random.Generator, n: int) -> Array32:
     """Noise alone at any level down to nothing, now and then with a pause."""
     makers = (noise.white, noise.coloured, noise.chords)
     samples = makers[rng.integers(3)](rng, n) * np.float32(10.0 ** (rng.uniform(-75.0, -8.0) / 20))
     if rng.random() < 0.5:
         first, last = np.sort(rng.integers(0, n, 2))
         samples[first:last] *= np.float32(10.0 ** (-rng.uniform(0.0, 100.0) / 20))
-    clipped: Array = np.clip(samples, -1.0, 1.0)
+    clipped: Array32 = np.clip(samples, -1.0, 1.0)
     return clipped.astype(np.float32)
 
 
@@ -74,8 +74,8 @@ def _at_speed(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSampl
     return LabelledSamples(samples.astype(np.float32), labels)
 
 
-def _at_level(rng: np.random.Generator, samples: Array, low_db: float, high_db: float) -> Array:
+def _at_level(rng: np.random.Generator, samples: Array32, low_db: float, high_db: float) -> Array32:
     gain = np.float32(10.0 ** (rng.uniform(low_db, high_db) / 20.0))
     # Microphones hand out 16 bits: very quiet speech is rounded.
-    rounded: Array = np.rint(np.clip(samples * gain, -1.0, 1.0) * 32767.0) / 32767.0
+    rounded: Array32 = np.rint(np.clip(samples * gain, -1.0, 1.0) * 32767.0) / 32767.0
     return rounded.astype(np.float32)

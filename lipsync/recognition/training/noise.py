@@ -12,18 +12,18 @@ import soundfile
 import soxr
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
 
-Array = NDArray[np.float32]
-Noise = Callable[[np.random.Generator, int], Array]
+Noise = Callable[[np.random.Generator, int], Array32]
 
 
-def white(rng: np.random.Generator, n: int) -> Array:
+def white(rng: np.random.Generator, n: int) -> Array32:
     """White noise of unit power."""
     return rng.standard_normal(n).astype(np.float32)
 
 
-def coloured(rng: np.random.Generator, n: int) -> Array:
+def coloured(rng: np.random.Generator, n: int) -> Array32:
     """Noise whose power falls by 0 to 12 dB an octave, with one random resonance."""
     spectrum = np.fft.rfft(white(rng, n))
     hz = np.linspace(20.0, SAMPLE_RATE_HZ / 2, len(spectrum))
@@ -33,7 +33,7 @@ def coloured(rng: np.random.Generator, n: int) -> Array:
     return unit_power(np.fft.irfft(spectrum * hz ** (-slope / 2) * resonance, n))
 
 
-def chords(rng: np.random.Generator, n: int) -> Array:
+def chords(rng: np.random.Generator, n: int) -> Array32:
     """Sustained harmonic tones that start, swell, waver and stop: the music of training."""
     total = np.zeros(n)
     for _ in range(max(2, round(n / SAMPLE_RATE_HZ * rng.uniform(2.0, 8.0)))):
@@ -53,7 +53,7 @@ def chords(rng: np.random.Generator, n: int) -> Array:
     return unit_power(total + 0.02 * rng.standard_normal(n))
 
 
-def band(rng: np.random.Generator, n: int) -> Array:
+def band(rng: np.random.Generator, n: int) -> Array32:
     """Plucked strings, bass and drums at a steady beat: the music-like noise of the bench.
 
     Made otherwise than `chords`, so that no network was trained on its like. Strings are
@@ -75,10 +75,10 @@ def band(rng: np.random.Generator, n: int) -> Array:
     return unit_power(total[:n])
 
 
-def babble(voices: Sequence[Array]) -> Noise:
+def babble(voices: Sequence[Array32]) -> Noise:
     """Six of the voices at random at once, each from a random place on."""
 
-    def together(rng: np.random.Generator, n: int) -> Array:
+    def together(rng: np.random.Generator, n: int) -> Array32:
         total = np.zeros(n, np.float32)
         for index in rng.choice(len(voices), size=min(6, len(voices)), replace=False):
             voice = unit_power(voices[index])
@@ -88,14 +88,14 @@ def babble(voices: Sequence[Array]) -> Noise:
     return together
 
 
-def add_noise(speech: Array, noise: Array, snr_db: float) -> Array:
+def add_noise(speech: Array32, noise: Array32, snr_db: float) -> Array32:
     """Speech with noise `snr_db` below it; both powers are means over the whole length."""
     power = float(np.mean(np.square(speech, dtype=np.float64)))
     gain = np.sqrt(power * 10.0 ** (-snr_db / 10.0))
     return (speech + np.float32(gain) * unit_power(noise)).astype(np.float32)
 
 
-def reverberate(rng: np.random.Generator, speech: Array) -> Array:
+def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
     """Speech in a room: an exponential tail of noise, reverberation time 0.15 to 0.6 s."""
     reverberation_s, wet = rng.uniform(0.15, 0.6), rng.uniform(0.1, 0.7)
     time_s = np.arange(round(reverberation_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
@@ -109,7 +109,7 @@ def reverberate(rng: np.random.Generator, speech: Array) -> Array:
     return wet_speech[: len(speech)].astype(np.float32)
 
 
-def telephone(speech: Array) -> Array:
+def telephone(speech: Array32) -> Array32:
     """Speech through an 8 kHz line with 8-bit mu-law samples (ITU-T G.711's curve)."""
     narrow = np.clip(soxr.resample(speech, SAMPLE_RATE_HZ, 8_000), -1.0, 1.0)
     curve = np.log1p(255.0 * np.abs(narrow)) / np.log(256.0)
@@ -119,7 +119,7 @@ def telephone(speech: Array) -> Array:
     return np.resize(wide, len(speech)).astype(np.float32)
 
 
-def lossy(rng: np.random.Generator, speech: Array) -> Array:
+def lossy(rng: np.random.Generator, speech: Array32) -> Array32:
     """Speech as a lossy codec leaves it: Vorbis at some 28 to 53 kbit/s."""
     stream = io.BytesIO()
     quality = rng.uniform(0.4, 1.0)
@@ -129,7 +129,7 @@ def lossy(rng: np.random.Generator, speech: Array) -> Array:
     return np.resize(heard, len(speech)).astype(np.float32)
 
 
-def unit_power(samples: NDArray[np.floating]) -> Array:
+def unit_power(samples: NDArray[np.floating]) -> Array32:
     """The same at a mean power of 1; silence stays silence."""
     power = float(np.mean(np.square(samples, dtype=np.float64)))
     return (samples / np.sqrt(power) if power > 0.0 else samples).astype(np.float32)

@@ -30,12 +30,13 @@ from lipsync.evaluation.motion.minimal_pairs import (
 )
 from lipsync.evaluation.motion.mishearing import KINDS, misheard
 from lipsync.evaluation.motion.motion_scores import Scores, add_scores, check_scorable
-from lipsync.evaluation.motion.recovery import CORRECTED_AFTER_S, NEVER_S, wrong_phoneme_persistence
+from lipsync.evaluation.motion.recovery import NEVER_S, wrong_phoneme_persistence
 from lipsync.evaluation.motion.splits import read_parts, words_part
 from lipsync.evaluation.motion.wrong_phonemes import error_rows
 from lipsync.markers import MARKERS_39
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PHONEMES
+from lipsync.recognition.network import LATENCY_S
 from lipsync.training.trained_model import load_trained_model
 
 
@@ -144,7 +145,7 @@ def made_by_ours(events, name="u") -> Utterance:
 def test_a_wrong_phoneme_is_forgotten_and_sooner_when_it_is_put_right():
     model, ours = load_trained_model(), all_methods()[LIVE_STRATEGY]
     few = [made_by_ours(SENTENCE)] * 4
-    delays_s = (NEVER_S, CORRECTED_AFTER_S, 0.0)
+    delays_s = (NEVER_S, LATENCY_S, 0.0)
     never, late, at_once = wrong_phoneme_persistence(model, few, ours, delays_s, lookahead_s=0.1)
     assert never.shares[0] == 1.0
     assert never.shares[3] < 0.3

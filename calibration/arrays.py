@@ -1,7 +1,0 @@
-"""Array types of calibration; shapes and units stand where each is used."""
-
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
-Indices = NDArray[np.int64]
