@@ -26,7 +26,8 @@ class CalibrateGroup(TyperGroup):
                 + [option for parameter in command.params for option in parameter.secondary_opts]
                 for name, command in self.commands.items()
             }
-            raise typer.BadParameter(f"now `{new_spelling(args, options)}`", ctx=ctx)
+            new = new_spelling(args, options)
+            raise typer.BadParameter(f"this has sub-commands: it is now `{new}`", ctx=ctx)
         return super().parse_args(ctx, args)
 
 
@@ -50,8 +51,9 @@ def calibrate(context: typer.Context) -> None:
 
 
 def old_trim(
+    context: typer.Context,
     arguments: Annotated[list[str] | None, typer.Argument()] = None,
 ) -> None:
     """Refused: `lipservo calibrate trim`."""
     words = shlex.join(["lipservo", "calibrate", "trim", *(arguments or ())])
-    raise typer.BadParameter(f"now `{words}`")
+    raise typer.BadParameter(f"it is now `{words}`", ctx=context.parent)
