@@ -1,11 +1,22 @@
+import os
+import signal
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 
+# Before NumPy is loaded, here and in whatever the tests start: threads of BLAS that share a small
+# product wait for each other while other tests run, for a hundred times its time.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Machines are shared: how long an example takes says nothing about the code.
 settings.register_profile("lipservo", deadline=None)
 settings.load_profile("lipservo")
+
+
+# Started behind `nohup` or with `&`, this process and all that it starts would not hear them.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+for number in (signal.SIGHUP, signal.SIGQUIT):
+    signal.signal(number, signal.SIG_DFL)
 
 
 @pytest.fixture(scope="session")

@@ -107,6 +107,7 @@ def test_after_a_stall_the_servos_are_asked_as_if_there_had_been_none(calibratio
         assert target.positions_deg == pytest.approx(asked[round(target.time_s, 6)], abs=1e-6)
 
 
+@pytest.mark.campaign
 def test_the_figures_of_one_robot_meet_their_bars(monkeypatch):
     """A robot that is not among those that are scored (seeds 0 to 19), on fewer frames."""
     monkeypatch.setattr("calibration.fit.measured.MAX_FITTED", 80)

@@ -163,6 +163,7 @@ def test_align_tells_which_transcripts_of_a_folder_were_not_said(corpus):
     assert [*told["not_said"], *told["failed"]] == ["4-1-0000"]
 
 
+@pytest.mark.campaign
 def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
     cache = corpus / "alignments.jsonl"
     done = lipservo("bench", "recognition", "--corpus", corpus, "--cache", cache, "--json")
@@ -215,6 +216,7 @@ def test_bench_recognition_explains_its_mistakes(corpus):
         assert said in line
 
 
+@pytest.mark.campaign
 def test_bench_listening_watches_the_mouth_close(corpus):
     done = lipservo(
         "bench", "listening", "--corpus", corpus, "--speakers", "3", "--hours", "0.002", "--json"

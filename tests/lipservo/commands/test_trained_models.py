@@ -46,7 +46,7 @@ def test_the_papers_own_model_is_trained_calibrated_and_plays(corpus, tmp_path):
     assert model.layout == MARKERS_39
     assert model.basis.shape == (5, 117)
 
-    made = lipservo("calibrate", "--config", "face_jaw", "--model", path, "-o", calibration)
+    made = lipservo("calibrate", "fit", "--config", "face_jaw", "--model", path, "-o", calibration)
     assert made.exit_code == 0, made.output
     face = tmp_path / "face.yaml"
     shutil.copy(str(resources.files("lipservo.config") / "face_jaw.yaml"), face)
@@ -75,7 +75,7 @@ def test_a_model_of_any_number_of_components_closes_the_lips(corpus, tmp_path, n
     assert model.layout == MARKERS_47
     synthesizer = LiveSynthesizer(model, model.expectation)
     synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, PHONES))
-    faces = np.array([synthesizer.coefficients_at(tick / 100) for tick in range(130)])
+    faces = np.array([synthesizer.frame_at(tick / 100).coefficients for tick in range(130)])
     assert faces.shape == (130, n_components)
     assert np.isfinite(faces).all()
 

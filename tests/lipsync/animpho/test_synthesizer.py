@@ -51,6 +51,7 @@ def test_published_mode_keeps_the_derivative_per_sample_spacing():
     assert after == pytest.approx(before * 0.16 / 0.05, rel=1e-2)
 
 
+@pytest.mark.campaign
 def test_ten_minutes_give_as_many_frames_as_duration_times_rate_within_one():
     rng = np.random.default_rng(3)
     phones = [(SPOKEN[i % 5], float(rng.uniform(0.03, 0.4))) for i in range(2790)]
