@@ -16,7 +16,7 @@ test: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 traces: $(VENV)/.installed-dev
-	PYTHONPATH=tests/support $(BIN)/python tests/data/make_reference_traces.py
+	$(BIN)/python tests/support/make_reference_traces.py
 
 # Two modules need torch, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
 WITHOUT_TORCH := lipsync.recognition.training

@@ -1,6 +1,6 @@
 """Makes data/recognizer_posteriors.npz with torch, once for each new set of shipped weights.
 
-Run `python tests/data/make_recognizer_posteriors.py`; it is no test.
+Run `PYTHONPATH=tests/support python tests/data/make_recognizer_posteriors.py`; it is no test.
 """
 
 import numpy as np

@@ -8,7 +8,7 @@ import sys
 import time
 from pathlib import Path
 
-from short_folder import short_folder
+from places import short_folder
 
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import open_port

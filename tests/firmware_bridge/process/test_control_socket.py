@@ -9,7 +9,7 @@ import threading
 from contextlib import contextmanager
 
 import pytest
-from short_folder import short_folder
+from places import short_folder
 
 from firmware_bridge.process.command_queue import CommandQueue, Setting
 from firmware_bridge.process.control_client import (

@@ -6,7 +6,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
-from short_folder import short_folder
+from places import short_folder
 from typer.testing import CliRunner
 
 from firmware_bridge.clock import ManualClock, MonotonicClock

@@ -7,7 +7,7 @@ import threading
 from contextlib import ExitStack, contextmanager
 
 import pytest
-from short_folder import short_folder
+from places import short_folder
 from typer.testing import CliRunner
 
 from firmware_bridge.dynamixel.wire.line import Line
