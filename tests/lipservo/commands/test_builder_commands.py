@@ -13,6 +13,9 @@ from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from lipservo.face.sim_process import simulated_port
 from lipservo.settings.settings import load_face
 
+# Real processes in real time.
+pytestmark = pytest.mark.campaign
+
 FACE = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
 
 

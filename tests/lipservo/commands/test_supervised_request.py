@@ -17,6 +17,9 @@ from lipservo.street.run_request import RunRequest, request_of_json
 from lipservo.street.sources import Sound
 from lipsync.motion.live_synthesizer import Style
 
+# Real processes in real time.
+pytestmark = pytest.mark.campaign
+
 
 @pytest.fixture(scope="module")
 def typed(tmp_path_factory):

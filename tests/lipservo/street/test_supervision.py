@@ -24,6 +24,9 @@ from lipservo.cli import app
 from lipservo.face.sim_process import simulated_port
 from lipsync.errors import UserError
 
+# Real processes in real time.
+pytestmark = pytest.mark.campaign
+
 
 @pytest.fixture(scope="module")
 def port():
