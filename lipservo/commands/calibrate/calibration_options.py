@@ -16,16 +16,6 @@ Markers = Annotated[
 Axes = Annotated[
     str, typer.Option(help="Axes of C3D files that point to the robot's left, up and forward.")
 ]
-ServoPort = Annotated[
-    str | None,
-    typer.Option(
-        "--port", help="Serial port of the servos; default: the face's.", show_default=False
-    ),
-]
-Sim = Annotated[
-    str | None,
-    typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
-]
 Poses = Annotated[int, typer.Option(help="How many poses are captured.")]
 Keep = Annotated[
     Path | None,

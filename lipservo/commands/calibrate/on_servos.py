@@ -13,12 +13,10 @@ from lipservo.commands.calibrate.calibration_options import (
     Plots,
     Poses,
     Ranges,
-    ServoPort,
-    Sim,
     Speed,
 )
 from lipservo.commands.calibrate.making import check_files, finish, load_setup, setup_at_port
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
 
 MEASURE_EXAMPLE = (
     "Example: lipservo calibrate measure --config my_face.yaml --port /dev/ttyUSB0 "
@@ -35,7 +33,7 @@ def measure(
     output: Output,
     config: Config = DEFAULT_FACE,
     model: Model = None,
-    port: ServoPort = None,
+    port: Port = None,
     sim: Sim = None,
     tracker: Annotated[
         str | None,
@@ -90,7 +88,7 @@ def guided(
     output: Output,
     config: Config = DEFAULT_FACE,
     model: Model = None,
-    port: ServoPort = None,
+    port: Port = None,
     sim: Sim = None,
     keep: Keep = None,
     lags: Lags = True,

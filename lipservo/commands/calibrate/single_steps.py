@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from lipservo.commands.calibrate.calibration_options import CalibrationFile, ServoPort, Sim, Speed
+from lipservo.commands.calibrate.calibration_options import CalibrationFile, Speed
 from lipservo.commands.calibrate.making import load_setup, setup_at_port
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
 from lipservo.terminal.output import RESULTS, print_json, say_simulated
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def pose(
         typer.Argument(metavar="[POSE]...", help="Which of them; default: all, in their order."),
     ] = None,
     config: Config = DEFAULT_FACE,
-    port: ServoPort = None,
+    port: Port = None,
     sim: Sim = None,
     speed: Speed = 30.0,
 ) -> None:
@@ -59,7 +59,7 @@ def lags(
     file: CalibrationFile,
     config: Config = DEFAULT_FACE,
     model: Model = None,
-    port: ServoPort = None,
+    port: Port = None,
     sim: Sim = None,
     speed: Speed = 30.0,
     as_json: Json = False,
