@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.errors import UserError
-from lipsync.face_mesh import INNER_LIP, IRISES, MIRROR_PAIRS, N_LANDMARKS, OUTER_LIP
+from lipsync.face_mesh import INNER_LIP, IRISES, N_LANDMARKS, OUTER_LIP
 
 #: Points of this group touch their opposite when the lips do, so their distance is the lip gap.
 INNER_LIP_GROUP = "inner_lip"
 OUTER_LIP_GROUP = "outer_lip"
-#: What a file of a layout must hold; `mirror` may be left out.
+#: What a file of a layout must hold.
 _NEEDED = ("name", "groups", "lip_gap")
 
 
@@ -37,14 +37,12 @@ class PointLayout:
     name are the lips; points of outer_lip and of inner_lip follow one another round the mouth,
     over the upper lip from the corner on the speaker's right.
     gap_landmarks: upper and lower point in the middle of the mouth, whose distance says how open it
-    is. mirror_landmarks: pairs that mirror each other, the one on the speaker's right first; points
-    in no pair lie in the middle or have no partner here.
+    is.
     """
 
     name: str
     groups: tuple[tuple[str, tuple[int, ...]], ...]
     gap_landmarks: tuple[int, int]
-    mirror_landmarks: tuple[tuple[int, int], ...] = ()
 
     def __post_init__(self) -> None:
         known = set(self.landmarks)
@@ -53,7 +51,7 @@ class PointLayout:
             raise LayoutError(f"layout {self.name}: landmark {twice} stands in it twice")
         if self.gap_landmarks[0] == self.gap_landmarks[1]:
             raise LayoutError(f"layout {self.name}: lip_gap needs two different landmarks")
-        for landmark in (*self.gap_landmarks, *(n for pair in self.mirror_landmarks for n in pair)):
+        for landmark in self.gap_landmarks:
             if landmark not in known:
                 raise LayoutError(f"layout {self.name}: no group holds landmark {landmark}")
 
@@ -99,12 +97,6 @@ class PointLayout:
         """Whether the points of the lip gap lie on the inner lips: 0 mm apart where lips touch."""
         return {self.upper_lip, self.lower_lip} <= set(self.group(INNER_LIP_GROUP))
 
-    @cached_property
-    def mirror_pairs(self) -> tuple[tuple[int, int], ...]:
-        """Indices of the points that mirror each other, the one on the speaker's right first."""
-        at = self.landmarks.index
-        return tuple((at(right), at(left)) for right, left in self.mirror_landmarks)
-
     def gap_vectors_mm(self, markers_mm: NDArray[np.floating]) -> NDArray[np.floating]:
         """(n_frames, n_points, 3) -> (n_frames, 3), from lower to upper point of the lip gap."""
         return markers_mm[:, self.upper_lip] - markers_mm[:, self.lower_lip]
@@ -115,7 +107,6 @@ class PointLayout:
             "name": self.name,
             "groups": {name: list(numbers) for name, numbers in self.groups},
             "lip_gap": list(self.gap_landmarks),
-            "mirror": [list(pair) for pair in self.mirror_landmarks],
         }
 
 
@@ -130,14 +121,12 @@ def layout_of(description: Mapping[str, Any]) -> PointLayout:
             (str(group), _landmarks(numbers)) for group, numbers in description["groups"].items()
         )
         upper, lower = _landmarks(description["lip_gap"])
-        pairs = tuple(_landmarks(pair) for pair in description.get("mirror", ()))
-        mirror = tuple((right, left) for right, left in pairs)
     except (AttributeError, TypeError, ValueError) as error:
         raise LayoutError(
-            f"layout {name}: groups are lists of landmark numbers by name, lip_gap is two of them, "
-            f"mirror is pairs of them ({error})"
+            f"layout {name}: groups are lists of landmark numbers by name, lip_gap is two of them "
+            f"({error})"
         ) from error
-    return PointLayout(name, groups, (upper, lower), mirror)
+    return PointLayout(name, groups, (upper, lower))
 
 
 def _landmarks(numbers: Iterable[object]) -> tuple[int, ...]:
@@ -146,12 +135,6 @@ def _landmarks(numbers: Iterable[object]) -> tuple[int, ...]:
         if type(number) is not int or number < 0:
             raise ValueError(f"{number!r} is no landmark number")
     return tuple(n for n in found if isinstance(n, int))
-
-
-def _mirrored(groups: Iterable[tuple[str, tuple[int, ...]]]) -> tuple[tuple[int, int], ...]:
-    """The pairs of the face mesh that lie in these groups."""
-    known = {n for _, numbers in groups for n in numbers}
-    return tuple(pair for pair in MIRROR_PAIRS if known >= set(pair))
 
 
 _WITHOUT_INNER_LIPS: tuple[tuple[str, tuple[int, ...]], ...] = (
@@ -167,9 +150,9 @@ _WITH_INNER_LIPS = (
 )
 
 #: As many as in Wei and Deng; the paper gives the number, not the list: this choice is ours.
-MARKERS_39 = PointLayout("markers-39", _WITHOUT_INNER_LIPS, (0, 17), _mirrored(_WITHOUT_INNER_LIPS))
+MARKERS_39 = PointLayout("markers-39", _WITHOUT_INNER_LIPS, (0, 17))
 #: The same and 8 on the inner lips, so that closure is measured and not guessed.
-MARKERS_47 = PointLayout("markers-47", _WITH_INNER_LIPS, (13, 14), _mirrored(_WITH_INNER_LIPS))
+MARKERS_47 = PointLayout("markers-47", _WITH_INNER_LIPS, (13, 14))
 
 
 def _face_mesh() -> PointLayout:
@@ -180,7 +163,7 @@ def _face_mesh() -> PointLayout:
         ("iris", IRISES),
         ("skin", tuple(n for n in range(N_LANDMARKS) if n not in named)),
     )
-    return PointLayout("face-mesh-478", groups, (13, 14), _mirrored(groups))
+    return PointLayout("face-mesh-478", groups, (13, 14))
 
 
 FACE_MESH_478 = _face_mesh()

@@ -79,11 +79,6 @@ class Limiter:
         return self._sent_deg
 
     @property
-    def sent_at_s(self) -> float:
-        """When they were."""
-        return self._sent_at_s
-
-    @property
     def counts(self) -> GateCounts:
         """How often each kind of limit was hit so far."""
         return GateCounts(

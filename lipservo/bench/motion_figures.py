@@ -29,7 +29,6 @@ from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PhonemeEvent
 from lipsync.training.trained_model import TrainedModel
 
-Sentences = Sequence[Sequence[PhonemeEvent]]
 Row = dict[str, object]
 Train = Callable[[Corpus], TrainedModel]
 Track = Callable[[str, list[Utterance]], Iterable[Utterance]]

@@ -20,9 +20,8 @@ from pathlib import Path
 from firmware_bridge.health import ServoHealth
 from lipservo.health.health_places import log_folder
 
-#: Offered this far apart, seconds; ten servos make about 5 MB a day.
-HEALTH_PERIOD_S = 10.0
-#: A month that was run through for 20 hours a day, ten servos; then the oldest days go.
+#: A month run through for 20 hours a day: ten servos make about 5 MB a day (`LifeCycle` reads
+#: every ten seconds). Then the oldest days go.
 MOST_DAYS, MOST_BYTES = 30, 100_000_000
 #: Readings that may wait for the disk: more than a minute.
 _QUEUE_LENGTH = 8

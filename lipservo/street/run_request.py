@@ -2,6 +2,8 @@
 
 Made once, from a command's options. The processes of a supervised face receive it whole, as one
 argument of JSON: an option cannot fall out on the way.
+
+It is read by hand, not by pydantic, which would fill in a field that is missing.
 """
 
 import json

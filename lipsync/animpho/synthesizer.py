@@ -184,21 +184,3 @@ class PublishedSynthesizer:
     def _state_at(self, time_s: float) -> tuple[Array, Array]:
         """Position and velocity per second at the end of what is planned."""
         return self._stretches[-1].trajectory.at(time_s)
-
-
-def render(
-    synthesizer: PublishedSynthesizer, events: tuple[PhonemeEvent, ...], rate_hz: float
-) -> Array:
-    """A whole sentence at once: (n_frames, n_components), frame k at k / rate_hz.
-
-    Frames are those whose grid time falls in [0, end of the last event); that end must be known.
-    """
-    end_s = events[-1].end_s if events else 0.0
-    if end_s is None:
-        raise ValueError(f"the last event {events[-1].phoneme} has no end")
-    synthesizer.reset()
-    synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, events))
-    n_frames = math.ceil(end_s * rate_hz - 1e-9)
-    times_s = np.arange(n_frames) / rate_hz
-    frames = [synthesizer.frame_at(float(time_s)).coefficients for time_s in times_s]
-    return np.array(frames).reshape(n_frames, -1)

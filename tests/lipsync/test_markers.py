@@ -2,9 +2,7 @@
 
 import json
 
-import numpy as np
 import pytest
-from small_model import SIDES
 
 from lipsync.markers import (
     FACE_MESH_478,
@@ -38,14 +36,6 @@ def test_each_layout_knows_its_lips_and_whether_they_touch():
         assert {layout.upper_lip, layout.lower_lip} <= set(layout.lips)
 
 
-def test_mirror_pairs_are_those_that_a_symmetric_face_was_made_with():
-    assert set(MARKERS_47.mirror_landmarks) == set(SIDES)
-    right, left = np.array(FACE_MESH_478.mirror_landmarks).T
-    assert len({*right, *left}) == 2 * len(right) == 450
-    at = [MARKERS_47.landmarks[i] for i in MARKERS_47.mirror_pairs[0]]
-    assert tuple(at) == MARKERS_47.mirror_landmarks[0]
-
-
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=lambda layout: layout.name)
 def test_a_layout_comes_back_from_its_description(layout, tmp_path):
     path = tmp_path / "points.json"
@@ -66,8 +56,6 @@ GOOD = {"name": "n", "groups": {"inner_lip": [13, 14], "skin": [1, 2]}, "lip_gap
         ({"groups": {"skin": [13, 14, "nose"]}}, "'nose' is no landmark number"),
         ({"groups": {"skin": [13, 14, -1]}}, "-1 is no landmark number"),
         ({"groups": [13, 14]}, "groups are lists of landmark numbers"),
-        ({"mirror": [[1, 2, 13]]}, "mirror is pairs"),
-        ({"mirror": [[1, 5]]}, "no group holds landmark 5"),
     ],
 )
 def test_what_is_wrong_with_a_layout_is_said_in_one_line(change, said):

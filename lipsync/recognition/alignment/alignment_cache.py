@@ -25,7 +25,6 @@ from lipsync.output_file import check_output, write_whole
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 from lipsync.recognition.alignment.forced_alignment import FRAMES_PER_S, align
 from lipsync.recognition.alignment.goodness_of_pronunciation import (
-    LEAST_SCORE,
     goodness_of_pronunciation,
 )
 from lipsync.recognition.scripted import read_phonemes
@@ -55,11 +54,6 @@ class AlignedUtterance:
     guessed: tuple[str, ...] = ()
     error: str = ""
     score: float | None = None
-
-    @property
-    def was_said(self) -> bool:
-        """Whether there is an alignment, and nothing that says that the text was not said."""
-        return not self.error and (self.score is None or self.score >= LEAST_SCORE)
 
     def labels(self, n_frames: int) -> NDArray[np.int64]:
         """The phoneme's number in `PHONEMES` for each frame (n_frames,); silence after the end."""

@@ -207,7 +207,6 @@ def test_a_model_of_markers_that_the_corpus_lacks_is_refused(lipservo, trained, 
         content = {key: file[key] for key in file.files}
     about = json.loads(content["about"].tobytes())
     about["layout"]["groups"]["nose"][0] = 4711
-    about["layout"]["mirror"] = []
     content["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
     np.savez(path, **content)
     status, _, said = lipservo("bench", "motion", "--corpus", folder, "--model", path, *BRIEF)
