@@ -10,15 +10,17 @@ Other threads only append to `requests` and take from `events`; all is decided i
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from typing import Final, Literal, Protocol
+from dataclasses import replace
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio.cutter import BLOCK_SAMPLES
+from lipsync.audio.playing_stream import PlayingStream
+from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
 from lipsync.audio.playout_stream import PlayoutStream
-from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock, samples_before
+from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
 from lipsync.phonemes import PhonemeEvent
 
 Samples = NDArray[np.float32]
@@ -30,7 +32,6 @@ _MOST_EVENTS: Final = 1024
 #: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
 #: does not reach farther back.
 _REMEMBERED_S: Final = 5.0
-_BLOCK_S: Final = BLOCK_SAMPLES / SAMPLE_RATE_HZ
 _SILENCE: Final = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
 _SILENCE.flags.writeable = False
 
@@ -44,6 +45,10 @@ class Loudspeaker(Protocol):
     @property
     def rate_hz(self) -> int:
         """Samples a second, a multiple of 100."""
+
+    @property
+    def latency_s(self) -> float:
+        """How long after it was written a sample is heard at the earliest."""
 
     def write(self, samples: Samples) -> None:
         """The next samples (n,) float32 mono of the timeline."""
@@ -59,83 +64,6 @@ class Loudspeaker(Protocol):
 
         The newest report of the device; None before the first.
         """
-
-
-EventKind = Literal["started", "mark", "finished", "interrupted", "cleared", "underrun"]
-
-
-@dataclass(frozen=True, slots=True)
-class PlayoutEvent:
-    """What became of a stream, told when it leaves the loudspeaker.
-
-    position_s: on the timeline. n_played: samples of the stream, at its own rate, that were heard
-    so far; n_dropped: that never will be. name: of a mark.
-    """
-
-    kind: EventKind
-    stream: str
-    position_s: float
-    n_played: int = 0
-    n_dropped: int = 0
-    name: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class PlayoutRequest:
-    """What is asked of the playout.
-
-    say: a new stream, after those that wait. interrupt: silence at once, and everything that was
-    not heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped.
-    """
-
-    kind: Literal["say", "interrupt", "clear"]
-    stream: PlayoutStream | None = None
-
-
-@dataclass(slots=True)
-class _Segment:
-    """A stretch of a stream without a gap: on the timeline, and in samples of the stream."""
-
-    start_s: float
-    end_s: float
-    n_before: int
-    n_end: int
-
-
-@dataclass(slots=True)
-class _Playing:
-    """A stream that was asked to be said, and where it lies on the timeline so far."""
-
-    stream: PlayoutStream
-    segments: list[_Segment] = field(default_factory=list)
-    n_taken: int = 0
-    is_told: bool = False
-    is_starved: bool = False
-
-    def add(self, start_s: float, n_samples: int) -> None:
-        """One more block, at a place on the timeline."""
-        last = self.segments[-1] if self.segments else None
-        if last is not None and abs(last.end_s - start_s) < 1e-6:
-            last.end_s, last.n_end = start_s + _BLOCK_S, n_samples
-        else:
-            self.segments.append(_Segment(start_s, start_s + _BLOCK_S, self.n_taken, n_samples))
-        self.n_taken = n_samples
-
-    def n_played(self, position_s: float) -> int:
-        """Samples that were heard when the timeline has got there."""
-        n = 0
-        for segment in self.segments:
-            if segment.start_s > position_s:
-                break
-            n_more = round((position_s - segment.start_s) * self.stream.sample_rate_hz)
-            n = min(segment.n_before + n_more, segment.n_end)
-        return n
-
-    def is_heard(self, position_s: float) -> bool:
-        """Whether it is over and all of it was heard."""
-        return self.stream.is_over and (
-            not self.segments or position_s >= self.segments[-1].end_s - 1e-6
-        )
 
 
 class Playout:
@@ -154,13 +82,17 @@ class Playout:
         self._played_silence: Samples = np.zeros(n_played, dtype=np.float32)
         #: Any thread appends.
         self.requests: deque[PlayoutRequest] = deque(maxlen=_MOST_REQUESTS)
+        #: (monotonic seconds, stream, samples of it that had left the loudspeaker by then), from
+        #: who plays a stream elsewhere; any thread appends.
+        self.reports: deque[tuple[float, str, int]] = deque(maxlen=_MOST_REQUESTS)
         #: One other thread takes.
         self.events: deque[PlayoutEvent] = deque(maxlen=_MOST_EVENTS)
-        self._playing: deque[_Playing] = deque()
+        self._playing: deque[PlayingStream] = deque()
         self._known: deque[tuple[float, float, tuple[PhonemeEvent, ...]]] = deque()
         self._n_blocks = 0
         self._n_underruns = 0
         self._position_s = 0.0
+        self._preroll_s = 0.0
 
     @property
     def output_rate_hz(self) -> int:
@@ -175,7 +107,7 @@ class Playout:
     @property
     def committed_s(self) -> float:
         """The timeline is settled until then."""
-        return self._n_blocks * _BLOCK_S
+        return self._n_blocks * BLOCK_S
 
     @property
     def position_s(self) -> float:
@@ -194,6 +126,43 @@ class Playout:
                 return playing.n_played(self._position_s)
         return None
 
+    def begin(self, lead_s: float) -> None:
+        """The timeline begins now, and is played `lead_s` after it was committed.
+
+        What the loudspeaker does not hold back by itself is filled with silence.
+        """
+        if self._loudspeaker is None:
+            return
+        n_blocks = round((lead_s - self._loudspeaker.latency_s) / BLOCK_S)
+        for _ in range(n_blocks):
+            self._loudspeaker.write(self._played_silence)
+        self._preroll_s = max(0, n_blocks) * BLOCK_S
+
+    def report(self) -> tuple[float, float] | None:
+        """(monotonic seconds, position on the timeline then), the newest that is known.
+
+        Of whoever plays what is said now: who sent it, or the loudspeaker. None: nobody tells.
+        """
+        while self.reports:
+            now_s, stream, n_samples = self.reports.popleft()
+            for playing in self._playing:
+                at_s = playing.timeline_s(n_samples)
+                if playing.stream.name == stream and at_s is not None:
+                    return now_s, at_s
+        if self._loudspeaker is None or (report := self._loudspeaker.position()) is None:
+            return None
+        return report[0], report[1] - self._preroll_s
+
+    def stream_at(self, timeline_s: float) -> tuple[str, float] | None:
+        """Which stream is said there, by name, and seconds since its first sample; None: none."""
+        for playing in self._playing:
+            for segment in playing.segments:
+                if segment.start_s <= timeline_s < segment.end_s:
+                    stream = playing.stream
+                    before_s = segment.n_before / stream.sample_rate_hz
+                    return stream.name, before_s + timeline_s - segment.start_s
+        return None
+
     def advance(self, position_s: float) -> bool:
         """Do what was requested, and tell what was heard; whether sound was cut off just now.
 
@@ -204,7 +173,7 @@ class Playout:
         while self.requests:
             request = self.requests.popleft()
             if request.kind == "say" and request.stream is not None:
-                self._playing.append(_Playing(request.stream))
+                self._playing.append(PlayingStream(request.stream))
             elif request.kind == "interrupt":
                 is_cut = self._interrupt() or is_cut
             elif request.kind == "clear":
@@ -253,9 +222,10 @@ class Playout:
         playing.is_starved = False
         playing.add(start_s, block.n_samples)
         # A recogniser that hears what is known anyway would only disagree.
-        return (_SILENCE if stream.phonemes else block.heard), block.played
+        heard = _SILENCE if stream.phonemes else block.heard
+        return heard, self._played_silence if stream.played_elsewhere else block.played
 
-    def _note_underrun(self, playing: _Playing) -> None:
+    def _note_underrun(self, playing: PlayingStream) -> None:
         playing.is_starved = True
         self._n_underruns += 1
         n_played = playing.n_played(self._position_s)
@@ -280,7 +250,7 @@ class Playout:
             return False
         cut_s = self._position_s
         if self._loudspeaker is not None:
-            cut_s = self._loudspeaker.silence_rest()
+            cut_s = self._loudspeaker.silence_rest() - self._preroll_s
         for playing in self._playing:
             playing.stream.drop()
             n_played = playing.n_played(cut_s)

@@ -47,7 +47,8 @@ class PlayoutStream:
     """Samples in, blocks out. One thread pushes, one takes.
 
     name: the stream's id. phonemes: what is said in it, where that is known beforehand, in seconds
-    from its first sample; empty: a recogniser finds out.
+    from its first sample; empty: a recogniser finds out. played_elsewhere: who sends it plays it,
+    and our loudspeaker is silent.
     """
 
     def __init__(
@@ -56,6 +57,8 @@ class PlayoutStream:
         sample_rate_hz: int,
         output_rate_hz: int,
         phonemes: Sequence[PhonemeEvent] = (),
+        *,
+        played_elsewhere: bool = False,
     ) -> None:
         """output_rate_hz: the loudspeaker's, a multiple of 100. Raises ValueError for a rate."""
         if not LOWEST_RATE_HZ <= sample_rate_hz <= HIGHEST_RATE_HZ:
@@ -66,6 +69,7 @@ class PlayoutStream:
         self.name = name
         self.sample_rate_hz = sample_rate_hz
         self.phonemes = tuple(phonemes)
+        self.played_elsewhere = played_elsewhere
         self._heard = _Resampled(sample_rate_hz, SAMPLE_RATE_HZ)
         self._played = _Resampled(sample_rate_hz, output_rate_hz)
         self._blocks: deque[PlayoutBlock] = deque()
