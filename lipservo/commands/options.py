@@ -74,6 +74,40 @@ Mic = Annotated[
     ),
 ]
 
+# ---- what it says ----
+
+Play = Annotated[
+    bool, typer.Option("--play", help="Play the sound too, so much later that lips and sound meet.")
+]
+Output = Annotated[
+    str | None,
+    typer.Option(
+        metavar="DEVICE",
+        help="Loudspeaker for --play: a number, a name, or a part of it; default: the face's.",
+        show_default=False,
+    ),
+]
+Phonemes = Annotated[
+    Path | None,
+    typer.Option(
+        help="What is said when, so that nobody need recognise it: TextGrid, speech marks.",
+        show_default=False,
+    ),
+]
+Listen = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT",
+        help="Where voice agents are waited for; `none`: nowhere. Beyond loopback with a token.",
+        show_default="127.0.0.1:8765, or the next free port",
+    ),
+]
+TokenFile = Annotated[
+    Path | None,
+    typer.Option(help="File whose first line voice agents must know.", show_default=False),
+]
+Language = Annotated[str, typer.Option(help="As espeak-ng names it: en-us, en-gb, de, fr-fr.")]
+
 # ---- how sound becomes motion ----
 
 _ENGINE = typer.Option(

@@ -17,7 +17,10 @@ class SpeechStatus:
     fallback_level: how many recognisers were left for it, 0: the one that was asked for;
     fallback_reasons: why each of them was left. engine, weights, strategy: as asked for. settings:
     what the strategy lets its user set, as set last. delay_ms: how much later than its sound the
-    face is shown. n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard.
+    face is shown. n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output:
+    the loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice
+    agents are waited for; speaking: the stream that is being said; n_playout_underruns: how often
+    speech that was to be said had not come in time.
     """
 
     sound: str
@@ -31,6 +34,11 @@ class SpeechStatus:
     delay_ms: float
     n_phonemes: int = 0
     n_lost_sound_blocks: int = 0
+    output: str | None = None
+    output_lost: bool | None = None
+    listens_on: str | None = None
+    speaking: str | None = None
+    n_playout_underruns: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +72,11 @@ class Status:
     delay_ms: float | None = None
     n_phonemes: int | None = None
     n_lost_sound_blocks: int | None = None
+    output: str | None = None
+    output_lost: bool | None = None
+    listens_on: str | None = None
+    speaking: str | None = None
+    n_playout_underruns: int | None = None
     n_ticks: int | None = None
     n_late: int | None = None
     n_stale: int | None = None

@@ -2,7 +2,7 @@
 
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
 
@@ -16,13 +16,16 @@ def play(
     street: Street,
     life: LifeCycle,
     *,
-    until_s: float,
+    is_over: Callable[[float], bool],
     tally: Tally,
     observers: Sequence[TickObserver] = (),
 ) -> None:
-    """Run the street until monotonic `until_s` or until somebody stops the face; then to rest."""
+    """Run the street until it is over or somebody stops the face; then to rest.
+
+    is_over: asked at the monotonic time of each tick.
+    """
     for time_s, late in life.ticks():
-        if time_s >= until_s and not life.stopping:
+        if not life.stopping and is_over(time_s):
             life.stop()
         tally.begin_tick(time_s)
         tick = street.rest(time_s, late) if life.stopping else street.tick(time_s, late)

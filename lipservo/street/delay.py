@@ -1,6 +1,6 @@
 """How much later than its sound a face is shown, part by part."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lipsync.audio_block import BLOCK_S
 
@@ -17,11 +17,16 @@ class Delay:
     sound_block_s: float = BLOCK_S
     publish_period_s: float = PUBLISH_PERIOD_S
     actuation_s: float = 0.0
+    loudspeaker_s: float = 0.0
 
     @property
     def synthesis_s(self) -> float:
         """How much sound must have been heard after an instant before its face is computed."""
-        return self.recognizer_s + self.lookahead_s + self.sound_block_s
+        return self.recognizer_s + self.lookahead_s + self.sound_block_s + self.loudspeaker_s
+
+    def at_least(self, delay_s: float) -> "Delay":
+        """The same, with the face waiting for a loudspeaker that is later than all else."""
+        return replace(self, loudspeaker_s=max(0.0, delay_s - self.total_s))
 
     @property
     def total_s(self) -> float:
@@ -35,6 +40,7 @@ class Delay:
             "sound block": self.sound_block_s,
             "publishing": self.publish_period_s,
             "actuation": self.actuation_s,
+            "loudspeaker": self.loudspeaker_s,
         }
         listed = " + ".join(f"{name} {s * 1e3:.0f}" for name, s in parts.items() if s)
         return f"{self.total_s * 1e3:.0f} ms = {listed}"

@@ -23,6 +23,7 @@ from lipservo.street.street import Street, make_street
 from lipservo.street.summary import Summary, Tally
 from lipservo.terminal.output import MESSAGES, say_simulated
 from lipservo.traces.trace_writer import BackgroundTrace, TraceFile
+from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.synthesizer import Synthesizer
 
@@ -57,6 +58,7 @@ def run_face(
     check_servos(face)
     rate_hz = face.settings.rate_hz if request.rate_hz is None else request.rate_hz
     length_s = math.inf if endless or source.duration_s is None else source.duration_s
+    playout = source if isinstance(source, Playout) else None
     # On a clock of its own nobody waits, and the same file must give the same trace.
     timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
     recognizer = make_recognizer(request.motion.engine, timer_s, request.motion.weights)
@@ -88,8 +90,8 @@ def run_face(
             life.start()
             zero_s = clock.now()
             street.begin(zero_s)
-            until_s = zero_s + length_s + delay.total_s + _TAIL_S
-            play(street, life, until_s=until_s, tally=tally, observers=observers)
+            end = _End(zero_s + length_s + delay.total_s, None if endless else playout)
+            play(street, life, is_over=end.is_over, tally=tally, observers=observers)
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         status = run.status()
     took_s = time.perf_counter() - began_s
@@ -98,6 +100,21 @@ def run_face(
     assert life.report is not None
     summary = tally.summary(status, heard_s, took_s)
     return RunOutcome(summary, status, life.report, life.signal_number)
+
+
+class _End:
+    """When a run is over: a little after its sound, of whatever kind, has been shown."""
+
+    def __init__(self, shown_s: float, playout: Playout | None) -> None:
+        """shown_s: monotonic; inf: not known. playout: which tells it in place of that."""
+        self._shown_s = shown_s
+        self._playout = playout
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether it is, at monotonic `now_s`."""
+        if self._shown_s == math.inf and self._playout is not None and self._playout.is_over:
+            self._shown_s = now_s
+        return now_s >= self._shown_s + _TAIL_S
 
 
 @dataclass(frozen=True, slots=True)

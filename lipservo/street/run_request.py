@@ -14,6 +14,7 @@ from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hi
 
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.sources import Sound
+from lipservo.street.voice_options import VoiceOptions
 from lipsync.errors import UserError, shown
 
 
@@ -25,7 +26,8 @@ class RunRequest:
     file; None: the shipped one. port: of the servos; None: where the face's YAML says. rate_hz:
     ticks a second; None: the face's. trace: the file that every tick is written to. control: where
     the control socket is made; None: in the runtime folder. as_json: results are printed as JSON.
-    quiet: nothing is printed for people. dry_run: servos are read and never moved.
+    quiet: nothing is printed for people. dry_run: servos are read and never moved. voice: of a
+    robot that speaks; None: it only listens.
     """
 
     config: str
@@ -39,6 +41,7 @@ class RunRequest:
     as_json: bool = False
     quiet: bool = False
     dry_run: bool = False
+    voice: VoiceOptions | None = None
 
 
 class RequestError(UserError):
@@ -71,12 +74,12 @@ _PLAIN: Final[dict[object, tuple[tuple[type, ...], str]]] = {
 
 def _decoded(kind: Any, value: object, where: str) -> object:
     """The value of that type that the JSON value stands for. Raises RequestError."""
-    if is_dataclass(kind):
-        return _dataclass(kind, value, where)
     if get_origin(kind) in (Union, types.UnionType):
         if value is None:
             return None
         (kind,) = (each for each in get_args(kind) if each is not type(None))
+    if is_dataclass(kind):
+        return _dataclass(kind, value, where)
     if get_origin(kind) is Literal:
         if value not in get_args(kind):
             raise RequestError(f"{where}: {shown(value)}, not one of {', '.join(get_args(kind))}")

@@ -16,10 +16,16 @@ DEFAULT_MICROPHONE = "default"
 
 @dataclass(frozen=True, slots=True)
 class Sound:
-    """Which sound a face is to hear. name: a file's path, or a microphone by number or name."""
+    """Which sound a face is to hear, or to say.
 
-    kind: Literal["clip", "file", "microphone", "silence"]
+    name: a file's path, a microphone by number or name, or the text. language: of the text.
+    phonemes: a file of what is said when; without one it is recognised.
+    """
+
+    kind: Literal["clip", "file", "microphone", "silence", "text"]
     name: str = ""
+    language: str = ""
+    phonemes: str = ""
 
 
 #: The bundled clip.

@@ -9,12 +9,14 @@ from calibration.calibration import Calibration
 from calibration.run.following import Follower
 from calibration.run.viseme_trim import VisemeTrim
 from firmware_bridge.targets import ServoTargets, TargetChannel
+from lipservo.street.cut_off import CutOff
 from lipservo.street.delay import PUBLISH_PERIOD_S, Delay
 from lipservo.street.layers import Claim, Layer, ServoLayers
+from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.face.frame import Frame
 from lipsync.face.synthesizer import Synthesizer
-from lipsync.phonemes import SILENCE, PhonemeSource
+from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeSource
 
 #: After a stall, targets that would be shown longer ago than this are not computed any more.
 _OLDEST_WORTH_SHOWING_S = 0.100
@@ -22,6 +24,8 @@ _OLDEST_WORTH_SHOWING_S = 0.100
 #: trim (0.2 s), backlash (until the joint turns), hand-overs (0.3 s) and the motion itself, which
 #: goes back as far.
 _REMEMBERED_S = 1.0
+#: A sound that stood still goes on once it is so much further.
+_GOES_ON_S = 0.03
 #: Servos that are later than this are not fully made up for: all else would wait for them.
 _MOST_ADVANCE_S = 0.200
 
@@ -37,11 +41,13 @@ class Speech:
         calibration: Calibration,
         servo_names: Sequence[str],
         channel: TargetChannel,
+        *,
+        least_delay_s: float = 0.0,
     ) -> None:
         """servo_names: of the whole face, in the order of the targets.
 
-        Those without calibration stay at neutral. Raises ValueError for a calibrated servo that is
-        not among them.
+        Those without calibration stay at neutral. least_delay_s: the face waits for a loudspeaker
+        that is so late. Raises ValueError for a calibrated servo that is not among them.
         """
         self._phonemes = phonemes
         self._clock = clock
@@ -65,7 +71,9 @@ class Speech:
             phonemes.latency_s,
             synthesizer.lookahead_s,
             actuation_s=self._follower.advance_s,
-        )
+        ).at_least(least_delay_s)
+        self._cut_off = CutOff(PUBLISH_PERIOD_S)
+        self._newest_deg = np.zeros(n_servos)
         self._newest_asked_s = self._newest_sound_s = -math.inf
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
@@ -92,15 +100,37 @@ class Speech:
         """Hear and publish all that is due at monotonic `now_s`."""
         self._hear(now_s)
         heard_s = self._clock.sound_s(now_s)
+        if self._cut_off.is_closing and heard_s - self.delay.synthesis_s < self._cut_off.until_s:
+            self._close(now_s)
+            return
         # Half a nanosecond of grace, or rounding would hold a target back for a whole period.
         n_due = math.floor((heard_s - self.delay.synthesis_s + 5e-10) / PUBLISH_PERIOD_S) + 1
         n_too_old = n_due - round(_OLDEST_WORTH_SHOWING_S / PUBLISH_PERIOD_S)
         n_remembered = n_too_old - round(_REMEMBERED_S / PUBLISH_PERIOD_S)
+        if self._cut_off.is_closing:
+            self._n_published = max(self._n_published, n_due - 1)
         for n in range(max(self._n_published, n_remembered), n_due):
             targets = self._targets(n * PUBLISH_PERIOD_S)
             if n >= n_too_old:
                 self._channel.publish(targets)
         self._n_published = max(self._n_published, n_due)
+
+    def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
+        """Close the mouth now, whatever was planned; what is said from `until_s` on is shown again.
+
+        rest: the face (n_components,) of a mouth at rest. until_s: in sound time; None: until the
+        sound, which stands still, goes on.
+        """
+        if until_s is None:
+            until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S
+        rest_deg = self._compose(self._calibration.positions_deg(rest))
+        self._cut_off.begin(self._newest_deg, rest_deg, until_s)
+        # Targets may have been dated ahead of this moment.
+        self._newest_asked_s = min(self._newest_asked_s, now_s)
+
+    def event_at(self, sound_s: float) -> PhonemeEvent | None:
+        """The phoneme of a sound time, as far as it is known."""
+        return self._synthesizer.event_at(sound_s)
 
     def captured_s(self, asked_s: float) -> float | None:
         """When the sound was captured that moves the servos at `asked_s`, on the same clock.
@@ -123,12 +153,26 @@ class Speech:
         for update in updates:
             self._synthesizer.push(update)
 
+    def _close(self, now_s: float) -> None:
+        """The mouth goes to rest by the clock of the computer, whatever the sound's clock does."""
+        newest_s = now_s + PUBLISH_PERIOD_S
+        while (
+            asked_s := max(self._newest_asked_s, now_s - PUBLISH_PERIOD_S) + PUBLISH_PERIOD_S
+        ) <= newest_s:
+            self._newest_asked_s = asked_s
+            self._newest_deg = self._cut_off.close()
+            goals_deg = self._follower.feed(self._newest_deg)
+            self._channel.publish(ServoTargets(self._newest_asked_s, goals_deg))
+
     def _targets(self, sound_s: float) -> ServoTargets:
         phoneme, frame = self.shown_at(sound_s)
         mouth_deg = self._calibration.positions_deg(frame.coefficients) + self._trim.feed(phoneme)
-        wanted_deg = self._layers.compose([Claim(Layer.LIPS, self.mouth, mouth_deg)])
+        self._newest_deg = self._cut_off.join(self._compose(mouth_deg))
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
         # Servos are asked before the face is shown, by as much as they are late.
         asked_s = shown_s - self.delay.actuation_s
         self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
-        return ServoTargets(asked_s, self._follower.feed(wanted_deg))
+        return ServoTargets(asked_s, self._follower.feed(self._newest_deg))
+
+    def _compose(self, mouth_deg: Array) -> Array:
+        return self._layers.compose([Claim(Layer.LIPS, self.mouth, mouth_deg)])

@@ -6,6 +6,7 @@ from typing import Final, Protocol
 from lipservo.status.face_status import SpeechStatus
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.speech import Speech
+from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 
 #: Recognisers from the best down; each takes over where the one before it fails.
@@ -30,8 +31,11 @@ def speech_status(
     recognizer: FallbackRecognizer,
     speech: Speech,
     settings: Mapping[str, float],
+    listens_on: str | None = None,
 ) -> SpeechStatus:
     """The speech side as it is now. settings: those that were changed since the start, by name."""
+    playout = source if isinstance(source, Playout) else None
+    output = None if playout is None else playout.loudspeaker
     return SpeechStatus(
         sound=source.name,
         recognizer=recognizer.level,
@@ -44,4 +48,9 @@ def speech_status(
         delay_ms=round(speech.delay.total_s * 1e3, 3),
         n_phonemes=speech.phonemes_planned,
         n_lost_sound_blocks=source.lost_blocks,
+        output=None if output is None else output.name,
+        output_lost=None if output is None else output.is_lost,
+        listens_on=listens_on,
+        speaking=None if playout is None else playout.speaking,
+        n_playout_underruns=None if playout is None else playout.n_underruns,
     )

@@ -9,10 +9,10 @@ from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.face.assembly import Face
 from lipservo.face.servos import bridge_for
 from lipservo.status.street_tick import StreetTick
-from lipservo.street.recognized_phonemes import RecognizedPhonemes
 from lipservo.street.speech import Speech
+from lipservo.street.speech_side import SpeechSide, make_speech_side
 from lipsync.arrays import Array
-from lipsync.audio.playback_clock import PlaybackClock, clock_for
+from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame
 from lipsync.face.synthesizer import Synthesizer
@@ -22,19 +22,20 @@ from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeSource
 class Street:
     """Speech and bridge in one process, joined by a target channel."""
 
-    def __init__(self, speech: Speech, bridge: Bridge, rest: Array) -> None:
+    def __init__(self, side: SpeechSide, bridge: Bridge, rest: Array) -> None:
         """rest: the face (n_components,) of a mouth at rest."""
-        self.speech = speech
+        self.side = side
+        self.speech = side.speech
         self.bridge = bridge
         self._rest = rest
 
     def begin(self, zero_s: float) -> None:
         """The sound begins at monotonic `zero_s`."""
-        self.speech.begin(zero_s)
+        self.side.begin(zero_s)
 
     def tick(self, time_s: float, late: int) -> StreetTick:
         """Everything that happens at monotonic grid time `time_s`."""
-        self.speech.advance(time_s)
+        self.side.advance(time_s)
         report = self.bridge.tick(time_s, late)
         sound_s = self.speech.sound_time_s(time_s)
         phoneme, frame = self.speech.shown_at(max(0.0, sound_s))
@@ -43,6 +44,7 @@ class Street:
 
     def rest(self, time_s: float, late: int) -> StreetTick:
         """The same once the face is stopped: nothing is heard any more, the mouth goes to rest."""
+        self.side.fall_silent()
         report = self.bridge.tick(time_s, late)
         sound_s = self.speech.sound_time_s(time_s)
         return StreetTick(sound_s, SILENCE, Frame(sound_s, self._rest), report)
@@ -59,8 +61,10 @@ def make_street(
     dry_run: bool = False,
 ) -> Street:
     """Everything between an entered source and an entered bus, with a recogniser in it."""
-    phonemes, clock = RecognizedPhonemes(source, recognizer), clock_for(source)
-    return make_street_of(face, phonemes, clock, bus, rate_hz, synthesizer, dry_run=dry_run)
+    channel = MemoryTargetChannel()
+    side = make_speech_side(face, source, recognizer, synthesizer, channel)
+    bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
+    return Street(side, bridge, face.model.rest)
 
 
 def make_street_of(
@@ -70,12 +74,10 @@ def make_street_of(
     bus: ServoBus,
     rate_hz: float,
     synthesizer: Synthesizer,
-    *,
-    dry_run: bool = False,
 ) -> Street:
     """Everything between any source of phonemes and an entered bus."""
     channel = MemoryTargetChannel()
     names = list(face.settings.servos)
     speech = Speech(phonemes, clock, synthesizer, face.calibration, names, channel)
-    bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
-    return Street(speech, bridge, face.model.rest)
+    bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz)
+    return Street(SpeechSide(speech), bridge, face.model.rest)

@@ -58,6 +58,25 @@ def read_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[Samples,
     return samples, sample_rate_hz
 
 
+def checked_rate_hz(path: str | PathLike[str], warn: Warn = ignore) -> int:
+    """A file's own sample rate, in hertz, after the checks of `FileSource`. Raises SoundError."""
+    path = Path(path)
+    _checked_duration_s(path, warn)
+    with open_sound(path) as sound:
+        return int(sound.samplerate)
+
+
+def sound_chunks(path: str | PathLike[str], start_s: float = 0.0) -> Iterator[Samples]:
+    """The file from `start_s` on, mono (n,) at its own rate, in pieces of `CHUNK_S`.
+
+    Raises SoundError where it is damaged or holds what is no number.
+    """
+    path = Path(path)
+    with open_sound(path) as sound:
+        _go_to(path, sound, round(start_s * sound.samplerate))
+        yield from _mono_chunks(path, sound)
+
+
 class FileSource:
     """A sound file as an `AudioSource`; the last block may be shorter than the others.
 

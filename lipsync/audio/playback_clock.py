@@ -109,8 +109,9 @@ class OwnPlaybackClock:
     as the lead, lips and loudspeaker agree.
     """
 
-    def __init__(self, lead_s: float) -> None:
-        self._lead_s = lead_s
+    def __init__(self, lead_s: float = 0.0) -> None:
+        #: May be set until `begin`: only who has both ears and lips knows what it has to be.
+        self.lead_s = lead_s
         self._zero_s = 0.0
         # The lag was `_lag_s` at `_since_s`, and goes to `_wanted_s` from there.
         self._lag_s = self._wanted_s = 0.0
@@ -130,7 +131,7 @@ class OwnPlaybackClock:
         """
         self._lag_s = self._lag_at(self._asked_s)
         self._since_s = self._asked_s
-        self._wanted_s = now_s - self._zero_s - (position_s + self._lead_s)
+        self._wanted_s = now_s - self._zero_s - (position_s + self.lead_s)
 
     def sound_s(self, now_s: float) -> float:
         """The sound time that the recogniser may hear at monotonic `now_s`."""

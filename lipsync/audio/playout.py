@@ -8,18 +8,21 @@ committed, and the stream goes on when more has come.
 Other threads only append to `requests` and take from `events`; all is decided in the loop.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio.cutter import BLOCK_SAMPLES
+from lipsync.audio.half_duplex import ListenedMicrophone
 from lipsync.audio.playing_stream import PlayingStream
 from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
 from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.audio.source import Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
 from lipsync.phonemes import PhonemeEvent
 
@@ -32,56 +35,36 @@ _MOST_EVENTS: Final = 1024
 #: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
 #: does not reach farther back.
 _REMEMBERED_S: Final = 5.0
+#: A room goes on sounding after a word; so long nobody is listened to.
+_ECHO_S: Final = 0.3
 _SILENCE: Final = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
 _SILENCE.flags.writeable = False
-
-
-class Loudspeaker(Protocol):
-    """Where committed sound is played. Time is the timeline's: of what was written, first to last.
-
-    Called by the live loop: nothing here may wait.
-    """
-
-    @property
-    def rate_hz(self) -> int:
-        """Samples a second, a multiple of 100."""
-
-    @property
-    def latency_s(self) -> float:
-        """How long after it was written a sample is heard at the earliest."""
-
-    def write(self, samples: Samples) -> None:
-        """The next samples (n,) float32 mono of the timeline."""
-
-    def silence_rest(self) -> float:
-        """Play silence in place of all that is written and still within reach.
-
-        Gives the timeline position, in seconds, from which on it is silent.
-        """
-
-    def position(self) -> tuple[float, float] | None:
-        """(monotonic seconds, timeline seconds that leave the loudspeaker then).
-
-        The newest report of the device; None before the first.
-        """
 
 
 class Playout:
     """An `AudioSource` without end, of what the robot says; see the module."""
 
-    name = "own voice"
     duration_s: float | None = None
     is_live = False
-    #: What has not come in time is said later; nothing is lost.
-    lost_blocks = 0
 
-    def __init__(self, loudspeaker: Loudspeaker | None = None) -> None:
-        """loudspeaker: None where nobody plays, or whoever sends the stream does."""
-        self._loudspeaker = loudspeaker
+    def __init__(
+        self,
+        loudspeaker: Loudspeaker | None = None,
+        microphone: ListenedMicrophone | None = None,
+    ) -> None:
+        """loudspeaker: None where nobody plays, or whoever sends the stream does.
+
+        microphone: heard, not played, while the robot is silent.
+        """
+        self.loudspeaker = loudspeaker
+        self._microphone = microphone
+        self._quiet_from_s = 0.0
         n_played = BLOCK_SAMPLES if loudspeaker is None else loudspeaker.rate_hz // 100
         self._played_silence: Samples = np.zeros(n_played, dtype=np.float32)
         #: Any thread appends.
         self.requests: deque[PlayoutRequest] = deque(maxlen=_MOST_REQUESTS)
+        #: Who will request more; until they are gone the playout is not over. For any thread.
+        self.announced: set[object] = set()
         #: (monotonic seconds, stream, samples of it that had left the loudspeaker by then), from
         #: who plays a stream elsewhere; any thread appends.
         self.reports: deque[tuple[float, str, int]] = deque(maxlen=_MOST_REQUESTS)
@@ -95,9 +78,24 @@ class Playout:
         self._preroll_s = 0.0
 
     @property
+    def name(self) -> str:
+        """What is heard while the robot is silent."""
+        return "own voice" if self._microphone is None else self._microphone.name
+
+    @property
+    def lost_blocks(self) -> int:
+        """Blocks that the microphone lost; of what is said nothing is: it is said later."""
+        return 0 if self._microphone is None else self._microphone.lost_blocks
+
+    @property
     def output_rate_hz(self) -> int:
         """The rate that new streams are made for."""
         return 100 * len(self._played_silence)
+
+    @property
+    def latency_s(self) -> float:
+        """How long after it was committed a block is heard at the earliest, one period included."""
+        return 0.0 if self.loudspeaker is None else self.loudspeaker.latency_s + BLOCK_S
 
     @property
     def n_underruns(self) -> int:
@@ -115,9 +113,14 @@ class Playout:
         return self._position_s
 
     @property
-    def is_speaking(self) -> bool:
-        """Whether something is being said or heard, or waits."""
-        return bool(self._playing)
+    def is_over(self) -> bool:
+        """Whether nothing is being said or heard, and nothing waits or was announced."""
+        return not (self.announced or self.requests or self._playing)
+
+    @property
+    def speaking(self) -> str | None:
+        """The stream that is being said, by name."""
+        return self._playing[0].stream.name if self._playing else None
 
     def n_played(self, stream: str) -> int | None:
         """Samples of a stream, at its own rate, that were heard so far; None: it does not play."""
@@ -131,11 +134,11 @@ class Playout:
 
         What the loudspeaker does not hold back by itself is filled with silence.
         """
-        if self._loudspeaker is None:
+        if self.loudspeaker is None:
             return
-        n_blocks = round((lead_s - self._loudspeaker.latency_s) / BLOCK_S)
+        n_blocks = round((lead_s - self.loudspeaker.latency_s) / BLOCK_S)
         for _ in range(n_blocks):
-            self._loudspeaker.write(self._played_silence)
+            self.loudspeaker.write(self._played_silence)
         self._preroll_s = max(0, n_blocks) * BLOCK_S
 
     def report(self) -> tuple[float, float] | None:
@@ -149,7 +152,7 @@ class Playout:
                 at_s = playing.timeline_s(n_samples)
                 if playing.stream.name == stream and at_s is not None:
                     return now_s, at_s
-        if self._loudspeaker is None or (report := self._loudspeaker.position()) is None:
+        if self.loudspeaker is None or (report := self.loudspeaker.position()) is None:
             return None
         return report[0], report[1] - self._preroll_s
 
@@ -205,8 +208,8 @@ class Playout:
             start_s = self.committed_s
             self._n_blocks += 1
             heard, played = self._next(start_s)
-            if self._loudspeaker is not None:
-                self._loudspeaker.write(played)
+            if self.loudspeaker is not None:
+                self.loudspeaker.write(played)
             yield AudioBlock(heard, start_s)
 
     def _next(self, start_s: float) -> tuple[Samples, Samples]:
@@ -215,7 +218,7 @@ class Playout:
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
-            return _SILENCE, self._played_silence
+            return self._listened(), self._played_silence
         stream = playing.stream
         if stream.phonemes and not playing.segments:
             self._remember(stream, start_s)
@@ -224,6 +227,16 @@ class Playout:
         # A recogniser that hears what is known anyway would only disagree.
         heard = _SILENCE if stream.phonemes else block.heard
         return heard, self._played_silence if stream.played_elsewhere else block.played
+
+    def _listened(self) -> Samples:
+        """10 ms of the microphone; silence while the robot speaks, and until its echo is over."""
+        if self._microphone is None:
+            return _SILENCE
+        if self._playing or self._position_s < self._quiet_from_s:
+            self._microphone.discard()
+            return _SILENCE
+        samples = self._microphone.take()
+        return _SILENCE if samples is None else samples
 
     def _note_underrun(self, playing: PlayingStream) -> None:
         playing.is_starved = True
@@ -241,16 +254,16 @@ class Playout:
             )
             for event in stream.phonemes
         )
-        end_s = start_s + stream.n_received / stream.sample_rate_hz
-        self._known.append((start_s, end_s, moved))
+        end_s = moved[-1].end_s
+        self._known.append((start_s, math.inf if end_s is None else end_s, moved))
 
     def _interrupt(self) -> bool:
         """Everything ends here; whether anything was being said."""
         if not self._playing:
             return False
         cut_s = self._position_s
-        if self._loudspeaker is not None:
-            cut_s = self._loudspeaker.silence_rest() - self._preroll_s
+        if self.loudspeaker is not None:
+            cut_s = self.loudspeaker.silence_rest() - self._preroll_s
         for playing in self._playing:
             playing.stream.drop()
             n_played = playing.n_played(cut_s)
@@ -258,6 +271,7 @@ class Playout:
             event = PlayoutEvent("interrupted", playing.stream.name, cut_s, n_played, n_dropped)
             self.events.append(event)
         self._playing.clear()
+        self._quiet_from_s = cut_s + _ECHO_S
         self._known = deque((start, min(end, cut_s), said) for start, end, said in self._known)
         return True
 
@@ -292,3 +306,4 @@ class Playout:
                 return
             self.events.append(PlayoutEvent("finished", name, position_s, n_played))
             self._playing.popleft()
+            self._quiet_from_s = position_s + _ECHO_S

@@ -24,7 +24,8 @@ Samples = NDArray[np.float32]
 MOST_WAITING_S: Final = 300.0
 #: soxr's "LQ" holds back 20 ms, "HQ" 40 (24 and 48 kHz); every one of them is a later first sound.
 _RESAMPLING: Final = "LQ"
-LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 8_000, 48_000
+#: As sound files may have.
+LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 4_000, 192_000
 
 
 class PlayoutFullError(ValueError):
@@ -95,6 +96,11 @@ class PlayoutStream:
         return self._ended
 
     @property
+    def is_dropped(self) -> bool:
+        """Nobody will hear what was not taken."""
+        return self._dropped
+
+    @property
     def is_over(self) -> bool:
         """Ended, and every block was taken or dropped."""
         return self._ended and (self._dropped or not self._blocks)
@@ -102,8 +108,11 @@ class PlayoutStream:
     def push(self, samples: Samples) -> None:
         """Add samples (n,) float32 in [-1, 1].
 
-        Raises PlayoutFullError, and ValueError once the stream has ended or was dropped.
+        Of a stream that was dropped nothing is taken any more. Raises PlayoutFullError, and
+        ValueError once the stream has ended.
         """
+        if self._dropped:
+            return
         if self._ended:
             raise ValueError(f"stream {self.name!r} has ended")
         if self.waiting_s + len(samples) / self.sample_rate_hz > MOST_WAITING_S:
@@ -122,8 +131,13 @@ class PlayoutStream:
         """No more comes; the last block is filled up with silence."""
         if self._ended:
             return
-        self._heard.finish(BLOCK_SAMPLES)
-        self._played.finish(self._played.rate_hz // 100)
+        both = (self._heard, BLOCK_SAMPLES), (self._played, self._played.rate_hz // 100)
+        for resampled, _ in both:
+            resampled.push(np.zeros(0, dtype=np.float32), last=True)
+        # The two may differ by a sample, which may be the first of a block.
+        n_blocks = max(-(-resampled.n_ready // length) for resampled, length in both)
+        for resampled, length in both:
+            resampled.fill(n_blocks * length)
         self._cut()
         self._ended = True
 
@@ -176,11 +190,10 @@ class _Resampled:
             samples = self._resampler.resample_chunk(samples, last=last)
         self._ready = np.concatenate((self._ready, samples))
 
-    def finish(self, block: int) -> None:
-        """Nothing more comes; what is ready is filled up to whole blocks."""
-        self.push(np.zeros(0, dtype=np.float32), last=True)
-        missing = -len(self._ready) % block
-        self._ready = np.concatenate((self._ready, np.zeros(missing, dtype=np.float32)))
+    def fill(self, n_samples: int) -> None:
+        """Silence up to this many."""
+        silence = np.zeros(n_samples - len(self._ready), dtype=np.float32)
+        self._ready = np.concatenate((self._ready, silence))
 
     def take(self, n_samples: int) -> Samples:
         taken, self._ready = self._ready[:n_samples], self._ready[n_samples:]

@@ -1,6 +1,9 @@
-"""What every source of sound answers to."""
+"""What every source of sound, and every loudspeaker, answers to."""
 
 from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lipsync.audio_block import AudioBlock
 from lipsync.errors import UserError
@@ -38,3 +41,41 @@ class AudioSource(Protocol):
     def __enter__(self) -> "AudioSource": ...
 
     def __exit__(self, *exc: object) -> None: ...
+
+
+class Loudspeaker(Protocol):
+    """Where committed sound is played. Time is the timeline's: of what was written, first to last.
+
+    Called by the live loop: nothing here may wait.
+    """
+
+    @property
+    def name(self) -> str:
+        """The device's own name."""
+
+    @property
+    def is_lost(self) -> bool:
+        """Whether the device is gone: nothing is played until it is back."""
+
+    @property
+    def rate_hz(self) -> int:
+        """Samples a second, a multiple of 100."""
+
+    @property
+    def latency_s(self) -> float:
+        """How long after it was written a sample is heard at the earliest."""
+
+    def write(self, samples: NDArray[np.float32]) -> None:
+        """The next samples (n,) float32 mono of the timeline."""
+
+    def silence_rest(self) -> float:
+        """Play silence in place of all that is written and still within reach.
+
+        Gives the timeline position, in seconds, from which on it is silent.
+        """
+
+    def position(self) -> tuple[float, float] | None:
+        """(monotonic seconds, timeline seconds that leave the loudspeaker then).
+
+        The newest report of the device; None before the first.
+        """

@@ -107,11 +107,9 @@ def speech_process(
     from lipservo.face.assembly import assemble_face
     from lipservo.street.delay import PUBLISH_PERIOD_S
     from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
-    from lipservo.street.recognized_phonemes import RecognizedPhonemes
-    from lipservo.street.sources import open_sound
-    from lipservo.street.speech import Speech
+    from lipservo.street.speech_side import make_speech_side
     from lipservo.street.speech_status import speech_status
-    from lipsync.audio.playback_clock import clock_for
+    from lipservo.street.spoken_sound import entered_sound
 
     asked = request_of_json(request)
     face = assemble_face(asked.config, asked.model)
@@ -123,23 +121,16 @@ def speech_process(
         clock = MonotonicClock()
         is_file = asked.sound.kind == "file"
         start_s = 0.0 if zero_s is None or not is_file else max(0.0, clock.now() - zero_s)
-        source = stack.enter_context(open_sound(asked.sound, start_s))
+        source = stack.enter_context(entered_sound(asked, start_s))
         recognizer = make_recognizer(asked.motion.engine, time.perf_counter, asked.motion.weights)
         synthesizer = make_synthesizer(face.model, asked.motion, asked.model)
-        phonemes, names = RecognizedPhonemes(source, recognizer), list(face.settings.servos)
-        speech = Speech(
-            phonemes,
-            clock_for(source),
-            synthesizer,
-            face.calibration,
-            names,
-            SocketTargetChannel(end),
-        )
+        side = make_speech_side(face, source, recognizer, synthesizer, SocketTargetChannel(end))
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:
             say(f"{source.name} goes on at {start_s:.1f} s")
-        speech.begin(zero_s)
+        # What the robot says is on a timeline of its own, which begins anew with each process.
+        side.begin(zero_s if asked.voice is None else clock.now())
         alive.began(zero_s)
         n_said = 0
         settings: dict[str, float] = {}
@@ -151,13 +142,13 @@ def speech_process(
             if (wanted := shared.settings()) != settings:
                 adjust(synthesizer, wanted)
                 settings, tell_at_s = wanted, time_s
-            speech.advance(time_s)
+            side.advance(time_s)
             for reason in recognizer.reasons[n_said:]:
                 say(f"recogniser left: {reason}")
             n_said = len(recognizer.reasons)
             if time_s >= tell_at_s:
                 tell_at_s = time_s + _STATUS_EVERY_S
-                told = speech_status(asked.motion, source, recognizer, speech, settings)
+                told = speech_status(asked.motion, source, recognizer, side.speech, settings)
                 shared.write_speech(told)
 
 

@@ -13,17 +13,23 @@ from lipservo.commands.options import (
     Control,
     DryRun,
     Json,
+    Listen,
     Mic,
     Model,
+    Output,
+    Phonemes,
+    Play,
     Port,
     Quiet,
     Rate,
     Sim,
+    TokenFile,
     Trace,
     Wav,
 )
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.supervision import supervise
+from lipservo.commands.run.voice_choice import agents_voice, chosen_voice
 from lipservo.face.assembly import load_settings
 from lipservo.face.face_life import say
 from lipservo.face.face_stopped import exit_status
@@ -32,6 +38,7 @@ from lipservo.street.motion_options import ChosenMotion, MotionOptions, motion_o
 from lipservo.street.run_face import RunOutcome, run_face
 from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import CLIP, SILENCE, Sound, chosen_sound, open_sound
+from lipservo.street.spoken_sound import entered_sound
 from lipservo.street.summary import print_summary
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
@@ -41,6 +48,9 @@ def run(
     *,
     wav: Wav = None,
     mic: Mic = None,
+    play: Play = False,
+    output: Output = None,
+    phonemes: Phonemes = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
@@ -55,7 +65,7 @@ def run(
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
     request = RunRequest(
         config,
-        _sound(wav, mic, CLIP),
+        _sound(wav, mic, CLIP, phonemes),
         _motion(motion, config),
         model=model,
         port=port,
@@ -64,8 +74,9 @@ def run(
         as_json=as_json,
         quiet=quiet or as_json,
         dry_run=dry_run,
+        voice=chosen_voice(play=play, output=output, is_needed=phonemes is not None),
     )
-    with servo_port(port, sim, config) as at_port, open_sound(request.sound) as source:
+    with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)
         outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
     _finish(request, outcome)
@@ -76,6 +87,10 @@ def daemon(
     *,
     wav: Wav = None,
     mic: Mic = None,
+    play: Play = False,
+    output: Output = None,
+    listen: Listen = None,
+    token_file: TokenFile = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
@@ -102,12 +117,13 @@ def daemon(
         control=control,
         as_json=as_json,
         quiet=quiet,
+        voice=agents_voice(chosen_voice(play=play, output=output), listen, token_file),
     )
     with servo_port(port, sim, config) as at_port:
         request = replace(request, port=at_port or load_settings(config)[0].servo_port)
         if request.port is not None:
             raise typer.Exit(supervise(request))
-    with open_sound(request.sound) as source:
+    with entered_sound(request) as source:
         outcome = run_face(request, source, MonotonicClock(), endless=True)
     # A service manager counts anything but 0 as a failure, and stops a daemon by a signal.
     _finish(request, replace(outcome, signal_number=None))
@@ -156,10 +172,14 @@ def devices(as_json: Json = False) -> None:
         MESSAGES.print("no microphone found")
 
 
-def _sound(wav: Path | None, mic: str | None, otherwise: Sound) -> Sound:
+def _sound(
+    wav: Path | None, mic: str | None, otherwise: Sound, phonemes: Path | None = None
+) -> Sound:
     if wav is not None and mic is not None:
         raise typer.BadParameter("give --wav or --mic, not both")
-    return chosen_sound(wav, mic, otherwise)
+    if phonemes is not None and wav is None:
+        raise typer.BadParameter("--phonemes goes with --wav")
+    return replace(chosen_sound(wav, mic, otherwise), phonemes=str(phonemes or ""))
 
 
 def _motion(chosen: ChosenMotion, config: str) -> MotionOptions:

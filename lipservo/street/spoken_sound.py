@@ -1,0 +1,73 @@
+"""The sound of a robot that speaks: loudspeaker, microphone, and what it is to say first."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib import resources
+from pathlib import Path
+
+from lipservo.face.assembly import load_settings
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import Sound, open_microphone, open_sound
+from lipservo.street.spoken_file import SpokenFile
+from lipservo.street.spoken_text import SpokenWords
+from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
+from lipsync.audio.half_duplex import ListenedMicrophone
+from lipsync.audio.playout import Playout
+from lipsync.audio.source import AudioSource, Loudspeaker
+
+
+@contextmanager
+def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSource]:
+    """The sound of a request, entered: a source that is only heard, or a `Playout`.
+
+    start_s: the sound time at which a file is taken up. Raises SoundError.
+    """
+    if request.voice is None:
+        with open_sound(request.sound, start_s) as source:
+            yield source
+        return
+    with ExitStack() as stack:
+        loudspeaker = _entered_loudspeaker(request.config, request.voice, stack)
+        microphone = None
+        if request.sound.kind == "microphone":
+            device = stack.enter_context(open_microphone(request.sound.name))
+            microphone = ListenedMicrophone(device)
+        playout = Playout(loudspeaker, microphone)
+        first = _first_words(request.sound, playout, start_s, stack)
+        if first is not None:
+            stack.callback(first.close)
+        yield playout
+
+
+def check_sound(request: RunRequest) -> None:
+    """Refuse now what `entered_sound` would refuse later, without opening a device."""
+    if request.sound.kind == "file":
+        open_sound(request.sound)
+
+
+def _entered_loudspeaker(config: str, voice: VoiceOptions, stack: ExitStack) -> Loudspeaker | None:
+    if voice.output is None:
+        return None
+    from lipsync.audio.loudspeaker import LoudspeakerOutput
+
+    settings = load_settings(config)[0].sound
+    name = voice.output
+    if name == DEFAULT_OUTPUT:
+        name = settings.output or DEFAULT_OUTPUT
+    device = None if name == DEFAULT_OUTPUT else int(name) if name.isdigit() else name
+    return stack.enter_context(LoudspeakerOutput(device, settings.output_offset_ms))
+
+
+def _first_words(
+    sound: Sound, playout: Playout, start_s: float, stack: ExitStack
+) -> SpokenFile | SpokenWords | None:
+    if sound.kind == "text":
+        return SpokenWords(sound.name, sound.language, playout)
+    if sound.kind not in ("file", "clip"):
+        return None
+    path = Path(sound.name)
+    if sound.kind == "clip":
+        clip = resources.files("lipservo.clips") / "welcome.flac"
+        path = stack.enter_context(resources.as_file(clip))
+    phonemes = Path(sound.phonemes) if sound.phonemes else None
+    return SpokenFile(path, playout, start_s=start_s, phonemes=phonemes)
