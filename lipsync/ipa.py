@@ -1,0 +1,88 @@
+"""Phonemes of any language, in IPA, as phones of the inventory that look alike on the lips.
+
+The table with its reasons is ipa.yaml beside this file; docs/speech.md shows it.
+"""
+
+import unicodedata
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from importlib.resources import files
+from types import MappingProxyType
+
+import yaml
+
+_NEUTRAL_VOWEL = "AH"
+
+
+@dataclass(frozen=True, slots=True)
+class IpaRow:
+    """What one symbol becomes: one phone or several in order, and why where it is not the same."""
+
+    phones: tuple[str, ...]
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class InventoryPhones:
+    """What a phoneme becomes; none for a mark alone, as of length. `is_guess`: not in the table."""
+
+    phones: tuple[str, ...]
+    is_guess: bool
+
+
+@cache
+def ipa_table() -> MappingProxyType[str, IpaRow]:
+    """Every symbol of the table, in its order."""
+    text = files("lipsync").joinpath("ipa.yaml").read_text("utf-8")
+    return MappingProxyType(
+        {
+            symbol: IpaRow(tuple(row[0].split()), row[1] if len(row) > 1 else "")
+            for symbol, row in yaml.safe_load(text).items()
+        }
+    )
+
+
+@lru_cache(maxsize=1024)
+def phones_of_ipa(phoneme: str) -> InventoryPhones:
+    """The phones of the inventory for one phoneme written in IPA, with any marks.
+
+    The longest symbols of the table are taken from the left, so that a diphthong which the
+    inventory lacks becomes its two ends. A letter that the table lacks is taken for the plain
+    letter in its Unicode name ("b with hook" for b), and failing that for a neutral vowel: a guess.
+    """
+    table = ipa_table()
+    symbols = _without_marks(phoneme)
+    if not symbols:
+        symbols = "".join(letter for letter in phoneme if letter in table)
+    longest = max(map(len, table))
+    phones: list[str] = []
+    is_guess = False
+    place = 0
+    while place < len(symbols):
+        for length in range(min(longest, len(symbols) - place), 0, -1):
+            row = table.get(symbols[place : place + length])
+            if row is not None:
+                phones += row.phones
+                break
+        else:
+            length, is_guess = 1, True
+            phones += _nearest(symbols[place])
+        place += length
+    return InventoryPhones(tuple(phones), is_guess)
+
+
+def _without_marks(phoneme: str) -> str:
+    """Letters alone: no combining or modifier letters, no punctuation, digits or white space."""
+    decomposed = unicodedata.normalize("NFD", phoneme.replace("ç", "\0"))
+    letters = (
+        letter
+        for letter in decomposed
+        if letter in "\0?ᵐⁿᵑ" or unicodedata.category(letter) in ("Lu", "Ll", "Lo")
+    )
+    return "".join(letters).replace("\0", "ç")
+
+
+def _nearest(letter: str) -> tuple[str, ...]:
+    words = unicodedata.name(letter, "").split(" WITH ")[0].split()
+    row = ipa_table().get(words[-1].lower()) if words else None
+    return row.phones if row is not None else (_NEUTRAL_VOWEL,)

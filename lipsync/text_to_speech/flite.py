@@ -1,0 +1,142 @@
+"""flite speaks English: a small synthesiser whose segments hold their closures already.
+
+The command `flite -psdur` prints each segment with the time of its end, in seconds.
+"""
+
+import os
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+from lipsync.phonemes import PHONEMES, SILENCE
+from lipsync.text_to_speech.spoken_text import (
+    DEFAULT_VOICE,
+    SpokenText,
+    SynthesisError,
+    UnspeakableTextError,
+    Voice,
+)
+from lipsync.text_to_speech.timed_phones import TimedPhones, phoneme_events
+from lipsync.text_to_speech.written_text import checked_text
+
+#: flite's segments that are no phone of ours by the same name: reduced vowels, flaps, pauses.
+_PHONE_OF: Mapping[str, str] = MappingProxyType(
+    {"ax": "AH", "axr": "ER", "ix": "IH", "ux": "UW", "dx": "D", "el": "L", "em": "M", "en": "N"}
+    | {"nx": "N", "hv": "HH", "pau": SILENCE, "ssil": SILENCE, "h#": SILENCE, "brth": SILENCE}
+)
+_BEST_VOICE = "slt"
+#: It speaks nothing but the time of day.
+_TALKING_CLOCK = "awb_time"
+_LANGUAGE = "en-us"
+_RATES_WPM = range(80, 451)
+#: A text of `longest_text` takes about two seconds; longer than this, and flite hangs.
+_TIMEOUT_S = 60.0
+
+
+class Flite:
+    """The `Synthesizer` flite. Raises SynthesisError where it is not installed.
+
+    It tells no times of words, and has one pitch for each voice.
+    """
+
+    longest_text = 5000
+
+    def __init__(self) -> None:
+        found = shutil.which("flite")
+        if found is None:
+            raise SynthesisError("flite is not installed: `apt install flite`")
+        self._command = found
+
+    def languages(self) -> tuple[str, ...]:
+        """American English alone."""
+        return (_LANGUAGE,)
+
+    def voices(self) -> tuple[str, ...]:
+        """What `flite -lv` lists, as `kal`, `rms` and `slt`."""
+        listed = self._run("-lv").partition(":")[2].split()
+        return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
+
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SpokenText:
+        """See `Synthesizer`; a process of its own for each text."""
+        written = checked_text(text, self.longest_text)
+        self._check_voice(voice)
+        name = voice.name or _BEST_VOICE
+        stretch = DEFAULT_VOICE.rate_wpm / voice.rate_wpm
+        with tempfile.TemporaryDirectory(prefix="lipservo-flite-") as folder:
+            sound = Path(folder) / "sound.wav"
+            printed = self._run(
+                *("-voice", name, "--setf", f"duration_stretch={stretch:.4f}"),
+                *("-psdur", "-o", os.fspath(sound), "-t", written),
+            )
+            try:
+                samples, sample_rate_hz = soundfile.read(sound, dtype="float32")
+            except (soundfile.LibsndfileError, RuntimeError) as error:
+                raise SynthesisError(f"flite wrote no sound; try another voice ({error})") from None
+        timed = segments(printed, len(samples) / sample_rate_hz)
+        if all(each.phones == (SILENCE,) for each in timed):
+            raise UnspeakableTextError(
+                f"{written[:40]!r} holds nothing that flite can speak; write English words"
+            )
+        return SpokenText(_within_one(samples), sample_rate_hz, phoneme_events(timed), ())
+
+    def _check_voice(self, voice: Voice) -> None:
+        if voice.language != _LANGUAGE:
+            raise SynthesisError(f"flite speaks {_LANGUAGE!r} alone, not {voice.language!r}")
+        known = self.voices()
+        if voice.name and voice.name not in known:
+            raise SynthesisError(f"flite has no voice {voice.name!r}; it has: {', '.join(known)}")
+        if voice.rate_wpm not in _RATES_WPM:
+            raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 450 words a minute")
+        if voice.pitch != DEFAULT_VOICE.pitch:
+            raise SynthesisError("flite has one pitch for each voice; choose another voice")
+
+    def _run(self, *arguments: str) -> str:
+        try:
+            done = subprocess.run(
+                [self._command, *arguments],
+                capture_output=True,
+                stdin=subprocess.DEVNULL,
+                timeout=_TIMEOUT_S,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise SynthesisError(f"flite failed: {error}"[:200]) from None
+        if done.returncode != 0:
+            raise SynthesisError(f"flite failed with status {done.returncode}")
+        return done.stdout.decode("utf-8", "replace")
+
+
+def segments(printed: str, duration_s: float) -> list[TimedPhones]:
+    """What `-psdur` prints, `pau:0.193 p:0.271 ...`, as far as the sound goes.
+
+    The last pause is longer or shorter than the sound, by up to 0.12 s; it ends with the sound.
+    Raises SynthesisError for another print.
+    """
+    found: list[TimedPhones] = []
+    start_s = 0.0
+    for word in printed.split():
+        segment, _, end = word.rpartition(":")
+        phone = _PHONE_OF.get(segment, segment.upper())
+        try:
+            end_s = min(float(end), duration_s)
+        except ValueError:
+            phone = ""
+        if phone not in PHONEMES:
+            raise SynthesisError(f"flite printed {word[:40]!r}, which is no segment and its end")
+        if end_s > start_s:
+            found.append(TimedPhones((phone,), start_s, end_s))
+            start_s = end_s
+    if duration_s > start_s:
+        found.append(TimedPhones((SILENCE,), start_s, duration_s))
+    return found
+
+
+def _within_one(samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.clip(samples, -1.0, 1.0)

@@ -1,0 +1,51 @@
+"""The speech synthesisers by name, and long texts sentence by sentence."""
+
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
+
+from lipsync.text_to_speech.espeak import Espeak
+from lipsync.text_to_speech.flite import Flite
+from lipsync.text_to_speech.spoken_text import (
+    DEFAULT_VOICE,
+    SpokenText,
+    SynthesisError,
+    Synthesizer,
+    UnspeakableTextError,
+    Voice,
+)
+from lipsync.text_to_speech.written_text import pieces, readable
+
+#: A sentence longer than this, in characters, is cut: 25 s of speech.
+LONGEST_PIECE = 400
+
+SYNTHESIZERS: Mapping[str, Callable[[], Synthesizer]] = MappingProxyType(
+    {"espeak": Espeak, "flite": Flite}
+)
+
+
+def synthesizer_for(name: str = "espeak") -> Synthesizer:
+    """One of `SYNTHESIZERS`. Raises SynthesisError for another, and where it is not installed."""
+    if name not in SYNTHESIZERS:
+        raise SynthesisError(f"no synthesiser {name!r}; there are: {', '.join(SYNTHESIZERS)}")
+    return SYNTHESIZERS[name]()
+
+
+def speak_in_pieces(
+    synthesizer: Synthesizer, text: str, voice: Voice = DEFAULT_VOICE
+) -> Iterator[SpokenText]:
+    """Speak a text of any length sentence by sentence, each when it is asked for.
+
+    So the first sounds soon, and no more than one is held. Pieces in which nothing can be spoken,
+    as a line of dashes, are left out. Raises UnspeakableTextError at the end where all were, and
+    SynthesisError as `speak` does.
+    """
+    is_spoken = False
+    for piece in pieces(readable(text), LONGEST_PIECE):
+        try:
+            spoken = synthesizer.speak(piece, voice)
+        except UnspeakableTextError:
+            continue
+        is_spoken = True
+        yield spoken
+    if not is_spoken:
+        raise UnspeakableTextError("the text holds nothing that can be spoken; write words")
