@@ -4,26 +4,30 @@ import threading
 from collections.abc import Iterator
 from typing import Final
 
-from lipsync.text_to_speech.espeak import speak_in_pieces
-
+from lipservo.street.sources import warn
 from lipsync.audio.playout import Playout
+from lipsync.audio.playout_events import PlayoutRequest
 from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.errors import UserError
+from lipsync.text_to_speech.spoken_text import SpokenText, Voice
+from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
 #: Synthesised so far ahead of what is being said: a sentence or two.
 _AHEAD_S: Final = 20.0
 _LOOK_AGAIN_S: Final = 0.1
 _END_S: Final = 2.0
+_LANGUAGE: Final = "en-us"
 
 
 class SpokenWords:
     """Synthesises to the end of the text, or until `close`, or until what it said is dropped."""
 
     def __init__(self, text: str, language: str, playout: Playout, name: str = "text") -> None:
-        """name: of the streams, one for each sentence. Raises UserError for what nobody can say."""
+        """name: of the streams, one for each sentence. Raises SynthesisError."""
         self._name = name
         self._playout = playout
         self._closed = threading.Event()
-        pieces = speak_in_pieces(text, language=language)
+        pieces = speak_in_pieces(synthesizer_for(), text, Voice(language or _LANGUAGE))
         # The first sentence is spoken before anything moves: a mistake is told at once.
         self._newest = self._say(next(pieces))
         playout.announced.add(self)

@@ -1,56 +1,37 @@
-"""A microphone, through PortAudio.
+"""A microphone, through PortAudio."""
 
-sounddevice is imported only when a microphone is asked for: a robot that plays files needs no
-PortAudio.
-"""
-
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from types import ModuleType
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 import soxr
 from numpy.typing import NDArray
 
 from lipsync.audio.cutter import BLOCK_SAMPLES, BlockCutter
+from lipsync.audio.device_watch import DeviceWatch
+from lipsync.audio.devices import (
+    OpenStream,
+    find_device,
+    import_sounddevice,
+    is_number,
+    start_stream,
+)
 from lipsync.audio.source import SoundError
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 
+Samples = NDArray[np.float32]
+
 #: Sound that waited longer than this is not worth showing any more; the oldest is dropped.
-QUEUE_S = 2.0
+QUEUE_S: Final = 2.0
 #: A clock of the sound card that reports a longer gap than this is ignored.
-LONGEST_GAP_S = 10.0
+LONGEST_GAP_S: Final = 10.0
+#: A device that says that it captured sound longer ago than this does not know.
+_OLDEST_S: Final = 2.0
 #: soxr's "LQ" is flat to 6 kHz and holds back at most 20 ms; "HQ" gains 1.5 kHz for 37 ms (48 kHz).
-RESAMPLING = "LQ"
-
-
-@dataclass(frozen=True, slots=True)
-class InputDevice:
-    """A device that can be listened to; `sample_rate_hz` is the rate it likes best."""
-
-    index: int
-    name: str
-    n_channels: int
-    sample_rate_hz: int
-    is_default: bool
-
-
-def input_devices() -> tuple[InputDevice, ...]:
-    """All devices with at least one input channel; SoundError when there is no PortAudio."""
-    sounddevice = _sounddevice()
-    default_index = sounddevice.default.device[0]
-    return tuple(
-        InputDevice(
-            index=index,
-            name=str(device["name"]),
-            n_channels=int(device["max_input_channels"]),
-            sample_rate_hz=round(device["default_samplerate"]),
-            is_default=index == default_index,
-        )
-        for index, device in enumerate(sounddevice.query_devices())
-        if device["max_input_channels"] > 0
-    )
+RESAMPLING: Final = "LQ"
 
 
 class MicrophoneSource:
@@ -60,17 +41,29 @@ class MicrophoneSource:
     the computer read too late or the device overran, becomes silence of the same length, so
     that sound time goes on being right. Sound that has arrived counts, not the clock: pass
     `until_s=inf` to `blocks` for all of it. Raises SoundError for no PortAudio, no or unknown
-    device, a device that refuses to open, and one that is unplugged.
+    device, and one that refuses to open. A device that is lost later is silent as long as it is
+    away; it is looked for once a second, by name, in a thread of its own.
     """
 
     duration_s: float | None = None
     is_live = True
 
-    def __init__(self, device: str | int | None = None) -> None:
-        self._sounddevice = _sounddevice()
-        self._device = _find(self._sounddevice, device)
-        self._stream: _Stream | None = None
-        self._start_afresh(SAMPLE_RATE_HZ)
+    def __init__(
+        self,
+        device: str | int | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        is_watched: bool = True,
+    ) -> None:
+        """is_watched: False where somebody else calls `watch.look` from time to time."""
+        self._sounddevice = import_sounddevice()
+        self._device = find_device(device, "input")
+        # A number may be another device's after the next plug.
+        self._wanted = self._device.lasting_name if is_number(device) else device
+        self._clock = clock
+        self._is_watched = is_watched
+        self.watch = DeviceWatch(self._open, clock)
+        self._start_afresh()
 
     @property
     def name(self) -> str:
@@ -80,60 +73,84 @@ class MicrophoneSource:
     @property
     def lost_blocks(self) -> int:
         """Blocks' worth of sound replaced by silence so far, rounded up at each loss."""
-        return self._lost_blocks
+        return self._lost_blocks + -(-self._n_away // BLOCK_SAMPLES)
+
+    @property
+    def n_losses(self) -> int:
+        """How often the device was lost so far: unplugged, or it stopped."""
+        return self.watch.n_losses
+
+    @property
+    def is_lost(self) -> bool:
+        """The device is gone, and looked for."""
+        return self.watch.is_lost
+
+    @property
+    def captured(self) -> tuple[float, float] | None:
+        """(monotonic seconds, sound time captured then) by the device's own newest time stamp.
+
+        Of what `blocks` has seen; None before the first.
+        """
+        return self._captured
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """The blocks not handed out before that end at or before sound time `until_s`."""
-        if self._stream is not None and not self._stream.active:
-            raise SoundError(f"microphone {self.name!r} stopped; check its plug and start again")
-        while self._arrived:
-            first_sample, samples = self._arrived.popleft()
-            self._push(np.zeros(first_sample - self._n_taken, dtype=np.float32), is_lost=True)
-            self._push(samples, is_lost=False)
+        now_s = self._clock()
+        while self._captures:
+            capture = self._captures[0]
+            while capture.arrived:
+                self._take(capture, capture.arrived.popleft())
+            if len(self._captures) == 1:
+                break
+            self._end(self._captures.popleft())
+        if self.watch.is_lost and self._captures:
+            self._end(self._captures[0])
+            self._be_silent(now_s)
         return self._cutter.take(until_s)
 
     def __enter__(self) -> "MicrophoneSource":
+        self._start_afresh()
+        self.watch.open()
+        if self._is_watched:
+            self.watch.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.watch.close()
+
+    def _start_afresh(self) -> None:
+        # One for each time that the device was opened; all but the newest have ended.
+        self._captures: deque[_Capture] = deque()
+        self._n_pushed = 0  # samples at 16 kHz that went on to the cutter
+        self._lost_blocks = 0
+        self._n_away = 0  # samples of silence at 16 kHz, given while the device was away
+        # The clock when the last sound came, or until when there was silence in its place.
+        self._until_s = self._clock()
+        self._captured: tuple[float, float] | None = None
+        self._cutter = BlockCutter()
+
+    def _open(self) -> OpenStream:
+        self._device = find_device(self._wanted, "input")
         rate_hz, n_channels = self._rate_and_channels()
-        self._start_afresh(rate_hz)
+        capture = _Capture(rate_hz, self._clock, self.watch)
         try:
-            self._stream = self._sounddevice.InputStream(
+            stream: OpenStream = self._sounddevice.InputStream(
                 device=self._device.index,
                 samplerate=rate_hz,
                 channels=n_channels,
                 blocksize=round(BLOCK_S * rate_hz),
                 dtype="float32",
                 latency="low",
-                callback=self._hear,
+                callback=capture.hear,
             )
-            self._stream.start()
+            capture.stream = stream
+            self._captures.append(capture)
+            start_stream(stream)
         except self._sounddevice.PortAudioError as error:
-            self.__exit__()
             raise SoundError(
                 f"microphone {self.name!r} cannot be opened ({error}); close what else uses it"
             ) from error
-        return self
-
-    def __exit__(self, *exc: object) -> None:
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
-
-    def _start_afresh(self, rate_hz: int) -> None:
-        n_queued = round(QUEUE_S / BLOCK_S)
-        self._arrived: deque[tuple[int, NDArray[np.float32]]] = deque(maxlen=n_queued)
-        self._rate_hz = rate_hz
-        self._n_heard = 0  # samples at the device's rate, lost ones among them: the callback's
-        self._next_adc_s: float | None = None  # when the device takes the next sample: likewise
-        self._n_taken = 0  # samples at the device's rate that went on to the cutter
-        self._lost_blocks = 0
-        self._cutter = BlockCutter()
-        self._resampler = (
-            None
-            if rate_hz == SAMPLE_RATE_HZ
-            else soxr.ResampleStream(
-                rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32", quality=RESAMPLING
-            )
-        )
+        return stream
 
     def _rate_and_channels(self) -> tuple[int, int]:
         """16 kHz mono if the device can, else its own rate and as few channels as it allows."""
@@ -151,46 +168,115 @@ class MicrophoneSource:
             return rate_hz, n_channels
         return own_rate_hz, all_channels
 
-    def _hear(
-        self,
-        frames: NDArray[np.float32],
-        n_frames: int,
-        timing: "_Timing",
-        status: "_Status",
-    ) -> None:
+    def _take(self, capture: "_Capture", arrival: "_Arrival") -> None:
+        """What one callback brought, after silence for what is missing before it."""
+        if capture.begins_s is None:
+            if self.n_losses:  # the device was away
+                self._be_silent(arrival.called_s - len(arrival.samples) / capture.rate_hz)
+            capture.begins_s = self._n_pushed / SAMPLE_RATE_HZ
+        n_missing = arrival.first_sample - capture.n_taken
+        if n_missing:
+            lost = capture.convert(np.zeros(n_missing, dtype=np.float32))
+            self._lost_blocks += -(-len(lost) // BLOCK_SAMPLES)
+            self._push(lost)
+        self._push(capture.convert(arrival.samples))
+        self._until_s = arrival.called_s
+        sound_s = capture.begins_s + arrival.first_sample / capture.rate_hz
+        self._captured = (arrival.captured_s, sound_s)
+
+    def _end(self, capture: "_Capture") -> None:
+        """The last of what a device that is gone had brought."""
+        self._push(capture.rest())
+
+    def _be_silent(self, until_s: float) -> None:
+        """Silence in place of a device that is away, to that moment of the clock."""
+        n = max(0, round((until_s - self._until_s) * SAMPLE_RATE_HZ))
+        self._until_s += n / SAMPLE_RATE_HZ
+        self._n_away += n
+        self._push(np.zeros(n, dtype=np.float32))
+
+    def _push(self, samples: Samples) -> None:
+        self._n_pushed += len(samples)
+        self._cutter.push(np.clip(np.nan_to_num(samples), -1.0, 1.0))
+
+
+@dataclass(frozen=True, slots=True)
+class _Arrival:
+    """What one callback brought.
+
+    first_sample: of this opening of the device, at its rate. captured_s, called_s: when the first
+    sample was captured, and when the callback came, on the monotonic clock.
+    """
+
+    first_sample: int
+    samples: Samples
+    captured_s: float
+    called_s: float
+
+
+class _Capture:
+    """One opening of the device: its callback queues, `MicrophoneSource.blocks` takes."""
+
+    stream: OpenStream
+
+    def __init__(self, rate_hz: int, clock: Callable[[], float], watch: DeviceWatch) -> None:
+        self.rate_hz = rate_hz
+        self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
+        #: The reader's: sound time of the first sample, and samples taken so far.
+        self.begins_s: float | None = None
+        self.n_taken = 0
+        self._clock = clock
+        self._watch = watch
+        self._n_heard = 0  # samples at the device's rate, lost ones among them: the callback's
+        self._next_adc_s: float | None = None  # when the device takes the next sample: likewise
+        is_same = rate_hz == SAMPLE_RATE_HZ
+        self._resampler = (
+            None
+            if is_same
+            else soxr.ResampleStream(
+                rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32", quality=RESAMPLING
+            )
+        )
+
+    def hear(self, frames: Samples, n_frames: int, timing: "_Timing", status: "_Status") -> None:
         """PortAudio's thread: note what was lost before these frames (n, channels), queue a copy.
 
         A full queue drops its oldest entry; the reader sees the hole in the sample count.
         """
+        called_s, adc_s = self._clock(), timing.inputBufferAdcTime
+        # The stream's clock is not the monotonic one: only a difference is used.
+        age_s = self.stream.time - adc_s
+        length_s = n_frames / self.rate_hz
+        if not (adc_s > 0.0 and 0.0 <= age_s < _OLDEST_S):
+            age_s = max(length_s, self.stream.latency)
         if status.input_overflow:
-            self._n_heard += self._n_lost(timing.inputBufferAdcTime, n_frames)
-        self._arrived.append((self._n_heard, frames.mean(axis=1)))
+            self._n_heard += self._n_lost(adc_s, n_frames)
+        samples: Samples = frames.mean(axis=1)
+        self.arrived.append(_Arrival(self._n_heard, samples, called_s - age_s, called_s))
         self._n_heard += n_frames
-        self._next_adc_s = timing.inputBufferAdcTime + n_frames / self._rate_hz
+        self._next_adc_s = adc_s + length_s
+        self._watch.called_s = called_s
+
+    def convert(self, samples: Samples) -> Samples:
+        """The next samples, at 16 kHz; some are held back until more has come."""
+        self.n_taken += len(samples)
+        if self._resampler is None:
+            return samples
+        converted: Samples = self._resampler.resample_chunk(samples)
+        return converted
+
+    def rest(self) -> Samples:
+        """What was held back; the device is gone. Once."""
+        if self._resampler is None:
+            return np.zeros(0, dtype=np.float32)
+        rest: Samples = self._resampler.resample_chunk(np.zeros(0, np.float32), last=True)
+        self._resampler = None
+        return rest
 
     def _n_lost(self, adc_s: float, n_frames: int) -> int:
         """Samples lost before a buffer taken at `adc_s`; one buffer when the clock does not say."""
         gap_s = 0.0 if self._next_adc_s is None else adc_s - self._next_adc_s
-        return round(gap_s * self._rate_hz) if 0.0 < gap_s <= LONGEST_GAP_S else n_frames
-
-    def _push(self, samples: NDArray[np.float32], *, is_lost: bool) -> None:
-        if len(samples) == 0:
-            return
-        self._n_taken += len(samples)
-        if self._resampler is not None:
-            samples = self._resampler.resample_chunk(samples)
-        if is_lost:
-            self._lost_blocks += -(-len(samples) // BLOCK_SAMPLES)
-        self._cutter.push(np.clip(np.nan_to_num(samples), -1.0, 1.0))
-
-
-class _Stream(Protocol):
-    """What is used of `sounddevice.InputStream`."""
-
-    @property
-    def active(self) -> bool: ...
-    def start(self) -> None: ...
-    def close(self) -> None: ...
+        return round(gap_s * self.rate_hz) if 0.0 < gap_s <= LONGEST_GAP_S else n_frames
 
 
 class _Timing(Protocol):
@@ -203,34 +289,3 @@ class _Status(Protocol):
     """What is used of `sounddevice.CallbackFlags`."""
 
     input_overflow: bool
-
-
-def _sounddevice() -> ModuleType:
-    """The sounddevice module, or SoundError when it or its PortAudio library is missing."""
-    try:
-        import sounddevice
-    except ImportError as error:
-        raise SoundError(
-            "no sounddevice package: install it with `pip install sounddevice`"
-        ) from error
-    except OSError as error:  # what it raises when the library is not found
-        raise SoundError(
-            "no PortAudio library: install it with `apt install libportaudio2`"
-        ) from error
-    module: ModuleType = sounddevice
-    return module
-
-
-def _find(sounddevice: ModuleType, wanted: str | int | None) -> InputDevice:
-    devices = input_devices()
-    if not devices:
-        raise SoundError("no microphone: plug one in, or play a file instead")
-    # A shell hands an index over as text.
-    key = int(wanted) if isinstance(wanted, str) and wanted.isdecimal() else wanted
-    try:
-        index = sounddevice.query_devices(key, "input")["index"]
-        return next(device for device in devices if device.index == index)
-    except (ValueError, StopIteration, sounddevice.PortAudioError) as error:
-        known = "; ".join(f"{device.index} {device.name}" for device in devices)
-        what = "no default microphone" if wanted is None else f"no single microphone {wanted!r}"
-        raise SoundError(f"{what}; name one of: {known}") from error

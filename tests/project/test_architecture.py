@@ -71,7 +71,7 @@ def told_files(header):
 
 
 def test_every_thread_is_told():
-    assert starters(r"threading\.Thread\(|\.InputStream\(") == told_files("thread")
+    assert starters(r"threading\.Thread\(|\.(?:In|Out)putStream\(") == told_files("thread")
 
 
 def test_every_socket_is_told():

@@ -1,6 +1,6 @@
 """`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +40,7 @@ from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import CLIP, SILENCE, Sound, chosen_sound, open_sound
 from lipservo.street.spoken_sound import entered_sound
 from lipservo.street.summary import print_summary
-from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipservo.terminal.output import RESULTS, print_json
 
 
 @takes_motion
@@ -155,21 +155,6 @@ def replay(
     with open_sound(request.sound) as source:
         outcome = run_face(request, source, ManualClock())
     _finish(replace(request, quiet=quiet), outcome)
-
-
-def devices(as_json: Json = False) -> None:
-    """List the microphones that `run --mic DEVICE` can listen to."""
-    from lipsync.audio.microphone import input_devices
-
-    found = input_devices()
-    if as_json:
-        print_json({"devices": [asdict(device) for device in found]})
-        return
-    for device in found:
-        mark = "*" if device.is_default else " "
-        RESULTS.print(f"{mark} {device.index:3d}  {device.name}, {device.sample_rate_hz} Hz")
-    if not found:
-        MESSAGES.print("no microphone found")
 
 
 def _sound(

@@ -1,91 +1,22 @@
 import math
-import sys
-from types import SimpleNamespace
+from functools import partial
 
 import numpy as np
 import pytest
+from fake_sound_card import device, install_sound_card
 
-from lipsync.audio.microphone import QUEUE_S, MicrophoneSource, input_devices
+from lipsync.audio.microphone import QUEUE_S, MicrophoneSource
 from lipsync.audio.source import SoundError
-
-
-class FakePortAudioError(Exception):
-    pass
-
-
-class FakeStream:
-    """A sound card that delivers when the test says so."""
-
-    def __init__(self, *, samplerate, channels, callback, **_settings):
-        self.rate_hz, self.n_channels, self.callback = samplerate, channels, callback
-        self.active = False
-        self.adc_s = 100.0  # PortAudio's clock starts anywhere
-
-    def start(self):
-        self.active = True
-
-    def close(self):
-        self.active = False
-
-    def deliver(self, samples, *, lost_before_s=0.0, overflow=False):
-        self.adc_s += lost_before_s
-        frames = np.repeat(np.asarray(samples, np.float32)[:, None], self.n_channels, axis=1)
-        timing = SimpleNamespace(inputBufferAdcTime=self.adc_s)
-        self.callback(frames, len(frames), timing, SimpleNamespace(input_overflow=overflow))
-        frames[:] = np.nan  # PortAudio takes its buffer back
-        self.adc_s += len(samples) / self.rate_hz
-
-
-class FakeSoundDevice:
-    """What lipservo uses of the sounddevice module, over invented hardware."""
-
-    PortAudioError = FakePortAudioError
-
-    def __init__(self, devices, rates_hz):
-        self.devices, self.rates_hz, self.streams = devices, rates_hz, []
-        self.default = SimpleNamespace(device=(1 if devices else -1, -1))
-
-    def query_devices(self, device=None, kind=None):
-        if kind is None:
-            return self.devices
-        wanted = self.default.device[0] if device is None else device
-        found = [
-            d
-            for d in self.devices
-            if d["index"] == wanted or (isinstance(wanted, str) and wanted in d["name"])
-        ]
-        if len(found) != 1:
-            raise ValueError(f"No input device matching {device!r}")
-        return found[0]
-
-    def check_input_settings(self, *, samplerate, **_settings):
-        if samplerate not in self.rates_hz:
-            raise self.PortAudioError("Invalid sample rate")
-
-    def InputStream(self, **settings):  # noqa: N802 - sounddevice's name
-        self.streams.append(FakeStream(**settings))
-        return self.streams[-1]
-
-
-def device(index, name, n_inputs):
-    return {
-        "index": index,
-        "name": name,
-        "max_input_channels": n_inputs,
-        "default_samplerate": 48_000.0,
-    }
 
 
 @pytest.fixture
 def install(monkeypatch):
-    def put(devices=None, rates_hz=(16_000, 48_000)):
-        if devices is None:
-            devices = [device(0, "loudspeaker", 0), device(1, "USB mic", 1), device(2, "array", 4)]
-        module = FakeSoundDevice(devices, rates_hz)
-        monkeypatch.setitem(sys.modules, "sounddevice", module)
-        return module
+    return partial(install_sound_card, monkeypatch)
 
-    return put
+
+def listen(card, device=None):
+    """A microphone of that card, by its clock, looked after by the test."""
+    return MicrophoneSource(device, clock=card.clock, is_watched=False)
 
 
 def ramp(n_samples, rate_hz=16_000):
@@ -98,20 +29,20 @@ def heard(blocks):
 
 def test_what_the_device_delivers_comes_out_in_blocks_of_10_ms(install):
     card = install()
-    with MicrophoneSource() as microphone:
-        card.streams[0].deliver(ramp(400))
+    with listen(card) as microphone:
+        card.inputs[0].deliver(ramp(400))
         blocks = microphone.blocks(math.inf)
 
     assert [block.start_s for block in blocks] == [0.0, 0.01]
     np.testing.assert_array_equal(heard(blocks), ramp(320).astype(np.float32))
-    assert microphone.name == "USB mic"
-    assert not card.streams[0].active
+    assert microphone.name == "USB mic: - (hw:2,0)"
+    assert not card.inputs[0].active
 
 
 def test_blocks_later_than_asked_for_wait(install):
     card = install()
-    with MicrophoneSource() as microphone:
-        card.streams[0].deliver(ramp(800))
+    with listen(card) as microphone:
+        card.inputs[0].deliver(ramp(800))
 
         assert [b.start_s for b in microphone.blocks(0.02)] == [0.0, 0.01]
         assert [b.start_s for b in microphone.blocks(math.inf)] == [0.02, 0.03, 0.04]
@@ -120,9 +51,9 @@ def test_blocks_later_than_asked_for_wait(install):
 def test_sound_dropped_from_a_full_queue_is_replaced_by_silence_of_the_same_length(install):
     card = install()
     n_queued = round(QUEUE_S * 100)
-    with MicrophoneSource() as microphone:
+    with listen(card) as microphone:
         for n in range(n_queued + 30):
-            card.streams[0].deliver(np.full(160, (n + 1) / 1_000))
+            card.inputs[0].deliver(np.full(160, (n + 1) / 1_000))
         blocks = microphone.blocks(math.inf)
 
     assert microphone.lost_blocks == 30
@@ -134,9 +65,9 @@ def test_sound_dropped_from_a_full_queue_is_replaced_by_silence_of_the_same_leng
 
 def test_sound_that_the_device_lost_is_replaced_by_as_much_silence_as_its_clock_says(install):
     card = install()
-    with MicrophoneSource() as microphone:
-        card.streams[0].deliver(np.full(160, 0.1))
-        card.streams[0].deliver(np.full(160, 0.2), lost_before_s=0.05, overflow=True)
+    with listen(card) as microphone:
+        card.inputs[0].deliver(np.full(160, 0.1))
+        card.inputs[0].deliver(np.full(160, 0.2), lost_before_s=0.05, overflow=True)
         blocks = microphone.blocks(math.inf)
 
     assert [float(b.samples[0]) for b in blocks] == pytest.approx([0.1, 0, 0, 0, 0, 0, 0.2])
@@ -145,9 +76,9 @@ def test_sound_that_the_device_lost_is_replaced_by_as_much_silence_as_its_clock_
 
 def test_a_device_clock_that_says_nothing_costs_one_block(install):
     card = install()
-    with MicrophoneSource() as microphone:
-        card.streams[0].deliver(np.full(160, 0.1))
-        card.streams[0].deliver(np.full(160, 0.2), overflow=True)
+    with listen(card) as microphone:
+        card.inputs[0].deliver(np.full(160, 0.1))
+        card.inputs[0].deliver(np.full(160, 0.2), overflow=True)
 
         assert len(microphone.blocks(math.inf)) == 3
         assert microphone.lost_blocks == 1
@@ -156,8 +87,8 @@ def test_a_device_clock_that_says_nothing_costs_one_block(install):
 def test_a_device_that_cannot_do_16_khz_is_opened_at_its_own_rate_and_resampled(install):
     card = install(rates_hz=(48_000,))
     tone = np.sin(2 * np.pi * 300 * np.arange(48_000) / 48_000)
-    with MicrophoneSource("array") as microphone:
-        stream = card.streams[0]
+    with listen(card, "array") as microphone:
+        stream = card.inputs[0]
         for first in range(0, 48_000, 480):
             stream.deliver(0.5 * tone[first : first + 480])
         samples = heard(microphone.blocks(math.inf))
@@ -170,12 +101,12 @@ def test_a_device_that_cannot_do_16_khz_is_opened_at_its_own_rate_and_resampled(
 
 def test_listening_again_starts_at_sound_time_zero(install):
     card = install()
-    microphone = MicrophoneSource()
+    microphone = listen(card)
     with microphone:
-        card.streams[0].deliver(ramp(480))
+        card.inputs[0].deliver(ramp(480))
         microphone.blocks(math.inf)
     with microphone:
-        card.streams[1].deliver(ramp(160))
+        card.inputs[1].deliver(ramp(160))
 
         assert [b.start_s for b in microphone.blocks(math.inf)] == [0.0]
 
@@ -190,45 +121,107 @@ def test_a_device_is_named_by_index_or_by_part_of_its_name(install, wanted):
 def test_an_unknown_device_is_refused_with_the_list_of_those_there_are(install):
     install()
 
-    with pytest.raises(SoundError, match=r"no single microphone 'webcam'; .*1 USB mic; 2 array"):
+    with pytest.raises(SoundError, match=r"no single microphone 'webcam'; .*1 USB mic.*; 2 array"):
         MicrophoneSource("webcam")
 
 
-def test_an_unplugged_device_is_reported(install):
+def test_a_device_that_is_lost_is_silent_until_it_is_found_again(install):
+    """The clock goes on: a second away is a second of silence, whatever its number is now."""
     card = install()
-    with MicrophoneSource() as microphone:
-        card.streams[0].active = False
+    with listen(card, "USB mic") as microphone:
+        card.inputs[0].deliver(np.full(160, 0.1))
+        assert len(microphone.blocks(math.inf)) == 1
+        card.inputs[0].active = False
+        card.now_s += 0.25
+        microphone.watch.look()
+        away = microphone.blocks(math.inf)
+        card.plugged = [device(0, "array", n_inputs=4), device(1, "USB mic: - (hw:7,0)", 1)]
+        card.now_s += 0.75
+        microphone.watch.look()
+        card.now_s += 0.51
+        card.inputs[1].deliver(np.full(160, 0.2))
+        back = microphone.blocks(math.inf)
 
-        with pytest.raises(SoundError, match="microphone 'USB mic' stopped"):
-            microphone.blocks(math.inf)
+    assert len(away) == 25
+    assert not np.any(heard(away))
+    assert len(back) == 125 + 1
+    assert back[-1].samples[0] == np.float32(0.2)
+    assert back[-1].end_s == pytest.approx(0.01 + 1.51)
+    assert (microphone.n_losses, microphone.lost_blocks) == (1, 150)
+    assert microphone.name == "USB mic: - (hw:7,0)"
+
+
+def test_a_lost_device_is_tried_again_at_most_once_a_second(install):
+    card = install()
+    with listen(card) as microphone:
+        card.plugged = []
+        card.inputs[0].active = False
+        for _ in range(100):
+            card.now_s += 0.1
+            microphone.watch.look()
+        assert microphone.is_lost
+        assert 9 <= card.n_looks <= 10
+        assert len(microphone.blocks(math.inf)) == pytest.approx(1000, abs=1)
+
+
+def test_a_device_that_stops_calling_is_lost_although_it_says_that_it_is_active(install):
+    card = install()
+    with listen(card) as microphone:
+        for _ in range(400):
+            card.now_s += 0.01
+            card.inputs[0].deliver(np.full(160, 0.1))
+            microphone.watch.look()
+        assert not microphone.is_lost
+        card.now_s += 0.6
+        microphone.watch.look()
+        assert microphone.n_losses == 1
+        assert card.inputs[0].is_closed
+        assert len(card.inputs) == 2
+
+
+def test_what_the_resampler_held_is_heard_before_the_silence(install):
+    """Sound time stays the clock's: 1.00 s heard, and 0.20 s of silence."""
+    card = install(rates_hz=(48_000,))
+    with listen(card) as microphone:
+        for _ in range(100):
+            card.inputs[0].deliver(np.full(480, 0.5))
+        card.inputs[0].active = False
+        microphone.watch.look()
+        card.now_s += 0.2
+        samples = heard(microphone.blocks(math.inf))
+        assert len(samples) == pytest.approx(16_000, abs=160)
+        card.now_s += 0.2
+        samples = np.concatenate((samples, heard(microphone.blocks(math.inf))))
+
+    assert len(samples) == pytest.approx(16_000 + 3_200, abs=160)
+    np.testing.assert_allclose(samples[400:15_800], 0.5, atol=1e-2)
+    assert not np.any(samples[16_100:])
+
+
+def test_a_device_that_refuses_at_the_start_is_an_error_in_one_line(install):
+    card = install()
+    card.refuses_to_start = True
+    with pytest.raises(SoundError, match=r"microphone 'USB mic.*' cannot be opened"):
+        listen(card).__enter__()
+    assert card.inputs[0].is_closed
+
+
+@pytest.mark.parametrize(("age_s", "expected_s"), [(0.03, 0.03), (-5.0, 0.06), (9.0, 0.06)])
+def test_when_sound_was_captured_is_told_by_the_clock_of_the_card_if_it_makes_sense(
+    install, age_s, expected_s
+):
+    card = install()
+    with listen(card) as microphone:
+        card.inputs[0].deliver(np.zeros(160), age_s=age_s)
+        card.now_s += 0.01
+        card.inputs[0].deliver(np.zeros(160), age_s=age_s)
+        microphone.blocks(math.inf)
+
+    assert microphone.captured == (pytest.approx(100.01 - expected_s), 0.01)
 
 
 def test_a_computer_without_a_microphone_is_told_so(install):
-    install(devices=[device(0, "loudspeaker", 0)])
+    install(devices=[device(0, "loudspeaker", n_outputs=2)])
 
     with pytest.raises(SoundError, match="no microphone: plug one in"):
         MicrophoneSource()
-
-
-def test_a_missing_portaudio_is_reported_with_the_command_that_installs_it(monkeypatch):
-    class Finder:
-        """Importing sounddevice ends as it does where the library is not found."""
-
-        def find_spec(self, name, _path, _target=None):
-            if name == "sounddevice":
-                raise OSError("PortAudio library not found")
-
-    monkeypatch.delitem(sys.modules, "sounddevice", raising=False)
-    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
-
-    with pytest.raises(SoundError, match="apt install libportaudio2"):
-        MicrophoneSource()
-
-
-def test_only_devices_with_inputs_are_listed_and_the_default_is_marked(install):
-    install()
-
-    assert [(d.index, d.name, d.n_channels, d.is_default) for d in input_devices()] == [
-        (1, "USB mic", 1, True),
-        (2, "array", 4, False),
-    ]

@@ -1,0 +1,28 @@
+"""`devices`: what can be listened to, and what can be played on."""
+
+from dataclasses import asdict
+
+from lipservo.commands.options import Json
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+
+
+def devices(as_json: Json = False) -> None:
+    """List the microphones and loudspeakers that can be named by number or part of their name."""
+    from lipsync.audio.devices import sound_devices
+
+    inputs, outputs = sound_devices("input"), sound_devices("output")
+    if as_json:
+        told = {"inputs": inputs, "outputs": outputs}
+        print_json({key: [asdict(each) for each in found] for key, found in told.items()})
+        return
+    for word, found in (("microphone", inputs), ("loudspeaker", outputs)):
+        if not found:
+            MESSAGES.print(f"no {word} found")
+            continue
+        RESULTS.print(f"{word}s")
+        for device in found:
+            mark = "*" if device.is_default else " "
+            RESULTS.print(
+                f"{mark} {device.index:3d}  {device.name}, {device.sample_rate_hz} Hz",
+                soft_wrap=True,
+            )

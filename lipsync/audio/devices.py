@@ -1,0 +1,185 @@
+"""Sound devices, through PortAudio: which there are, which is meant, and opening one.
+
+sounddevice is imported only when a device is asked for: a robot that plays files to a face without
+a loudspeaker needs no PortAudio.
+"""
+
+import re
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Final, Literal, Protocol
+
+from lipsync.audio.source import SoundError
+
+Direction = Literal["input", "output"]
+#: What people call a device of each direction.
+_WORD: Final[dict[Direction, str]] = {"input": "microphone", "output": "loudspeaker"}
+#: ALSA's number of card and device, which changes with the order in which things are plugged in.
+_CARD_NUMBER: Final = re.compile(r"\s*\(hw:\d+,\d+\)$")
+
+
+@dataclass(frozen=True, slots=True)
+class SoundDevice:
+    """A device that can be listened to, or played on; `sample_rate_hz` is the rate it likes best.
+
+    n_channels: the most it has in the direction that was asked for.
+    """
+
+    index: int
+    name: str
+    n_channels: int
+    sample_rate_hz: int
+    is_default: bool
+
+    @property
+    def lasting_name(self) -> str:
+        """Its name without ALSA's card number: the same whenever it is plugged in."""
+        return _CARD_NUMBER.sub("", self.name)
+
+
+class OpenStream(Protocol):
+    """What is used of a `sounddevice` stream."""
+
+    @property
+    def active(self) -> bool:
+        """Whether its callback is being called."""
+
+    @property
+    def latency(self) -> float:
+        """What the device claims, in seconds, when it is opened."""
+
+    @property
+    def time(self) -> float:
+        """The clock of its time stamps, in seconds."""
+
+    def start(self) -> None:
+        """Begin to call back."""
+
+    def abort(self) -> None:
+        """End at once, whatever waits to be played; errors are ignored."""
+
+    def close(self) -> None:
+        """Give the device back; errors are ignored."""
+
+
+def import_sounddevice() -> ModuleType:
+    """The sounddevice module, or SoundError when it or its PortAudio library is missing."""
+    try:
+        import sounddevice
+    except ImportError as error:
+        raise SoundError(
+            "no sounddevice package: install it with `pip install sounddevice`"
+        ) from error
+    except OSError as error:  # what it raises when the library is not found
+        raise SoundError(
+            "no PortAudio library: install it with `apt install libportaudio2`"
+        ) from error
+    module: ModuleType = sounddevice
+    return module
+
+
+def sound_devices(direction: Direction) -> tuple[SoundDevice, ...]:
+    """All devices with at least one channel in it; SoundError when there is no PortAudio."""
+    sounddevice = import_sounddevice()
+    default_index = sounddevice.default.device[0 if direction == "input" else 1]
+    channels = f"max_{direction}_channels"
+    return tuple(
+        SoundDevice(
+            index=index,
+            name=str(device["name"]),
+            n_channels=int(device[channels]),
+            sample_rate_hz=round(device["default_samplerate"]),
+            is_default=index == default_index,
+        )
+        for index, device in enumerate(sounddevice.query_devices())
+        if device[channels] > 0
+    )
+
+
+def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
+    """The device of this number, of this name or of the one name it is part of; None: the default.
+
+    Raises SoundError, which lists those there are.
+    """
+    sounddevice = import_sounddevice()
+    devices = sound_devices(direction)
+    word = _WORD[direction]
+    if not devices:
+        otherwise = "play a file instead" if direction == "input" else "leave out --play"
+        raise SoundError(f"no {word}: plug one in, or {otherwise}")
+    # A shell hands an index over as text.
+    key = int(wanted) if wanted is not None and is_number(wanted) else wanted
+    try:
+        index = sounddevice.query_devices(key, direction)["index"]
+        return next(device for device in devices if device.index == index)
+    except (ValueError, StopIteration, sounddevice.PortAudioError) as error:
+        known = "; ".join(f"{device.index} {device.name}" for device in devices)
+        what = f"no default {word}" if wanted is None else f"no single {word} {wanted!r}"
+        raise SoundError(f"{what}; name one of: {known}") from error
+
+
+def is_number(device: str | int | None) -> bool:
+    """Whether a device is meant by its number, which may be another's after the next plug."""
+    return isinstance(device, int) or (device is not None and device.isdecimal())
+
+
+def offset_ms_of(device: str, offsets_ms: Mapping[str, float]) -> float:
+    """What a face says of a device of this name: by its whole name, else by the longest part of it.
+
+    0 where nothing is said.
+    """
+    named = [name for name in offsets_ms if name in device]
+    return offsets_ms[max(named, key=len)] if named else 0.0
+
+
+class _OpenStreams:
+    """How many streams this process has open: while any is, PortAudio must not start again."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.n_open = 0
+
+
+_STREAMS: Final = _OpenStreams()
+
+
+def start_stream(stream: OpenStream) -> None:
+    """Start a stream that was made, and count it. Raises PortAudioError; then it is closed.
+
+    Takes as long as the device takes: never in a tick.
+    """
+    with _STREAMS.lock:
+        _STREAMS.n_open += 1
+    try:
+        stream.start()
+    except BaseException:
+        close_stream(stream)
+        raise
+
+
+def close_stream(stream: OpenStream) -> None:
+    """Close a started stream, whatever has become of its device. Never in a tick."""
+    try:
+        stream.abort()  # a device that is gone would be waited for until its buffers have drained
+        stream.close()
+    finally:
+        with _STREAMS.lock:
+            _STREAMS.n_open -= 1
+
+
+def list_anew() -> bool:
+    """Make PortAudio look for devices again, which it does only when it starts.
+
+    Starting again ends every open stream of the process: while there is one, nothing is done, and
+    the list stays as it was. Gives whether it is new.
+    """
+    sounddevice = import_sounddevice()
+    with _STREAMS.lock:
+        if _STREAMS.n_open:
+            return False
+        # sounddevice has no public name for it; its documentation says to use these two.
+        sounddevice._terminate()
+        sounddevice._initialize()
+    return True

@@ -1,0 +1,235 @@
+"""A loudspeaker, through PortAudio: plays a timeline, and says what of it is heard when."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.audio.device_watch import DeviceWatch
+from lipsync.audio.devices import (
+    OpenStream,
+    SoundDevice,
+    find_device,
+    import_sounddevice,
+    is_number,
+    offset_ms_of,
+    start_stream,
+)
+from lipsync.audio.sample_ring import SampleRing
+from lipsync.audio.source import SoundError
+
+Samples = NDArray[np.float32]
+
+#: Rates that are tried, best first.
+RATES_HZ: Final = (48_000, 44_100, 16_000)
+#: How far ahead the device is asked to take sound. Its callback shares Python with a tick of up to
+#: some milliseconds; the declared delay (0.2 s and more) leaves room for it.
+_BUFFERED_S: Final = 0.05
+_BLOCK_S: Final = 0.01
+#: A device that says that sound leaves it later than this does not know.
+_FARTHEST_S: Final = 2.0
+
+
+class LoudspeakerOutput:
+    """A `lipsync.audio.playout.Loudspeaker`; it plays from `__enter__` to `__exit__`.
+
+    The timeline is what was written, sample by sample. Where nothing is ready zeros are played and
+    the timeline stands still, so that the mouth, which follows `position`, waits for the sound.
+
+    `device`: a number, (part of) a name, or None for the system's default. `offsets_ms`: by device
+    name or part of it, how much later than the device says sound leaves it (Bluetooth: 250).
+    Raises SoundError for no PortAudio, no or unknown device, and one that cannot be opened. One
+    that is lost later is looked for again once a second, by name, in a thread of its own; then the
+    timeline goes on where it stopped.
+    """
+
+    def __init__(
+        self,
+        device: str | int | None = None,
+        offsets_ms: Mapping[str, float] | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        is_watched: bool = True,
+    ) -> None:
+        """is_watched: False where somebody else calls `watch.look` from time to time."""
+        self._sounddevice = import_sounddevice()
+        self._device = find_device(device, "output")
+        # A number may be another device's after the next plug.
+        self._wanted = self._device.lasting_name if is_number(device) else device
+        self._offsets_ms = dict(offsets_ms or {})
+        self._clock = clock
+        self._is_watched = is_watched
+        rate_hz, _ = self._rate_and_channels(RATES_HZ)
+        self._ring = SampleRing(rate_hz)
+        self._report: tuple[float, float] | None = None
+        self._ahead_s = 0.0
+        self._dac_s = -np.inf
+        self._stream: OpenStream
+        self._n_device_underruns = 0
+        self.watch = DeviceWatch(self._open, clock)
+
+    @property
+    def name(self) -> str:
+        """The device's own name."""
+        return self._device.name
+
+    @property
+    def rate_hz(self) -> int:
+        """Samples a second: 48,000 where the device can, else 44,100 or 16,000."""
+        return self._ring.rate_hz
+
+    @property
+    def output_offset_ms(self) -> float:
+        """How much later than it says sound leaves this device, as far as was told."""
+        return offset_ms_of(self._device.name, self._offsets_ms)
+
+    @property
+    def latency_s(self) -> float:
+        """From the device's taking a sample to its being heard: the lead must be at least this.
+
+        Else it finds nothing written when it asks. The larger of what the device claims and has
+        shown so far, a block of 10 ms, and the offset.
+        """
+        stream = self.watch.stream
+        claimed_s = 0.0 if stream is None else stream.latency
+        return max(claimed_s, self._ahead_s) + _BLOCK_S + self.output_offset_ms / 1e3
+
+    @property
+    def claimed_latency_s(self) -> float:
+        """What the device has shown of it by its own time stamps: without the offset."""
+        return self._ahead_s
+
+    @property
+    def is_lost(self) -> bool:
+        """The device is gone: nothing is played, and `position` stays."""
+        return self.watch.is_lost
+
+    @property
+    def n_losses(self) -> int:
+        """How often the device was lost so far."""
+        return self.watch.n_losses
+
+    @property
+    def n_underruns(self) -> int:
+        """How often nothing was written in time while the device asked for more."""
+        return self._ring.n_underruns
+
+    @property
+    def n_device_underruns(self) -> int:
+        """How often the device itself had nothing to play: the computer was too slow for it."""
+        return self._n_device_underruns
+
+    @property
+    def n_lost_samples(self) -> int:
+        """Samples that were written and never taken: more than two seconds waited."""
+        return self._ring.n_lost
+
+    def write(self, samples: Samples) -> None:
+        """The next samples (n,) float32 mono of the timeline."""
+        self._ring.write(samples)
+
+    def silence_rest(self) -> float:
+        """Play silence in place of all that is written and not on its way to the device.
+
+        Gives the timeline position, in seconds, from which on it is silent: 15 ms after what the
+        device has taken, a block that it may be taking just now and a fade of 5 ms.
+        """
+        return self._ring.silence_rest(round(_BLOCK_S * self.rate_hz)) / self.rate_hz
+
+    def position(self) -> tuple[float, float] | None:
+        """(monotonic seconds, timeline seconds that leave the loudspeaker then); None at first.
+
+        The device's newest report, usually of a moment still to come. One tuple: never torn.
+        """
+        return self._report
+
+    def __enter__(self) -> "LoudspeakerOutput":
+        self.watch.open()
+        if self._is_watched:
+            self.watch.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.watch.close()
+
+    def _open(self) -> OpenStream:
+        self._device = find_device(self._wanted, "output")
+        # The timeline is counted in samples: another rate would tear it.
+        rate_hz, n_channels = self._rate_and_channels((self.rate_hz,))
+        try:
+            self._stream = self._sounddevice.OutputStream(
+                device=self._device.index,
+                samplerate=rate_hz,
+                channels=n_channels,
+                blocksize=round(_BLOCK_S * rate_hz),
+                dtype="float32",
+                latency=_BUFFERED_S,
+                callback=self._play,
+            )
+            start_stream(self._stream)
+        except self._sounddevice.PortAudioError as error:
+            raise _cannot_open(self._device, error) from error
+        return self._stream
+
+    def _rate_and_channels(self, rates_hz: tuple[int, ...]) -> tuple[int, int]:
+        """The best rate, and as few channels as the device allows. Raises SoundError."""
+        failure: Exception | None = None
+        for rate_hz in rates_hz:
+            for n_channels in sorted({1, 2, self._device.n_channels}):
+                try:
+                    self._sounddevice.check_output_settings(
+                        device=self._device.index,
+                        channels=n_channels,
+                        dtype="float32",
+                        samplerate=rate_hz,
+                    )
+                except self._sounddevice.PortAudioError as error:
+                    failure = error
+                else:
+                    return rate_hz, n_channels
+        raise _cannot_open(self._device, failure)
+
+    def _play(self, frames: Samples, _n_frames: int, timing: "_Timing", status: "_Status") -> None:
+        """PortAudio's thread: the next samples into frames (n, channels), and when they leave."""
+        called_s, stream_s = self._clock(), self._stream.time
+        position_s = self._ring.n_taken / self.rate_hz
+        self._ring.take_into(frames)
+        if status.output_underflow:
+            self._n_device_underruns += 1
+        self.watch.called_s = called_s
+        ahead_s = self._ahead_of(stream_s, timing.outputBufferDacTime)
+        self._report = (called_s + ahead_s + self.output_offset_ms / 1e3, position_s)
+
+    def _ahead_of(self, stream_s: float, dac_s: float) -> float:
+        """How long after `stream_s` the frames leave the device, if its clock makes sense.
+
+        The stream's clock is not the monotonic one (with ALSA it is the time of day, which may be
+        set): only a difference is used, to its reading at the beginning of the callback.
+        """
+        ahead_s = dac_s - stream_s
+        is_usable = dac_s > self._dac_s and 0.0 <= ahead_s < _FARTHEST_S
+        self._dac_s = dac_s
+        if not is_usable:
+            return self._stream.latency
+        self._ahead_s = max(self._ahead_s, ahead_s)
+        return ahead_s
+
+
+class _Timing(Protocol):
+    """What is used of PaStreamCallbackTimeInfo, in seconds of the stream's clock."""
+
+    outputBufferDacTime: float  # noqa: N815 - PortAudio's name
+
+
+class _Status(Protocol):
+    """What is used of `sounddevice.CallbackFlags`."""
+
+    output_underflow: bool
+
+
+def _cannot_open(device: SoundDevice, error: Exception | None) -> SoundError:
+    return SoundError(
+        f"loudspeaker {device.name!r} cannot be opened ({error}); close what else uses it"
+    )

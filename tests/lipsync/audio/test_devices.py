@@ -1,0 +1,73 @@
+import sys
+
+import pytest
+from fake_sound_card import device, install_sound_card
+
+from lipsync.audio.devices import find_device, list_anew, offset_ms_of, sound_devices
+from lipsync.audio.loudspeaker import LoudspeakerOutput
+from lipsync.audio.microphone import MicrophoneSource
+from lipsync.audio.source import SoundError
+
+
+def test_a_missing_portaudio_is_reported_with_the_command_that_installs_it(monkeypatch):
+    class Finder:
+        """Importing sounddevice ends as it does where the library is not found."""
+
+        def find_spec(self, name, _path, _target=None):
+            if name == "sounddevice":
+                raise OSError("PortAudio library not found")
+
+    monkeypatch.delitem(sys.modules, "sounddevice", raising=False)
+    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
+
+    with pytest.raises(SoundError, match="apt install libportaudio2"):
+        MicrophoneSource()
+
+
+def test_inputs_and_outputs_are_listed_apart_and_the_defaults_are_marked(monkeypatch):
+    install_sound_card(monkeypatch)
+    told = {
+        direction: [(d.index, d.lasting_name, d.n_channels, d.is_default) for d in found]
+        for direction in ("input", "output")
+        if (found := sound_devices(direction))
+    }
+    assert told == {
+        "input": [(1, "USB mic: -", 1, True), (2, "array", 4, False)],
+        "output": [(0, "USB speaker: -", 2, True), (3, "HDMI", 8, False)],
+    }
+
+
+@pytest.mark.parametrize("wanted", [3, "3", "HDMI", "HD"])
+def test_a_loudspeaker_is_named_by_number_or_by_part_of_its_name(monkeypatch, wanted):
+    install_sound_card(monkeypatch)
+    assert find_device(wanted, "output").index == 3
+
+
+def test_a_microphone_is_no_loudspeaker(monkeypatch):
+    install_sound_card(monkeypatch)
+    with pytest.raises(SoundError, match=r"no single loudspeaker 'array'; .*0 USB speaker.*3 HDMI"):
+        find_device("array", "output")
+
+
+def test_a_computer_without_a_loudspeaker_is_told_so(monkeypatch):
+    install_sound_card(monkeypatch, devices=[device(0, "array", n_inputs=4)])
+    with pytest.raises(SoundError, match="no loudspeaker: plug one in, or leave out --play"):
+        find_device(None, "output")
+
+
+def test_the_longest_name_that_is_part_of_the_device_says_its_offset():
+    offsets_ms = {"USB": 20.0, "USB speaker": 31.5, "HDMI": 80.0}
+    assert offset_ms_of("USB speaker: - (hw:3,0)", offsets_ms) == 31.5
+    assert offset_ms_of("USB headset", offsets_ms) == 20.0
+    assert offset_ms_of("default", offsets_ms) == 0.0
+
+
+def test_portaudio_starts_again_only_while_no_stream_is_open(monkeypatch):
+    """It would end the others'."""
+    card = install_sound_card(monkeypatch)
+    with LoudspeakerOutput(clock=card.clock, is_watched=False):
+        with MicrophoneSource(clock=card.clock, is_watched=False):
+            assert not list_anew()
+        assert not list_anew()
+    assert list_anew()
+    assert card.n_looks == 1
