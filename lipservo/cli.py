@@ -15,12 +15,13 @@ from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import app as calibrate
 from lipservo.commands.learn import alignment, recognizer, training
-from lipservo.commands.run import devices, health, processes, run, set_value, stop, trace
+from lipservo.commands.run import devices, health, processes, run, say, set_value, stop, trace
 
 app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (
     run.run,
     run.daemon,
+    say.say,
     run.replay,
     devices.devices,
     training.train,

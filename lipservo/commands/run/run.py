@@ -66,7 +66,7 @@ def run(
     request = RunRequest(
         config,
         _sound(wav, mic, CLIP, phonemes),
-        _motion(motion, config),
+        motion_of(motion, config),
         model=model,
         port=port,
         rate_hz=rate_hz,
@@ -79,7 +79,7 @@ def run(
     with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)
         outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
-    _finish(request, outcome)
+    finish(request, outcome)
 
 
 @takes_motion
@@ -109,7 +109,7 @@ def daemon(
     request = RunRequest(
         config,
         _sound(wav, mic, SILENCE),
-        _motion(motion, config),
+        motion_of(motion, config),
         model=model,
         port=port,
         rate_hz=rate_hz,
@@ -126,7 +126,7 @@ def daemon(
     with entered_sound(request) as source:
         outcome = run_face(request, source, MonotonicClock(), endless=True)
     # A service manager counts anything but 0 as a failure, and stops a daemon by a signal.
-    _finish(request, replace(outcome, signal_number=None))
+    finish(request, replace(outcome, signal_number=None))
 
 
 @takes_motion
@@ -145,7 +145,7 @@ def replay(
     request = RunRequest(
         config,
         Sound("file", str(sound)),
-        _motion(motion, config),
+        motion_of(motion, config),
         model=model,
         rate_hz=rate_hz,
         trace=trace,
@@ -154,7 +154,7 @@ def replay(
     )
     with open_sound(request.sound) as source:
         outcome = run_face(request, source, ManualClock())
-    _finish(replace(request, quiet=quiet), outcome)
+    finish(replace(request, quiet=quiet), outcome)
 
 
 def _sound(
@@ -167,12 +167,14 @@ def _sound(
     return replace(chosen_sound(wav, mic, otherwise), phonemes=str(phonemes or ""))
 
 
-def _motion(chosen: ChosenMotion, config: str) -> MotionOptions:
+def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:
+    """What was typed before what the face's YAML says."""
     settings, folder = load_settings(config)
     return motion_options(chosen, settings.motion, folder)
 
 
-def _finish(request: RunRequest, outcome: RunOutcome) -> None:
+def finish(request: RunRequest, outcome: RunOutcome) -> None:
+    """Print what came of a run, and end with its status."""
     if request.as_json:
         status = outcome.status.as_dict()
         stop = outcome.report.as_dict()

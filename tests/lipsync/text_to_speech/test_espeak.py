@@ -5,7 +5,6 @@ import pytest
 
 from lipsync.phonemes import PHONEMES
 from lipsync.text_to_speech.espeak import Espeak
-from lipsync.text_to_speech.spoken_text import SynthesisError, UnspeakableTextError, Voice
 
 STOPS = ("P", "B", "T", "D", "K", "G")
 LIPS_CLOSED = ("P", "B", "M")

@@ -1,0 +1,71 @@
+"""`say`: a text, spoken and shown."""
+
+from dataclasses import replace
+from typing import Annotated
+
+import typer
+
+from firmware_bridge.clock import MonotonicClock
+from lipservo.commands.options import (
+    DEFAULT_FACE,
+    Config,
+    DryRun,
+    Json,
+    Language,
+    Model,
+    Output,
+    Port,
+    Quiet,
+    Rate,
+    Sim,
+    Trace,
+)
+from lipservo.commands.run.motion_choice import takes_motion
+from lipservo.commands.run.run import finish, motion_of
+from lipservo.face.sim_process import servo_port
+from lipservo.street.motion_options import ChosenMotion
+from lipservo.street.run_face import run_face
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import Sound
+from lipservo.street.spoken_sound import entered_sound
+from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
+
+
+@takes_motion
+def say(
+    *,
+    text: Annotated[str, typer.Argument(help="What is said.")],
+    language: Language = "en-us",
+    mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
+    output: Output = None,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    trace: Trace = None,
+    rate_hz: Rate = None,
+    motion: ChosenMotion,
+    port: Port = None,
+    sim: Sim = None,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Speak a text, with sound and the face: espeak-ng tells when it says what."""
+    if mute and output is not None:
+        raise typer.BadParameter("give --mute or --output, not both")
+    request = RunRequest(
+        config,
+        Sound("text", text, language),
+        motion_of(motion, config),
+        model=model,
+        port=port,
+        rate_hz=rate_hz,
+        trace=trace,
+        as_json=as_json,
+        quiet=quiet or as_json,
+        dry_run=dry_run,
+        voice=VoiceOptions(None if mute else output or DEFAULT_OUTPUT),
+    )
+    with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
+        request = replace(request, port=at_port)
+        outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
+    finish(request, outcome)
