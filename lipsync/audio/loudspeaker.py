@@ -17,6 +17,7 @@ from lipsync.audio.devices import (
     offset_ms_of,
     start_stream,
 )
+from lipsync.audio.position_report import PositionReport
 from lipsync.audio.sample_ring import SampleRing
 from lipsync.audio.source import SoundError
 
@@ -63,7 +64,7 @@ class LoudspeakerOutput:
         self._is_watched = is_watched
         rate_hz, _ = self._rate_and_channels(RATES_HZ)
         self._ring = SampleRing(rate_hz)
-        self._report: tuple[float, float] | None = None
+        self._report: PositionReport | None = None
         self._ahead_s = 0.0
         self._dac_s = -np.inf
         self._stream: OpenStream
@@ -141,9 +142,11 @@ class LoudspeakerOutput:
     def position(self) -> tuple[float, float] | None:
         """(monotonic seconds, timeline seconds that leave the loudspeaker then); None at first.
 
-        The device's newest report, usually of a moment still to come. One tuple: never torn.
+        The device's newest report, usually of a moment still to come. A device that is lost, or
+        late, stands still here too: all that it has is heard, and then its position stays.
         """
-        return self._report
+        report = self._report  # one object, which the callback replaces: never torn
+        return None if report is None else report.at(self._clock())
 
     def __enter__(self) -> "LoudspeakerOutput":
         self.watch.open()
@@ -195,12 +198,14 @@ class LoudspeakerOutput:
         """PortAudio's thread: the next samples into frames (n, channels), and when they leave."""
         called_s, stream_s = self._clock(), self._stream.time
         position_s = self._ring.n_taken / self.rate_hz
-        self._ring.take_into(frames)
+        taken_s = self._ring.take_into(frames) / self.rate_hz
         if status.output_underflow:
             self._n_device_underruns += 1
         self.watch.called_s = called_s
         ahead_s = self._ahead_of(stream_s, timing.outputBufferDacTime)
-        self._report = (called_s + ahead_s + self.output_offset_ms / 1e3, position_s)
+        leaves_s = called_s + ahead_s + self.output_offset_ms / 1e3
+        ends_s = leaves_s + len(frames) / self.rate_hz
+        self._report = PositionReport(leaves_s, position_s, ends_s, position_s + taken_s)
 
     def _ahead_of(self, stream_s: float, dac_s: float) -> float:
         """How long after `stream_s` the frames leave the device, if its clock makes sense.

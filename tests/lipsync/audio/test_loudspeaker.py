@@ -126,6 +126,17 @@ def test_a_cut_is_heard_a_block_and_a_fade_after_what_the_device_has_taken(monke
     assert not np.any(rest[720:])
 
 
+def test_a_device_that_asks_for_no_more_stands_still_when_all_that_it_has_was_heard(monkeypatch):
+    card = install_sound_card(monkeypatch)
+    with speaker_of(card, None, {"USB": 100.0}) as speaker:
+        speaker.write(ramp(960))
+        card.outputs[0].ask(ahead_s=0.05)
+        card.now_s += 0.159
+        assert speaker.position() == (pytest.approx(100.15), 0.0)
+        card.now_s += 0.341
+        assert speaker.position() == (pytest.approx(100.5), 0.01)
+
+
 def test_late_blocks_of_the_device_itself_are_counted(monkeypatch):
     card = install_sound_card(monkeypatch)
     with speaker_of(card) as speaker:
@@ -143,10 +154,9 @@ def test_a_device_that_is_lost_is_found_again_and_the_timeline_goes_on(monkeypat
         card.outputs[0].active = False
         card.now_s += 1.0
         card.plugged = [DEVICES[3], device(1, "USB speaker: - (hw:5,0)", n_outputs=2)]
-        told = speaker.position()
         speaker.watch.look()
         assert not speaker.is_lost
-        assert speaker.position() == told
+        assert speaker.position() == (card.now_s, 0.01)
         assert card.outputs[1].settings["device"] == 1
         after = play(card, 2)
 
@@ -159,7 +169,6 @@ def test_while_it_is_lost_the_position_stays_and_nothing_waits(monkeypatch):
     with speaker_of(card) as speaker:
         speaker.write(ramp(1440))
         play(card, 1)
-        told = speaker.position()
         card.plugged = [DEVICES[1]]
         card.outputs[0].active = False
         for _ in range(50):
@@ -167,7 +176,7 @@ def test_while_it_is_lost_the_position_stays_and_nothing_waits(monkeypatch):
             speaker.watch.look()
             speaker.write(ramp(480))
         assert speaker.is_lost
-        assert speaker.position() == told
+        assert speaker.position() == (card.now_s, 0.01)
         speaker.silence_rest()
         assert 4 <= card.n_looks <= 5
 
