@@ -3,7 +3,7 @@
 What the encoders say and which sample left the loudspeaker when are both kept, on one clock.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,13 +18,14 @@ from lipservo.street.street import make_street
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
 from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
+from lipsync.audio_block import AudioBlock
 from lipsync.markers import MARKERS_47
+from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.network import LATENCY_S
 
 #: A face of ten servos whose geometry is known, so that encoders tell how far its lips are apart.
 FACE: Final = "face_sim"
 RATE_HZ: Final = 100.0
-#: The first words come when the face has been brought up.
-_START_S: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,30 +41,54 @@ class Watched:
     zero_s: float
 
 
+class Deaf:
+    """A recogniser that hears silence, and says so as late as the network would."""
+
+    latency_s = LATENCY_S
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def feed(self, block: AudioBlock) -> None:
+        """Time goes on."""
+        self._heard_s = block.end_s
+
+    def updates(self) -> list[PhonemeUpdate]:
+        """All was silence."""
+        final_s = max(0.0, self._heard_s - LATENCY_S)
+        silence = (PhonemeEvent(SILENCE, 0.0, None),)
+        return [PhonemeUpdate(final_s, self._heard_s, final_s, silence)]
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._heard_s = 0.0
+
+
 class SpeakingRobot:
     """One face with its loudspeaker; `run` lets time pass."""
 
     def __init__(
         self,
         loudspeaker: SimulatedLoudspeaker | None = None,
-        motion: MotionOptions | None = None,
+        *,
+        hears: bool = False,
     ) -> None:
-        """motion: by default the shipped one, with the recogniser that costs least."""
+        """hears: whether there is a recogniser; else only known phonemes move the mouth."""
         face = assemble_face(FACE, None)
-        options = motion or MotionOptions(engine="energy")
         self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
         self.playout = Playout(self.loudspeaker)
         self._bus, self.clock = simulated_wire(face.settings)
         self._neutral_mm = face.model.markers_mm(face.model.rest[None])[0]
         self._names = [joint.name for joint in face.joints]
-        recognizer = make_recognizer(options.engine, None, options.weights)
-        synthesizer = make_synthesizer(face.model, options)
-        self.street = make_street(
-            face, self.playout, self._bus, RATE_HZ, recognizer, synthesizer
-        )
+        recognizer = make_recognizer() if hears else Deaf()
+        synthesizer = make_synthesizer(face.model, MotionOptions())
+        self.street = make_street(face, self.playout, self._bus, RATE_HZ, recognizer, synthesizer)
 
-    def run(self, until: Callable[[float], bool]) -> Watched:
-        """From the first torque until `until(seconds since the timeline began)` says so."""
+    def run(self, until_s: float, act: Callable[[float], None] | None = None) -> Watched:
+        """From the first torque until so many seconds after the timeline began.
+
+        act: called in each tick with the seconds since then.
+        """
         times_s: list[float] = []
         encoders_deg: list[Array] = []
         with self._bus, LifeCycle(self.street.bridge, self.clock) as life:
@@ -73,11 +98,19 @@ class SpeakingRobot:
             self.street.begin(zero_s)
             for time_s, late in life.ticks():
                 self.loudspeaker.advance(time_s)
+                if act is not None:
+                    act(time_s - zero_s)
                 self.street.tick(time_s, late)
                 times_s.append(self.clock.now())
-                encoders_deg.append(self._bus.read_positions_deg())
-                if until(time_s - zero_s):
+                encoders_deg.append(self._bus.feedback().positions_deg)
+                if time_s - zero_s >= until_s:
                     break
-        return Watched(
-            np.array(times_s), np.array(encoders_deg), self.gap_mm(np.array(encoders_deg)), zero_s
-        )
+        seen_deg = np.array(encoders_deg)
+        return Watched(np.array(times_s), seen_deg, self._gap_mm(seen_deg), zero_s)
+
+    def _gap_mm(self, positions_deg: Array) -> Array:
+        """(n, n_servos) -> (n,): how far the inner lips are apart, by the face's geometry."""
+        face = simulated_face(self._neutral_mm, self._names)
+        markers_mm = marker_positions_mm(face, positions_deg)
+        upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
+        return np.asarray(upper[:, 1] - lower[:, 1])

@@ -1,5 +1,6 @@
 """The robot's own speech: what it says is played and shown together."""
 
+import math
 from collections import deque
 from typing import Final
 
@@ -10,7 +11,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_events import PlayoutRequest
 from lipsync.phonemes import PhonemeEvent
 
-#: A loudspeaker that reports nothing for so long stands still: a few buffers of the slowest device.
+#: A loudspeaker whose position stays for so long stands still: a few buffers of the slowest device.
 _STALE_S: Final = 0.15
 #: Phonemes that wait to be told; nobody is told those of a minute ago.
 _MOST_PHONEMES: Final = 256
@@ -20,14 +21,25 @@ class OwnVoice:
     """Joins playout, its clock and speech; call `advance` in each tick, before that of speech."""
 
     def __init__(
-        self, playout: Playout, clock: OwnPlaybackClock, speech: Speech, rest: Array
+        self,
+        playout: Playout,
+        clock: OwnPlaybackClock,
+        speech: Speech,
+        rest: Array,
+        *,
+        quiet_s: float = 0.0,
     ) -> None:
-        """clock: of the same speech side. rest: the face (n_components,) of a mouth at rest."""
+        """clock: of the same speech side. rest: the face (n_components,) of a mouth at rest.
+
+        quiet_s: nothing is said so long after the beginning, as servos are slow at first.
+        """
+        self._quiet_s = quiet_s
         self.playout = playout
         self._clock = clock
         self._speech = speech
         self._rest = rest
         self._said_s = -1.0
+        self._told_position_s, self._moved_s = -math.inf, -math.inf
         self._is_standing = False
         #: Phonemes on the timeline, each when it begins to be heard; one other thread takes.
         self.phonemes: deque[PhonemeEvent] = deque(maxlen=_MOST_PHONEMES)
@@ -35,7 +47,7 @@ class OwnVoice:
 
     def begin(self) -> None:
         """The timeline begins now: what is committed is played one declared delay later."""
-        self.playout.begin(self._clock.lead_s)
+        self.playout.begin(self._clock.lead_s, self._quiet_s)
 
     def advance(self, now_s: float) -> None:
         """Follow whoever plays, do what was asked for, note which phoneme is heard."""
@@ -54,16 +66,15 @@ class OwnVoice:
         self.playout.advance(self.playout.position_s)
 
     def _follow(self, now_s: float) -> None:
+        """A device that stands still closes the mouth; its clock stands still with it."""
         report = self.playout.report()
         if report is None:
             return
         told_s, position_s = report
-        age_s = now_s - told_s
-        if age_s <= _STALE_S:
+        self._clock.played(told_s, position_s)
+        if position_s != self._told_position_s:
+            self._told_position_s, self._moved_s = position_s, now_s
             self._is_standing = False
-            self._clock.played(told_s, position_s)
-            return
-        self._clock.played(now_s, position_s + _STALE_S)
-        if not self._is_standing:
+        elif now_s - self._moved_s > _STALE_S and not self._is_standing:
             self._is_standing = True
             self._speech.cut_off(now_s, self._rest)

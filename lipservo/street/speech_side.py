@@ -1,7 +1,9 @@
 """Sound to targets: the speech side of a face, with its own voice where it has one."""
 
 from collections.abc import Sequence
+from typing import Final
 
+from firmware_bridge.dynamixel.soft_start import SOFT_FOR_S
 from firmware_bridge.targets import TargetChannel
 from lipservo.face.assembly import Face
 from lipservo.street.own_voice import OwnVoice
@@ -13,6 +15,9 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.synthesizer import Synthesizer
 from lipsync.phonemes import LiveRecognizer
+
+#: Full speed is told three times, a tenth of a second apart, since nobody acknowledges it.
+_MARGIN_S: Final = 0.3
 
 
 class SpeechSide:
@@ -46,8 +51,13 @@ def make_speech_side(
     recognizer: LiveRecognizer,
     synthesizer: Synthesizer,
     channel: TargetChannel,
+    *,
+    has_soft_start: bool,
 ) -> SpeechSide:
-    """Everything between an entered source and the targets of a face's servos."""
+    """Everything between an entered source and the targets of a face's servos.
+
+    has_soft_start: the servos are slow at first, so that nothing is said until they are not.
+    """
     names: Sequence[str] = list(face.settings.servos)
     if not isinstance(source, Playout):
         heard = RecognizedPhonemes(source, recognizer)
@@ -64,4 +74,5 @@ def make_speech_side(
         channel,
         least_delay_s=source.latency_s,
     )
-    return SpeechSide(speech, OwnVoice(source, played, speech, face.model.rest))
+    quiet_s = SOFT_FOR_S + _MARGIN_S if has_soft_start else 0.0
+    return SpeechSide(speech, OwnVoice(source, played, speech, face.model.rest, quiet_s=quiet_s))

@@ -4,9 +4,9 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
-from lipservo.street.recognized_phonemes import RecognizedPhonemes
 from lipsync.audio.playout import Playout
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.streaming import RecognizerStream
 
 #: What is known beforehand is told so far ahead of the sound: more than the longest look-ahead
 #: that moves a mouth, less than a sentence in every update.
@@ -20,24 +20,25 @@ class SpokenPhonemes:
 
     def __init__(self, playout: Playout, recognizer: LiveRecognizer) -> None:
         self._playout = playout
-        self._recognized = RecognizedPhonemes(playout, recognizer)
+        self._recognizer = recognizer
+        self._recognition = RecognizerStream(recognizer)
 
     @property
     def latency_s(self) -> float:
         """At sound time t the phonemes before t - latency_s are settled."""
-        return self._recognized.latency_s
+        return self._recognizer.latency_s
 
     @property
     def heard_until_s(self) -> float:
         """Sound has been committed until then."""
-        return self._recognized.heard_until_s
+        return self._playout.committed_s
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Commit the sound that is due at sound time `until_s`; what became known by it."""
-        updates = self._recognized.updates(until_s)
+        step = self._recognition.feed(self._playout.blocks(until_s))
         return [
             with_known(update, self._playout.known_phonemes(update.replace_from_s))
-            for update in updates
+            for update in step.updates
         ]
 
 

@@ -6,6 +6,7 @@ Live running and `replay` share it; they differ in the clock and in who watches.
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.simulator.bus import SimulatedBus
 from lipservo.face.assembly import Face
 from lipservo.face.servos import bridge_for
 from lipservo.status.street_tick import StreetTick
@@ -62,7 +63,10 @@ def make_street(
 ) -> Street:
     """Everything between an entered source and an entered bus, with a recogniser in it."""
     channel = MemoryTargetChannel()
-    side = make_speech_side(face, source, recognizer, synthesizer, channel)
+    has_soft_start = not isinstance(bus, SimulatedBus)
+    side = make_speech_side(
+        face, source, recognizer, synthesizer, channel, has_soft_start=has_soft_start
+    )
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
     return Street(side, bridge, face.model.rest)
 

@@ -75,7 +75,7 @@ class Playout:
         self._n_blocks = 0
         self._n_underruns = 0
         self._position_s = 0.0
-        self._preroll_s = 0.0
+        self._preroll_s = self._quiet_s = 0.0
 
     @property
     def name(self) -> str:
@@ -129,11 +129,13 @@ class Playout:
                 return playing.n_played(self._position_s)
         return None
 
-    def begin(self, lead_s: float) -> None:
+    def begin(self, lead_s: float, quiet_s: float = 0.0) -> None:
         """The timeline begins now, and is played `lead_s` after it was committed.
 
-        What the loudspeaker does not hold back by itself is filled with silence.
+        What the loudspeaker does not hold back by itself is filled with silence. quiet_s: nothing
+        is said so long.
         """
+        self._quiet_s = quiet_s
         if self.loudspeaker is None:
             return
         n_blocks = round((lead_s - self.loudspeaker.latency_s) / BLOCK_S)
@@ -213,7 +215,8 @@ class Playout:
             yield AudioBlock(heard, start_s)
 
     def _next(self, start_s: float) -> tuple[Samples, Samples]:
-        playing = next((each for each in self._playing if not each.stream.is_over), None)
+        waiting = (each for each in self._playing if not each.stream.is_over)
+        playing = next(waiting, None) if start_s >= self._quiet_s else None
         block = None if playing is None else playing.stream.take()
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:

@@ -44,6 +44,10 @@ class SimulatedLoudspeaker:
         self._stalls: list[tuple[float, float]] = []
         self._played: list[tuple[float, Samples]] = []
 
+    #: It cannot be lost, only stand still.
+    is_lost = False
+    name = "simulated loudspeaker"
+
     @property
     def rate_hz(self) -> int:
         """Samples a second, by its own clock."""

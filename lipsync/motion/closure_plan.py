@@ -61,7 +61,8 @@ def _is_due(
         if start_s > known_until_s + _ROUNDING_S:
             return False
         if track.phonemes[i] in moments_s:
-            moment_s = min(start_s + moments_s[track.phonemes[i]], end_s)
+            # In the recordings an M lasts long; a short one is tightest in its middle, not its end.
+            moment_s = min(start_s + moments_s[track.phonemes[i]], (start_s + end_s) / 2.0)
             until_s = moment_s + HOLD_S / 2.0
             if touched_s < start_s - HOLD_S:
                 until_s = max(until_s, end_s)  # told late: close late, as long as it goes on

@@ -124,7 +124,8 @@ def speech_process(
         source = stack.enter_context(entered_sound(asked, start_s))
         recognizer = make_recognizer(asked.motion.engine, time.perf_counter, asked.motion.weights)
         synthesizer = make_synthesizer(face.model, asked.motion, asked.model)
-        side = make_speech_side(face, source, recognizer, synthesizer, SocketTargetChannel(end))
+        targets = SocketTargetChannel(end)
+        side = make_speech_side(face, source, recognizer, synthesizer, targets, has_soft_start=True)
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:

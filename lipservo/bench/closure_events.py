@@ -1,0 +1,64 @@
+"""When lips close and part, against when the sound says that they do."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from lipsync.arrays import Array
+from lipsync.motion.closure_plan import BILABIALS
+from lipsync.phonemes import SILENCE, PhonemeEvent
+
+#: Lips count as closed below it. The closures of this project touch within 1 mm; twice that is
+#: passed steeply on the way there and back, so that the moment is a moment.
+CLOSED_MM: Final = 2.0
+#: An event belongs to the nearest of its kind within this time.
+MATCHED_S: Final = 0.200
+
+
+@dataclass(frozen=True, slots=True)
+class Crossings:
+    """Seconds, in order: when lips close and when they part."""
+
+    closing_s: Array
+    parting_s: Array
+
+
+def sounding_closures(phonemes: Sequence[PhonemeEvent]) -> Crossings:
+    """What the sound asks for: closed from the onset of each P, B, M to its end.
+
+    Neighbours among them are one closure. Beside a silence lips may rest closed: there nothing is
+    asked for.
+    """
+    closing_s: list[float] = []
+    parting_s: list[float] = []
+    before = SILENCE
+    following = [*(each.phoneme for each in phonemes[1:]), SILENCE]
+    for event, after in zip(phonemes, following, strict=True):
+        if event.phoneme in BILABIALS:
+            if before not in (*BILABIALS, SILENCE):
+                closing_s.append(event.start_s)
+            if after not in (*BILABIALS, SILENCE) and event.end_s is not None:
+                parting_s.append(event.end_s)
+        before = event.phoneme
+    return Crossings(np.array(closing_s), np.array(parting_s))
+
+
+def seen_closures(times_s: Array, gap_mm: Array) -> Crossings:
+    """What lips did: crossings of CLOSED_MM, between samples by a straight line."""
+    closed = gap_mm < CLOSED_MM
+    changed = np.flatnonzero(closed[1:] != closed[:-1])
+    share = (CLOSED_MM - gap_mm[changed]) / (gap_mm[changed + 1] - gap_mm[changed])
+    at_s = times_s[changed] + share * (times_s[changed + 1] - times_s[changed])
+    return Crossings(at_s[closed[changed + 1]], at_s[~closed[changed + 1]])
+
+
+def matched_errors_s(asked_s: Array, seen_s: Array) -> tuple[Array, int]:
+    """How much later each asked-for event was seen, (n_matched,), and how many were not at all."""
+    if len(seen_s) == 0 or len(asked_s) == 0:
+        return np.zeros(0), len(asked_s)
+    late_s = seen_s[None] - asked_s[:, None]
+    nearest_s = late_s[np.arange(len(asked_s)), np.abs(late_s).argmin(axis=1)]
+    matched = np.abs(nearest_s) <= MATCHED_S
+    return nearest_s[matched], int(np.sum(~matched))
