@@ -138,6 +138,12 @@ Lookahead = Annotated[
         show_default=False,
     ),
 ]
+LowLatency = Annotated[
+    bool,
+    typer.Option(
+        "--low-latency", help="For puppeteers: goals within 150 ms of the sound, less precise."
+    ),
+]
 Strength = Annotated[
     float | None,
     typer.Option(

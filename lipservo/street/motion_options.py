@@ -1,7 +1,7 @@
 """How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from firmware_bridge.process.command_queue import Setting
@@ -37,6 +37,11 @@ from lipsync.recognition.network import LATENCY_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, SHIPPED, check_weights, find_weights
 
 _POCKETSPHINX_LATENCY_S = 0.09
+_ENERGY_LATENCY_S = 0.05
+#: For `--low-latency`: the best of those with which a goal follows its sound within 150 ms
+#: (docs/benchmarks.md, From microphone to bus).
+LOW_LATENCY_S = 0.045
+LOW_LATENCY_LOOKAHEAD_S = 0.05
 #: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
 #: from sound to face, which is declared at the start and stays.
 _LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST}
@@ -47,13 +52,15 @@ class MotionOptions:
     """The recogniser to begin with, the strategy by name, and the style of a strategy that has one.
 
     weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
-    to a lesser recogniser. Raises WeightsError, StyleError.
+    to a lesser recogniser. recognizer_latency_s: when a phoneme is settled; sooner is less right.
+    Raises WeightsError, StyleError.
     """
 
     engine: Engine = DEFAULT_ENGINE
     weights: str = DEFAULT_WEIGHTS
     strategy: Strategy = DEFAULT_STRATEGY
     style: Style = field(default_factory=Style)
+    recognizer_latency_s: float = LATENCY_S
 
     def __post_init__(self) -> None:
         check_weights(self.weights)
@@ -96,6 +103,7 @@ class ChosenMotion:
     lookahead_ms: float | None = None
     strength: float | None = None
     smoothness: float | None = None
+    low_latency: bool = False
 
 
 def motion_options(
@@ -107,6 +115,9 @@ def motion_options(
     UserError for an option that the strategy ignores, WeightsError and StyleError.
     """
     strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
+    if chosen.low_latency:
+        _refuse_what_is_late(chosen, strategy)
+        chosen = replace(chosen, lookahead_ms=LOW_LATENCY_LOOKAHEAD_S * 1e3)
     ignored = [
         f"--{name.replace('_', '-')}"
         for name in STYLE_NAMES
@@ -138,7 +149,19 @@ def motion_options(
             style("strength", 1.0),
             style("smoothness", 0.0),
         ),
+        LOW_LATENCY_S if chosen.low_latency else LATENCY_S,
     )
+
+
+def _refuse_what_is_late(chosen: ChosenMotion, strategy: Strategy) -> None:
+    """Options that go against --low-latency. Raises UserError."""
+    for option, is_given in (
+        (f"--strategy {strategy}", strategy != LIVE_STRATEGY),
+        ("--lookahead-ms", chosen.lookahead_ms is not None),
+        (f"--engine {chosen.engine}", chosen.engine not in (None, DEFAULT_ENGINE)),
+    ):
+        if is_given:
+            raise UserError(f"--low-latency and {option} contradict each other; leave one out")
 
 
 def make_synthesizer(
@@ -162,25 +185,29 @@ def make_recognizer(
     engine: Engine = DEFAULT_ENGINE,
     timer_s: Callable[[], float] | None = None,
     weights: str = DEFAULT_WEIGHTS,
+    latency_s: float = LATENCY_S,
 ) -> FallbackRecognizer:
-    """The live recogniser: the engine's, and the levels below it to fall back to.
+    """The live recogniser: the engine's, and the levels below it that are as quick.
 
     timer_s: a clock in seconds, to see that a level takes longer than the sound lasts; None where
     nobody waits for it.
     """
-    levels = (
-        FallbackLevel("network", lambda: _network(weights)),
+    levels = [
+        FallbackLevel("network", lambda: _network(weights, latency_s)),
         FallbackLevel("pocketsphinx", _pocketsphinx),
         FallbackLevel("energy", _energy),
-    )
+    ]
     first = [level.name for level in levels].index(engine)
-    return FallbackRecognizer(levels[first:], LATENCY_S, timer_s)
+    if latency_s < _POCKETSPHINX_LATENCY_S:
+        del levels[1]
+    # The level of sound alone needs 5 ms more than the quickest network.
+    return FallbackRecognizer(levels[first:], max(latency_s, _ENERGY_LATENCY_S), timer_s)
 
 
-def _network(weights: str) -> LiveRecognizer:
+def _network(weights: str, latency_s: float) -> LiveRecognizer:
     from lipsync.recognition.network_recognizer import NetworkRecognizer
 
-    return NetworkRecognizer(find_weights(weights), LATENCY_S)
+    return NetworkRecognizer(find_weights(weights), latency_s)
 
 
 def _pocketsphinx() -> LiveRecognizer:

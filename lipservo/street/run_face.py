@@ -61,7 +61,10 @@ def run_face(
     playout = source if isinstance(source, Playout) else None
     # On a clock of its own nobody waits, and the same file must give the same trace.
     timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
-    recognizer = make_recognizer(request.motion.engine, timer_s, request.motion.weights)
+    motion = request.motion
+    recognizer = make_recognizer(
+        motion.engine, timer_s, motion.weights, motion.recognizer_latency_s
+    )
     synthesizer = make_synthesizer(face.model, request.motion, request.model)
     with make_bus(face, clock) as bus:
         street = make_street(

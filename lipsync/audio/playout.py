@@ -35,6 +35,9 @@ _MOST_EVENTS: Final = 1024
 #: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
 #: does not reach farther back.
 _REMEMBERED_S: Final = 5.0
+#: A stream begins, and goes on after it ran dry, when so much of it waits: senders keep the pace of
+#: speech in pieces of 20 to 40 ms, and a resampler holds 20 ms back.
+_WAITING_S: Final = 0.05
 #: A room goes on sounding after a word; so long nobody is listened to.
 _ECHO_S: Final = 0.3
 _SILENCE: Final = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
@@ -75,7 +78,9 @@ class Playout:
         self._n_blocks = 0
         self._n_underruns = 0
         self._position_s = 0.0
-        self._preroll_s = self._quiet_s = 0.0
+        self._quiet_s = 0.0
+        #: Silence that was written before the timeline began.
+        self.preroll_s = 0.0
 
     @property
     def name(self) -> str:
@@ -141,7 +146,7 @@ class Playout:
         n_blocks = round((lead_s - self.loudspeaker.latency_s) / BLOCK_S)
         for _ in range(n_blocks):
             self.loudspeaker.write(self._played_silence)
-        self._preroll_s = max(0, n_blocks) * BLOCK_S
+        self.preroll_s = max(0, n_blocks) * BLOCK_S
 
     def report(self) -> tuple[float, float] | None:
         """(monotonic seconds, position on the timeline then), the newest that is known.
@@ -156,7 +161,7 @@ class Playout:
                     return now_s, at_s
         if self.loudspeaker is None or (report := self.loudspeaker.position()) is None:
             return None
-        return report[0], report[1] - self._preroll_s
+        return report[0], report[1] - self.preroll_s
 
     def stream_at(self, timeline_s: float) -> tuple[str, float] | None:
         """Which stream is said there, by name, and seconds since its first sample; None: none."""
@@ -217,7 +222,7 @@ class Playout:
     def _next(self, start_s: float) -> tuple[Samples, Samples]:
         waiting = (each for each in self._playing if not each.stream.is_over)
         playing = next(waiting, None) if start_s >= self._quiet_s else None
-        block = None if playing is None else playing.stream.take()
+        block = None if playing is None or not _is_ready(playing) else playing.stream.take()
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
@@ -266,7 +271,7 @@ class Playout:
             return False
         cut_s = self._position_s
         if self.loudspeaker is not None:
-            cut_s = self.loudspeaker.silence_rest() - self._preroll_s
+            cut_s = self.loudspeaker.silence_rest() - self.preroll_s
         for playing in self._playing:
             playing.stream.drop()
             n_played = playing.n_played(cut_s)
@@ -310,3 +315,9 @@ class Playout:
             self.events.append(PlayoutEvent("finished", name, position_s, n_played))
             self._playing.popleft()
             self._quiet_from_s = position_s + _ECHO_S
+
+
+def _is_ready(playing: PlayingStream) -> bool:
+    """Whether a stream may begin, or go on."""
+    is_going_on = bool(playing.segments) and not playing.is_starved
+    return is_going_on or playing.stream.ended or playing.stream.waiting_s >= _WAITING_S

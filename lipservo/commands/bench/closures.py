@@ -11,6 +11,7 @@ from lipservo.commands.learn.recognizer import progress_bar
 from lipservo.commands.options import Json, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+from lipsync.recognition.network import LATENCY_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
 
 if TYPE_CHECKING:
@@ -32,6 +33,9 @@ def closures(
     lookahead_ms: Annotated[
         float, typer.Option(min=0.0, max=1000.0, help="As for `run`.")
     ] = DEFAULT_LOOKAHEAD_S * 1e3,
+    latency_ms: Annotated[
+        float, typer.Option(min=0.0, help="When a frame's label is due: 45, 95 or 145.")
+    ] = LATENCY_S * 1e3,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     model: Model = None,
     as_json: Json = False,
@@ -42,11 +46,10 @@ def closures(
     Where they are is told by forced alignment of what is said.
     """
     from lipsync.evaluation.recognition.closure_hits import closure_figures, closure_hits
-    from lipsync.recognition.network import LATENCY_S
     from lipsync.recognition.network_recognizer import NetworkRecognizer
     from lipsync.training.trained_model import load_trained_model
 
-    recognizer = NetworkRecognizer(find_weights(weights), LATENCY_S)
+    recognizer = NetworkRecognizer(find_weights(weights), latency_ms / 1e3)
     face = load_trained_model(model)
     found: list[Closure] = []
     with progress_bar(quiet=quiet) as advance:
@@ -63,7 +66,12 @@ def closures(
                 found += closure_hits(utterance.sound, phones, recognizer, face, lookahead_ms / 1e3)
                 advance("closing", number, len(utterances))
     figures = closure_figures(found)
-    settings = {"weights": weights, "lookahead_ms": lookahead_ms, "machine": machine_class()}
+    settings = {
+        "weights": weights,
+        "lookahead_ms": lookahead_ms,
+        "latency_ms": latency_ms,
+        "machine": machine_class(),
+    }
     missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.was_met]
     if corpus is None:
         figures["missed"] = missed

@@ -10,6 +10,7 @@ from lipservo.commands.options import (
     FaceStrategy,
     FaceWeights,
     Lookahead,
+    LowLatency,
     Smoothness,
     Strength,
 )
@@ -23,9 +24,10 @@ def chosen_motion(
     lookahead_ms: Lookahead = None,
     strength: Strength = None,
     smoothness: Smoothness = None,
+    low_latency: LowLatency = False,
 ) -> ChosenMotion:
     """What was typed of these options."""
-    return ChosenMotion(engine, weights, strategy, lookahead_ms, strength, smoothness)
+    return ChosenMotion(engine, weights, strategy, lookahead_ms, strength, smoothness, low_latency)
 
 
 def takes_motion(command: Callable[..., None]) -> Callable[..., None]:

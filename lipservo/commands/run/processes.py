@@ -122,7 +122,10 @@ def speech_process(
         is_file = asked.sound.kind == "file"
         start_s = 0.0 if zero_s is None or not is_file else max(0.0, clock.now() - zero_s)
         source = stack.enter_context(entered_sound(asked, start_s))
-        recognizer = make_recognizer(asked.motion.engine, time.perf_counter, asked.motion.weights)
+        motion = asked.motion
+        recognizer = make_recognizer(
+            motion.engine, time.perf_counter, motion.weights, motion.recognizer_latency_s
+        )
         synthesizer = make_synthesizer(face.model, asked.motion, asked.model)
         targets = SocketTargetChannel(end)
         side = make_speech_side(face, source, recognizer, synthesizer, targets, has_soft_start=True)

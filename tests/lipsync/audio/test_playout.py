@@ -132,19 +132,20 @@ def test_it_tells_what_was_heard_when_it_leaves_the_loudspeaker():
 def test_a_stream_that_dries_up_is_silent_and_goes_on_where_it_was():
     playout = Playout()
     stream = PlayoutStream("a", RATE_HZ, RATE_HZ)
-    stream.push(ramp(160))
+    stream.push(ramp(800))
     said(playout, stream)
-    heard = playout.blocks(0.05)
+    heard = playout.blocks(0.1)
     stream.push(-ramp(160))
+    heard += playout.blocks(0.11)  # too little to go on with
     stream.end()
-    heard += playout.blocks(0.08)
+    heard += playout.blocks(0.14)
     samples = np.concatenate([block.samples for block in heard])
-    np.testing.assert_array_equal(samples[:160], ramp(160))
-    np.testing.assert_array_equal(samples[800:960], -ramp(160))
-    assert not samples[160:800].any()
+    np.testing.assert_array_equal(samples[:800], ramp(800))
+    np.testing.assert_array_equal(samples[1760:1920], -ramp(160))
+    assert not samples[800:1760].any()
     assert playout.n_underruns == kinds(playout).count("underrun") == 1
-    playout.advance(0.055)
-    assert playout.n_played("a") == 160 + 80, "the gap is no speech of the stream"
+    playout.advance(0.115)
+    assert playout.n_played("a") == 800 + 80, "the gap is no speech of the stream"
 
 
 def test_an_interruption_drops_all_that_was_not_heard_and_says_how_much_was():

@@ -17,11 +17,13 @@ from lipservo.street.motion_options import MotionOptions, make_recognizer, make_
 from lipservo.street.street import make_street
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
 from lipsync.audio_block import AudioBlock
 from lipsync.markers import MARKERS_47
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.network import LATENCY_S
+from lipsync.text_to_speech.spoken_text import SpokenText
 
 #: A face of ten servos whose geometry is known, so that encoders tell how far its lips are apart.
 FACE: Final = "face_sim"
@@ -114,3 +116,12 @@ class SpeakingRobot:
         markers_mm = marker_positions_mm(face, positions_deg)
         upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
         return np.asarray(upper[:, 1] - lower[:, 1])
+
+
+def spoken_stream(text: SpokenText, playout: Playout, *, knows: bool) -> PlayoutStream:
+    """A whole text as a stream that has ended. knows: with its phonemes."""
+    known = text.phonemes if knows else ()
+    stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)
+    stream.push(text.samples)
+    stream.end()
+    return stream
