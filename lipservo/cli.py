@@ -15,7 +15,7 @@ from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import app as calibrate
 from lipservo.commands.learn import alignment, recognizer, training
-from lipservo.commands.run import health, processes, run, set_value, stop, trace
+from lipservo.commands.run import export, health, processes, run, set_value, stop, trace
 
 app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (
@@ -23,6 +23,7 @@ for command in (
     run.daemon,
     run.replay,
     run.devices,
+    export.export,
     training.train,
     alignment.align,
     recognizer.recognize,
