@@ -53,7 +53,7 @@ class LipMeasures:
     spread_mm: Array
 
     def of(self, coefficients: Array) -> Array:
-        """(n_frames, n_components) or (n_components,) -> (n_frames, n_measures) or (n_measures,)."""
+        """(..., n_components) -> (..., n_measures)."""
         return np.asarray((coefficients - self.rest) @ self.per_face)
 
 

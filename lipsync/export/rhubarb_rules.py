@@ -40,7 +40,7 @@ _STOPS: Mapping[str, tuple[str, str]] = {
     "K": ("BCEFH", _OPEN), "G": ("BCEFH", _OPEN),
 }  # fmt: skip
 _VOWELS = frozenset(
-    ["AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW"]
+    ("AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW")
 )
 _LONG_CS, _LONG_AW_CS, _SHORT_ER_CS = 20, 30, 7
 #: A stop's closure that lies before its label: half the phone before, within these.

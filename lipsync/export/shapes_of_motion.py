@@ -95,7 +95,9 @@ def sampling_times_s(duration_s: float) -> Array:
 
 
 def _scale(measures: LipMeasures) -> Array:
-    return np.asarray(np.where(measures.spread_mm > 0.0, measures.spread_mm, 1.0), dtype=np.float64)
+    """(n_measures,), never 0."""
+    scale: Array = np.where(measures.spread_mm > 0.0, measures.spread_mm, 1.0)
+    return scale
 
 
 def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
