@@ -11,6 +11,7 @@ from lipservo.commands.bench import closures as bench_closures
 from lipservo.commands.bench import line as bench_line
 from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import replay as bench_replay
+from lipservo.commands.bench import shapes as bench_shapes
 from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import app as calibrate
@@ -40,6 +41,7 @@ bench.app.command("listening")(bench_recognition.listening)
 bench.app.command("replay")(bench_replay.replay)
 bench.app.command("line")(bench_line.line)
 bench.app.command("closures")(bench_closures.closures)
+bench.app.command("shapes")(bench_shapes.shapes)
 bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(doctor.doctor)

@@ -254,9 +254,9 @@ def _tweened(cues: Sequence[MouthCue]) -> list[MouthCue]:
         shape, place = _TWEENS[first.shape, second.shape]
         first_cs, second_cs = first.end_cs - first.start_cs, second.end_cs - second.start_cs
         room_cs = {
-            "early": first_cs // 3,
-            "centred": min(first_cs, second_cs) // 4,
-            "late": second_cs // 3,
+            "early": round(first_cs / 3),
+            "centred": round(min(first_cs, second_cs) / 4),
+            "late": round(second_cs / 3),
         }[place]
         tween_cs = min(room_cs, _LONGEST_TWEEN_CS)
         if tween_cs < _SHORTEST_TWEEN_CS:

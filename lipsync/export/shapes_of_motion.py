@@ -91,7 +91,7 @@ def lips_shut(measures: LipMeasures, coefficients: Array) -> NDArray[np.bool_]:
 
 def sampling_times_s(duration_s: float) -> Array:
     """(n,), the times at which `motion_cues` wants its motion."""
-    return np.arange(centiseconds(duration_s)) * CENTISECOND_S
+    return np.asarray(np.arange(centiseconds(duration_s)) * CENTISECOND_S, dtype=np.float64)
 
 
 def _scale(measures: LipMeasures) -> Array:
