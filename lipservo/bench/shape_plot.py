@@ -30,6 +30,8 @@ _LEGEND = (
 )
 #: Cut off at the edge to less than this, a block has no room for its word.
 _NARROWEST_S = 0.015
+#: What a small letter takes up.
+_ROOM_S = 0.0135
 Block = tuple[float, float, str, str]
 
 
@@ -64,9 +66,7 @@ def draw_shapes(compared: ComparedShapes, sound: Path, output: Path) -> None:
     axes[4].set_xlabel(f"sound time, s\n{_LEGEND}")
     rows = ("sound", "true phones", "Rhubarb's rules", "our shapes", "robot's lip gap, mm")
     for axis, name in zip(axes, rows, strict=True):
-        axis.set_ylabel(
-            name, rotation=0, ha="right", va="center", labelpad=24 if axis is axes[4] else 4
-        )
+        axis.set_ylabel(name, rotation=0, ha="right", va="center")
         axis.set_xlim(*SHOWN_S)
         if name != rows[-1]:
             axis.set_yticks([])
@@ -91,12 +91,8 @@ def _draw_blocks(axis: "Axes", blocks: Iterable[Block]) -> None:
         if end_s - start_s < _NARROWEST_S:
             continue
         axis.barh(0.5, end_s - start_s, 1.0, start_s, color=colour, edgecolor="0.5", linewidth=0.6)
-        small = end_s - start_s < 0.05 and len(word) > 1
-        axis.text(
-            (start_s + end_s) / 2.0,
-            0.5,
-            word,
-            ha="center",
-            va="center",
-            fontsize=7 if small else 10,
-        )
+        if end_s - start_s < _ROOM_S * len(word):
+            word = ""
+        small = end_s - start_s < 2.0 * _ROOM_S * len(word)
+        middle_s = (start_s + end_s) / 2.0
+        axis.text(middle_s, 0.5, word, ha="center", va="center", fontsize=7 if small else 10)

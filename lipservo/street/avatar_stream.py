@@ -93,9 +93,9 @@ class AvatarStream:
 
     def _shapes(self, values: Array) -> list[tuple[str, float]]:
         """The mouth's shapes, and of the others those of which anything was ever said."""
-        self._said |= {name for name, v in zip(ARKIT_NAMES, values, strict=True) if v > 0.0}
-        pairs = zip(ARKIT_NAMES, values, strict=True)
-        return [(name, float(value)) for name, value in pairs if name in self._said]
+        pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
+        self._said.update(name for name, value in pairs if value > 0.0)
+        return [pair for pair in pairs if pair[0] in self._said]
 
     def _hand_over(self, to: socket.socket, packet: bytes) -> None:
         try:

@@ -35,6 +35,6 @@ def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
             name,
             # 32 bits hold 414 days at 60 a second; then it begins anew.
             struct.pack(">ifii", int(frame) % 2**31, part, _RATE_HZ, 1),
-            struct.pack(f">B{_N_FLOATS}f", _N_FLOATS, *values, *([0.0] * _N_ROTATIONS)),
+            struct.pack(f">B{_N_FLOATS}f", _N_FLOATS, *values.tolist(), *([0.0] * _N_ROTATIONS)),
         )
     )

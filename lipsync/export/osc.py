@@ -7,6 +7,7 @@ https://protocol.vmc.info/english: `/VMC/Ext/Blend/Val` name value, a message a 
 
 import struct
 from collections.abc import Iterable
+from functools import lru_cache
 
 _VALUE, _APPLY = "/VMC/Ext/Blend/Val", "/VMC/Ext/Blend/Apply"
 #: The receivers' port in the VMC protocol.
@@ -38,6 +39,7 @@ def vmc_packets(shapes: Iterable[tuple[str, float]]) -> list[bytes]:
     return packets
 
 
+@lru_cache(maxsize=256)  # the same few names, 60 times a second
 def _padded(text: str) -> bytes:
     """A string as OSC has it: with at least one zero byte, a multiple of four in all."""
     encoded = text.encode("ascii")
