@@ -22,6 +22,7 @@ from lipservo.street.settled_phonemes import settled_events
 from lipservo.street.sources import Sound, open_sound
 from lipservo.street.sources import warn as warn_of_sound
 from lipservo.street.speech import Speech
+from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
@@ -85,20 +86,18 @@ class SpokenSound:
         if self.script is not None:
             return list(read_phonemes(self.script))
         source = FileSource(self.path)
-        return list(settled_events(source, self.motion.engine, self.motion.weights))
+        return list(settled_events(source, self.motion.engine, self.motion.weights, _tell_left))
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
         """The faces of ascending sound times, as the robot shows them."""
         face = assemble_face(self.config, self.model)
         synthesizer = make_synthesizer(face.model, self.motion, self.model)
         script = None if self.script is None else ScriptedPhonemes(read_phonemes(self.script))
+        recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
         found: list[Frame] = []
         with open_sound(Sound("file", str(self.path))) as source:
-            phonemes = script or RecognizedPhonemes(
-                source, make_recognizer(self.motion.engine, None, self.motion.weights)
-            )
             speech = Speech(
-                phonemes,
+                script or RecognizedPhonemes(source, recognizer),
                 clock_for(source),
                 synthesizer,
                 face.calibration,
@@ -112,6 +111,8 @@ class SpokenSound:
                     n += 1
                     speech.advance(n * PUBLISH_PERIOD_S)
                 found.append(speech.shown_at(float(time_s))[1])
+        for reason in recognizer.reasons:
+            _tell_left(reason)
         return found
 
 
@@ -123,6 +124,10 @@ def spoken_sound(
     return SpokenSound(
         sound, script, motion_options(chosen, settings.motion, folder), config, model
     )
+
+
+def _tell_left(reason: str) -> None:
+    MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
 
 
 def motion_shapes(spoken: SpokenSound) -> list[MouthCue]:
