@@ -19,7 +19,7 @@ def shapes(
     as_json: Json = False,
 ) -> None:
     """Measure when the mouth closes for P, B and M: drawn by Rhubarb's rules, and ours."""
-    from lipservo.bench.shape_figures import closing_figures, compared_shapes
+    from lipservo.bench.shapes.shape_figures import closing_figures, compared_shapes
     from lipservo.commands.run.exported_speech import spoken_sound
     from lipservo.street.motion_options import ChosenMotion
     from lipservo.terminal.pictures import check_picture
@@ -33,7 +33,7 @@ def shapes(
     compared = compared_shapes(told, heard)
     rows = {name: closing_figures(compared.phones, each) for name, each in compared.closed.items()}
     if picture is not None:
-        from lipservo.bench.shape_plot import draw_shapes
+        from lipservo.bench.shapes.shape_plot import draw_shapes
 
         draw_shapes(compared, sound, picture)
     if as_json:

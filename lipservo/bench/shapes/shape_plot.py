@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lipservo.bench.shape_figures import ComparedShapes
+from lipservo.bench.shapes.shape_figures import ComparedShapes
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipsync.audio.file import read_sound
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM

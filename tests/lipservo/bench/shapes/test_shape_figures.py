@@ -5,7 +5,7 @@ import json
 from speech import CLIP_LABELS_PATH, CLIP_PATH
 from typer.testing import CliRunner
 
-from lipservo.bench.shape_figures import closing_figures
+from lipservo.bench.shapes.shape_figures import closing_figures
 from lipservo.cli import app
 from lipservo.terminal.pictures import is_picture
 from lipsync.phonemes import PhonemeEvent
