@@ -11,12 +11,23 @@ from lipservo.commands.bench import closures as bench_closures
 from lipservo.commands.bench import line as bench_line
 from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import replay as bench_replay
+from lipservo.commands.bench import shapes as bench_shapes
 from lipservo.commands.bench import sync as bench_sync
 from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import app as calibrate
 from lipservo.commands.learn import alignment, recognizer, training
-from lipservo.commands.run import devices, health, processes, run, say, set_value, stop, trace
+from lipservo.commands.run import (
+    devices,
+    export,
+    health,
+    processes,
+    run,
+    say,
+    set_value,
+    stop,
+    trace,
+)
 
 app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
 for command in (
@@ -25,6 +36,7 @@ for command in (
     say.say,
     run.replay,
     devices.devices,
+    export.export,
     training.train,
     alignment.align,
     recognizer.recognize,
@@ -42,6 +54,7 @@ bench.app.command("replay")(bench_replay.replay)
 bench.app.command("line")(bench_line.line)
 bench.app.command("closures")(bench_closures.closures)
 bench.app.command("sync")(bench_sync.sync)
+bench.app.command("shapes")(bench_shapes.shapes)
 bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)
 app.command("doctor")(doctor.doctor)

@@ -1,0 +1,1 @@
+"""Drawn mouths beside our lips: when they close, as figures and as a picture."""

@@ -1,0 +1,105 @@
+"""`export`: what the robot would say with its face, for screen avatars and cartoons."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model
+from lipservo.commands.run.motion_choice import takes_motion
+from lipservo.street.motion_options import ChosenMotion
+from lipservo.terminal.output import MESSAGES, print_json
+from lipsync.errors import UserError
+
+Format = Literal["rhubarb", "arkit", "ovr"]
+ShapeSource = Literal["motion", "rules"]
+
+#: What the ending of a file's name means where no --format says otherwise.
+_FORMAT_OF: dict[str, Format] = {
+    ".tsv": "rhubarb", ".json": "rhubarb", ".xml": "rhubarb", ".jsonl": "arkit", ".csv": "arkit",
+}  # fmt: skip
+_ENDINGS: dict[Format, tuple[str, ...]] = {
+    "rhubarb": (".tsv", ".json", ".xml"), "arkit": (".jsonl", ".csv"), "ovr": (".jsonl", ".csv"),
+}  # fmt: skip
+#: How files begin that this command or Rhubarb itself has written.
+_HEADS = (
+    b'{"lipservo_export": ', b"Timecode,BlendShapeCount,", b"time_s,sil,", b"0.00\t",
+    b'{\n  "metadata": {', b'<?xml version="1.0" encoding="utf-8"?>\n<rhubarbResult>',
+)  # fmt: skip
+
+
+@takes_motion
+def export(
+    *,
+    sound: Annotated[Path, typer.Argument(help="Sound file.")],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="File to write: .tsv .json .xml (Rhubarb), .jsonl .csv."
+        ),
+    ],
+    file_format: Annotated[
+        Format | None,
+        typer.Option(
+            "--format",
+            help="rhubarb: mouth shapes; arkit: 52 blendshapes; ovr: 15 visemes; "
+            "default: by the ending.",
+            show_default=False,
+        ),
+    ] = None,
+    phonemes: Annotated[
+        Path | None,
+        typer.Option(
+            help="TextGrid with a tier `phones`, instead of the recogniser.", show_default=False
+        ),
+    ] = None,
+    shapes: Annotated[
+        ShapeSource,
+        typer.Option(help="Mouth shapes from the robot's motion, or from Rhubarb's rules."),
+    ] = "motion",
+    rate_hz: Annotated[
+        float, typer.Option(min=10.0, max=200.0, help="Frames a second of arkit and ovr.")
+    ] = 60.0,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    motion: ChosenMotion,
+    as_json: Json = False,
+) -> None:
+    """Write the speech of a sound file for avatars: mouth shapes, blendshapes or visemes.
+
+    With the recogniser and the motion of `replay`, so that avatar and robot show the same. Times
+    are sound times: 0 is the first sample.
+    """
+    from lipservo.commands.run.exported_speech import Exported, exported_text
+    from lipsync.output_file import check_output, write_whole
+
+    chosen = _format(output, file_format)
+    if chosen != "rhubarb" and output.suffix.lower() == ".csv" and rate_hz != round(rate_hz):
+        raise UserError(f"--rate-hz {rate_hz}: a CSV counts whole frames a second; give 30 or 60")
+    check_output(
+        output,
+        replaces=lambda head: head.startswith(_HEADS),
+        kind="export",
+        inputs=[sound, phonemes, model],
+    )
+    asked = Exported(chosen, output.suffix.lower(), sound, phonemes, shapes, rate_hz)
+    text, about = exported_text(asked, motion, config, model)
+    write_whole(output, text)
+    if as_json:
+        print_json({"output": str(output), "format": chosen, **about})
+    else:
+        MESSAGES.print(f"{output}: done", soft_wrap=True)
+
+
+def _format(output: Path, given: Format | None) -> Format:
+    """Raises UserError for an ending that says nothing, or another format than the one given."""
+    ending = output.suffix.lower()
+    found = given or _FORMAT_OF.get(ending)
+    if found is None:
+        raise UserError(
+            f"{output}: the ending says how to write it, and this one says nothing; name it "
+            f"{', '.join(_FORMAT_OF)}"
+        )
+    if ending not in _ENDINGS[found]:
+        raise UserError(f"{output}: {found} is written as {' or '.join(_ENDINGS[found])}")
+    return found

@@ -1,0 +1,144 @@
+"""Mouth shapes from the motion itself, so that a cartoon shows what the robot's lips do."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.export.lip_measures import GAP, MEASURES, LipMeasures
+from lipsync.export.mouth_cues import CENTISECOND_S, MouthCue, Shape, centiseconds, joined
+from lipsync.motion.lip_closure import BILABIAL_GAP_MM
+from lipsync.phonemes import stand_in
+
+#: The phones whose recorded mouths are the drawing of a shape, as Rhubarb's README names them.
+#: Not H: no marker lies on the tongue. A and X are told by the gap.
+_DRAWN_BY: Mapping[Shape, tuple[str, ...]] = {
+    "B": ("K", "S", "T", "IY"),
+    "C": ("EH", "AE"),
+    "D": ("AA",),
+    "E": ("AO", "ER"),
+    "F": ("UW", "OW", "W"),
+    "G": ("F", "V"),
+}
+_NAMES: tuple[Shape, ...] = ("A", *_DRAWN_BY)
+#: Two frames of cartoons at 25 a second: nothing is shown for less.
+SHORTEST_CS = 8
+#: Lips that touch are drawn touching, at the price of any other shape: more than 0.08 s of the
+#: worst likeness, in squared standard deviations.
+_CLOSURE_PRICE = 1e3
+#: As in Rhubarb's rules, a pause longer than this shows the mouth at rest.
+_PAUSE_CS = 35
+
+
+@dataclass(frozen=True, slots=True)
+class ShapePrototypes:
+    """What a mouth is compared with.
+
+    places: (7, n_measures), of A and of the shapes that phones draw, in standard deviations of the
+    recorded faces.
+    """
+
+    measures: LipMeasures
+    places: Array
+
+
+def shape_prototypes(model: FaceWithAnimPhos, measures: LipMeasures) -> ShapePrototypes:
+    """The median recorded mouth in the middle of the phones that each shape is drawn for.
+
+    A is the mouth at rest, whose lips touch.
+    """
+    units = model.animphos
+    middle = SAMPLES_PER_ANIMPHO // 2
+    places = [np.zeros(len(MEASURES))]
+    for phones in _DRAWN_BY.values():
+        known = {p for phone in phones for p in stand_in(phone, units.known_phonemes)}
+        chosen = np.concatenate([units.of_phoneme(phone) for phone in sorted(known)])
+        places.append(np.median(measures.of(units.samples[chosen, middle]), axis=0))
+    return ShapePrototypes(measures, np.stack(places) / _scale(measures))
+
+
+def motion_cues(
+    prototypes: ShapePrototypes, coefficients: Array, shut: NDArray[np.bool_], duration_s: float
+) -> list[MouthCue]:
+    """Mouth shapes of a motion (n, n_components), sampled every 10 ms from 0 s on.
+
+    The shapes that are nearest to the motion over all, none shorter than `SHORTEST_CS`. shut: (n,),
+    where the lips touch (`lips_shut`): drawn as A, as X in pauses. Raises ValueError for a motion
+    shorter than the sound.
+    """
+    n = centiseconds(duration_s)
+    if len(coefficients) < n:
+        raise ValueError(f"{len(coefficients)} frames are fewer than the sound's {n}")
+    if n == 0:
+        return []
+    at = prototypes.measures.of(coefficients[:n]) / _scale(prototypes.measures)
+    costs = ((at[:, None, :] - prototypes.places[None]) ** 2).sum(axis=2)
+    costs[shut[:n], 1:] += _CLOSURE_PRICE
+    cues = joined(
+        MouthCue(_NAMES[shape], start, end) for shape, start, end in _segments(costs, SHORTEST_CS)
+    )
+    return [_at_rest(cue) if _is_pause(cue, n) else cue for cue in cues]
+
+
+def lips_shut(measures: LipMeasures, coefficients: Array) -> NDArray[np.bool_]:
+    """(n,), whether the lips touch in faces (n, n_components)."""
+    gap_mm = measures.of(coefficients)[:, MEASURES.index(GAP)] + measures.rest_gap_mm
+    return np.asarray(gap_mm <= BILABIAL_GAP_MM)
+
+
+def sampling_times_s(duration_s: float) -> Array:
+    """(n,), the times at which `motion_cues` wants its motion."""
+    return np.asarray(np.arange(centiseconds(duration_s)) * CENTISECOND_S, dtype=np.float64)
+
+
+def _scale(measures: LipMeasures) -> Array:
+    """(n_measures,), never 0."""
+    scale: Array = np.where(measures.spread_mm > 0.0, measures.spread_mm, 1.0)
+    return scale
+
+
+def _segments(costs: Array, shortest: int) -> Sequence[tuple[int, int, int]]:
+    """The cheapest (shape, start, end) that cover the rows of costs (n, n_shapes).
+
+    Every stretch has `shortest` rows at least, where there are as many. Dynamic programming over
+    stretches, as of a hidden semi-Markov model with a shortest duration.
+    """
+    n, n_shapes = costs.shape
+    shortest = min(shortest, n)
+    total = np.vstack([np.zeros(n_shapes), np.cumsum(costs, axis=0)])
+    # best[t, s]: cost of rows before t when the last stretch is s and as long as it must be.
+    best = np.full((n + 1, n_shapes), np.inf)
+    begins = np.zeros((n + 1, n_shapes), dtype=np.int64)
+    came_from = np.full((n + 1, n_shapes), -1)
+    for t in range(shortest, n + 1):
+        start = t - shortest
+        new = total[t] - total[start]
+        if start:
+            cheapest = int(best[start].argmin())
+            new = new + best[start, cheapest]
+            came_from[t] = cheapest
+        longer = best[t - 1] + costs[t - 1]
+        goes_on = longer <= new
+        best[t] = np.where(goes_on, longer, new)
+        begins[t] = np.where(goes_on, begins[t - 1], start)
+        came_from[t] = np.where(goes_on, came_from[t - 1], came_from[t])
+    found: list[tuple[int, int, int]] = []
+    end, shape = n, int(best[n].argmin())
+    while end > 0:
+        start = int(begins[end, shape])
+        found.append((shape, start, end))
+        end, shape = start, int(came_from[end, shape])
+    return found[::-1]
+
+
+def _is_pause(cue: MouthCue, n: int) -> bool:
+    """Closed for long, or before the first word or after the last."""
+    is_long = cue.end_cs - cue.start_cs > _PAUSE_CS
+    return cue.shape == "A" and (is_long or cue.start_cs == 0 or cue.end_cs == n)
+
+
+def _at_rest(cue: MouthCue) -> MouthCue:
+    return MouthCue("X", cue.start_cs, cue.end_cs)
