@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Final, Protocol
 
+from lipservo.speech.speech import Speech
 from lipservo.status.face_status import SpeechStatus
 from lipservo.street.motion_options import MotionOptions
-from lipservo.street.speech import Speech
 from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 

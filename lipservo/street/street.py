@@ -9,9 +9,9 @@ from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.simulator.bus import SimulatedBus
 from lipservo.face.assembly import Face
 from lipservo.face.servos import bridge_for
+from lipservo.speech.speech import Speech
+from lipservo.speech.speech_side import SpeechSide, make_speech_side
 from lipservo.status.street_tick import StreetTick
-from lipservo.street.speech import Speech
-from lipservo.street.speech_side import SpeechSide, make_speech_side
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.audio.source import AudioSource

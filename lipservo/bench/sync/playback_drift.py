@@ -7,8 +7,8 @@ import numpy as np
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf
 from lipservo.face.assembly import assemble_face
+from lipservo.speech.speech_side import make_speech_side
 from lipservo.street.motion_options import MotionOptions, make_synthesizer
-from lipservo.street.speech_side import make_speech_side
 from lipsync.audio.playout import Playout
 from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
 

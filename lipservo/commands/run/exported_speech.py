@@ -9,7 +9,9 @@ import numpy as np
 
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.face.assembly import assemble_face, load_settings
-from lipservo.street.delay import PUBLISH_PERIOD_S
+from lipservo.speech.delay import PUBLISH_PERIOD_S
+from lipservo.speech.recognized_phonemes import RecognizedPhonemes
+from lipservo.speech.speech import Speech
 from lipservo.street.motion_options import (
     ChosenMotion,
     MotionOptions,
@@ -17,11 +19,9 @@ from lipservo.street.motion_options import (
     make_synthesizer,
     motion_options,
 )
-from lipservo.street.recognized_phonemes import RecognizedPhonemes
 from lipservo.street.settled_phonemes import settled_events
 from lipservo.street.sources import Sound, open_sound
 from lipservo.street.sources import warn as warn_of_sound
-from lipservo.street.speech import Speech
 from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array

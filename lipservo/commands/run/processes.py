@@ -105,9 +105,9 @@ def speech_process(
     from firmware_bridge.clock import MonotonicClock, ticks
     from firmware_bridge.process.socket_channel import SocketTargetChannel
     from lipservo.face.assembly import assemble_face
-    from lipservo.street.delay import PUBLISH_PERIOD_S
+    from lipservo.speech.delay import PUBLISH_PERIOD_S
+    from lipservo.speech.speech_side import make_speech_side
     from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
-    from lipservo.street.speech_side import make_speech_side
     from lipservo.street.speech_status import speech_status
     from lipservo.street.spoken_sound import entered_sound
 

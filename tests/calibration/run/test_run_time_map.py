@@ -12,8 +12,8 @@ from calibration.fit.learnt_face import fit_calibration
 from calibration.joint_range import JointRange
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.bench.calibration_figures import calibration_figures
-from lipservo.street.delay import PUBLISH_PERIOD_S
-from lipservo.street.speech import Speech
+from lipservo.speech.delay import PUBLISH_PERIOD_S
+from lipservo.speech.speech import Speech
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.phonemes import PhonemeEvent

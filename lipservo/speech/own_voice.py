@@ -4,7 +4,7 @@ import math
 from collections import deque
 from typing import Final
 
-from lipservo.street.speech import Speech
+from lipservo.speech.speech import Speech
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import OwnPlaybackClock
 from lipsync.audio.playout import Playout

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipservo.street.layers import HANDOVER_S, STEEPEST, Claim, Layer, ServoLayers
+from lipservo.speech.layers import HANDOVER_S, STEEPEST, Claim, Layer, ServoLayers
 
 SERVOS = ("jaw", "corner_left_up", "neck_pitch", "lids")
 NEUTRAL_DEG = np.array([0.0, 0.0, 5.0, -3.0])

@@ -7,9 +7,9 @@ import pytest
 
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.face.assembly import assemble_face
+from lipservo.speech.recognized_phonemes import RecognizedPhonemes
+from lipservo.speech.speech import Speech
 from lipservo.street.motion_options import MotionOptions, make_synthesizer
-from lipservo.street.recognized_phonemes import RecognizedPhonemes
-from lipservo.street.speech import Speech
 from lipsync.audio.playback_clock import SteadyClock, clock_for
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 from lipsync.phonemes import PhonemeEvent

@@ -6,10 +6,10 @@ from typing import Final
 from firmware_bridge.dynamixel.soft_start import SOFT_FOR_S
 from firmware_bridge.targets import TargetChannel
 from lipservo.face.assembly import Face
-from lipservo.street.own_voice import OwnVoice
-from lipservo.street.recognized_phonemes import RecognizedPhonemes
-from lipservo.street.speech import Speech
-from lipservo.street.spoken_phonemes import SpokenPhonemes
+from lipservo.speech.own_voice import OwnVoice
+from lipservo.speech.recognized_phonemes import RecognizedPhonemes
+from lipservo.speech.speech import Speech
+from lipservo.speech.spoken_phonemes import SpokenPhonemes
 from lipsync.audio.playback_clock import OwnPlaybackClock, clock_for
 from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource

@@ -9,9 +9,9 @@ from calibration.calibration import Calibration
 from calibration.run.following import Follower
 from calibration.run.viseme_trim import VisemeTrim
 from firmware_bridge.targets import ServoTargets, TargetChannel
-from lipservo.street.cut_off import CutOff
-from lipservo.street.delay import PUBLISH_PERIOD_S, Delay
-from lipservo.street.layers import Claim, Layer, ServoLayers
+from lipservo.speech.cut_off import CutOff
+from lipservo.speech.delay import PUBLISH_PERIOD_S, Delay
+from lipservo.speech.layers import Claim, Layer, ServoLayers
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.face.frame import Frame

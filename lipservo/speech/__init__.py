@@ -1,0 +1,1 @@
+"""The speech side of a face: phonemes in, targets for servos out."""
