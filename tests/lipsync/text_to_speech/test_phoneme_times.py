@@ -28,14 +28,16 @@ def peak(spoken, start_s, end_s):
     return np.max(np.abs(spoken.samples[round(start_s * rate_hz) : round(end_s * rate_hz)]))
 
 
+STOP_LETTERS = (*"ptkbd", "\N{LATIN SMALL LETTER SCRIPT G}")
+
+
 def bursts_s(text):
     """Where espeak-ng itself says that each stop begins."""
     synthesis = espeak_library().synthesize(text, Voice())
     return [
         mark.sample / synthesis.sample_rate_hz
         for mark in synthesis.marks
-        if isinstance(mark, PhonemeMark)
-        and mark.ipa[:1] in set("ptkbd\N{LATIN SMALL LETTER SCRIPT G}")
+        if isinstance(mark, PhonemeMark) and mark.ipa.startswith(STOP_LETTERS)
     ]
 
 
