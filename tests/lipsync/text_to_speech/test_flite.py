@@ -4,7 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from spoken_events import check_spoken, closures
+from spoken_phonemes import check_spoken, closures
 
 from lipsync.text_to_speech.flite import Flite, segments
 from lipsync.text_to_speech.spoken_text import SynthesisError, UnspeakableTextError, Voice
