@@ -1,6 +1,8 @@
 """espeak-ng through its library: what it says, and what it does with odd texts."""
 
 import ctypes
+import subprocess
+import sys
 import threading
 
 import pytest
@@ -182,3 +184,27 @@ def test_every_phoneme_of_every_language_is_in_the_table(espeak):
             assert spoken.guessed == (), language
     # Voices without numbers in their dictionaries.
     assert len(silent) < 12
+
+
+WITHOUT_DEBIANS = """
+import ctypes
+import subprocess
+import sys
+system = ctypes.CDLL
+def without(name, *rest, **options):
+    if name == "libespeak-ng.so.1":
+        raise OSError(name)
+    return system(name, *rest, **options)
+ctypes.CDLL = without
+from lipsync.text_to_speech.espeak import Espeak
+print(" ".join(each.phoneme for each in Espeak().speak("Thumbs up!").phonemes))
+"""
+
+
+def test_where_the_debian_package_is_missing_the_extra_serves():
+    """In a process of its own, as the library has one state."""
+    pytest.importorskip("espeakng_loader", reason="the extra `say` is not installed")
+    command = [sys.executable, "-c", WITHOUT_DEBIANS]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+
+    assert done.stdout == "SIL TH AH M Z AH P SIL\n", done.stderr
