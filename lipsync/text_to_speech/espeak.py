@@ -30,8 +30,8 @@ from lipsync.text_to_speech.spoken_text import (
 from lipsync.text_to_speech.timed_phones import TimedPhones, phoneme_events, word_times
 from lipsync.text_to_speech.written_text import checked_text
 
-#: Faster than that espeak-ng squeezes its sound afterwards and its events no longer fit.
-_RATES_WPM = range(80, 451)
+#: From 450 on espeak-ng squeezes its sound afterwards, and its events no longer fit the sound.
+_RATES_WPM = range(80, 401)
 _PITCHES = range(100)
 _WORD = re.compile(r"\w+")
 #: espeak-ng says with a phoneme like "(fr)" that another language begins. No sound.
@@ -86,7 +86,7 @@ class Espeak:
                 f"espeak-ng does not speak {voice.language!r}; near it: {', '.join(near)}"
             )
         if voice.rate_wpm not in _RATES_WPM:
-            raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 450 words a minute")
+            raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 400 words a minute")
         if voice.pitch not in _PITCHES:
             raise SynthesisError(f"pitch {voice.pitch} is not within 0 to 99")
 

@@ -101,8 +101,8 @@ def test_text_is_text_whatever_it_looks_like(espeak, text, said):
         (Voice("en-uz"), "en-us"),
         (Voice("\x00"), "near it"),
         (Voice(name="kal"), "choose a language"),
-        (Voice(rate_wpm=79), "80 to 450"),
-        (Voice(rate_wpm=451), "80 to 450"),
+        (Voice(rate_wpm=79), "80 to 400"),
+        (Voice(rate_wpm=401), "80 to 400"),
         (Voice(pitch=-1), "0 to 99"),
     ],
 )

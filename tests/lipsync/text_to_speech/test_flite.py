@@ -78,7 +78,7 @@ def test_text_is_text_whatever_it_looks_like(flite, text):
     [
         (Voice("de"), "'en-us' alone"),
         (Voice(name="/etc/passwd"), "it has: awb, kal, kal16, rms, slt"),
-        (Voice(rate_wpm=1), "80 to 450"),
+        (Voice(rate_wpm=1), "80 to 400"),
         (Voice(pitch=60), "one pitch"),
     ],
 )
