@@ -57,7 +57,7 @@ class SpokenFile:
 
 def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
     """The phonemes of a file that begin at `start_s` or later, counted from there."""
-    from lipsync.recognition.scripted import read_phonemes
+    from lipsync.phoneme_files.reader import read_known_phonemes
 
     return tuple(
         PhonemeEvent(
@@ -65,6 +65,6 @@ def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
             event.start_s - start_s,
             None if event.end_s is None else event.end_s - start_s,
         )
-        for event in read_phonemes(path)
+        for event in read_known_phonemes(path)
         if event.start_s >= start_s
     )

@@ -4,6 +4,8 @@ Why espeak-ng, and what its times are worth: docs/decisions/0018-text-to-speech.
 """
 
 import difflib
+import re
+import string
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +30,10 @@ from lipsync.text_to_speech.spoken_text import (
 from lipsync.text_to_speech.timed_phones import TimedPhones, phoneme_events, word_times
 from lipsync.text_to_speech.written_text import checked_text
 
-#: Faster than that espeak-ng squeezes its sound afterwards and its events no longer fit.
-_RATES_WPM = range(80, 451)
+#: From 450 on espeak-ng squeezes its sound afterwards, and its events no longer fit the sound.
+_RATES_WPM = range(80, 401)
 _PITCHES = range(100)
+_WORD = re.compile(r"\w+")
 #: espeak-ng says with a phoneme like "(fr)" that another language begins. No sound.
 _SWITCH = "("
 #: A pause of espeak-ng's of which more than this sounds is the end of the phoneme before.
@@ -83,7 +86,7 @@ class Espeak:
                 f"espeak-ng does not speak {voice.language!r}; near it: {', '.join(near)}"
             )
         if voice.rate_wpm not in _RATES_WPM:
-            raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 450 words a minute")
+            raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 400 words a minute")
         if voice.pitch not in _PITCHES:
             raise SynthesisError(f"pitch {voice.pitch} is not within 0 to 99")
 
@@ -146,6 +149,10 @@ def _words(text: str, spoken: Synthesis, timed: list[TimedPhones]) -> tuple[Spok
     for index, (start_s, end_s) in word_times(timed).items():
         mark = marks[index]
         word = text[mark.position : mark.position + mark.length].strip()
+        if all(sign in string.punctuation for sign in word):
+            # espeak-ng counts "-- How" as two words, and says that it speaks the first of them.
+            following = _WORD.search(text, max(0, mark.position))
+            word = following.group() if following is not None else ""
         if word:
             found.append(SpokenWord(word, start_s, end_s))
     return tuple(found)

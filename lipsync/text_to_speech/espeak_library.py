@@ -186,11 +186,24 @@ def _languages(address: int) -> list[tuple[str, int]]:
     return found
 
 
-@cache
+_loading = threading.Lock()
+
+
 def espeak_library() -> EspeakLibrary:
+    """The one of this process, loaded at the first call. Raises as `load_library` does."""
+    with _loading:
+        return _loaded_once()
+
+
+@cache
+def _loaded_once() -> EspeakLibrary:
+    return load_library()
+
+
+def load_library() -> EspeakLibrary:
     """The library of the system, else the one in the package espeakng-loader.
 
-    Raises SynthesisError where there is neither.
+    It gives its sound to whoever loaded it last. Raises SynthesisError where there is neither.
     """
     try:
         return EspeakLibrary(ctypes.CDLL(_LIBRARY), None)

@@ -35,7 +35,7 @@ _BEST_VOICE = "slt"
 #: It speaks nothing but the time of day.
 _TALKING_CLOCK = "awb_time"
 _LANGUAGE = "en-us"
-_RATES_WPM = range(80, 451)
+_RATES_WPM = range(80, 401)
 #: A text of `longest_text` takes about two seconds; longer than this, and flite hangs.
 _TIMEOUT_S = 60.0
 
@@ -93,7 +93,7 @@ class Flite:
         if voice.name and voice.name not in known:
             raise SynthesisError(f"flite has no voice {voice.name!r}; it has: {', '.join(known)}")
         if voice.rate_wpm not in _RATES_WPM:
-            raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 450 words a minute")
+            raise SynthesisError(f"rate {voice.rate_wpm} is not within 80 to 400 words a minute")
         if voice.pitch != DEFAULT_VOICE.pitch:
             raise SynthesisError("flite has one pitch for each voice; choose another voice")
 

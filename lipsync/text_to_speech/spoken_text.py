@@ -23,7 +23,7 @@ class Voice:
     """How to speak. What a synthesiser lacks it refuses with SynthesisError.
 
     language: one of the synthesiser's `languages()`. name: one of its `voices()`; "" is its own
-    choice for the language. rate_wpm: words a minute, 80 to 450, 175 as the voice was made.
+    choice for the language. rate_wpm: words a minute, 80 to 400, 175 as the voice was made.
     pitch: 0 to 99, 50 as the voice was made.
     """
 

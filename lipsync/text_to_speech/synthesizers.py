@@ -13,7 +13,7 @@ from lipsync.text_to_speech.spoken_text import (
     UnspeakableTextError,
     Voice,
 )
-from lipsync.text_to_speech.written_text import pieces, readable
+from lipsync.text_to_speech.written_text import pieces
 
 #: A sentence longer than this, in characters, is cut: 25 s of speech.
 LONGEST_PIECE = 400
@@ -40,7 +40,7 @@ def speak_in_pieces(
     SynthesisError as `speak` does.
     """
     is_spoken = False
-    for piece in pieces(readable(text), LONGEST_PIECE):
+    for piece in pieces(text, LONGEST_PIECE):
         try:
             spoken = synthesizer.speak(piece, voice)
         except UnspeakableTextError:

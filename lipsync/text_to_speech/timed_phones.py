@@ -19,10 +19,11 @@ def phoneme_events(timed: list[TimedPhones]) -> tuple[PhonemeEvent, ...]:
     """One event a phone: those of one phoneme share its time evenly, pauses in a row are one."""
     events: list[PhonemeEvent] = []
     for each in timed:
-        step_s = (each.end_s - each.start_s) / len(each.phones)
-        for index, phone in enumerate(each.phones):
-            start_s = each.start_s + index * step_s
-            end_s = each.end_s if index == len(each.phones) - 1 else start_s + step_s
+        n = len(each.phones)
+        bounds_s = [each.start_s + index * (each.end_s - each.start_s) / n for index in range(n)]
+        for phone, start_s, end_s in zip(
+            each.phones, bounds_s, [*bounds_s[1:], each.end_s], strict=True
+        ):
             if phone == SILENCE and events and events[-1].phoneme == SILENCE:
                 start_s = events.pop().start_s
             events.append(PhonemeEvent(phone, start_s, end_s))

@@ -10,8 +10,10 @@ from lipsync.text_to_speech.spoken_text import SynthesisError, UnspeakableTextEr
 _NOT_TEXT = ("Cc", "Cs", "Cn")
 #: What ends a sentence, with the brackets and quotation marks that close after it.
 _SENTENCE_END = re.compile(r"[.!?…;:。！？।]+[\"'”’»)\]]*(?=\s)|[。！？।]|\n\s*\n")
-#: A point after such a word ends no sentence: Dr. Mrs. St. U.S.
-_ABBREVIATION = re.compile(r"(?:^|\s)(?:[A-Z][a-z]{0,2}|(?:[A-Za-z]\.)*[A-Za-z])\.$")
+#: A point after such a word ends no sentence: titles, initials, U.S., z.B.
+_ABBREVIATION = re.compile(
+    r"(?:^|\s)(?:Mrs?|Ms|Dr|St|Prof|Jr|Sr|vs|(?:[A-Za-z]\.)*[A-Z]|[a-z]\.[a-zA-Z])\.$"
+)
 _PAUSE = re.compile(r"[,–—、，]\s*")
 _SPACE = re.compile(r"\s+")
 

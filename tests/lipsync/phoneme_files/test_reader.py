@@ -1,0 +1,263 @@
+"""Files of known phonemes: each format by an example, and whatever else somebody may give."""
+
+import json
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import DATA
+
+from lipsync.errors import UserError
+from lipsync.phoneme_files.reader import phonemes_in, read_known_phonemes
+from lipsync.phonemes import PHONEMES
+from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
+from lipsync.textgrid import LabelError
+
+POLLY = """\
+{"time":0,"type":"sentence","start":0,"end":9,"value":"Mary had."}
+{"time":6,"type":"word","start":0,"end":4,"value":"Mary"}
+{"time":6,"type":"viseme","value":"p"}
+{"time":73,"type":"viseme","value":"E"}
+{"time":180,"type":"viseme","value":"r"}
+{"time":292,"type":"viseme","value":"i"}
+{"time":373,"type":"ssml","start":5,"end":8,"value":"mark"}
+{"time":373,"type":"viseme","value":"sil"}
+"""
+AZURE = [
+    {"audioOffset": 0, "visemeId": 0},
+    {"audioOffset": 500000, "visemeId": 21},
+    {"audioOffset": 1250000, "visemeId": 4},
+    {"audioOffset": 2000000, "visemeId": 0},
+]
+HEAD_TTS = {
+    "words": ["Mama ", "is"],
+    "wtimes": [100, 300],
+    "wdurations": [200, 100],
+    "visemes": ["PP", "aa", "PP", "aa", "I", "SS"],
+    "vtimes": [100, 150, 200, 250, 300, 350],
+    "vdurations": [60, 50, 50, 40, 50, 50],
+}
+
+
+def read(content):
+    """(phoneme, start and end in ms) of what a file holds."""
+    if not isinstance(content, str):
+        content = json.dumps(content)
+    return [
+        (each.phoneme, round(1000 * each.start_s), round(1000 * each.end_s))
+        for each in phonemes_in(content.encode(), "file")
+    ]
+
+
+def refusal(content):
+    with pytest.raises(LabelError) as raised:
+        read(content)
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def test_polly_tells_starts_of_visemes_in_ms():
+    assert read(POLLY) == [
+        *(("SIL", 0, 6), ("P", 6, 73), ("EH", 73, 180), ("R", 180, 292), ("IY", 292, 373))
+    ]
+
+
+def test_one_speech_mark_alone_is_polly_too():
+    """Its end is in no file: a tenth of a second."""
+    assert read('{"time":0,"type":"viseme","value":"p"}') == [("P", 0, 100)]
+
+
+@pytest.mark.parametrize(
+    "spelling",
+    [
+        ("audioOffset", "visemeId"),
+        ("AudioOffset", "VisemeId"),
+        ("audio_offset", "viseme_id"),
+    ],
+)
+def test_azure_tells_ticks_of_100_ns_in_three_spellings(spelling):
+    rows = [dict(zip(spelling, row.values(), strict=True)) for row in AZURE]
+    expected = [("SIL", 0, 50), ("P", 50, 125), ("EH", 125, 200)]
+
+    assert read(rows) == expected
+    assert read("\n".join(json.dumps(row) for row in rows)) == expected
+
+
+def test_head_tts_tells_starts_and_durations():
+    expected = [
+        *(("SIL", 0, 100), ("P", 100, 150), ("AA", 150, 200), ("P", 200, 250), ("AA", 250, 290)),
+        *(("SIL", 290, 300), ("IH", 300, 350), ("S", 350, 400)),
+    ]
+    assert read(HEAD_TTS) == expected
+    assert read({"type": "audio", "ref": 1, "data": HEAD_TTS}) == expected
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        [
+            {"phoneme": "m", "start": 0.1, "end": 0.2},
+            {"phoneme": "ˈaɪ", "start": 0.2, "end": 0.4},
+            {"phoneme": "ː", "start": 0.4, "end": 0.45},
+            {"phoneme": "tɕ", "start": 0.45, "end": 0.5},
+        ],
+        {
+            "sample_rate": 16000,
+            "alignments": [
+                {"phoneme": "^", "num_samples": 1600},
+                {"phoneme": "m", "num_samples": 1600},
+                {"phoneme": "aɪ", "num_samples": 3200},
+                {"phoneme": " ", "num_samples": 800},
+                {"phoneme": "tɕ", "num_samples": 800},
+            ],
+        },
+        [
+            {"phoneme": ",", "duration": 0.1},
+            {"phoneme": "M", "duration": 0.1},
+            {"phoneme": "AY1", "duration": 0.25},
+            {"phoneme": "CH", "duration": 0.05},
+        ],
+        {
+            "tokens": [
+                {"phonemes": "m", "start_ts": 0.1},
+                {"phonemes": "aɪ", "start_ts": 0.2},
+                {"phonemes": "tʃ", "start_ts": 0.45, "end_ts": 0.5},
+            ]
+        },
+    ],
+    ids=["start and end", "samples", "durations", "starts"],
+)
+def test_rows_of_a_phoneme_each_in_ipa_or_arpabet(content):
+    assert read(content) == [("SIL", 0, 100), ("M", 100, 200), ("AY", 200, 450), ("CH", 450, 500)]
+
+
+def test_a_row_of_several_phonemes_shares_its_time():
+    rows = [{"phonemes": "hˈɛloʊ", "start_ts": 0.0, "end_ts": 0.4}]
+    assert read(rows) == [("HH", 0, 100), ("EH", 100, 200), ("L", 200, 300), ("OW", 300, 400)]
+
+
+def test_what_align_writes_as_json_is_read():
+    tiers = {"words": [["no", 0.1, 0.3]], "phones": [["", 0, 0.1], ["N", 0.1, 0.2]]}
+    assert read(tiers) == [("SIL", 0, 100), ("N", 100, 200)]
+
+
+def test_a_textgrid_is_told_by_its_content(tmp_path):
+    copy = tmp_path / "phonemes.json"
+    copy.write_bytes((DATA / "welcome.TextGrid").read_bytes())
+
+    assert read_known_phonemes(copy) == read_phonemes(DATA / "welcome.TextGrid")
+
+
+def test_a_file_with_the_mark_of_its_encoding_is_read(tmp_path):
+    path = tmp_path / "marks.txt"
+    path.write_bytes(b"\xef\xbb\xbf" + POLLY.replace("\n", "\r\n").encode())
+
+    assert len(read_known_phonemes(path)) == 5
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        ("", "file: empty; known are"),
+        ("hello", "file: line 1: no JSON object"),
+        (POLLY + "nonsense", "file: line 9: no JSON object"),
+        (POLLY + '{"time":380,"type":"viseme","value":"Q"}', "line 9: 'Q' is no viseme of polly"),
+        (POLLY + '{"time":372,"type":"viseme","value":"p"}', "line 9: begins at 0.372 s, before"),
+        (POLLY + '{"time":"372","type":"viseme","value":"p"}', "line 9: '372' is no time"),
+        (POLLY.replace("viseme", "note"), "ask Polly for"),
+        ([*AZURE, {"audioOffset": 3000000, "visemeId": 22}], "[4]: 22 is no viseme of azure"),
+        ([*AZURE, {"audioOffset": -1, "visemeId": 1}], "[4]: time -1 is not within"),
+        ([*AZURE, {"audioOffset": 1e99, "visemeId": 1}], "[4]: time 1e+99 is not within"),
+        ([*AZURE, {"audioOffset": True, "visemeId": 1}], "[4]: True is no time"),
+        (HEAD_TTS | {"vtimes": [1]}, "6 visemes, 1 vtimes and 6 vdurations"),
+        (HEAD_TTS | {"vtimes": 1}, "must be lists"),
+        (HEAD_TTS | {"visemes": ["PP"] * 5 + ["X"]}, "visemes[5]: 'X' is no viseme of ovr"),
+        ({"phones": [["AH0", 0, 1]]}, "phones[0]: 'AH0' is no phoneme"),
+        ({"phones": [["AH", 2, 1]]}, "phones[0]: ends at 1.000 s, before it begins"),
+        ({"phones": [["AH", 0]]}, "phones[0]: ['AH', 0] is not [label"),
+        ({"phones": []}, "no phonemes"),
+        ({"phones": [["", 0, 1]]}, "nothing but silence"),
+        ([{"phoneme": "m"}], "[0]: no time"),
+        ([{"phoneme": "m", "num_samples": 3}], "no sample_rate"),
+        ([{"phoneme": 3, "start": 0}], "[0]: 3 is no phoneme"),
+        ([1, 2], "JSON of an unknown kind"),
+        ({"hello": 1}, "JSON of an unknown kind"),
+        ("[" * 100_000, "line 1: no JSON object"),
+        ('{"time":' + "9" * 5000 + "}", "no JSON object"),
+    ],
+)
+def test_what_is_wrong_is_told_in_one_line_with_its_place(content, told):
+    assert told in refusal(content)
+
+
+def test_a_file_that_cannot_be_read_is_one_line(tmp_path):
+    for path in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(LabelError, match="cannot be read"):
+            read_known_phonemes(path)
+
+
+NUMBERS = st.one_of(st.integers(-5, 2000), st.floats(), st.none(), st.text(max_size=3))
+ROWS = st.fixed_dictionaries(
+    {},
+    optional={
+        "time": NUMBERS,
+        "type": st.sampled_from(["viseme", "word", 3]),
+        "value": st.one_of(st.sampled_from(["p", "sil", "E"]), NUMBERS),
+        "audioOffset": NUMBERS,
+        "VisemeId": NUMBERS,
+        "phoneme": st.one_of(st.text(max_size=4), st.none()),
+        "start": NUMBERS,
+        "end": NUMBERS,
+        "duration": NUMBERS,
+        "num_samples": NUMBERS,
+    },
+)
+LISTS = st.lists(st.one_of(st.sampled_from(["PP", "aa"]), NUMBERS), max_size=4)
+DOCUMENTS = st.one_of(
+    st.lists(ROWS, max_size=6),
+    st.fixed_dictionaries({"visemes": LISTS, "vtimes": LISTS, "vdurations": LISTS}),
+    st.fixed_dictionaries({"phones": st.lists(LISTS, max_size=4)}),
+    st.fixed_dictionaries({"phonemes": st.lists(ROWS, max_size=4), "sample_rate": NUMBERS}),
+)
+
+
+def check_read_or_refused(content):
+    try:
+        events = phonemes_in(content, "file")
+    except UserError as error:
+        if "\n" in str(error):
+            raise
+        return
+    assert events[0].start_s == 0.0
+    assert {event.phoneme for event in events} <= set(PHONEMES)
+    assert all(event.start_s < event.end_s for event in events)
+    assert all(before.end_s == after.start_s for before, after in pairwise(events))
+    ScriptedPhonemes(events)
+
+
+@given(content=st.binary(max_size=200))
+def test_no_bytes_break_the_reader(content):
+    check_read_or_refused(content)
+
+
+@given(document=DOCUMENTS)
+def test_no_document_breaks_the_reader(document):
+    check_read_or_refused(json.dumps(document).encode())
+
+
+@given(rows=st.lists(ROWS, max_size=6))
+def test_no_lines_break_the_reader(rows):
+    check_read_or_refused("\n".join(json.dumps(row) for row in rows).encode())
+
+
+@given(garbage=st.text(max_size=60), place=st.integers(0, 400))
+def test_no_textgrid_breaks_the_reader(tmp_path_factory, garbage, place):
+    text = (DATA / "welcome.TextGrid").read_text("utf-8")[:600]
+    path = tmp_path_factory.mktemp("grid") / "broken.TextGrid"
+    path.write_text(text[:place] + garbage + text[place:], "utf-8", errors="replace")
+    try:
+        read_known_phonemes(path)
+    except UserError as error:
+        if "\n" in str(error) and not {"\n", "\r"} & set(garbage):
+            raise

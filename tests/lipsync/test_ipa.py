@@ -1,0 +1,99 @@
+"""Phonemes of any language as phones of ours."""
+
+import unicodedata
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from places import DATA, ROOT
+
+from lipsync.ipa import InventoryPhones, ipa_table, phones_of_ipa
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
+
+#: Every phoneme that a voice of espeak-ng 1.51 can give out, one a line (docs/speech.md says how).
+ESPEAK_PHONEMES = (DATA / "espeak_phonemes.txt").read_text("utf-8").split()
+
+
+def phones(phoneme):
+    return " ".join(phones_of_ipa(phoneme).phones)
+
+
+@pytest.mark.parametrize(
+    ("phoneme", "expected"),
+    [
+        ("p", "P"),
+        ("t͡ʃ", "CH"),
+        ("tɕʰ", "CH"),
+        ("ts", "T S"),
+        ("yː", "UW"),
+        ("ø", "OW"),
+        ("œ̃", "AO"),
+        ("ɑ̃ː", "AA"),
+        ("ɲ", "N"),
+        ("x", "HH"),
+        ("ʁ", "HH"),
+        ("ç", "HH"),
+        ("ɬ", "L"),
+        ("ǃ", "T"),
+        ("ħ", "HH"),
+        ("l̩", "L"),
+        ("ˈeɪ", "EY"),
+        ("aɪə", "AY AH"),
+        ("ɛu", "EH UW"),
+        ("ɑːɹ", "AA R"),
+        ("ᵐb", "M B"),
+        ("ː", ""),
+    ],
+)
+def test_a_phoneme_becomes_what_looks_like_it(phoneme, expected):
+    assert phones(phoneme) == expected
+
+
+def test_every_row_gives_phones_of_ours_and_a_reason_where_the_symbol_is_another():
+    for symbol, row in ipa_table().items():
+        assert row.phones
+        assert set(row.phones) <= set(PHONEMES) - {SILENCE}, symbol
+    without = {symbol for symbol, row in ipa_table().items() if not row.reason}
+    # One symbol a phone of the inventory, affricates in both spellings, R's vowel in both.
+    assert len(without) == len(PHONEMES) - 1 + 4
+
+
+def test_every_phone_of_ours_is_reached():
+    reached = {phone for row in ipa_table().values() for phone in row.phones}
+    assert reached == set(PHONEMES) - {SILENCE}
+
+
+def test_every_phoneme_of_every_voice_of_espeak_is_in_the_table():
+    assert len(ESPEAK_PHONEMES) > 400
+    for phoneme in ESPEAK_PHONEMES:
+        found = phones_of_ipa(phoneme)
+        assert not found.is_guess, phoneme
+        assert found.phones or all(
+            unicodedata.category(sign) in ("Lm", "Mn") for sign in phoneme
+        ), phoneme
+
+
+def test_lips_that_touch_stay_lips_that_touch():
+    closed = {VISEME_OF["P"]}
+    for symbol, row in ipa_table().items():
+        if "BILABIAL" in unicodedata.name(symbol[0], ""):
+            assert {VISEME_OF[phone] for phone in row.phones} <= closed | {VISEME_OF["F"]}
+
+
+@pytest.mark.parametrize(
+    ("letter", "expected"), [("ƀ", "B"), ("ᶆ", "M"), ("語", "AH"), ("Ж", "AH")]
+)
+def test_a_letter_that_the_table_lacks_is_guessed_and_said_to_be(letter, expected):
+    assert phones_of_ipa(letter) == InventoryPhones((expected,), is_guess=True)
+
+
+@given(phoneme=st.text(max_size=12))
+def test_any_text_becomes_phones_of_ours(phoneme):
+    assert set(phones_of_ipa(phoneme).phones) <= set(PHONEMES) - {SILENCE}
+
+
+def test_the_page_shows_the_whole_table():
+    page = (ROOT / "docs" / "speech.md").read_text("utf-8")
+    for symbol, row in ipa_table().items():
+        if row.reason:
+            assert f"| {symbol} | {' '.join(row.phones)} | {row.reason} |" in page, symbol
