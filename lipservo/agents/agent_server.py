@@ -41,15 +41,20 @@ _JOIN_S: Final = 5.0
 #: Connections that have not said what they want yet, and the clients.
 _MOST_SOCKETS: Final = 64
 _MOST_PHONEMES: Final = 256
+#: Events that the kernel may hold for a client that does not read; by itself it takes megabytes.
+_KERNEL_BYTES: Final = 1 << 16
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
 #: The library's own words are for its developers, and would name what a client asked for.
 _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 
 
 class _BoundedConnection(ServerConnection):
-    """A connection that is not even listened to where there are too many."""
+    """Holds little that was not read, and is not even listened to where there are too many."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        transport.get_extra_info("socket").setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES
+        )
         super().connection_made(transport)
         if len(self.server.handler_tasks) > _MOST_SOCKETS:
             assert isinstance(transport, asyncio.WriteTransport)

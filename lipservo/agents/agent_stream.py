@@ -1,7 +1,7 @@
 """One stream of speech of a client: what it sent, and what it is told."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,8 +12,9 @@ from lipservo.agents.pcm import PcmDecoder
 from lipsync.audio.playout_events import PlayoutEvent
 from lipsync.audio.playout_stream import PlayoutStream
 
-#: Marks of a stream that were not heard yet.
-MOST_MARKS = 256
+#: Marks of a stream that were not heard yet: fewer than a client may leave unread, since many may
+#: be heard at once.
+_MOST_MARKS: Final = 64
 
 
 @dataclass(eq=False, slots=True)
@@ -46,8 +47,8 @@ class AgentStream:
 
     def mark(self, name: str) -> None:
         """Tell when all that came until now has been heard. Raises MessageError."""
-        if self.n_marks >= MOST_MARKS:
-            raise MessageError("too_many_marks", f"{MOST_MARKS} marks wait to be heard already")
+        if self.n_marks >= _MOST_MARKS:
+            raise MessageError("too_many_marks", f"{_MOST_MARKS} marks wait to be heard already")
         self.n_marks += 1
         self.speech.mark(name)
 

@@ -44,7 +44,12 @@ def test_a_stream_is_said_whole_and_its_events_come_in_order(face):
     assert finished["n_played"] == 12_000
     assert finished["played_s"] == 0.5
     kinds = [event["type"] for event in heard if event["type"] != "position"]
-    assert [kind for kind in kinds if kind != "underrun"] == ["ready", "started", "mark", "finished"]
+    assert [kind for kind in kinds if kind != "underrun"] == [
+        "ready",
+        "started",
+        "mark",
+        "finished",
+    ]
     spoken = np.frombuffer(tone(0.5), dtype="<i2") / 32_768
     assert energy(face.sound.played()) == pytest.approx(energy(spoken), rel=1e-4)
 

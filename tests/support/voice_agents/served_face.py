@@ -55,8 +55,9 @@ class KeptSound:
         return self.samples[: round(self.position_s * RATE_HZ)]
 
     def _join(self):
-        self.samples = np.concatenate((self.samples, *self._chunks))
-        self._chunks = []
+        n_chunks = len(self._chunks)
+        self.samples = np.concatenate((self.samples, *self._chunks[:n_chunks]))
+        del self._chunks[:n_chunks]
 
 
 class ServedFace:
