@@ -48,6 +48,7 @@ class StreamSession:
             if isinstance(message, bytes):
                 await self._take_audio(message)
             elif (said := stream_message(message)) is not None:
+                about = said.stream if isinstance(said, Start) else about
                 await self._do(said)
         except MessageError as error:
             self._outbox.error(error.code, str(error), stream=about)
