@@ -15,6 +15,7 @@ EXTRA_OF = {
     "cv2": "video",
     "matplotlib": "plots",
     "rustypot": "bench",
+    "pipecat": "pipecat",
 }
 
 

@@ -56,8 +56,8 @@ def test_arrays_that_are_no_mono_sound_are_refused_and_the_stream_goes_on(served
 
 def test_more_than_a_message_holds_is_sent_in_pieces(served):
     with lipservo.connect(served.url) as face, face.stream() as speech:
-        speech.write(tone(40.0))  # 1.9 MB
-        assert speech.wait() == Played(finished=True, played_s=40.0)
+        speech.write(tone(25.0))  # 1.2 MB
+        assert speech.wait() == Played(finished=True, played_s=25.0)
 
 
 def test_an_interruption_tells_what_was_heard(served):

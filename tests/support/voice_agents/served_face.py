@@ -129,9 +129,9 @@ class ServedFace:
 
 
 def tone(duration_s, rate_hz=RATE_HZ):
-    """A tone, as bytes of s16le."""
+    """A tone, as bytes of s16le; hardly a sample of it is zero."""
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
-    return (8_000 * np.sin(2 * np.pi * 200 * time_s)).astype("<i2").tobytes()
+    return (8_000 * np.sin(2 * np.pi * 211 * time_s)).astype("<i2").tobytes()
 
 
 def until(condition):
