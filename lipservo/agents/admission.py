@@ -19,6 +19,9 @@ STREAM_PATH, CONTROL_PATH = "/stream", "/control"
 #: Answered to a plain GET, for whoever watches over the service.
 HEALTH_PATHS: Final = frozenset({"/", "/status"})
 
+#: Of a query; there is one.
+_MOST_FIELDS: Final = 16
+
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
@@ -36,12 +39,15 @@ def refusal(
     target: of the request line, with its query. headers: `Host`, `Origin`, `Authorization`,
     `Upgrade`, each empty where it is not given.
     """
-    path = urlsplit(target).path
+    try:
+        path, given = _path_and_token(target)
+    except ValueError:
+        return Refusal(HTTPStatus.BAD_REQUEST, "the request line has no path that can be read")
     if not _is_host_ours(headers["Host"], settings):
         return Refusal(HTTPStatus.FORBIDDEN, "this host name is not the face's; use its address")
     if headers["Origin"] and not _is_allowed(headers["Origin"], settings):
         return Refusal(HTTPStatus.FORBIDDEN, "web pages of this origin are not allowed here")
-    if settings.token is not None and not _is_token(settings.token, target, headers):
+    if settings.token is not None and not _is_token(settings.token, given, headers):
         hint = "send the token as `Authorization: Bearer TOKEN` or `?token=TOKEN`"
         return Refusal(HTTPStatus.UNAUTHORIZED, hint)
     if path in HEALTH_PATHS and not headers["Upgrade"]:
@@ -86,9 +92,14 @@ def _is_allowed(origin: str, settings: AgentSettings) -> bool:
     return origin in settings.allowed_origins or is_loopback(_host_of(origin))
 
 
-def _is_token(token: str, target: str, headers: Mapping[str, str]) -> bool:
-    scheme, _, given = headers["Authorization"].partition(" ")
-    if scheme.lower() != "bearer":
-        given = parse_qs(urlsplit(target).query, max_num_fields=16).get("token", [""])[0]
+def _path_and_token(target: str) -> tuple[str, str]:
+    """Of a request's target. Raises ValueError."""
+    split = urlsplit(target)
+    return split.path, parse_qs(split.query, max_num_fields=_MOST_FIELDS).get("token", [""])[0]
+
+
+def _is_token(token: str, in_query: str, headers: Mapping[str, str]) -> bool:
+    scheme, _, in_header = headers["Authorization"].partition(" ")
+    given = in_header.strip() if scheme.lower() == "bearer" else in_query
     # Compared in a time that tells nothing of how much of it was right.
-    return hmac.compare_digest(given.strip().encode("utf-8", "replace"), token.encode())
+    return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())

@@ -15,7 +15,7 @@ from collections.abc import AsyncIterator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from pathlib import Path
-from typing import Final, Self
+from typing import ClassVar, Final, Self
 from urllib.parse import urlsplit
 
 from websockets.asyncio.server import Server, ServerConnection, serve
@@ -51,14 +51,21 @@ _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 class _BoundedConnection(ServerConnection):
     """Holds little that was not read, and is not even listened to where there are too many."""
 
+    n_open: ClassVar[int] = 0
+
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        _BoundedConnection.n_open += 1
         transport.get_extra_info("socket").setsockopt(
             socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES
         )
         super().connection_made(transport)
-        if len(self.server.handler_tasks) > _MOST_SOCKETS:
+        if self.n_open > _MOST_SOCKETS:
             assert isinstance(transport, asyncio.WriteTransport)
             transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        _BoundedConnection.n_open -= 1
 
 
 class AgentServer:

@@ -107,6 +107,7 @@ class AsyncSpeech:
         """The face refused something of it."""
         if not self._ready.done():
             self._ready.set_exception(error)
+            self._ready.exception()  # nobody need wait for it
         else:
             self._error = self._error or error
 

@@ -73,6 +73,8 @@ def test_a_name_that_a_web_page_could_own_is_no_name_of_the_face(host, status):
         ("/stream", "Basic open sesame", 401),
         ("/status", "", 401),
         ("/" + "?a=b" * 5000, "", 401),
+        ("/?" + "a=b&" * 5000, "", 400),
+        ("//[", "", 400),
     ],
 )
 def test_a_token_is_asked_for_everywhere(target, authorization, status):
