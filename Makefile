@@ -18,7 +18,7 @@ test: $(VENV)/.installed-dev
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
 
-# Three modules need torch, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
+# Three modules need torch and one pipecat, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
 WITHOUT_TORCH := lipsync.recognition.training
 SITE := site
 docs: $(VENV)/.installed-dev
@@ -27,9 +27,11 @@ docs: $(VENV)/.installed-dev
 		-W "ignore:Couldn't import $(WITHOUT_TORCH).network_training" \
 		-W "ignore:Couldn't import $(WITHOUT_TORCH).torch_network" \
 		-W "ignore:Couldn't import $(WITHOUT_TORCH).training_run" \
+		-W "ignore:Couldn't import lipservo.client.pipecat_face" \
 		-m pdoc --docformat markdown --no-show-source --output-directory $(SITE) \
 		calibration firmware_bridge lipservo lipsync \
-		'!lipsync\.recognition\.training\.(network_training|torch_network|training_run)'
+		'!lipsync\.recognition\.training\.(network_training|torch_network|training_run)' \
+		'!lipservo\.client\.pipecat_face'
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .

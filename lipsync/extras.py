@@ -16,6 +16,7 @@ EXTRA_OF = {
     "matplotlib": "plots",
     "rustypot": "bench",
     "espeakng_loader": "say",
+    "pipecat": "pipecat",
 }
 
 

@@ -15,6 +15,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 #: Where a distribution is not called as the library in it.
 DISTRIBUTION_OF = {
     "cv2": "opencv-python-headless",
+    "pipecat": "pipecat-ai",
     "serial": "pyserial",
     "sklearn": "scikit-learn",
     "yaml": "pyyaml",

@@ -1,0 +1,271 @@
+"""The WebSocket server that voice agents connect to: one thread, beside the live loop.
+
+docs/agents.md is its protocol.
+"""
+
+import asyncio
+import contextlib
+import json
+import logging
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from http import HTTPStatus
+from pathlib import Path
+from typing import ClassVar, Final, Self
+from urllib.parse import urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from lipservo.agents.admission import HEALTH_PATHS, STREAM_PATH, refusal
+from lipservo.agents.agent_settings import AgentSettings, Speak
+from lipservo.agents.control_session import Commands, ControlSession
+from lipservo.agents.listener import url_of
+from lipservo.agents.message_rate import MessageRate
+from lipservo.agents.outbox import Outbox
+from lipservo.agents.stream_session import StreamSession
+from lipservo.agents.turns import Turns
+from lipsync.audio.playout import Playout
+
+#: Between two looks at what the playout tells.
+_POLL_S: Final = 0.01
+#: What a client that hangs may cost at the end, or when it is sent away.
+_CLOSING_S: Final = 1.0
+#: The thread is given up after this; it dies with the process.
+_JOIN_S: Final = 5.0
+#: Connections that have not said what they want yet, and the clients.
+_MOST_SOCKETS: Final = 64
+_MOST_PHONEMES: Final = 256
+#: Events that the kernel may hold for a client that does not read; by itself it takes megabytes.
+_KERNEL_BYTES: Final = 1 << 16
+_GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
+#: The library's own words are for its developers, and would name what a client asked for.
+_SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
+
+
+class _BoundedConnection(ServerConnection):
+    """Holds little that was not read, and is not even listened to where there are too many."""
+
+    n_open: ClassVar[int] = 0
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        _BoundedConnection.n_open += 1
+        transport.get_extra_info("socket").setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDBUF, _KERNEL_BYTES
+        )
+        super().connection_made(transport)
+        if self.n_open > _MOST_SOCKETS:
+            assert isinstance(transport, asyncio.WriteTransport)
+            transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        _BoundedConnection.n_open -= 1
+
+
+class AgentServer:
+    """Serves voice agents while it is entered; see the module.
+
+    phonemes: the live loop appends what was recognised, (phoneme, start_s, end_s) on the playout's
+    timeline; whoever speaks is told.
+    """
+
+    def __init__(
+        self,
+        listener: socket.socket,
+        playout: Playout,
+        *,
+        control_path: Path,
+        delay_ms: Callable[[], float],
+        settings: AgentSettings | None = None,
+        say: Speak | None = None,
+        play: Speak | None = None,
+        log: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """listener: from `bind_listener`; closed in the end. control_path: of the face's socket.
+
+        delay_ms: how much later than its sound reaches us a face is shown, now. say: a text; play:
+        a sound file; None: there is none. log: takes lines; called in the server's thread.
+        """
+        self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
+        self._listener = listener
+        self._url = url_of(listener)
+        self._playout = playout
+        self._delay_ms = delay_ms
+        self._settings = settings or AgentSettings()
+        self._log = log
+        self._turns = Turns(playout, self._settings)
+        self._n_clients = 0
+        self._commands = Commands(
+            control_path,
+            say,
+            play,
+            ThreadPoolExecutor(2, thread_name_prefix="agent command"),
+            ThreadPoolExecutor(1, thread_name_prefix="agent say"),
+        )
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stopping = asyncio.Event()
+        self._started = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="agents", daemon=True)
+
+    def status(self) -> dict[str, object]:
+        """For `Status`: url, clients, streams refused. Any thread may ask; it never waits."""
+        return {
+            "url": self._url,
+            "n_clients": self._n_clients,
+            "n_streams_refused": self._turns.n_refused,
+        }
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        self._started.wait(_JOIN_S)
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """What clients say is cut off, they are told, and the thread ends, whatever they do."""
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # it has ended by itself
+                self._loop.call_soon_threadsafe(self._stopping.set)
+        self._thread.join(_JOIN_S)
+        for pool in (self._commands.at_once, self._commands.speaking):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def _run(self) -> None:
+        try:
+            asyncio.run(self._serve())
+        except Exception as error:
+            self._log(f"voice agents: the server has ended: {type(error).__name__}: {error}")
+        finally:
+            self._started.set()
+            self._listener.close()
+
+    async def _serve(self) -> None:
+        self._loop = asyncio.get_running_loop()
+        server = await serve(
+            self._attend,
+            sock=self._listener,
+            process_request=self._admit,
+            create_connection=_BoundedConnection,
+            compression=None,
+            server_header=None,
+            max_size=self._settings.most_message_bytes,
+            ping_interval=self._settings.ping_s,
+            ping_timeout=self._settings.ping_s,
+            close_timeout=_CLOSING_S,
+            logger=_SILENT,
+        )
+        self._log(f"voice agents: {self._url}")
+        self._started.set()
+        telling = self._loop.create_task(self._tell())
+        await self._stopping.wait()
+        telling.cancel()
+        self._turns.end_all()
+        await _close(server)
+
+    def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
+        names = ("Host", "Origin", "Authorization", "Upgrade")
+        headers = {name: ", ".join(request.headers.get_all(name)) for name in names}
+        refused = refusal(request.path, headers, self._settings, self._n_clients)
+        if refused is not None:
+            return connection.respond(refused.status, f"{refused.text}\n")
+        if urlsplit(request.path).path in HEALTH_PATHS:
+            return connection.respond(HTTPStatus.OK, f"{json.dumps(self.status())}\n")
+        return None
+
+    async def _attend(self, connection: ServerConnection) -> None:
+        """One client, from its first message to its last."""
+        assert connection.request is not None
+        outbox = Outbox()
+        session: StreamSession | ControlSession
+        if urlsplit(connection.request.path).path == STREAM_PATH:
+            session = StreamSession(outbox, self._turns, self._playout, self._delay_ms)
+        else:
+            session = ControlSession(outbox, self._commands)
+        self._n_clients += 1
+        working = [
+            asyncio.ensure_future(each)
+            for each in (
+                self._hear(connection, session, outbox),
+                _send(connection, outbox),
+                outbox.overflowed.wait(),
+            )
+        ]
+        try:
+            await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._n_clients -= 1
+            is_slow = outbox.overflowed.is_set()
+            session.leave()
+            for task in working:
+                task.cancel()
+            if is_slow:
+                await connection.close(_POLICY_VIOLATION, "slow_reader: events were not read")
+
+    async def _hear(
+        self, connection: ServerConnection, session: StreamSession | ControlSession, outbox: Outbox
+    ) -> None:
+        rate = MessageRate(self._settings.messages_per_s)
+        async for message in self._messages(connection):
+            try:
+                await session.hear(message)
+            except Exception as error:
+                # A fault of ours: the client is told, and the others go on.
+                self._log(f"voice agents: a message failed: {type(error).__name__}: {error}")
+                outbox.error("internal", "the message failed; see the face's log")
+            await asyncio.sleep(rate.wait_s(time.monotonic()))
+
+    async def _messages(self, connection: ServerConnection) -> AsyncIterator[str | bytes]:
+        """All that a client sends, unless it says nothing in the beginning."""
+        try:
+            async with asyncio.timeout(self._settings.first_message_s):
+                first = await connection.recv()
+        except TimeoutError:
+            await connection.close(_POLICY_VIOLATION, "no_start: send hello or start first")
+            return
+        except ConnectionClosed:
+            return
+        yield first
+        with contextlib.suppress(ConnectionClosed):
+            async for message in connection:
+                yield message
+
+    async def _tell(self) -> None:
+        """Hand on what the playout tells, and where it is."""
+        told_s = 0.0
+        while True:
+            now_s = time.monotonic()
+            is_due = now_s - told_s >= self._settings.position_s
+            told_s = now_s if is_due else told_s
+            try:
+                self._tell_once(now_s, positions=is_due)
+            except Exception as error:
+                # A fault of ours: nobody may be left waiting for the end of a stream.
+                self._log(f"voice agents: telling failed: {type(error).__name__}: {error}")
+                await asyncio.sleep(_CLOSING_S)
+            await asyncio.sleep(_POLL_S)
+
+    def _tell_once(self, now_s: float, *, positions: bool) -> None:
+        self._turns.take_events(now_s)
+        while self.phonemes:
+            self._turns.tell_phoneme(*self.phonemes.popleft())
+        if positions:
+            self._turns.end_stalled(now_s)
+            self._turns.tell_positions()
+
+
+async def _send(connection: ServerConnection, outbox: Outbox) -> None:
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            await connection.send(await outbox.take())
+
+
+async def _close(server: Server) -> None:
+    """Every client is told; who does not answer is cut off a second later."""
+    server.close(code=_GOING_AWAY, reason="shutting_down")
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(server.wait_closed(), 2.0 * _CLOSING_S)

@@ -1,0 +1,198 @@
+"""What a client may say in text: JSON objects with a `type`, checked field by field.
+
+Types that are not known are ignored, and so are fields that are not: clients are older or newer.
+"""
+
+import json
+from typing import Annotated, Final, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
+
+#: Where a stream's samples are played: by the face's own loudspeaker, or by who sends them.
+Playback = Literal["server", "client"]
+Name = Annotated[str, Field(min_length=1, max_length=128)]
+#: As long as somebody wants to hear, and far below a message's bound.
+_LONGEST_TEXT: Final = 20_000
+#: Positions are within a stream: three hours of one are more than any has.
+_LONGEST_S: Final = 10_000.0
+
+
+class MessageError(ValueError):
+    """A mistake of the client's, told to it: a code of docs/agents.md and one plain line."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class _Message(BaseModel):
+    model_config = ConfigDict(strict=True, frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+_Kind = TypeVar("_Kind", bound=_Message)
+
+
+class Hello(_Message):
+    """I am here, and may be silent for long."""
+
+    type: Literal["hello"]
+
+
+class Start(_Message):
+    """A stream of speech begins. sample_rate: Hz; stream: its id, ours where it gives none."""
+
+    type: Literal["start"]
+    stream: Name | None = None
+    sample_rate: Annotated[int, Field(ge=LOWEST_RATE_HZ, le=HIGHEST_RATE_HZ)]
+    format: Literal["s16le", "f32le"] = "s16le"
+    channels: Literal[1] = 1
+    playback: Playback = "server"
+
+
+class Audio(_Message):
+    """Samples as text. data: base64 of what a binary message holds."""
+
+    type: Literal["audio"]
+    data: str
+
+
+class End(_Message):
+    """The stream is complete; it is said to its end."""
+
+    type: Literal["end"]
+
+
+class Interrupt(_Message):
+    """Barge-in: silence now."""
+
+    type: Literal["interrupt"]
+
+
+class Clear(_Message):
+    """What is not on its way to the loudspeaker yet is dropped."""
+
+    type: Literal["clear"]
+
+
+class Mark(_Message):
+    """Tell when all that was sent until now has been heard."""
+
+    type: Literal["mark"]
+    name: Name
+
+
+class Position(_Message):
+    """How much of a stream was heard.
+
+    With `played_s`: so much has left the client's own loudspeaker now. Without: a question.
+    """
+
+    type: Literal["position"]
+    stream: Name | None = None
+    played_s: Annotated[float, Field(ge=0.0, le=_LONGEST_S)] | None = None
+
+
+class _Command(_Message):
+    id: int | float | str | None = None
+
+
+class AskStatus(_Command):
+    """How the face is."""
+
+    type: Literal["status"]
+
+
+class Stop(_Command):
+    """The face is to stop: to rest and limp, frozen, or limp at once."""
+
+    type: Literal["stop"]
+    level: Literal["soft", "freeze", "limp"] = "soft"
+
+
+class Set(_Command):
+    """Another value of a setting."""
+
+    type: Literal["set"]
+    name: Name
+    value: float
+
+
+class Say(_Command):
+    """A text is to be said."""
+
+    type: Literal["say"]
+    text: Annotated[str, Field(min_length=1, max_length=_LONGEST_TEXT)]
+
+
+class Play(_Command):
+    """A sound file is to be played."""
+
+    type: Literal["play"]
+    file: Annotated[str, Field(min_length=1, max_length=1024)]
+
+
+StreamMessage = Hello | Start | Audio | End | Interrupt | Clear | Mark | Position
+Command = AskStatus | Stop | Set | Say | Play
+
+_STREAM: Final[dict[str, type[StreamMessage]]] = {
+    "hello": Hello,
+    "start": Start,
+    "audio": Audio,
+    "end": End,
+    "interrupt": Interrupt,
+    "clear": Clear,
+    "mark": Mark,
+    "position": Position,
+}
+_COMMANDS: Final[dict[str, type[Command]]] = {
+    "status": AskStatus,
+    "stop": Stop,
+    "set": Set,
+    "say": Say,
+    "play": Play,
+}
+
+
+def stream_message(text: str) -> StreamMessage | None:
+    """What a text on `/stream` says; None: of a type that is not known. Raises MessageError."""
+    fields = _object(text)
+    kind = _STREAM.get(str(fields.get("type")))
+    return None if kind is None else _checked(kind, fields)
+
+
+def command(text: str) -> Command | None:
+    """What a text on `/control` says; None: of a type that is not known. Raises MessageError."""
+    fields = _object(text)
+    kind = _COMMANDS.get(str(fields.get("type")))
+    return None if kind is None else _checked(kind, fields)
+
+
+def id_of(text: str) -> int | float | str | None:
+    """The `id` of a command that was refused, so that the refusal can name it."""
+    try:
+        given = _object(text).get("id")
+    except MessageError:
+        return None
+    return given if isinstance(given, (int, float, str)) else None
+
+
+def _object(text: str) -> dict[str, object]:
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        raise MessageError("bad_json", "the text is not JSON; audio is sent as binary") from None
+    if not isinstance(value, dict) or not isinstance(value.get("type"), str):
+        raise MessageError("bad_json", 'the text is no JSON object with a "type"')
+    return value
+
+
+def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
+    try:
+        return kind.model_validate(fields)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        where = str(first["loc"][0]) if first["loc"] else "message"
+        reason = f"{where}: {first['msg']}"
+        raise MessageError("bad_message", f"{fields['type']}: {reason}") from None

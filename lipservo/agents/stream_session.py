@@ -1,0 +1,152 @@
+"""One connection to `/stream`: streams of speech one after the other, and what is heard of them."""
+
+import asyncio
+import time
+from collections.abc import Callable
+
+from lipservo.agents.agent_stream import AgentStream
+from lipservo.agents.messages import (
+    Audio,
+    Clear,
+    End,
+    Hello,
+    Interrupt,
+    Mark,
+    MessageError,
+    Position,
+    Start,
+    StreamMessage,
+    stream_message,
+)
+from lipservo.agents.outbox import Outbox
+from lipservo.agents.pcm import decode_base64
+from lipservo.agents.turns import Turns
+from lipsync.audio.playout import Playout
+
+#: A chunk is resampled in pieces of so long, and other clients are served in between.
+_PIECE_S = 0.5
+
+
+class StreamSession:
+    """What one client's messages do. A mistake is told, and changes nothing."""
+
+    def __init__(
+        self, outbox: Outbox, turns: Turns, playout: Playout, delay_ms: Callable[[], float]
+    ) -> None:
+        self._outbox = outbox
+        self._turns = turns
+        self._playout = playout
+        self._delay_ms = delay_ms
+        self._open: AgentStream | None = None
+        # The rest of a stream that was cut off is on its way still: it is no mistake.
+        self._ignores_rest = False
+
+    async def hear(self, message: str | bytes) -> None:
+        """Do what one message asks for."""
+        about = self._open.stream_id if self._open is not None else None
+        try:
+            if isinstance(message, bytes):
+                await self._take_audio(message)
+            elif (said := stream_message(message)) is not None:
+                about = said.stream if isinstance(said, Start) else about
+                await self._do(said)
+        except MessageError as error:
+            self._outbox.error(error.code, str(error), stream=about)
+
+    def leave(self) -> None:
+        """The client has gone."""
+        self._turns.leave(self._outbox)
+
+    async def _do(self, said: StreamMessage) -> None:
+        match said:
+            case Hello():
+                self._outbox.put({"type": "hello", "protocol": 1, "delay_ms": self._delay_ms()})
+            case Start():
+                self._begin(said)
+            case Audio():
+                await self._take_text(said.data)
+            case End():
+                self._end()
+            case Mark():
+                self._mark(said.name)
+            case Interrupt():
+                self._cut()
+                self._turns.interrupt(self._outbox)
+            case Clear():
+                self._cut()
+                self._turns.clear(self._outbox)
+            case Position():
+                self._hear_position(said)
+
+    def _begin(self, start: Start) -> None:
+        if self._open is not None and not self._open.speech.ended:
+            open_id = self._open.stream_id
+            raise MessageError("stream_open", f"stream {open_id!r} has not ended; send end first")
+        self._open = self._turns.open(self._outbox, start, time.monotonic())
+        self._ignores_rest = False
+        self._outbox.put(
+            {
+                "type": "ready",
+                "stream": self._open.stream_id,
+                "delay_ms": self._delay_ms(),
+                "playback": start.playback,
+            }
+        )
+
+    def _cut(self) -> None:
+        self._ignores_rest = self._ignores_rest or self._open is not None
+        self._open = None
+
+    async def _take_text(self, data: str) -> None:
+        try:
+            decoded = decode_base64(data)
+        except ValueError as error:
+            raise MessageError("bad_audio", str(error)) from error
+        await self._take_audio(decoded)
+
+    async def _take_audio(self, data: bytes) -> None:
+        stream = self._open
+        if stream is None:
+            if self._ignores_rest:
+                return
+            raise MessageError("no_stream", "audio before start; it was dropped")
+        if stream.speech.ended:
+            return
+        self._turns.check_room(stream.decoder.n_samples(data) / stream.rate_hz)
+        samples = stream.decoder.decode(data)
+        piece = round(_PIECE_S * stream.rate_hz)
+        for first in range(0, len(samples), piece):
+            stream.push(samples[first : first + piece], time.monotonic())
+            await asyncio.sleep(0.0)
+
+    def _end(self) -> None:
+        stream = self._open
+        if stream is None:
+            if self._ignores_rest:
+                return
+            raise MessageError("no_stream", "end before start")
+        self._open = None
+        stream.speech.end()
+        if n_bytes := stream.decoder.n_left_bytes:
+            cut = f"the last {n_bytes} bytes are no whole sample; they were dropped"
+            raise MessageError("bad_audio", cut)
+
+    def _mark(self, name: str) -> None:
+        if self._open is not None:
+            self._open.mark(name)
+        elif not self._ignores_rest:
+            raise MessageError("no_stream", "mark before start")
+
+    def _hear_position(self, said: Position) -> None:
+        if said.played_s is None:
+            self._turns.tell_positions(self._outbox)
+            return
+        now_s = time.monotonic()
+        for stream in self._turns.said:
+            if stream.owner is self._outbox and said.stream in (None, stream.stream_id):
+                if not stream.is_played_by_client:
+                    plays = "the face plays this stream itself and knows its position"
+                    raise MessageError("bad_message", f"position: {plays}")
+                n_samples = round(said.played_s * stream.rate_hz)
+                self._playout.reports.append((now_s, stream.speech.name, n_samples))
+                return

@@ -1,0 +1,213 @@
+"""Whose turn it is to speak: one client at a time, the others are refused or wait.
+
+All streams that the playout has of clients are one client's. So an interruption, which ends all
+that is said, ends nobody else's speech.
+"""
+
+import itertools
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from typing import Final, TypeVar
+
+from lipservo.agents.agent_settings import AgentSettings
+from lipservo.agents.agent_stream import AgentStream
+from lipservo.agents.messages import MessageError, Start
+from lipservo.agents.outbox import Outbox
+from lipservo.agents.pcm import PcmDecoder
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
+from lipsync.audio.playout_stream import MOST_WAITING_S, PlayoutStream
+
+#: So many requests wait only where the face's loop stands still. Each stream asks three times at
+#: most, so the playout's own bound is never reached by streams that were admitted.
+_MOST_REQUESTS: Final = 32
+#: A face that has said nothing for so long says none of our streams: their ends were not heard.
+_FORGOTTEN_S: Final = 1.0
+#: The samples of less than a block, which a stream's waiting time leaves out.
+_BLOCK_S: Final = 0.01
+
+
+_Asked = TypeVar("_Asked")
+
+
+class Turns:
+    """The streams of all clients, in the order in which they are said. Of one event loop."""
+
+    def __init__(self, playout: Playout, settings: AgentSettings) -> None:
+        self._playout = playout
+        self._settings = settings
+        self._numbers = itertools.count(1)
+        self._waiting: deque[AgentStream] = deque()
+        self._said: dict[str, AgentStream] = {}
+        # What the face says that is no client's, by name.
+        self._own_speech: set[str] = set()
+        self._silent_since_s: float | None = None
+        self.n_refused = 0
+
+    @property
+    def said(self) -> list[AgentStream]:
+        """What the playout has, in order."""
+        return list(self._said.values())
+
+    def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
+        """A new stream, whose turn comes at once or later. Raises MessageError: it may not be."""
+        try:
+            self._check(owner, start.stream)
+        except MessageError:
+            self.n_refused += 1
+            raise
+        number = next(self._numbers)
+        stream_id = start.stream or f"stream {number}"
+        speech = PlayoutStream(
+            f"{stream_id} #{number}",
+            start.sample_rate,
+            self._playout.output_rate_hz,
+            played_elsewhere=start.playback == "client",
+        )
+        decoder = PcmDecoder(start.format)
+        stream = AgentStream(owner, stream_id, start, speech, decoder, now_s)
+        self._waiting.append(stream)
+        self._go_on()
+        return stream
+
+    def check_room(self, duration_s: float) -> None:
+        """Raises MessageError where so much more speech is not kept, of all clients together."""
+        waiting_s = sum(each.speech.waiting_s + _BLOCK_S for each in self._all())
+        if waiting_s + duration_s > MOST_WAITING_S - _BLOCK_S:
+            kept = f"{MOST_WAITING_S:g} s of speech are kept, and {waiting_s:.1f} wait"
+            raise MessageError("buffer_full", f"nothing of this chunk was taken: {kept}")
+
+    def interrupt(self, owner: Outbox) -> None:
+        """Silence now; everything of this client is dropped. Every stream is told, or at least one.
+
+        What the face says of itself ends as well, unless another client speaks.
+        """
+        n_told = self._drop_waiting(owner, "interrupted")
+        ours = [each for each in self._said.values() if each.owner is owner]
+        others = len(self._said) > len(ours)
+        if any(each.asked != "interrupt" for each in ours) or (self._own_speech and not others):
+            self._playout.requests.append(PlayoutRequest("interrupt"))
+            self._own_speech.clear()
+        for each in ours:
+            each.asked = "interrupt"
+        if not ours and not n_told:
+            owner.put({"type": "interrupted", "stream": None, "played_s": 0.0, "dropped_s": 0.0})
+        self._go_on()
+
+    def clear(self, owner: Outbox) -> None:
+        """What is not on its way to the loudspeaker is dropped, of this client."""
+        self._drop_waiting(owner, "cleared")
+        ours = [each for each in self._said.values() if each.owner is owner and not each.asked]
+        if ours:
+            self._playout.requests.append(PlayoutRequest("clear"))
+        for each in ours:
+            each.asked = "clear"
+        self._go_on()
+
+    def leave(self, owner: Outbox) -> None:
+        """The client has gone. What it had sent whole is said; in the middle of a word: silence."""
+        owner.close()
+        if any(each.owner is owner and not each.speech.ended for each in self._all()):
+            self.interrupt(owner)
+
+    def end_all(self) -> None:
+        """The server ends: silence."""
+        for owner in {each.owner for each in self._all()}:
+            self.interrupt(owner)
+
+    def take_events(self, now_s: float) -> None:
+        """Hand on what the playout has told since the last call. now_s: monotonic."""
+        events = self._playout.events
+        while events:
+            self._take(events.popleft())
+        if self._playout.is_speaking or self._playout.requests:
+            self._silent_since_s = None
+        elif self._silent_since_s is None:
+            self._silent_since_s = now_s
+        elif now_s - self._silent_since_s > _FORGOTTEN_S:
+            self._said.clear()
+            self._own_speech.clear()
+        self._go_on()
+
+    def end_stalled(self, now_s: float) -> None:
+        """A stream whose client sends nothing for long holds the others up no longer."""
+        for stream in self._all():
+            silent_s = now_s - stream.fed_s
+            if not stream.speech.ended and silent_s > self._settings.stalled_s:
+                stalled = f"no audio for {self._settings.stalled_s:g} s: the stream was ended"
+                stream.owner.error("stalled", stalled, stream=stream.stream_id)
+                stream.speech.end()
+
+    def tell_positions(self, owner: Outbox | None = None) -> None:
+        """Tell each client, or one, how much of its streams was heard."""
+        for stream in self.said:
+            if owner is None or stream.owner is owner:
+                name = stream.speech.name
+                n_played = _settled(partial(self._playout.n_played, name))
+                stream.tell_position(n_played or 0)
+
+    def tell_phoneme(self, phoneme: str, start_s: float, end_s: float) -> None:
+        """Tell who speaks there on the timeline what is said."""
+        found = _settled(partial(self._playout.stream_at, start_s))
+        if found is None or (stream := self._said.get(found[0])) is None:
+            return
+        heard_in_s = start_s - self._playout.position_s
+        stream.tell_phoneme(phoneme, found[1], found[1] + end_s - start_s, heard_in_s)
+
+    def _all(self) -> list[AgentStream]:
+        return [*self._said.values(), *self._waiting]
+
+    def _check(self, owner: Outbox, stream_id: str | None) -> None:
+        streams = self._all()
+        if self._settings.when_busy == "refuse":
+            if any(each.owner is not owner for each in streams):
+                raise MessageError("busy", "another client speaks; one speaks at a time")
+            if self._own_speech:
+                raise MessageError("busy", "the face says something of its own; interrupt it first")
+        if len(streams) >= self._settings.most_streams:
+            most = f"{self._settings.most_streams} streams are said or wait already"
+            raise MessageError("too_many_streams", most)
+        if len(self._playout.requests) >= _MOST_REQUESTS:
+            raise MessageError("not_available", "the face takes no speech at the moment")
+        if any(each.owner is owner and each.stream_id == stream_id for each in streams):
+            raise MessageError("stream_open", "a stream of that id is said or waits already")
+
+    def _drop_waiting(self, owner: Outbox, kind: str) -> int:
+        dropped = [each for each in self._waiting if each.owner is owner]
+        self._waiting = deque(each for each in self._waiting if each.owner is not owner)
+        for each in dropped:
+            each.tell_dropped(kind)
+        return len(dropped)
+
+    def _take(self, event: PlayoutEvent) -> None:
+        is_last = event.kind in ("finished", "interrupted")
+        stream = self._said.get(event.stream)
+        if stream is not None:
+            stream.tell(event)
+            if is_last:
+                del self._said[event.stream]
+        elif is_last:
+            self._own_speech.discard(event.stream)
+        elif event.kind == "started":
+            self._own_speech.add(event.stream)
+
+    def _go_on(self) -> None:
+        """Hand the playout whatever may be said next."""
+        while self._waiting:
+            speaker = next((each.owner for each in self._said.values()), None)
+            if speaker is not None and self._waiting[0].owner is not speaker:
+                return
+            stream = self._waiting.popleft()
+            self._said[stream.speech.name] = stream
+            self._playout.requests.append(PlayoutRequest("say", stream.speech))
+
+
+def _settled(ask: Callable[[], _Asked | None]) -> _Asked | None:
+    """What the playout answers; None where the live loop changes what it says just then, twice."""
+    for _ in range(2):
+        try:
+            return ask()
+        except RuntimeError:  # a deque was changed while it was read
+            continue
+    return None
