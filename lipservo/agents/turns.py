@@ -121,7 +121,7 @@ class Turns:
         events = self._playout.events
         while events:
             self._take(events.popleft())
-        if self._playout.is_speaking or self._playout.requests:
+        if not self._playout.is_over or self._playout.requests:
             self._silent_since_s = None
         elif self._silent_since_s is None:
             self._silent_since_s = now_s

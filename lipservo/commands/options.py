@@ -106,6 +106,10 @@ TokenFile = Annotated[
     Path | None,
     typer.Option(help="File whose first line voice agents must know.", show_default=False),
 ]
+Sounds = Annotated[
+    Path | None,
+    typer.Option(help="Folder of sound files that voice agents may play.", show_default=False),
+]
 Language = Annotated[str, typer.Option(help="As espeak-ng names it: en-us, en-gb, de, fr-fr.")]
 
 # ---- how sound becomes motion ----

@@ -9,7 +9,6 @@ from lipsync.arrays import Array
 from lipsync.audio.playback_clock import OwnPlaybackClock
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_events import PlayoutRequest
-from lipsync.phonemes import PhonemeEvent
 
 #: A loudspeaker whose position stays for so long stands still: a few buffers of the slowest device.
 _STALE_S: Final = 0.15
@@ -41,8 +40,9 @@ class OwnVoice:
         self._said_s = -1.0
         self._told_position_s, self._moved_s = -math.inf, -math.inf
         self._is_standing = False
-        #: Phonemes on the timeline, each when it begins to be heard; one other thread takes.
-        self.phonemes: deque[PhonemeEvent] = deque(maxlen=_MOST_PHONEMES)
+        #: (phoneme, start_s, end_s) on the timeline, each when it begins to be heard; one other
+        #: thread takes, and may put a deque of its own here before it begins.
+        self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
         clock.lead_s = speech.delay.total_s
 
     def begin(self) -> None:
@@ -58,7 +58,8 @@ class OwnVoice:
         event = self._speech.event_at(max(0.0, position_s))
         if event is not None and event.start_s > self._said_s:
             self._said_s = event.start_s
-            self.phonemes.append(event)
+            end_s = event.start_s if event.end_s is None else event.end_s
+            self.phonemes.append((event.phoneme, event.start_s, end_s))
 
     def fall_silent(self) -> None:
         """The face is stopped: what was not heard never will be."""

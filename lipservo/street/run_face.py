@@ -1,6 +1,7 @@
 """One face playing one source from beginning to end, on whatever clock it is given."""
 
 import math
+import socket
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -9,6 +10,7 @@ from dataclasses import dataclass
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.command_queue import CommandQueue
+from firmware_bridge.process.runtime_folder import socket_path
 from firmware_bridge.stopping import StopReport
 from lipservo.face.assembly import Face, assemble_face, at_port, check_servos, make_bus
 from lipservo.face.face_life import ControlOptions, face_life
@@ -21,6 +23,7 @@ from lipservo.street.run_request import RunRequest
 from lipservo.street.speech_status import FallbackRecognizer, speech_status
 from lipservo.street.street import Street, make_street
 from lipservo.street.summary import Summary, Tally
+from lipservo.street.voice_agents import voice_agents
 from lipservo.terminal.output import MESSAGES, say_simulated
 from lipservo.traces.trace_writer import BackgroundTrace, TraceFile
 from lipsync.audio.playout import Playout
@@ -48,10 +51,12 @@ def run_face(
     *,
     live: bool = False,
     endless: bool = False,
+    listener: socket.socket | None = None,
 ) -> RunOutcome:
     """Play an entered source to its end or until stopped; the face is limp afterwards.
 
-    live: draw the face in the terminal; endless: go on in silence when the source is over.
+    live: draw the face in the terminal; endless: go on in silence when the source is over;
+    listener: where voice agents connect.
     """
     began_s = time.perf_counter()
     face = at_port(assemble_face(request.config, request.model), request.port)
@@ -70,6 +75,7 @@ def run_face(
         street = make_street(
             face, source, bus, rate_hz, recognizer, synthesizer, dry_run=request.dry_run
         )
+        control_path = request.control or socket_path(face.settings.name)
         run = _Run(request, face, source, street, recognizer, synthesizer)
         delay = street.speech.delay
         if not request.quiet:
@@ -86,10 +92,12 @@ def run_face(
                 street.bridge,
                 clock,
                 quiet=request.quiet,
-                control=ControlOptions(request.control, run.commands, run.describe),
+                control=ControlOptions(control_path, run.commands, run.describe),
             ) as life,
             run.observers(clock, rate_hz, live=live) as observers,
+            voice_agents(listener, street.side, request.voice, control_path, run.log) as url,
         ):
+            run.listens_on = url
             life.start()
             zero_s = clock.now()
             street.begin(zero_s)
@@ -153,6 +161,12 @@ class _Run:
         self._recognizer = recognizer
         self._synthesizer = synthesizer
         self.commands = run_commands(request.motion)
+        self.listens_on: str | None = None
+
+    def log(self, line: str) -> None:
+        """A line for people, unless --quiet."""
+        if not self._request.quiet:
+            MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
 
     def status(self) -> Status:
         """The whole face, now."""
@@ -171,6 +185,7 @@ class _Run:
             self._recognizer,
             self._street.speech,
             self.commands.values,
+            self.listens_on,
         )
         return whole_status(bridge, speech)
 

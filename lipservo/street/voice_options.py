@@ -13,10 +13,10 @@ class VoiceOptions:
     """A robot that speaks by itself.
 
     output: its loudspeaker, by number, name or part of a name; None: nobody plays, or whoever sends
-    the sound does. listen: HOST:PORT where voice agents are waited for; None: nowhere.
-    token_file: whose first line they must know; None: loopback alone needs none.
+    the sound does. token_file: whose first line voice agents must know; None: on loopback they need
+    none. sounds: the folder below which they may let sound files be played.
     """
 
     output: str | None = None
-    listen: str | None = None
     token_file: str | None = None
+    sounds: str | None = None

@@ -93,11 +93,14 @@ def speech_process(
     lifeline: Fd,
     board: Fd,
     request: Request,
+    control_path: Annotated[Path, typer.Option(hidden=True)],
+    agents: Annotated[int | None, typer.Option(hidden=True)] = None,
     zero_s: float | None = None,
 ) -> None:
     """Hear, recognise, and publish targets through a socket. Started by `daemon`.
 
-    zero_s: monotonic time at which the sound began; a file is taken up where it is by now.
+    agents: the socket where voice agents connect. zero_s: monotonic time at which the sound began;
+    a file is taken up where it is by now.
     """
     die_with_parent(signal.SIGTERM)
     write_from_background()
@@ -110,6 +113,7 @@ def speech_process(
     from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
     from lipservo.street.speech_status import speech_status
     from lipservo.street.spoken_sound import entered_sound
+    from lipservo.street.voice_agents import voice_agents
 
     asked = request_of_json(request)
     face = assemble_face(asked.config, asked.model)
@@ -136,6 +140,8 @@ def speech_process(
         # What the robot says is on a timeline of its own, which begins anew with each process.
         side.begin(zero_s if asked.voice is None else clock.now())
         alive.began(zero_s)
+        listener = None if agents is None else socket.socket(fileno=agents)
+        url = stack.enter_context(voice_agents(listener, side, asked.voice, control_path, say))
         n_said = 0
         settings: dict[str, float] = {}
         tell_at_s = float("-inf")
@@ -152,7 +158,7 @@ def speech_process(
             n_said = len(recognizer.reasons)
             if time_s >= tell_at_s:
                 tell_at_s = time_s + _STATUS_EVERY_S
-                told = speech_status(asked.motion, source, recognizer, side.speech, settings)
+                told = speech_status(asked.motion, source, recognizer, side.speech, settings, url)
                 shared.write_speech(told)
 
 

@@ -1,5 +1,6 @@
 """`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
 
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -23,13 +24,14 @@ from lipservo.commands.options import (
     Quiet,
     Rate,
     Sim,
+    Sounds,
     TokenFile,
     Trace,
     Wav,
 )
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.supervision import supervise
-from lipservo.commands.run.voice_choice import agents_voice, chosen_voice
+from lipservo.commands.run.voice_choice import chosen_voice, daemons_voice
 from lipservo.face.assembly import load_settings
 from lipservo.face.face_life import say
 from lipservo.face.face_stopped import exit_status
@@ -40,6 +42,7 @@ from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import CLIP, SILENCE, Sound, chosen_sound, open_sound
 from lipservo.street.spoken_sound import entered_sound
 from lipservo.street.summary import print_summary
+from lipservo.street.voice_agents import bound_listener
 from lipservo.terminal.output import RESULTS, print_json
 
 
@@ -91,6 +94,7 @@ def daemon(
     output: Output = None,
     listen: Listen = None,
     token_file: TokenFile = None,
+    sounds: Sounds = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
@@ -117,14 +121,19 @@ def daemon(
         control=control,
         as_json=as_json,
         quiet=quiet,
-        voice=agents_voice(chosen_voice(play=play, output=output), listen, token_file),
+        voice=daemons_voice(chosen_voice(play=play, output=output), listen, token_file, sounds),
     )
-    with servo_port(port, sim, config) as at_port:
+    with ExitStack() as stack:
+        listener = bound_listener(listen, request.voice.token_file if request.voice else None)
+        if listener is not None:
+            stack.enter_context(listener)
+        at_port = stack.enter_context(servo_port(port, sim, config))
         request = replace(request, port=at_port or load_settings(config)[0].servo_port)
         if request.port is not None:
-            raise typer.Exit(supervise(request))
-    with entered_sound(request) as source:
-        outcome = run_face(request, source, MonotonicClock(), endless=True)
+            raise typer.Exit(supervise(request, listener))
+        source = stack.enter_context(entered_sound(request))
+        clock = MonotonicClock()
+        outcome = run_face(request, source, clock, endless=True, listener=listener)
     # A service manager counts anything but 0 as a failure, and stops a daemon by a signal.
     finish(request, replace(outcome, signal_number=None))
 

@@ -11,16 +11,20 @@ from lipservo.status.face_status import Status, whole_status
 from lipservo.status.status_board import StatusBoard
 from lipservo.street.run_commands import shared_commands
 from lipservo.street.run_request import RunRequest, request_json
-from lipservo.street.sources import open_sound
+from lipservo.street.spoken_sound import check_sound
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
+    import socket
+
     from firmware_bridge.process.supervisor import Supervisor
 
 
-def supervise(request: RunRequest) -> int:
+def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int:
     """Run bridge and speech as processes until stopped; the exit status.
+
+    agents: where voice agents connect, which outlives the process that serves them.
 
     What cannot be used, sound and servos included, is refused before anything is armed.
     """
@@ -41,8 +45,7 @@ def supervise(request: RunRequest) -> int:
     face = at_port(assemble_face(request.config, request.model), request.port)
     port = face.settings.servo_port
     assert port is not None
-    if request.sound.kind == "file":
-        open_sound(request.sound)
+    check_sound(request)
     check_servos(face)
     settings = face.settings
     opener = port_opener(port, settings.bus.baud_rate)
@@ -63,7 +66,11 @@ def supervise(request: RunRequest) -> int:
         bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
         bridge += ["--control-path", str(listener.path)]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
+        speech = [*command, "speech-process", *shared, "--control-path", str(listener.path)]
         of_speech = {"{channel}": writer.fileno()}
+        if agents is not None:
+            speech += ["--agents", "{agents}"]
+            of_speech["{agents}"] = agents.fileno()
         ours = {"{board}": board.fileno()}
         supervisor = Supervisor(
             Child(
@@ -71,7 +78,7 @@ def supervise(request: RunRequest) -> int:
             ),
             Child(
                 "speech",
-                [*command, "speech-process", *shared],
+                speech,
                 {**of_speech, **ours},
                 HeartbeatTimeouts(60.0, 3.0),
             ),

@@ -16,13 +16,17 @@ def chosen_voice(*, play: bool, output: str | None, is_needed: bool = False) -> 
     return VoiceOptions() if is_needed else None
 
 
-def agents_voice(
-    voice: VoiceOptions | None, listen: str | None, token_file: Path | None
+def daemons_voice(
+    voice: VoiceOptions | None, listen: str | None, token_file: Path | None, sounds: Path | None
 ) -> VoiceOptions | None:
-    """The same with an address where voice agents are waited for."""
-    if listen is None:
-        if token_file is not None:
-            raise typer.BadParameter("--token-file goes with --listen HOST:PORT")
+    """The voice of a face that voice agents speak through, unless it listens nowhere."""
+    if listen == "none":
+        if token_file is not None or sounds is not None:
+            raise typer.BadParameter("--listen none leaves nobody for --token-file and --sounds")
         return voice
     output = None if voice is None else voice.output
-    return VoiceOptions(output, listen, None if token_file is None else str(token_file))
+    return VoiceOptions(output, _text(token_file), _text(sounds))
+
+
+def _text(path: Path | None) -> str | None:
+    return None if path is None else str(path)
