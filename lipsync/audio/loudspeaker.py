@@ -77,6 +77,11 @@ class LoudspeakerOutput:
         return self._device.name
 
     @property
+    def lasting_name(self) -> str:
+        """Its name as a face's YAML should have it: the same after the next plug."""
+        return self._device.lasting_name
+
+    @property
     def rate_hz(self) -> int:
         """Samples a second: 48,000 where the device can, else 44,100 or 16,000."""
         return self._ring.rate_hz

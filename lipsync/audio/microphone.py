@@ -105,6 +105,7 @@ class MicrophoneSource:
             self._end(self._captures.popleft())
         if self.watch.is_lost and self._captures:
             self._end(self._captures[0])
+        if self.watch.is_lost or (self.n_losses and self._captures[0].begins_s is None):
             self._be_silent(now_s)
         return self._cutter.take(until_s)
 

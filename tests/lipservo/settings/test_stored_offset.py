@@ -63,7 +63,9 @@ ONE_LINE = (
 def test_a_file_without_a_safe_place_is_left_alone_and_the_lines_are_told(tmp_path, text):
     path = tmp_path / "face.yaml"
     path.write_text(text)
-    with pytest.raises(UserError, match=r'by hand: sound: /   output_offset_ms: /     "USB": 31\.5'):
+    with pytest.raises(
+        UserError, match=r'by hand: sound: /   output_offset_ms: /     "USB": 31\.5'
+    ):
         store_output_offset(path, "USB", 31.5)
     assert path.read_text() == text
 
