@@ -12,6 +12,7 @@ from lipsync.audio.playout import Loudspeaker
 from lipsync.audio.source import AudioSource, SoundError
 
 Samples = NDArray[np.float32]
+Reports = NDArray[np.float64]
 
 #: Sound is written so far ahead of what is heard.
 _AHEAD_S: Final = 0.5
@@ -45,7 +46,7 @@ def measure_delay(
     begun_s = clock()
     n_written = 0
     left: list[tuple[float, float]] = []
-    captured: list[float] = []
+    captured: list[tuple[float, float]] = []
     heard: list[Samples] = []
     ends_s = math.inf
     while clock() < ends_s:
@@ -61,22 +62,31 @@ def measure_delay(
             n_written = n_due
         heard += [block.samples for block in microphone.blocks(math.inf)]
         if microphone.captured is not None:
-            captured.append(microphone.captured[0] - microphone.captured[1])
+            captured.append(microphone.captured)
         if ends_s == math.inf and clock() - begun_s > _PATIENCE_S:
             raise SoundError("the loudspeaker does not play: nothing asks for its sound")
         sleep(_TICK_S)
     if not captured:
         raise SoundError("the microphone brought no sound at all")
-    expected_s = _leaving_s(np.array(left)) - float(np.median(captured))
+    expected_s = _expected_s(np.array(left), np.array(captured))
     return find_delay(np.concatenate(heard), expected_s)
 
 
-def _leaving_s(reports: NDArray[np.float64]) -> NDArray[np.float64]:
-    """When each click left by the loudspeaker's reports (n, 2), on the monotonic clock."""
-    begins_s = reports[:, 0] - reports[:, 1]
-    return np.array(
-        [
-            each_s + float(np.median(begins_s[np.abs(reports[:, 1] - each_s) < _NEAR_S]))
-            for each_s in CLICKS_S
-        ]
-    )
+def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
+    """The sound time of the microphone at which each click is heard if it is not late.
+
+    By the time stamps near each click alone: while it wakes up, a device may lose sound without
+    saying so (a PulseAudio monitor 0.2 s of it).
+    """
+    expected_s = []
+    for click_s in CLICKS_S:
+        leaves_s = click_s + _zero_s(left, left[:, 1] - click_s)
+        expected_s.append(leaves_s - _zero_s(captured, captured[:, 0] - leaves_s))
+    return np.array(expected_s)
+
+
+def _zero_s(reports: Reports, distance_s: NDArray[np.float64]) -> float:
+    """When time 0 was by the reports that are near: (n, 2), clock and position; else the nearest."""
+    nearest_s = float(np.min(np.abs(distance_s)))
+    is_near = np.abs(distance_s) <= max(_NEAR_S, nearest_s)
+    return float(np.median(reports[is_near, 0] - reports[is_near, 1]))

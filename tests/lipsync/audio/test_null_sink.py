@@ -123,12 +123,18 @@ def test_what_is_played_is_recorded_in_order_and_without_gaps(recording):
 
 
 def test_the_time_stamps_of_both_devices_say_when_the_sound_was_played_and_heard(recording):
-    """The loudspeaker's say when the first sample left, the microphone's when it came back."""
+    """The loudspeaker's say when the first sample left, the microphone's when it came back.
+
+    Those of the time in which the sound is heard: while the sink wakes up, its monitor loses some.
+    """
     played, told = recording
     first, _ = place_in(told["heard"], played[1_600:8_000])
-    heard_s = np.median(np.subtract(*told["captured"].T)) + (first - 1_600) / RATE_HZ
-    steady = told["reports"][told["reports"][:, 1] > 0.3]
-    left_s = np.median(np.subtract(*steady[steady[:, 1] < PLAYED_S].T))
+    first -= 1_600
+    captured, reports = told["captured"], told["reports"]
+    later = captured[captured[:, 1] > first / RATE_HZ + 0.5]
+    heard_s = np.median(later[:, 0] - later[:, 1]) + first / RATE_HZ
+    steady = reports[(reports[:, 1] > 0.3) & (reports[:, 1] < PLAYED_S)]
+    left_s = np.median(steady[:, 0] - steady[:, 1])
 
     assert abs(heard_s - left_s) < 0.02
 
