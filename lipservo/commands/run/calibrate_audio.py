@@ -36,7 +36,7 @@ def calibrate_audio(
 ) -> None:
     """Play clicks, listen to them, and write the loudspeaker's offset into the face's YAML.
 
-    Put the microphone a hand's breadth before the loudspeaker; it takes eight seconds.
+    Put the microphone a hand's breadth before the loudspeaker; it takes ten seconds.
     """
     from lipsync.audio.delay.measurement import measure_delay
     from lipsync.audio.loudspeaker import LoudspeakerOutput

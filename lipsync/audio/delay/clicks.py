@@ -13,8 +13,9 @@ Samples = NDArray[np.float32]
 Seconds = NDArray[np.float64]
 
 #: When each click begins. All distances between any two of them differ, by 40 ms at least, so that
-#: a delay that puts one click on another's place misses all the rest.
-CLICKS_S: Final = (0.50, 0.91, 1.46, 1.83, 2.47, 2.94, 3.53)
+#: a delay that puts one click on another's place misses all the rest. The first one waits until a
+#: device that slept is awake: PulseAudio's null sink took 0.8 s.
+CLICKS_S: Final = (1.20, 1.61, 2.16, 2.53, 3.17, 3.64, 4.23)
 #: A click is a sweep, which is found in noise where a short impulse is not, and does not hurt.
 _CLICK_S: Final = 0.04
 #: What small loudspeakers play and the microphone's resampler passes.

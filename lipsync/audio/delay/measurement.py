@@ -37,7 +37,7 @@ def measure_delay(
     clock: Callable[[], float],
     sleep: Callable[[float], None],
 ) -> Delay:
-    """How much later than the loudspeaker says its sound is heard. Both are open; takes 6 s.
+    """How much later than the loudspeaker says its sound is heard. Both are open; takes 7 s.
 
     The error of the microphone's own time stamps is in it, and the way through the air: 3 ms a
     metre. Raises SoundError where the clicks are not heard well enough, or nothing plays.
@@ -86,7 +86,7 @@ def _expected_s(left: Reports, captured: Reports) -> NDArray[np.float64]:
 
 
 def _zero_s(reports: Reports, distance_s: NDArray[np.float64]) -> float:
-    """When time 0 was by the reports that are near: (n, 2), clock and position; else the nearest."""
+    """When time 0 was, by the reports (n, 2) of clock and position that are near, or nearest."""
     nearest_s = float(np.min(np.abs(distance_s)))
     is_near = np.abs(distance_s) <= max(_NEAR_S, nearest_s)
     return float(np.median(reports[is_near, 0] - reports[is_near, 1]))

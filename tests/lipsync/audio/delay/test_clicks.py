@@ -80,7 +80,7 @@ def test_two_clicks_may_be_drowned():
         (np.zeros(8 * RATE_HZ, np.float32), "the microphone heard nothing"),
         (np.zeros(0, np.float32), "the microphone heard nothing"),
         (noise(0.1), "of 7 clicks were heard: too quiet, too much noise, or another microphone"),
-        (recording(0.1)[: 3 * RATE_HZ], "only 4 of 7 clicks were heard"),
+        (recording(0.1)[: 4 * RATE_HZ], "only 4 of 7 clicks were heard"),
         (recording(0.1, 0.1) + noise(0.5), "of 7 clicks were heard"),
     ],
     ids=["silence", "no sound", "noise", "too short", "drowned"],
