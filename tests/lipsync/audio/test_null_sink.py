@@ -86,18 +86,24 @@ def sink():
 
 @pytest.fixture(scope="module")
 def recording(sink, tmp_path_factory):
-    """Noise played, and what was recorded meanwhile."""
+    """Noise played, and what was recorded meanwhile; again where the computer was too busy for it.
+
+    The devices say so themselves.
+    """
     folder = tmp_path_factory.mktemp("sound")
     rng = np.random.default_rng(3)
     sound = (0.2 * rng.standard_normal(round(PLAYED_S * 48_000))).astype(np.float32)
     np.save(folder / "sound.npy", sound)
     command = [sys.executable, "-c", PLAY_AND_RECORD, folder / "sound.npy", folder / "heard.npz"]
-    done = subprocess.run(
-        command, cwd=ROOT, env=sink.environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    played = soxr.resample(sound, 48_000, RATE_HZ)
-    return played, dict(np.load(folder / "heard.npz"))
+    for _ in range(3):
+        done = subprocess.run(
+            command, cwd=ROOT, env=sink.environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        told = dict(np.load(folder / "heard.npz"))
+        if not np.any(told["counts"]):
+            break
+    return soxr.resample(sound, 48_000, RATE_HZ), told
 
 
 def place_in(heard, stretch):
