@@ -18,6 +18,7 @@ from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import app as calibrate
 from lipservo.commands.learn import alignment, recognizer, training
 from lipservo.commands.run import (
+    calibrate_audio,
     devices,
     export,
     health,
@@ -68,6 +69,7 @@ app.command("status")(stop.status)
 app.command("limp")(stop.limp)
 app.command("set", context_settings=_NUMBERS)(set_value.set_value)
 app.command()(health.health)
+app.command("calibrate-audio")(calibrate_audio.calibrate_audio)
 app.add_typer(calibrate.app, name="calibrate")
 app.add_typer(bench.app, name="bench")
 app.add_typer(trace.app, name="trace")

@@ -33,6 +33,7 @@ from lipservo.settings.setting_types import (
     Strict,
     Text,
 )
+from lipservo.settings.sound_settings import SoundSettings
 from lipservo.settings.strict_yaml import SettingsError, read_mapping
 from lipservo.settings.validation_errors import explain
 
@@ -151,6 +152,7 @@ class FaceSettings(Strict):
     stale: StaleSettings = StaleSettings()
     tracking: TrackingSettings = TrackingSettings()
     motion: MotionSettings = MotionSettings()
+    sound: SoundSettings = SoundSettings()
 
     @field_validator("prevent", mode="before")
     @classmethod

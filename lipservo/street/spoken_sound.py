@@ -5,6 +5,7 @@ from contextlib import ExitStack, contextmanager
 from importlib import resources
 from pathlib import Path
 
+from lipservo.face.assembly import load_settings
 from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import Sound, open_microphone, open_sound
 from lipservo.street.spoken_file import SpokenFile
@@ -26,7 +27,7 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
             yield source
         return
     with ExitStack() as stack:
-        loudspeaker = _entered_loudspeaker(request.voice, stack)
+        loudspeaker = _entered_loudspeaker(request.config, request.voice, stack)
         microphone = None
         if request.sound.kind == "microphone":
             device = stack.enter_context(open_microphone(request.sound.name))
@@ -44,14 +45,14 @@ def check_sound(request: RunRequest) -> None:
         open_sound(request.sound)
 
 
-def _entered_loudspeaker(voice: VoiceOptions, stack: ExitStack) -> Loudspeaker | None:
+def _entered_loudspeaker(config: str, voice: VoiceOptions, stack: ExitStack) -> Loudspeaker | None:
     if voice.output is None:
         return None
     from lipsync.audio.loudspeaker import LoudspeakerOutput
 
-    name = voice.output
-    device = None if name == DEFAULT_OUTPUT else int(name) if name.isdigit() else name
-    return stack.enter_context(LoudspeakerOutput(device))
+    settings = load_settings(config)[0].sound
+    device = settings.output if voice.output == DEFAULT_OUTPUT else voice.output
+    return stack.enter_context(LoudspeakerOutput(device, settings.output_offset_ms))
 
 
 def _first_words(

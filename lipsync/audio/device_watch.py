@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
-from lipsync.audio.devices import OpenStream, close_stream, list_anew
+from lipsync.audio.devices import OpenStream, close_stream, list_anew, opening
 from lipsync.audio.source import SoundError
 
 #: A device that has not asked for sound, or brought any, for so long is lost.
@@ -56,7 +56,8 @@ class DeviceWatch:
 
     def open(self) -> None:
         """Open the device for the first time, here and now. Raises SoundError."""
-        self._start()
+        with opening():
+            self._start()
 
     def start(self) -> None:
         """Look after it from now on, in a thread of its own."""
@@ -80,7 +81,7 @@ class DeviceWatch:
             self._n_losses += 1
             self._close()
         if self._stream is None and now_s - self._tried_s >= RETRY_S:
-            with contextlib.suppress(SoundError):  # the next try may do better
+            with opening(), contextlib.suppress(SoundError):  # the next try may do better
                 list_anew()
                 self._start()
 

@@ -6,7 +6,8 @@ a loudspeaker needs no PortAudio.
 
 import re
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Final, Literal, Protocol
@@ -138,15 +139,25 @@ class _OpenStreams:
     """How many streams this process has open: while any is, PortAudio must not start again."""
 
     def __init__(self) -> None:
-        self.lock = threading.Lock()
+        self.lock = threading.RLock()
         self.n_open = 0
 
 
 _STREAMS: Final = _OpenStreams()
 
 
+@contextmanager
+def opening() -> Iterator[None]:
+    """Around finding a device, making its stream and starting it: one thread at a time.
+
+    Meanwhile no other makes the list anew, which would end a stream that is made and not counted.
+    """
+    with _STREAMS.lock:
+        yield
+
+
 def start_stream(stream: OpenStream) -> None:
-    """Start a stream that was made, and count it. Raises PortAudioError; then it is closed.
+    """Start a stream that was made while `opening`, and count it. Raises PortAudioError; closes it.
 
     Takes as long as the device takes: never in a tick.
     """

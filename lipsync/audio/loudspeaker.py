@@ -15,6 +15,7 @@ from lipsync.audio.devices import (
     import_sounddevice,
     is_number,
     offset_ms_of,
+    opening,
     start_stream,
 )
 from lipsync.audio.position_report import PositionReport
@@ -56,13 +57,14 @@ class LoudspeakerOutput:
     ) -> None:
         """is_watched: False where somebody else calls `watch.look` from time to time."""
         self._sounddevice = import_sounddevice()
-        self._device = find_device(device, "output")
+        with opening():
+            self._device = find_device(device, "output")
+            rate_hz, _ = self._rate_and_channels(RATES_HZ)
         # A number may be another device's after the next plug.
         self._wanted = self._device.lasting_name if is_number(device) else device
         self._offsets_ms = dict(offsets_ms or {})
         self._clock = clock
         self._is_watched = is_watched
-        rate_hz, _ = self._rate_and_channels(RATES_HZ)
         self._ring = SampleRing(rate_hz)
         self._report: PositionReport | None = None
         self._ahead_s = 0.0
@@ -75,6 +77,11 @@ class LoudspeakerOutput:
     def name(self) -> str:
         """The device's own name."""
         return self._device.name
+
+    @property
+    def lasting_name(self) -> str:
+        """Its name as a face's YAML should have it: the same after the next plug."""
+        return self._device.lasting_name
 
     @property
     def rate_hz(self) -> int:

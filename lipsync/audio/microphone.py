@@ -17,6 +17,7 @@ from lipsync.audio.devices import (
     find_device,
     import_sounddevice,
     is_number,
+    opening,
     start_stream,
 )
 from lipsync.audio.source import SoundError
@@ -57,7 +58,8 @@ class MicrophoneSource:
     ) -> None:
         """is_watched: False where somebody else calls `watch.look` from time to time."""
         self._sounddevice = import_sounddevice()
-        self._device = find_device(device, "input")
+        with opening():
+            self._device = find_device(device, "input")
         # A number may be another device's after the next plug.
         self._wanted = self._device.lasting_name if is_number(device) else device
         self._clock = clock
@@ -105,6 +107,7 @@ class MicrophoneSource:
             self._end(self._captures.popleft())
         if self.watch.is_lost and self._captures:
             self._end(self._captures[0])
+        if self.watch.is_lost or (self.n_losses and self._captures[0].begins_s is None):
             self._be_silent(now_s)
         return self._cutter.take(until_s)
 

@@ -60,11 +60,9 @@ class SampleRing:
 
     def write(self, samples: Samples) -> None:
         """The next samples (n,) of the timeline; n is at most the ring's length."""
-        size = len(self._ring)
-        first = self._n_written % size
-        n_here = min(len(samples), size - first)
-        self._ring[first : first + n_here, 0] = samples[:n_here]
-        self._ring[: len(samples) - n_here, 0] = samples[n_here:]
+        here, from_start = self._parts(self._n_written, self._n_written + len(samples))
+        here[:, 0] = samples[: len(here)]
+        from_start[:, 0] = samples[len(here) :]
         self._n_written += len(samples)
 
     def take_into(self, frames: Samples) -> int:
@@ -79,10 +77,9 @@ class SampleRing:
             self._n_taken += n_ready - size
             n_ready = size
         n = min(n_ready, len(frames))
-        first = self._n_taken % size
-        n_here = min(n, size - first)
-        frames[:n_here] = self._ring[first : first + n_here]
-        frames[n_here:n] = self._ring[: n - n_here]
+        here, from_start = self._parts(self._n_taken, self._n_taken + n)
+        frames[: len(here)] = here
+        frames[len(here) : n] = from_start
         frames[n:] = 0.0
         if n < len(frames) and not self._is_starved:
             self._n_underruns += 1
@@ -96,12 +93,20 @@ class SampleRing:
         n_untouched: the next so many samples stay: the taker may be taking them just now. Gives
         the sample of the timeline from which on it is silent.
         """
-        cut = min(self._n_taken + n_untouched, self._n_written)
-        n_left = self._n_written - cut
-        n_fade = min(len(self._fade), n_left)
-        size = len(self._ring)
+        oldest = max(self._n_taken, self._n_written - len(self._ring))
+        cut = min(oldest + n_untouched, self._n_written)
+        n_fade = min(len(self._fade), self._n_written - cut)
         # Zeros first: were the taker faster than this, it would meet silence.
-        where = np.arange(cut, self._n_written) % size
-        self._ring[where[n_fade:]] = 0.0
-        self._ring[where[:n_fade]] *= self._fade[:n_fade]
+        for part in self._parts(cut + n_fade, self._n_written):
+            part[:] = 0.0
+        n_faded = 0
+        for part in self._parts(cut, cut + n_fade):
+            part *= self._fade[n_faded : n_faded + len(part)]
+            n_faded += len(part)
         return max(cut + n_fade, min(self._n_taken, self._n_written))
+
+    def _parts(self, first: int, end: int) -> tuple[Samples, Samples]:
+        """Where a stretch of the timeline lies: up to the ring's end, and from its beginning."""
+        size = len(self._ring)
+        n_here = min(end - first, size - first % size)
+        return self._ring[first % size :][:n_here], self._ring[: end - first - n_here]

@@ -1,4 +1,5 @@
 import sys
+import threading
 
 import pytest
 from fake_sound_card import device, install_sound_card
@@ -71,3 +72,18 @@ def test_portaudio_starts_again_only_while_no_stream_is_open(monkeypatch):
         assert not list_anew()
     assert list_anew()
     assert card.n_looks == 1
+
+
+def test_portaudio_does_not_start_again_while_another_thread_opens_a_device(monkeypatch):
+    """Between the making of a stream and its start it would be ended unseen."""
+    card = install_sound_card(monkeypatch)
+    other = threading.Thread(target=list_anew)
+
+    def begin_to_list():
+        other.start()
+        other.join(0.2)
+
+    card.while_opening = begin_to_list
+    with LoudspeakerOutput(clock=card.clock, is_watched=False):
+        other.join()
+        assert card.n_looks == 0

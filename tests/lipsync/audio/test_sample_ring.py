@@ -93,3 +93,16 @@ def test_after_a_cut_it_fades_to_silence_where_it_says(n_written, n_taken, n_unt
         assert np.all(steps <= 0.0)
         assert np.max(-steps) < 0.05, "nothing clicks"
     np.testing.assert_array_equal(later, 0.5)
+
+
+def test_a_cut_of_more_than_the_ring_holds_leaves_nothing_of_it():
+    ring = SampleRing(RATE_HZ)
+    for _ in range(250):
+        ring.write(np.ones(BLOCK, np.float32))
+    n_silent = ring.silence_rest(BLOCK)
+    frames, n = taken(ring, round(RING_S * RATE_HZ))
+
+    n_lost = 250 * BLOCK - round(RING_S * RATE_HZ)
+    assert (ring.n_lost, n) == (n_lost, round(RING_S * RATE_HZ))
+    assert n_silent == n_lost + BLOCK + round(FADE_S * RATE_HZ)
+    assert not np.any(frames[n_silent - n_lost :])

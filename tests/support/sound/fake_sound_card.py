@@ -23,6 +23,7 @@ class FakeStream:
         self.settings = settings
         self.active, self.is_closed = False, False
         self.latency = 0.06
+        card.while_opening()
 
     @property
     def time(self):
@@ -76,6 +77,7 @@ class FakeSoundDevice:
         self.now_s = 100.0
         self.n_looks = 0
         self.refuses_to_start = False
+        self.while_opening = lambda: None
 
     def clock(self):
         return self.now_s

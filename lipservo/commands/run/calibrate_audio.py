@@ -1,0 +1,80 @@
+"""`calibrate-audio`: how much later than it says sound leaves a loudspeaker, into the face YAML."""
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.options import DEFAULT_FACE, Config, Json
+from lipservo.face.assembly import load_settings
+from lipservo.settings.stored_offset import offset_lines, store_output_offset
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+
+
+def calibrate_audio(
+    config: Config = DEFAULT_FACE,
+    output: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DEVICE",
+            help="Loudspeaker, by number or part of its name; default: the face's.",
+            show_default=False,
+        ),
+    ] = None,
+    from_input: Annotated[
+        str | None,
+        typer.Option(
+            "--input",
+            metavar="DEVICE",
+            help="Microphone, or the monitor of the loudspeaker; default: the face's.",
+            show_default=False,
+        ),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Measure, write nothing.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Play clicks, listen to them, and write the loudspeaker's offset into the face's YAML.
+
+    Put the microphone a hand's breadth before the loudspeaker; it takes ten seconds.
+    """
+    from lipsync.audio.delay.measurement import measure_delay
+    from lipsync.audio.loudspeaker import LoudspeakerOutput
+    from lipsync.audio.microphone import MicrophoneSource
+
+    settings, folder = load_settings(config)
+    speaker = LoudspeakerOutput(output or settings.sound.output)
+    microphone = MicrophoneSource(from_input or settings.sound.input)
+    with microphone, speaker:
+        found = measure_delay(speaker, microphone, time.monotonic, time.sleep)
+        claimed_ms = 1e3 * speaker.claimed_latency_s
+    offset_ms = round(1e3 * found.median_s, 1)
+    path = None if folder is None or dry_run else Path(config)
+    if path is not None:
+        store_output_offset(path, speaker.lasting_name, offset_ms)
+    if as_json:
+        print_json(
+            {
+                "output": speaker.lasting_name,
+                "input": microphone.name,
+                "output_offset_ms": offset_ms,
+                "spread_ms": round(1e3 * found.spread_s, 1),
+                "claimed_latency_ms": round(claimed_ms, 1),
+                "clicks_found": found.n_found,
+                "clicks_played": found.n_played,
+                "stored_in": None if path is None else str(path),
+            }
+        )
+        return
+    late = f"{abs(offset_ms):g} ms {'later' if offset_ms >= 0 else 'earlier'} than it says"
+    RESULTS.print(
+        f"{speaker.lasting_name}, heard by {microphone.name}: {found.n_found} of "
+        f"{found.n_played} clicks\nsound leaves it {late}, give or take "
+        f"{1e3 * found.spread_s:.1f}; it says {claimed_ms:.0f} ms after it was handed over",
+        soft_wrap=True,
+    )
+    if path is not None:
+        RESULTS.print(f"written into {path}", soft_wrap=True)
+        return
+    lines = offset_lines(speaker.lasting_name, offset_ms).rstrip()
+    MESSAGES.print(f"not written; in a face's YAML it is\n{lines}", soft_wrap=True)
