@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio.delay.clicks import CLICKS_S, LATEST_S, Delay, click_train, find_delay
-from lipsync.audio.playout import Loudspeaker
-from lipsync.audio.source import AudioSource, SoundError
+from lipsync.audio.source import AudioSource, Loudspeaker, SoundError
 
 Samples = NDArray[np.float32]
 Reports = NDArray[np.float64]
