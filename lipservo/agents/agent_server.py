@@ -11,7 +11,7 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
 from pathlib import Path
@@ -100,7 +100,7 @@ class AgentServer:
         self._settings = settings or AgentSettings()
         self._log = log
         self._turns = Turns(playout, self._settings)
-        self._n_clients = 0
+        self._clients: set[ServerConnection] = set()
         self._commands = Commands(
             control_path,
             say,
@@ -117,7 +117,7 @@ class AgentServer:
         """For `Status`: url, clients, streams refused. Any thread may ask; it never waits."""
         return {
             "url": self._url,
-            "n_clients": self._n_clients,
+            "n_clients": len(self._clients),
             "n_streams_refused": self._turns.n_refused,
         }
 
@@ -165,12 +165,12 @@ class AgentServer:
         await self._stopping.wait()
         telling.cancel()
         self._turns.end_all()
-        await _close(server)
+        await _close(server, self._clients)
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
         names = ("Host", "Origin", "Authorization", "Upgrade")
         headers = {name: ", ".join(request.headers.get_all(name)) for name in names}
-        refused = refusal(request.path, headers, self._settings, self._n_clients)
+        refused = refusal(request.path, headers, self._settings, len(self._clients))
         if refused is not None:
             return connection.respond(refused.status, f"{refused.text}\n")
         if urlsplit(request.path).path in HEALTH_PATHS:
@@ -186,7 +186,7 @@ class AgentServer:
             session = StreamSession(outbox, self._turns, self._playout, self._delay_ms)
         else:
             session = ControlSession(outbox, self._commands)
-        self._n_clients += 1
+        self._clients.add(connection)
         working = [
             asyncio.ensure_future(each)
             for each in (
@@ -198,7 +198,7 @@ class AgentServer:
         try:
             await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._n_clients -= 1
+            self._clients.discard(connection)
             is_slow = outbox.overflowed.is_set()
             session.leave()
             for task in working:
@@ -264,8 +264,11 @@ async def _send(connection: ServerConnection, outbox: Outbox) -> None:
             await connection.send(await outbox.take())
 
 
-async def _close(server: Server) -> None:
+async def _close(server: Server, clients: Iterable[ServerConnection]) -> None:
     """Every client is told; who does not answer is cut off a second later."""
-    server.close(code=_GOING_AWAY, reason="shutting_down")
+    ends = [asyncio.ensure_future(each.close(_GOING_AWAY, "shutting_down")) for each in clients]
+    if ends:
+        await asyncio.wait(ends, timeout=2.0 * _CLOSING_S)
+    server.close()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(server.wait_closed(), 2.0 * _CLOSING_S)

@@ -272,6 +272,25 @@ def test_the_end_of_the_server_is_silence_and_every_client_is_told():
     assert (closed.code, closed.reason) == (1001, "shutting_down")
 
 
+def test_speech_that_was_ended_is_cut_off_as_well_when_the_server_ends():
+    face = ServedFace()
+
+    async def leave():
+        async with client(face) as agent:
+            await agent.start()
+            await agent.send(tone(20.0))
+            await agent.say("end")
+            await agent.next("started")
+            face.hold()
+
+    with face:
+        asyncio.run(leave())
+        until(lambda: face.server.status()["n_clients"] == 0)
+        assert face.playout.is_speaking
+        face.server.__exit__()
+        until(lambda: not face.playout.is_speaking)
+
+
 def test_a_client_that_hangs_does_not_keep_the_server_from_ending():
     """It reads nothing and answers nothing: its connection is cut off."""
     face = ServedFace()
