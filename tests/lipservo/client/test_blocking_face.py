@@ -153,7 +153,7 @@ def test_a_rate_that_no_face_takes_is_told(served):
     with (
         lipservo.connect(served.url) as face,
         pytest.raises(FaceError, match="sample_rate"),
-        face.stream(sample_rate=4_000),
+        face.stream(sample_rate=2_000),
     ):
         pass
 
