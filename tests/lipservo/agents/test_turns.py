@@ -48,7 +48,7 @@ def test_while_the_face_says_something_of_its_own_a_client_is_refused_and_may_in
     face.turns.take_events(face.now_s)
 
     assert refused.value.code == "busy"
-    assert not face.playout.is_speaking
+    assert face.playout.is_over
     assert face.turns.open(client, START, face.now_s).stream_id == "s"
 
 

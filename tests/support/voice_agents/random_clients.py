@@ -102,7 +102,7 @@ def survive(rng, n_messages, n_at_once=4):
 
         def calm():
             # Streams that were ended are said to their end.
-            until(lambda: not face.playout.is_speaking and not face.server.status()["n_clients"])
+            until(lambda: face.playout.is_over and not face.server.status()["n_clients"])
 
         tracemalloc.start()
         try:
