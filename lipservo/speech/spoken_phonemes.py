@@ -5,14 +5,13 @@ from collections.abc import Iterable
 from dataclasses import replace
 
 from lipsync.audio.playout import Playout
+from lipsync.known_phonemes import Stretch
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.streaming import RecognizerStream
 
 #: What is known beforehand is told so far ahead of the sound: more than the longest look-ahead
 #: that moves a mouth, less than a sentence in every update.
 _AHEAD_S = 1.0
-
-Stretch = tuple[float, float, tuple[PhonemeEvent, ...]]
 
 
 class SpokenPhonemes:
@@ -45,16 +44,17 @@ class SpokenPhonemes:
 def with_known(update: PhonemeUpdate, stretches: Iterable[Stretch]) -> PhonemeUpdate:
     """The update with what is known beforehand in place of what was recognised there.
 
-    stretches: (start_s, end_s, events) in order of time, not overlapping.
+    stretches: in order of time, not overlapping.
     """
     events = list(update.events)
-    for start_s, end_s, known in stretches:
+    for stretch in stretches:
+        end_s = stretch.end_s
         told_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
-        said = [event for event in known if event.start_s < told_until_s]
+        said = [event for event in stretch.events if event.start_s < told_until_s]
         said = [event for event in said if _end_s(event) > update.replace_from_s]
         # Beyond what is told of a stretch nothing else is, or the two would overlap later.
         after = _cut(events, end_s, math.inf) if told_until_s == end_s else []
-        events = [*_cut(events, -math.inf, start_s), *said, *after]
+        events = [*_cut(events, -math.inf, stretch.start_s), *said, *after]
     return replace(update, events=tuple(events))
 
 
