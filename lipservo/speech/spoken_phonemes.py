@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+from lipsync.audio.playing_stream import KnownStretch
 from lipsync.audio.playout import Playout
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.streaming import RecognizerStream
@@ -11,8 +12,6 @@ from lipsync.recognition.streaming import RecognizerStream
 #: What is known beforehand is told so far ahead of the sound: more than the longest look-ahead
 #: that moves a mouth, less than a sentence in every update.
 _AHEAD_S = 1.0
-
-Stretch = tuple[float, float, tuple[PhonemeEvent, ...]]
 
 
 class SpokenPhonemes:
@@ -42,7 +41,7 @@ class SpokenPhonemes:
         ]
 
 
-def with_known(update: PhonemeUpdate, stretches: Iterable[Stretch]) -> PhonemeUpdate:
+def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> PhonemeUpdate:
     """The update with what is known beforehand in place of what was recognised there.
 
     stretches: (start_s, end_s, events) in order of time, not overlapping.
@@ -50,8 +49,10 @@ def with_known(update: PhonemeUpdate, stretches: Iterable[Stretch]) -> PhonemeUp
     events = list(update.events)
     for start_s, end_s, known in stretches:
         told_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
-        said = [event for event in known if event.start_s < told_until_s]
-        said = [event for event in said if _end_s(event) > update.replace_from_s]
+        near = [event for event in known if event.start_s < told_until_s]
+        near = [event for event in near if _end_s(event) > update.replace_from_s]
+        # What is said may be cut off within a phoneme, and go on within one.
+        said = _cut(near, start_s, end_s)
         # Beyond what is told of a stretch nothing else is, or the two would overlap later.
         after = _cut(events, end_s, math.inf) if told_until_s == end_s else []
         events = [*_cut(events, -math.inf, start_s), *said, *after]

@@ -8,10 +8,8 @@ committed, and the stream goes on when more has come.
 Other threads only append to `requests` and take from `events`; all is decided in the loop.
 """
 
-import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -19,12 +17,11 @@ from numpy.typing import NDArray
 
 from lipsync.audio.cutter import BLOCK_SAMPLES
 from lipsync.audio.half_duplex import ListenedMicrophone
-from lipsync.audio.playing_stream import PlayingStream
+from lipsync.audio.playing_stream import KnownPhonemes, KnownStretch, PlayingStream
 from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
 from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.source import Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
-from lipsync.phonemes import PhonemeEvent
 
 Samples = NDArray[np.float32]
 
@@ -32,9 +29,6 @@ Samples = NDArray[np.float32]
 _MOST_REQUESTS: Final = 64
 #: Events that wait to be told; the oldest are dropped beyond it.
 _MOST_EVENTS: Final = 1024
-#: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
-#: does not reach farther back.
-_REMEMBERED_S: Final = 5.0
 #: A stream begins, and goes on after it ran dry, when so much of it waits: senders keep the pace of
 #: speech in pieces of 20 to 40 ms, and a resampler holds 20 ms back.
 _WAITING_S: Final = 0.05
@@ -74,7 +68,7 @@ class Playout:
         #: One other thread takes.
         self.events: deque[PlayoutEvent] = deque(maxlen=_MOST_EVENTS)
         self._playing: deque[PlayingStream] = deque()
-        self._known: deque[tuple[float, float, tuple[PhonemeEvent, ...]]] = deque()
+        self._known = KnownPhonemes()
         self._n_blocks = 0
         self._n_underruns = 0
         self._position_s = 0.0
@@ -189,20 +183,16 @@ class Playout:
             elif request.kind == "clear":
                 self._clear()
         self._tell()
-        while self._known and self._known[0][1] < self.committed_s - _REMEMBERED_S:
-            self._known.popleft()
+        self._known.forget(self.committed_s)
         return is_cut
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Commit the timeline until then; the new blocks as the recogniser is to hear them."""
         return list(self._commit(int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES))
 
-    def known_phonemes(self, from_s: float) -> list[tuple[float, float, tuple[PhonemeEvent, ...]]]:
-        """Stretches of the timeline that end after `from_s` and whose phonemes are known.
-
-        (start_s, end_s, events), all on the timeline.
-        """
-        return [stretch for stretch in self._known if stretch[1] > from_s]
+    def known_phonemes(self, from_s: float) -> list[KnownStretch]:
+        """Stretches of the timeline that end after `from_s` and whose phonemes are known."""
+        return self._known.after(from_s)
 
     def __enter__(self) -> "Playout":
         return self
@@ -226,10 +216,10 @@ class Playout:
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
+            self._known.sounds(None, start_s)
             return self._listened(), self._played_silence
         stream = playing.stream
-        if stream.phonemes and not playing.segments:
-            self._remember(stream, start_s)
+        self._known.sounds(playing, start_s)
         playing.is_starved = False
         playing.add(start_s, block.n_samples)
         # A recogniser that hears what is known anyway would only disagree.
@@ -253,18 +243,6 @@ class Playout:
         name = playing.stream.name
         self.events.append(PlayoutEvent("underrun", name, self._position_s, n_played))
 
-    def _remember(self, stream: PlayoutStream, start_s: float) -> None:
-        moved = tuple(
-            replace(
-                event,
-                start_s=event.start_s + start_s,
-                end_s=None if event.end_s is None else event.end_s + start_s,
-            )
-            for event in stream.phonemes
-        )
-        end_s = moved[-1].end_s
-        self._known.append((start_s, math.inf if end_s is None else end_s, moved))
-
     def _interrupt(self) -> bool:
         """Everything ends here; whether anything was being said."""
         if not self._playing:
@@ -280,7 +258,7 @@ class Playout:
             self.events.append(event)
         self._playing.clear()
         self._quiet_from_s = cut_s + _ECHO_S
-        self._known = deque((start, min(end, cut_s), said) for start, end, said in self._known)
+        self._known.cut(cut_s)
         return True
 
     def _clear(self) -> None:
