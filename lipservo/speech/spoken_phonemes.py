@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterable
 from dataclasses import replace
 
+from lipsync.audio.playing_stream import KnownStretch
 from lipsync.audio.playout import Playout
-from lipsync.known_phonemes import Stretch
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.streaming import RecognizerStream
 
@@ -41,20 +41,21 @@ class SpokenPhonemes:
         ]
 
 
-def with_known(update: PhonemeUpdate, stretches: Iterable[Stretch]) -> PhonemeUpdate:
+def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> PhonemeUpdate:
     """The update with what is known beforehand in place of what was recognised there.
 
-    stretches: in order of time, not overlapping.
+    stretches: (start_s, end_s, events) in order of time, not overlapping.
     """
     events = list(update.events)
-    for stretch in stretches:
-        end_s = stretch.end_s
+    for start_s, end_s, known in stretches:
         told_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
-        said = [event for event in stretch.events if event.start_s < told_until_s]
-        said = [event for event in said if _end_s(event) > update.replace_from_s]
+        near = [event for event in known if event.start_s < told_until_s]
+        near = [event for event in near if _end_s(event) > update.replace_from_s]
+        # What is said may be cut off within a phoneme, and go on within one.
+        said = _cut(near, start_s, end_s)
         # Beyond what is told of a stretch nothing else is, or the two would overlap later.
         after = _cut(events, end_s, math.inf) if told_until_s == end_s else []
-        events = [*_cut(events, -math.inf, stretch.start_s), *said, *after]
+        events = [*_cut(events, -math.inf, start_s), *said, *after]
     return replace(update, events=tuple(events))
 
 

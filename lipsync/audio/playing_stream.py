@@ -1,9 +1,22 @@
-"""Where one stream of speech lies on the timeline of what the robot says."""
+"""Where streams of speech, and phonemes known of them, lie on the timeline of what is said."""
 
-from dataclasses import dataclass, field
+from collections import deque
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio_block import BLOCK_S
+from lipsync.phonemes import SILENCE, PhonemeEvent
+
+#: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
+#: does not reach farther back.
+_REMEMBERED_S: Final = 5.0
+
+#: Goes on from the beginning of time: each stretch cuts its own part out of it.
+_SILENCE: Final = (PhonemeEvent(SILENCE, 0.0, None),)
+
+#: (start_s, end_s, events) on the timeline; an event may reach beyond the end, where it is cut off.
+KnownStretch = tuple[float, float, tuple[PhonemeEvent, ...]]
 
 
 @dataclass(slots=True)
@@ -58,3 +71,63 @@ class PlayingStream:
         return self.stream.is_over and (
             not self.segments or position_s >= self.segments[-1].end_s - 1e-6
         )
+
+    def known_from(self, start_s: float) -> KnownStretch:
+        """The phonemes of what is said from `start_s` on, as if without another gap."""
+        shift_s = start_s - self.n_taken / self.stream.sample_rate_hz
+        moved = [
+            replace(
+                event,
+                start_s=event.start_s + shift_s,
+                end_s=None if event.end_s is None else event.end_s + shift_s,
+            )
+            for event in self.stream.phonemes
+        ]
+        ahead = tuple(e for e in moved if e.end_s is None or e.end_s > start_s)
+        end_s = ahead[-1].end_s if ahead else start_s
+        return start_s, float("inf") if end_s is None else end_s, ahead
+
+
+class KnownPhonemes:
+    """Stretches of the timeline whose phonemes are known, each as long as its stream sounds."""
+
+    def __init__(self) -> None:
+        self._stretches: deque[KnownStretch] = deque()
+        self._going_on: PlayingStream | None = None
+
+    def is_silent(self, start_s: float, end_s: float) -> None:
+        """Between them nothing is said, and nobody is listened to."""
+        self.sounds(None, start_s)
+        last = self._stretches[-1] if self._stretches else None
+        if last is not None and last[2] == _SILENCE and abs(last[1] - start_s) < 1e-6:
+            self._stretches[-1] = (last[0], end_s, _SILENCE)
+        else:
+            self._stretches.append((start_s, end_s, _SILENCE))
+
+    def sounds(self, playing: PlayingStream | None, start_s: float) -> None:
+        """From `start_s` on this stream is said; None: nothing is."""
+        if playing is self._going_on:
+            return
+        if self._going_on is not None:
+            self.cut(start_s)
+        if playing is not None and playing.stream.phonemes:
+            self._stretches.append(playing.known_from(start_s))
+            self._going_on = playing
+
+    def cut(self, cut_s: float) -> None:
+        """What was to be said from `cut_s` on never is."""
+        self._stretches = deque(
+            (start_s, min(end_s, cut_s), events)
+            for start_s, end_s, events in self._stretches
+            if start_s < cut_s
+        )
+        self._going_on = None
+
+    def after(self, from_s: float) -> list[KnownStretch]:
+        """Those that end after `from_s`, in order, not overlapping."""
+        return [stretch for stretch in self._stretches if stretch[1] > from_s]
+
+    def forget(self, committed_s: float) -> None:
+        """Those that nobody asks for any more, the timeline being settled until `committed_s`."""
+        while self._stretches and self._stretches[0][1] < committed_s - _REMEMBERED_S:
+            self._stretches.popleft()

@@ -17,11 +17,10 @@ from numpy.typing import NDArray
 
 from lipsync.audio.cutter import BLOCK_SAMPLES
 from lipsync.audio.half_duplex import ListenedMicrophone
-from lipsync.audio.playing_stream import PlayingStream
+from lipsync.audio.playing_stream import KnownPhonemes, KnownStretch, PlayingStream
 from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
 from lipsync.audio.source import Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
-from lipsync.known_phonemes import KnownPhonemes, Stretch
 
 Samples = NDArray[np.float32]
 
@@ -29,9 +28,6 @@ Samples = NDArray[np.float32]
 _MOST_REQUESTS: Final = 64
 #: Events that wait to be told; the oldest are dropped beyond it.
 _MOST_EVENTS: Final = 1024
-#: Phonemes that were known beforehand are remembered so long after they were said: a recogniser
-#: does not reach farther back.
-_REMEMBERED_S: Final = 5.0
 #: A stream begins, and goes on after it ran dry, when so much of it waits: senders keep the pace of
 #: speech in pieces of 20 to 40 ms, and a resampler holds 20 ms back.
 _WAITING_S: Final = 0.05
@@ -186,14 +182,14 @@ class Playout:
             elif request.kind == "clear":
                 self._clear()
         self._tell()
-        self._known.forget_before(self.committed_s - _REMEMBERED_S)
+        self._known.forget(self.committed_s)
         return is_cut
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Commit the timeline until then; the new blocks as the recogniser is to hear them."""
         return list(self._commit(int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES))
 
-    def known_phonemes(self, from_s: float) -> list[Stretch]:
+    def known_phonemes(self, from_s: float) -> list[KnownStretch]:
         """Stretches of the timeline that end after `from_s` and whose phonemes are known."""
         return self._known.after(from_s)
 
@@ -219,23 +215,25 @@ class Playout:
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
-            return self._listened(), self._played_silence
+            return self._listened(start_s), self._played_silence
         stream = playing.stream
-        if stream.phonemes and not playing.segments:
-            self._known.add(stream.phonemes, start_s)
+        self._known.sounds(playing, start_s)
         playing.is_starved = False
         playing.add(start_s, block.n_samples)
         # A recogniser that hears what is known anyway would only disagree.
         heard = _SILENCE if stream.phonemes else block.heard
         return heard, self._played_silence if stream.played_elsewhere else block.played
 
-    def _listened(self) -> Samples:
+    def _listened(self, start_s: float) -> Samples:
         """10 ms of the microphone; silence while the robot speaks, and until its echo is over."""
-        if self._microphone is None:
+        is_speaking = bool(self._playing) or self._position_s < self._quiet_from_s
+        if self._microphone is None or is_speaking:
+            # Nobody need hear that it is silent: the mouth closes a tenth of a second sooner.
+            self._known.is_silent(start_s, start_s + BLOCK_S)
+            if self._microphone is not None:
+                self._microphone.discard()
             return _SILENCE
-        if self._playing or self._position_s < self._quiet_from_s:
-            self._microphone.discard()
-            return _SILENCE
+        self._known.sounds(None, start_s)
         samples = self._microphone.take()
         return _SILENCE if samples is None else samples
 

@@ -27,6 +27,8 @@ _MOVED_DEG: Final = 0.35
 _SOUNDS: Final = 0.002
 #: Lips open wider than this share of their range, so long after the last speech, are stuck.
 _STUCK_SHARE, _STUCK_AFTER_S = 0.25, 0.400
+#: A mouth opens so long before the sound of a vowel: that is no mouth that is stuck.
+_OPENING_S: Final = 0.100
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +104,12 @@ def stuck_open_s(texts: Sequence[SpokenText], rng: np.random.Generator) -> tuple
 def _stuck_s(watched: Watched, loudspeaker: SimulatedLoudspeaker) -> float:
     samples, left_s = loudspeaker.played()
     speech_s = left_s[np.abs(samples) > _SOUNDS]
-    last = np.searchsorted(speech_s, watched.times_s) - 1
-    since_s = np.where(last >= 0, watched.times_s - speech_s[np.maximum(last, 0)], np.inf)
+    following = np.searchsorted(speech_s, watched.times_s)
+    since_s = watched.times_s - np.concatenate(([-np.inf], speech_s))[following]
+    until_s = np.concatenate((speech_s, [np.inf]))[following] - watched.times_s
     rest_mm = float(np.median(watched.gap_mm[:20]))
     quarter_mm = rest_mm + _STUCK_SHARE * (float(watched.gap_mm.max()) - rest_mm)
-    stuck = (watched.gap_mm > quarter_mm) & (since_s > _STUCK_AFTER_S)
+    stuck = (watched.gap_mm > quarter_mm) & (since_s > _STUCK_AFTER_S) & (until_s > _OPENING_S)
     return float(np.sum(np.diff(watched.times_s)[stuck[1:]]))
 
 
