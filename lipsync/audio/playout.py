@@ -260,6 +260,8 @@ class Playout:
         self._playing.clear()
         self._quiet_from_s = cut_s + _ECHO_S
         self._known.cut(cut_s)
+        if cut_s < self.committed_s:
+            self._known.is_silent(cut_s, self.committed_s)
         return True
 
     def _clear(self) -> None:
