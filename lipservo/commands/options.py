@@ -106,6 +106,18 @@ TokenFile = Annotated[
     Path | None,
     typer.Option(help="File whose first line voice agents must know.", show_default=False),
 ]
+Queue = Annotated[
+    bool,
+    typer.Option("--queue", help="A second voice agent waits for its turn; else it is refused."),
+]
+Origins = Annotated[
+    str,
+    typer.Option(
+        metavar="URL,URL",
+        help="Web pages whose scripts may connect, besides those of this computer.",
+        show_default=False,
+    ),
+]
 Sounds = Annotated[
     Path | None,
     typer.Option(help="Folder of sound files that voice agents may play.", show_default=False),

@@ -76,7 +76,11 @@ def voice_agents(
         voice.playout,
         control_path=control_path,
         delay_ms=lambda: delay.total_s * 1e3,
-        settings=AgentSettings(token=read_token(options.token_file)),
+        settings=AgentSettings(
+            token=read_token(options.token_file),
+            allowed_origins=tuple(each for each in options.origins.split(",") if each),
+            when_busy="queue" if options.queue else "refuse",
+        ),
         say=spoken.say,
         play=spoken.play if options.sounds is not None else None,
         log=log,

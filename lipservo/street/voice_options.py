@@ -14,9 +14,13 @@ class VoiceOptions:
 
     output: its loudspeaker, by number, name or part of a name; None: nobody plays, or whoever sends
     the sound does. token_file: whose first line voice agents must know; None: on loopback they need
-    none. sounds: the folder below which they may let sound files be played.
+    none. sounds: the folder below which they may let sound files be played. queue: whether they
+    wait for their turn while another speaks, or are refused. origins: of web pages that may
+    connect, with commas between.
     """
 
     output: str | None = None
     token_file: str | None = None
     sounds: str | None = None
+    queue: bool = False
+    origins: str = ""

@@ -17,10 +17,12 @@ from lipservo.commands.options import (
     Listen,
     Mic,
     Model,
+    Origins,
     Output,
     Phonemes,
     Play,
     Port,
+    Queue,
     Quiet,
     Rate,
     Sim,
@@ -31,7 +33,7 @@ from lipservo.commands.options import (
 )
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.supervision import supervise
-from lipservo.commands.run.voice_choice import chosen_voice, daemons_voice
+from lipservo.commands.run.voice_choice import chosen_voice, daemons_voice, text_of
 from lipservo.face.assembly import load_settings
 from lipservo.face.face_life import say
 from lipservo.face.face_stopped import exit_status
@@ -43,6 +45,7 @@ from lipservo.street.sources import CLIP, SILENCE, Sound, chosen_sound, open_sou
 from lipservo.street.spoken_sound import entered_sound
 from lipservo.street.summary import print_summary
 from lipservo.street.voice_agents import bound_listener
+from lipservo.street.voice_options import VoiceOptions
 from lipservo.terminal.output import RESULTS, print_json
 
 
@@ -95,6 +98,8 @@ def daemon(
     listen: Listen = None,
     token_file: TokenFile = None,
     sounds: Sounds = None,
+    queue: Queue = False,
+    origins: Origins = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
     trace: Trace = None,
@@ -121,7 +126,11 @@ def daemon(
         control=control,
         as_json=as_json,
         quiet=quiet,
-        voice=daemons_voice(chosen_voice(play=play, output=output), listen, token_file, sounds),
+        voice=daemons_voice(
+            chosen_voice(play=play, output=output),
+            listen,
+            VoiceOptions(None, text_of(token_file), text_of(sounds), queue, origins),
+        ),
     )
     with ExitStack() as stack:
         listener = bound_listener(listen, request.voice.token_file if request.voice else None)

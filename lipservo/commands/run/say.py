@@ -1,6 +1,7 @@
 """`say`: a text, spoken and shown."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -18,6 +19,7 @@ from lipservo.commands.options import (
     Quiet,
     Rate,
     Sim,
+    TokenFile,
     Trace,
 )
 from lipservo.commands.run.motion_choice import takes_motion
@@ -28,7 +30,9 @@ from lipservo.street.run_face import run_face
 from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import Sound
 from lipservo.street.spoken_sound import entered_sound
+from lipservo.street.voice_agents import read_token
 from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
+from lipsync.errors import UserError
 
 
 @takes_motion
@@ -37,6 +41,16 @@ def say(
     text: Annotated[str, typer.Argument(help="What is said.")],
     language: Language = "en-us",
     mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
+    through: Annotated[
+        str | None,
+        typer.Option(
+            "--through",
+            metavar="URL",
+            help="Let a running face say it; `lipservo status` tells its address.",
+            show_default=False,
+        ),
+    ] = None,
+    token_file: TokenFile = None,
     output: Output = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
@@ -52,6 +66,9 @@ def say(
     """Speak a text, with sound and the face: espeak-ng tells when it says what."""
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
+    if through is not None:
+        _say_through(through, text, token_file)
+        return
     request = RunRequest(
         config,
         Sound("text", text, language),
@@ -69,3 +86,16 @@ def say(
         request = replace(request, port=at_port)
         outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
     finish(request, outcome)
+
+
+def _say_through(url: str, text: str, token_file: Path | None) -> None:
+    """A running face says it; its own options hold. Raises UserError."""
+    from lipservo.client.blocking_face import Face
+    from lipservo.client.face_answers import FaceError
+
+    token = read_token(None if token_file is None else str(token_file))
+    try:
+        with Face(url, token) as face:
+            face.say(text)
+    except FaceError as error:
+        raise UserError(f"--through {url}: {error}") from error

@@ -140,8 +140,11 @@ def _motion(status: dict[str, Any]) -> str:
         return ""
     level = status["fallback_level"]
     fallback = f" (fallback {level})" if level else ""
+    listens = f"; listens at {status['listens_on']}" if status.get("listens_on") else ""
     named = "".join(f", {name} {value:g}" for name, value in status["settings"].items())
-    return f"{status['sound']}: {status['strategy']}{named}; {status['recognizer']}{fallback}"
+    return (
+        f"{status['sound']}: {status['strategy']}{named}; {status['recognizer']}{fallback}{listens}"
+    )
 
 
 def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:

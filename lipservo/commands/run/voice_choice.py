@@ -1,5 +1,6 @@
 """The options of a robot that speaks, as a run needs them."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import typer
@@ -17,16 +18,19 @@ def chosen_voice(*, play: bool, output: str | None, is_needed: bool = False) -> 
 
 
 def daemons_voice(
-    voice: VoiceOptions | None, listen: str | None, token_file: Path | None, sounds: Path | None
+    voice: VoiceOptions | None, listen: str | None, agents: VoiceOptions
 ) -> VoiceOptions | None:
-    """The voice of a face that voice agents speak through, unless it listens nowhere."""
+    """The voice of a face that voice agents speak through, unless it listens nowhere.
+
+    agents: what was typed for them.
+    """
     if listen == "none":
-        if token_file is not None or sounds is not None:
-            raise typer.BadParameter("--listen none leaves nobody for --token-file and --sounds")
+        if agents != VoiceOptions():
+            raise typer.BadParameter("--listen none: nobody is there for the options of agents")
         return voice
-    output = None if voice is None else voice.output
-    return VoiceOptions(output, _text(token_file), _text(sounds))
+    return replace(agents, output=None if voice is None else voice.output)
 
 
-def _text(path: Path | None) -> str | None:
+def text_of(path: Path | None) -> str | None:
+    """A path as a request carries it."""
     return None if path is None else str(path)
