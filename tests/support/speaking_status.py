@@ -14,4 +14,9 @@ SPEECH = SpeechStatus(
     delay_ms=226.69,
     n_phonemes=12,
     n_lost_sound_blocks=1,
+    output="USB Audio",
+    output_lost=False,
+    listens_on="ws://127.0.0.1:8765",
+    speaking="greeting #1",
+    n_playout_underruns=2,
 )
