@@ -51,7 +51,7 @@ def test_known_phonemes_win_inside_their_stretches_and_nowhere_else(updates, str
                 assert any(a <= event.start_s < end_s(event) <= b for a, b, _ in stretches)
             else:
                 assert all(end_s(event) <= a or event.start_s >= b for a, b, _ in ahead)
-        for start_s, until_s, known in ahead:
+        for _, until_s, known in ahead:
             for event in known:
                 # What sounds soon is told.
                 if update.replace_from_s < event.start_s < min(until_s, update.heard_until_s):
