@@ -72,7 +72,7 @@ def test_the_audio_of_a_realtime_session_is_heard(face, tmp_path, name):
 
     assert run("openai_realtime.py", tmp_path / "events.jsonl", face.url) == ""
 
-    until(lambda: not face.playout.is_speaking)
+    until(lambda: face.playout.speaking is None)
     assert sounding_s(face) == pytest.approx(0.4, abs=0.02)
 
 

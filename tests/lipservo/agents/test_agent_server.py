@@ -89,7 +89,7 @@ def test_an_interruption_tells_how_much_was_heard_and_the_rest_is_silent(face):
     assert cut["n_dropped"] == round(cut["dropped_s"] * RATE_HZ)
     assert 0 <= n_heard.max() - n_heard.min() + 2 - cut["n_played"] <= 0.02 * RATE_HZ
     assert [event for event in heard if event["type"] == "error"] == []
-    until(lambda: not face.playout.is_speaking)
+    until(lambda: face.playout.speaking is None)
 
 
 def test_whoever_interrupts_silence_is_answered(face):
@@ -136,7 +136,7 @@ def test_a_client_that_vanishes_in_the_middle_of_a_word_is_silent(face):
     asyncio.run(vanish())
 
     until(lambda: face.server.status()["n_clients"] == 0)
-    until(lambda: not face.playout.is_speaking)
+    until(lambda: face.playout.speaking is None)
     face.go_on()
     n_played = len(face.sound.played())
     until(lambda: len(face.sound.played()) > n_played + RATE_HZ)
@@ -154,7 +154,7 @@ def test_a_client_that_leaves_after_its_end_is_heard_to_the_end(face):
 
     spoken = np.frombuffer(tone(0.5), dtype="<i2") / 32_768
     until(lambda: energy(face.sound.played()) >= 0.999 * energy(spoken))
-    until(lambda: not face.playout.is_speaking)
+    until(lambda: face.playout.speaking is None)
 
 
 def test_base64_and_float_samples_say_the_same(face):
@@ -267,7 +267,7 @@ def test_the_end_of_the_server_is_silence_and_every_client_is_told():
 
     with face:
         closed = asyncio.run(talk())
-        until(lambda: not face.playout.is_speaking)
+        until(lambda: face.playout.speaking is None)
 
     assert (closed.code, closed.reason) == (1001, "shutting_down")
 
@@ -286,9 +286,9 @@ def test_speech_that_was_ended_is_cut_off_as_well_when_the_server_ends():
     with face:
         asyncio.run(leave())
         until(lambda: face.server.status()["n_clients"] == 0)
-        assert face.playout.is_speaking
+        assert face.playout.speaking is not None
         face.server.__exit__()
-        until(lambda: not face.playout.is_speaking)
+        until(lambda: face.playout.speaking is None)
 
 
 def test_a_client_that_hangs_does_not_keep_the_server_from_ending():

@@ -32,7 +32,7 @@ END, INTERRUPT = '{"type": "end"}', '{"type": "interrupt"}'
         (["[1, 2]"], "bad_json", "no JSON object"),
         (["{}"], "bad_json", "no JSON object"),
         (["[" * 100_000], "bad_json", "not JSON"),
-        ([started(sample_rate=96_000)], "bad_message", "sample_rate: Input should be less"),
+        ([started(sample_rate=200_000)], "bad_message", "sample_rate: Input should be less"),
         ([started(sample_rate="24000")], "bad_message", "sample_rate"),
         ([started(channels=2)], "bad_message", "channels"),
         ([started(format="mp3")], "bad_message", "format"),
@@ -114,7 +114,7 @@ def test_a_huge_message_ends_the_connection_and_nothing_else(face):
         return closed.value.rcvd.code
 
     assert asyncio.run(talk()) == 1009
-    until(lambda: not face.playout.is_speaking)
+    until(lambda: face.playout.speaking is None)
 
 
 def test_speech_beyond_five_minutes_is_refused_chunk_by_chunk(face):
@@ -262,7 +262,7 @@ def test_whoever_does_not_read_is_sent_away_and_is_silent():
 
         asyncio.run(talk())
 
-        until(lambda: not face.playout.is_speaking)
+        until(lambda: face.playout.speaking is None)
 
 
 def test_too_many_messages_a_second_wait_and_none_is_lost():

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from voice_agents.served_face import KeptSound
+
 from lipservo.agents.agent_settings import AgentSettings
 from lipservo.agents.messages import MessageError, Start
 from lipservo.agents.outbox import Outbox
@@ -18,7 +20,7 @@ class Stepped:
     """A playout that goes on when it is told to."""
 
     def __init__(self, when_busy="refuse"):
-        self.playout = Playout()
+        self.playout = Playout(KeptSound())
         self.turns = Turns(self.playout, AgentSettings(when_busy=when_busy))
         self.now_s = 0.0
 
@@ -48,7 +50,7 @@ def test_while_the_face_says_something_of_its_own_a_client_is_refused_and_may_in
     face.turns.take_events(face.now_s)
 
     assert refused.value.code == "busy"
-    assert not face.playout.is_speaking
+    assert face.playout.speaking is None
     assert face.turns.open(client, START, face.now_s).stream_id == "s"
 
 

@@ -18,7 +18,7 @@ class Microphone:
 
     name, duration_s, is_live, lost_blocks = "microphone", None, True, 3
 
-    def __init__(self, level=lambda time_s: HEARD, n_at_once=1):
+    def __init__(self, level=lambda _time_s: HEARD, n_at_once=1):
         self.now_s = 0.0
         self._level, self._n_at_once = level, n_at_once
         self._n_given = 0

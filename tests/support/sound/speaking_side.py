@@ -39,7 +39,7 @@ class SpeakingSide:
         )
         self.delay = self.side.speech.delay
 
-    def run(self, until_s, act=lambda now_s: None):
+    def run(self, until_s, act=lambda _now_s: None):
         goals = []
         self.loudspeaker.advance(ZERO_S)
         self.side.begin(ZERO_S)
