@@ -53,7 +53,7 @@ class Turns:
     def open(self, owner: Outbox, start: Start, now_s: float) -> AgentStream:
         """A new stream, whose turn comes at once or later. Raises MessageError: it may not be."""
         try:
-            self._check(owner, start.stream)
+            self._check(owner, start)
         except MessageError:
             self.n_refused += 1
             raise
@@ -158,8 +158,11 @@ class Turns:
     def _all(self) -> list[AgentStream]:
         return [*self._said.values(), *self._waiting]
 
-    def _check(self, owner: Outbox, stream_id: str | None) -> None:
+    def _check(self, owner: Outbox, start: Start) -> None:
         streams = self._all()
+        if start.playback == "server" and self._playout.loudspeaker is None:
+            silent = "the face has no loudspeaker: start it with --play"
+            raise MessageError("no_loudspeaker", f'{silent}, or play it yourself ("client")')
         if self._settings.when_busy == "refuse":
             if any(each.owner is not owner for each in streams):
                 raise MessageError("busy", "another client speaks; one speaks at a time")
@@ -170,7 +173,7 @@ class Turns:
             raise MessageError("too_many_streams", most)
         if len(self._playout.requests) >= _MOST_REQUESTS:
             raise MessageError("not_available", "the face takes no speech at the moment")
-        if any(each.owner is owner and each.stream_id == stream_id for each in streams):
+        if any(each.owner is owner and each.stream_id == start.stream for each in streams):
             raise MessageError("stream_open", "a stream of that id is said or waits already")
 
     def _drop_waiting(self, owner: Outbox, kind: str) -> int:

@@ -12,6 +12,9 @@ from lipsync.audio.playout_events import PlayoutRequest
 
 #: A loudspeaker whose position stays for so long stands still: a few buffers of the slowest device.
 _STALE_S: Final = 0.15
+#: Its clock runs on a little until it stands still, too. The mouth opens again once lips and sound
+#: are as near as that, which nobody notices.
+_MET_S: Final = 0.03
 #: Phonemes that wait to be told; nobody is told those of a minute ago.
 _MOST_PHONEMES: Final = 256
 
@@ -73,9 +76,11 @@ class OwnVoice:
             return
         told_s, position_s = report
         self._clock.played(told_s, position_s)
+        ahead_s = self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - told_s)
         if position_s != self._told_position_s:
             self._told_position_s, self._moved_s = position_s, now_s
-            self._is_standing = False
-        elif now_s - self._moved_s > _STALE_S and not self._is_standing:
+            self._is_standing = self._is_standing and ahead_s > _MET_S
+        elif now_s - self._moved_s > _STALE_S:
             self._is_standing = True
+        if self._is_standing:
             self._speech.cut_off(now_s, self._rest)

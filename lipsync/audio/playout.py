@@ -152,7 +152,11 @@ class Playout:
                 at_s = playing.timeline_s(n_samples)
                 if playing.stream.name == stream and at_s is not None:
                     return now_s, at_s
-        if self.loudspeaker is None or (report := self.loudspeaker.position()) is None:
+        # Two who play would pull the clock to and fro.
+        is_elsewhere = bool(self._playing) and self._playing[0].stream.played_elsewhere
+        if self.loudspeaker is None or is_elsewhere:
+            return None
+        if (report := self.loudspeaker.position()) is None:
             return None
         return report[0], report[1] - self.preroll_s
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from voice_agents.served_face import KeptSound
 
 from lipservo.agents.agent_settings import AgentSettings
 from lipservo.agents.messages import MessageError, Start
@@ -18,7 +19,7 @@ class Stepped:
     """A playout that goes on when it is told to."""
 
     def __init__(self, when_busy="refuse"):
-        self.playout = Playout()
+        self.playout = Playout(KeptSound())
         self.turns = Turns(self.playout, AgentSettings(when_busy=when_busy))
         self.now_s = 0.0
 

@@ -15,6 +15,7 @@ from lipservo.face.sim_process import simulated_port
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.run_request import RunRequest, request_of_json
 from lipservo.street.sources import Sound
+from lipservo.street.voice_options import VoiceOptions
 from lipsync.motion.live_synthesizer import Style
 
 # Real processes in real time.
@@ -56,6 +57,7 @@ def typed(tmp_path_factory):
             rate_hz=50.0,
             control=control,
             as_json=True,
+            voice=VoiceOptions(),
         )
         arguments = [word for option in options.items() for word in option]
         with running(port, folder, *arguments, "--json") as process:

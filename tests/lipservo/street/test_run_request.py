@@ -13,6 +13,7 @@ from lipservo.settings.motion_names import ENGINES, STRATEGIES
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.run_request import RequestError, RunRequest, request_json, request_of_json
 from lipservo.street.sources import CLIP, Sound
+from lipservo.street.voice_options import VoiceOptions
 from lipsync.motion.live_synthesizer import LONGEST_LOOKAHEAD_S, STRONGEST, Style
 
 HELD_OUT = str(ROOT / "benchmarks" / "recognizer_held_out.npz")
@@ -32,7 +33,19 @@ motions = st.builds(
     strategy=st.sampled_from(STRATEGIES),
     style=styles,
 )
-sounds = st.builds(Sound, st.sampled_from(["clip", "file", "microphone", "silence"]), names)
+sounds = st.builds(
+    Sound,
+    st.sampled_from(["clip", "file", "microphone", "silence", "text"]),
+    names,
+    language=st.just("") | names,
+    phonemes=st.just("") | names,
+)
+voices = st.builds(
+    VoiceOptions,
+    output=st.none() | names,
+    token_file=st.none() | names,
+    sounds=st.none() | names,
+)
 requests = st.builds(
     RunRequest,
     config=names,
@@ -46,6 +59,7 @@ requests = st.builds(
     as_json=st.booleans(),
     quiet=st.booleans(),
     dry_run=st.booleans(),
+    voice=st.none() | voices,
 )
 WHOLE = json.loads(request_json(RunRequest("face_sim", CLIP)))
 
@@ -77,7 +91,12 @@ def test_a_request_without_a_field_is_refused(name):
         ({"config": None}, "request.config: None is not text"),
         ({"model": 3}, "request.model: 3 is not a path"),
         ({"sound": "clip"}, "request.sound: 'clip' has no fields; needs kind, name"),
-        ({"sound": {"kind": "noise", "name": ""}}, "request.sound.kind: 'noise', not one of clip"),
+        (
+            {"sound": {**WHOLE["sound"], "kind": "noise"}},
+            "request.sound.kind: 'noise', not one of clip",
+        ),
+        ({"voice": "default"}, "request.voice: 'default' has no fields; needs output, token_file"),
+        ({"voice": {"output": None, "sounds": None}}, "request.voice.token_file: is missing"),
         ({"motion": {**WHOLE["motion"], "style": {}}}, "request.motion.style.lookahead_s: is miss"),
     ],
 )

@@ -204,6 +204,8 @@ def test_sound_that_somebody_else_plays_is_silent_here_and_followed_by_their_rep
     heard = playout.blocks(0.5)
     assert np.concatenate([block.samples for block in heard]).any()
     assert not speaker.samples.any()
+    speaker.reported = (7.0, 0.4)
+    assert playout.report() is None, "our loudspeaker says nothing about it"
     playout.reports.append((7.0, "a", 1_600))
     assert playout.report() == (7.0, pytest.approx(0.1))
     playout.reports.append((7.1, "nobody", 1_600))

@@ -5,7 +5,15 @@ import base64
 import json
 import tracemalloc
 
-from voice_agents.served_face import PATIENCE_S, RATE_HZ, ServedFace, client, tone, until
+from voice_agents.served_face import (
+    PATIENCE_S,
+    RATE_HZ,
+    ForgottenSound,
+    ServedFace,
+    client,
+    tone,
+    until,
+)
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from lipservo.agents.agent_settings import AgentSettings
@@ -94,7 +102,7 @@ def survive(rng, n_messages, n_at_once=4):
     Raises AssertionError where the face is not as before: it speaks when asked, and then is silent.
     """
     settings = AgentSettings(messages_per_s=1e9, when_busy=rng.choice(["refuse", "queue"]))
-    with ServedFace(settings, loudspeaker=False, say=lambda text: {"n": len(text)}) as face:
+    with ServedFace(settings, sound=ForgottenSound, say=lambda text: {"n": len(text)}) as face:
 
         async def storm(n):
             each = n // n_at_once

@@ -60,12 +60,19 @@ class KeptSound:
         del self._chunks[:n_chunks]
 
 
-class ServedFace:
-    """See the module. Use as a context manager."""
+class ForgottenSound(KeptSound):
+    """The same for hours of sound."""
 
-    def __init__(self, settings=None, loudspeaker=True, **given):
+    def write(self, samples):
+        """Keep nothing."""
+
+
+class ServedFace:
+    """See the module. Use as a context manager. sound: kind of its loudspeaker; None: it has none."""
+
+    def __init__(self, settings=None, sound=KeptSound, **given):
         self.settings = settings or AgentSettings(position_s=0.02)
-        self.sound = KeptSound() if loudspeaker else None
+        self.sound = sound() if sound is not None else None
         self.playout = Playout(self.sound)
         self.said = []
         self.reported = []

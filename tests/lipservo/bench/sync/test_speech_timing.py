@@ -1,0 +1,23 @@
+"""Lips against sound, of what a synthesiser says, at the encoders of simulated servos."""
+
+import numpy as np
+import pytest
+
+from lipservo.bench.sync.speech_timing import speech_timing
+from lipsync.text_to_speech.spoken_text import SynthesisError
+from lipsync.text_to_speech.synthesizers import synthesizer_for
+
+#: Of lips that are late; where they are early it takes 125 ms to be noticed (ITU-R BT.1359).
+NOTICED_S = 0.045
+
+
+def test_lips_close_and_part_with_the_sound_of_two_short_sentences():
+    try:
+        voice = synthesizer_for()
+    except SynthesisError as missing:
+        pytest.skip(str(missing))
+    timing = speech_timing([voice.speak(text) for text in ("Happy Bob.", "Maybe.")], knows=True)
+    assert timing.n_asked >= 4
+    assert timing.n_unmatched == 0
+    assert np.abs(timing.errors_s).max() <= NOTICED_S
+    assert timing.n_hits == timing.n_closures >= 4

@@ -1,0 +1,156 @@
+"""A robot that speaks, from the command line: what it says, and what it refuses in one line."""
+
+import json
+import shutil
+
+import pytest
+import soundfile
+from fake_sound_card import device, install_sound_card
+from places import DATA, short_folder
+from speech import CLIP_PATH
+from typer.testing import CliRunner
+
+from lipservo import command_line
+from lipservo.cli import app
+from lipsync.text_to_speech.spoken_text import SynthesisError
+from lipsync.text_to_speech.synthesizers import synthesizer_for
+
+#: The clip's first word or two.
+CUT_S = 1.0
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(monkeypatch):
+    """Faces of this test only."""
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(short_folder()))
+
+
+@pytest.fixture
+def _espeak():
+    try:
+        synthesizer_for()
+    except SynthesisError as missing:
+        pytest.skip(str(missing))
+
+
+@pytest.fixture
+def nothing_armed(monkeypatch):
+    """The face was never assembled: no servo can have been told anything."""
+
+    def refuse(*_arguments, **_options):
+        raise AssertionError("the face was brought up")
+
+    for module in ("run", "say"):
+        monkeypatch.setattr(f"lipservo.commands.run.{module}.run_face", refuse)
+    monkeypatch.setattr("lipservo.commands.run.run.supervise", refuse)
+
+
+def answer(*arguments):
+    done = CliRunner().invoke(app, [str(each) for each in arguments])
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def refused(capsys, monkeypatch, *arguments):
+    """The one line with which a whole command line is refused, and its exit status."""
+    monkeypatch.setattr("sys.argv", ["lipservo", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        command_line.main()
+    told = capsys.readouterr().err.splitlines()
+    lines = [line for line in told if line.startswith("lipservo: ")]
+    assert len(lines) == 1, told
+    return lines[0], ended.value.code
+
+
+@pytest.mark.usefixtures("_espeak")
+def test_say_moves_the_mouth_by_the_phonemes_of_its_text():
+    told = answer("say", "--mute", "Maybe.", "--json")
+    assert told["phonemes"] >= 4
+    assert told["status"]["listens_on"] is None
+
+
+@pytest.mark.usefixtures("_espeak", "nothing_armed")
+@pytest.mark.parametrize("text", ["", "   ", "🙂 🎉", "--- ..."])
+def test_a_text_in_which_nothing_can_be_spoken_is_refused(text, capsys, monkeypatch):
+    line, status = refused(capsys, monkeypatch, "say", "--mute", "--", text)
+    assert "write words" in line
+    assert status == 1
+
+
+@pytest.mark.usefixtures("_espeak", "nothing_armed")
+def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
+    line, status = refused(
+        capsys, monkeypatch, "say", "--mute", "hello", "--language", "klingonese"
+    )
+    assert "klingonese" in line
+    assert status == 1
+
+
+@pytest.mark.usefixtures("nothing_armed")
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["run", "--output", "x"], "--output goes with --play"),
+        (["daemon", "--output", "x"], "--output goes with --play"),
+        (["run", "--phonemes", "x.TextGrid"], "--phonemes goes with --wav"),
+        (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
+        (["daemon", "--listen", "none", "--sounds", "."], "--listen none leaves nobody"),
+        (["daemon", "--listen", "0.0.0.0:0"], "0.0.0.0:0: can be reached from other computers"),
+        (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
+        (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),
+        (["daemon", "--token-file", "none.txt"], "none.txt"),
+    ],
+)
+def test_options_that_do_not_go_together_are_refused_in_one_line(
+    arguments, said, capsys, monkeypatch, tmp_path
+):
+    monkeypatch.chdir(tmp_path)
+    line, status = refused(capsys, monkeypatch, *arguments)
+    assert said in line
+    assert status != 0
+
+
+@pytest.mark.usefixtures("nothing_armed")
+def test_a_token_file_without_a_token_is_refused(capsys, monkeypatch, tmp_path):
+    path = tmp_path / "token"
+    path.write_text("\n")
+    line, status = refused(
+        capsys, monkeypatch, "daemon", "--listen", "0.0.0.0:0", "--token-file", path
+    )
+    assert line.endswith("its first line is empty; write a token there")
+    assert status == 1
+
+
+@pytest.mark.usefixtures("_espeak", "nothing_armed")
+@pytest.mark.parametrize("arguments", [["run", "--play"], ["say", "hello"]])
+def test_without_any_loudspeaker_a_command_says_how_to_do_without_sound(
+    arguments, capsys, monkeypatch
+):
+    install_sound_card(monkeypatch, [device(0, "mic", n_inputs=1)])
+    line, status = refused(capsys, monkeypatch, *arguments)
+    assert "no loudspeaker" in line
+    assert "--mute" in line
+    assert status == 1
+
+
+@pytest.mark.usefixtures("nothing_armed")
+def test_phonemes_that_cannot_be_read_are_refused(capsys, monkeypatch, tmp_path):
+    path = tmp_path / "other.TextGrid"
+    path.write_text("no TextGrid\n")
+    line, status = refused(capsys, monkeypatch, "run", "--wav", CLIP_PATH, "--phonemes", path)
+    assert "other.TextGrid" in line
+    assert status == 1
+
+
+def test_a_sound_file_with_its_phonemes_moves_the_mouth_by_them(tmp_path):
+    """The sound is silent: only the script can have moved it."""
+    samples, rate_hz = soundfile.read(CLIP_PATH)
+    soundfile.write(tmp_path / "short.wav", 0.0 * samples[: round(CUT_S * rate_hz)], rate_hz)
+    shutil.copy(DATA / "welcome.TextGrid", tmp_path)
+    told = answer(
+        *("run", "--wav", tmp_path / "short.wav"),
+        *("--phonemes", tmp_path / "welcome.TextGrid", "--json"),
+    )
+    assert 4 <= told["phonemes"] <= 20
+    assert told["lip_gap_mm"][1] > 5.0

@@ -1,0 +1,129 @@
+"""A robot with a microphone that speaks: it listens to nobody, itself included, while it does."""
+
+import numpy as np
+
+from lipsync.audio.half_duplex import ListenedMicrophone
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_events import PlayoutRequest
+from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.audio_block import AudioBlock
+
+RATE_HZ = 16_000
+#: The microphone hears this all the time, the robot says the other.
+HEARD, SAID = 0.25, 0.5
+
+
+class Microphone:
+    """Somebody speaks all the time; `now_s` is when. It hands over pieces of several blocks."""
+
+    name, duration_s, is_live, lost_blocks = "microphone", None, True, 3
+
+    def __init__(self, level=lambda _time_s: HEARD, n_at_once=1):
+        self.now_s = 0.0
+        self._level, self._n_at_once = level, n_at_once
+        self._n_given = 0
+
+    def blocks(self, until_s):
+        assert until_s == float("inf"), "a device gives what it has"
+        n_ready = round(self.now_s * 100) // self._n_at_once * self._n_at_once
+        first, self._n_given = self._n_given, n_ready
+        return [
+            AudioBlock(np.full(160, self._level(n * 0.01), np.float32), n * 0.01)
+            for n in range(first, n_ready)
+        ]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exc): ...
+
+
+def stream_of(duration_s):
+    stream = PlayoutStream("a", RATE_HZ, RATE_HZ)
+    stream.push(np.full(round(duration_s * RATE_HZ), SAID, np.float32))
+    return stream
+
+
+class Robot:
+    """The sound is heard as soon as it is committed, as nobody plays it late."""
+
+    def __init__(self, microphone):
+        self.microphone = microphone
+        self.playout = Playout(None, ListenedMicrophone(microphone))
+        self.heard = []
+
+    def run(self, until_s):
+        """(n,): what the recogniser heard in each 10 ms since the beginning."""
+        while len(self.heard) < round(until_s * 100):
+            now_s = (len(self.heard) + 1) / 100
+            self.microphone.now_s = now_s
+            self.playout.advance(now_s - 0.01)
+            self.heard += [float(each.samples[0]) for each in self.playout.blocks(now_s)]
+        return np.array(self.heard)
+
+    def ask(self, kind, stream=None):
+        self.playout.requests.append(PlayoutRequest(kind, stream))
+
+
+def test_a_silent_robot_hears_its_microphone():
+    heard = Robot(Microphone()).run(1.0)
+    assert set(heard[10:]) == {np.float32(HEARD)}
+
+
+def test_sound_that_comes_in_pieces_of_40_ms_is_heard_without_holes():
+    heard = Robot(Microphone(n_at_once=4)).run(3.0)
+    assert set(heard[15:]) == {np.float32(HEARD)}
+
+
+def test_while_it_speaks_it_hears_itself_alone_and_the_others_once_the_echo_is_over():
+    robot = Robot(Microphone())
+    robot.run(0.5)
+    stream = stream_of(0.4)
+    stream.end()
+    robot.ask("say", stream)
+    heard = robot.run(2.0)
+    assert set(heard[50:90]) == {np.float32(SAID)}
+    assert not heard[91:120].any(), "0.3 s of echo"
+    assert set(heard[130:]) == {np.float32(HEARD)}
+
+
+def test_pauses_of_its_own_speech_belong_to_nobody_else():
+    robot = Robot(Microphone())
+    robot.run(0.5)
+    stream = stream_of(0.2)
+    robot.ask("say", stream)
+    heard = robot.run(1.5)  # the stream has dried up
+    assert set(heard[50:70]) == {np.float32(SAID)}
+    assert not heard[70:].any()
+    stream.end()
+    assert set(robot.run(2.5)[200:]) == {np.float32(HEARD)}
+
+
+def test_after_an_interruption_the_others_are_heard_once_the_echo_is_over():
+    robot = Robot(Microphone())
+    robot.run(0.5)
+    robot.ask("say", stream_of(5.0))
+    robot.run(1.0)
+    robot.ask("interrupt")
+    heard = robot.run(2.0)
+    assert not heard[101:129].any()
+    assert set(heard[140:]) == {np.float32(HEARD)}
+
+
+def test_what_the_microphone_heard_while_the_robot_spoke_is_never_heard_later():
+    """It held what was said to it then; that may have been the robot itself."""
+    while_it_spoke = (0.5, 1.0)
+    microphone = Microphone(
+        lambda time_s: SAID if while_it_spoke[0] <= time_s < while_it_spoke[1] else HEARD
+    )
+    robot = Robot(microphone)
+    robot.run(0.5)
+    stream = stream_of(0.5)
+    stream.end()
+    robot.ask("say", stream)
+    assert not np.any(robot.run(3.0)[101:] == np.float32(SAID))
+
+
+def test_its_name_and_its_losses_are_those_of_the_microphone():
+    robot = Robot(Microphone())
+    assert (robot.playout.name, robot.playout.lost_blocks) == ("microphone", 3)
