@@ -15,8 +15,10 @@ from lipservo.commands.options import (
     DryRun,
     Json,
     Listen,
+    LiveLink,
     Mic,
     Model,
+    Osc,
     Output,
     Phonemes,
     Play,
@@ -36,6 +38,7 @@ from lipservo.face.assembly import load_settings
 from lipservo.face.face_life import say
 from lipservo.face.face_stopped import exit_status
 from lipservo.face.sim_process import servo_port
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import ChosenMotion, MotionOptions, motion_options
 from lipservo.street.run_face import RunOutcome, run_face
 from lipservo.street.run_request import RunRequest
@@ -56,6 +59,8 @@ def run(
     phonemes: Phonemes = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
+    osc: Osc = None,
+    live_link: LiveLink = None,
     trace: Trace = None,
     rate_hz: Rate = None,
     motion: ChosenMotion,
@@ -78,6 +83,7 @@ def run(
         quiet=quiet or as_json,
         dry_run=dry_run,
         voice=chosen_voice(play=play, output=output, is_needed=phonemes is not None),
+        avatars=AvatarTargets(osc, live_link),
     )
     with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)
@@ -97,6 +103,8 @@ def daemon(
     sounds: Sounds = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
+    osc: Osc = None,
+    live_link: LiveLink = None,
     trace: Trace = None,
     rate_hz: Rate = None,
     motion: ChosenMotion,
@@ -122,6 +130,7 @@ def daemon(
         as_json=as_json,
         quiet=quiet,
         voice=daemons_voice(chosen_voice(play=play, output=output), listen, token_file, sounds),
+        avatars=AvatarTargets(osc, live_link),
     )
     with ExitStack() as stack:
         listener = bound_listener(listen, request.voice.token_file if request.voice else None)

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from lipservo.settings.motion_names import ENGINES, STRATEGIES
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.run_request import RequestError, RunRequest, request_json, request_of_json
 from lipservo.street.sources import CLIP, Sound
@@ -33,6 +34,7 @@ motions = st.builds(
     style=styles,
 )
 sounds = st.builds(Sound, st.sampled_from(["clip", "file", "microphone", "silence"]), names)
+addresses = st.sampled_from(["127.0.0.1", "avatar.local:39539"])
 requests = st.builds(
     RunRequest,
     config=names,
@@ -46,6 +48,7 @@ requests = st.builds(
     as_json=st.booleans(),
     quiet=st.booleans(),
     dry_run=st.booleans(),
+    avatars=st.builds(AvatarTargets, st.none() | addresses, st.none() | addresses),
 )
 WHOLE = json.loads(request_json(RunRequest("face_sim", CLIP)))
 
@@ -77,7 +80,10 @@ def test_a_request_without_a_field_is_refused(name):
         ({"config": None}, "request.config: None is not text"),
         ({"model": 3}, "request.model: 3 is not a path"),
         ({"sound": "clip"}, "request.sound: 'clip' has no fields; needs kind, name"),
-        ({"sound": {"kind": "noise", "name": ""}}, "request.sound.kind: 'noise', not one of clip"),
+        (
+            {"sound": {**WHOLE["sound"], "kind": "noise"}},
+            "request.sound.kind: 'noise', not one of clip",
+        ),
         ({"motion": {**WHOLE["motion"], "style": {}}}, "request.motion.style.lookahead_s: is miss"),
     ],
 )
