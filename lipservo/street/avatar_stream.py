@@ -142,11 +142,10 @@ def _sender(address: Address | None) -> Iterator[socket.socket | None]:
         yield None
         return
     try:
-        family, kind = socket.AF_INET, socket.SOCK_DGRAM
-        found = socket.getaddrinfo(address.host, address.port, family, kind)
+        found = socket.getaddrinfo(address.host, address.port, socket.AF_INET, socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
         raise AvatarError(f"{address.option}: no such host ({error})") from error
-    with socket.socket(family, kind) as sender:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.setblocking(False)
         try:
             sender.connect(found[0][4])
