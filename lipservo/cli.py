@@ -9,6 +9,7 @@ import typer
 from lipservo.commands.bench import bench
 from lipservo.commands.bench import closures as bench_closures
 from lipservo.commands.bench import line as bench_line
+from lipservo.commands.bench import microphone as bench_microphone
 from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import replay as bench_replay
 from lipservo.commands.bench import shapes as bench_shapes
@@ -55,6 +56,7 @@ bench.app.command("replay")(bench_replay.replay)
 bench.app.command("line")(bench_line.line)
 bench.app.command("closures")(bench_closures.closures)
 bench.app.command("sync")(bench_sync.sync)
+bench.app.command("microphone")(bench_microphone.microphone)
 bench.app.command("shapes")(bench_shapes.shapes)
 bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)

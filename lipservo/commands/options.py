@@ -179,6 +179,22 @@ Smoothness = Annotated[
 Trace = Annotated[
     Path | None, typer.Option(help="Write every tick to this file.", show_default=False)
 ]
+Osc = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST[:PORT]",
+        help="Show the face on an avatar, too: VMC protocol over OSC; port 39539.",
+        show_default=False,
+    ),
+]
+LiveLink = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST[:PORT]",
+        help="Show the face in Unreal Engine, too: Live Link Face; port 11111.",
+        show_default=False,
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no messages.")]
 SkipBad = Annotated[

@@ -2,15 +2,14 @@
 
 import math
 import socket
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from lipservo.status.street_tick import StreetTick
+from lipservo.street.avatar_targets import Address, AvatarError, AvatarTargets
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array
-from lipsync.errors import UserError
 from lipsync.export.arkit import ARKIT_NAMES, MOUTH_NAMES, ArkitMap
 from lipsync.export.lip_measures import lip_measures
 from lipsync.export.live_link import live_link_packet
@@ -24,21 +23,6 @@ _RATE_HZ = 60.0
 #: Sums of the same times differ by less.
 _ROUNDING_S = 1e-9
 _MOUTH = frozenset(MOUTH_NAMES)
-
-
-class AvatarError(UserError):
-    """Nobody can be sent to where the user says; one line."""
-
-
-@dataclass(frozen=True, slots=True)
-class AvatarTargets:
-    """Who is sent to, each as HOST:PORT or None: OSC of the VMC protocol, Live Link Face.
-
-    Nothing is sent anywhere by default: another computer has to be named by the user.
-    """
-
-    osc: str | None = None
-    live_link: str | None = None
 
 
 class AvatarStream:
@@ -110,37 +94,61 @@ def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator
     """Send to the targets while the face is shown; at the end, the mouth is closed there too.
 
     model: the file of the face model, None for the shipped one. Raises AvatarError for a target
-    that is none, ModelError and MeasureError.
+    that cannot be sent to, ModelError and MeasureError.
     """
     face = load_face_with_animphos(model)
     stream = AvatarStream(ArkitMap(lip_measures(face)), face.rest)
-    with _sender("--osc", targets.osc) as osc, _sender("--live-link", targets.live_link) as link:
-        stream.send_to(osc, link)
+    osc_at, live_link_at = targets.addresses()
+    with _sender(osc_at) as osc, _sender(live_link_at) as live_link:
+        stream.send_to(osc, live_link)
         try:
             yield stream
         finally:
             stream.end()
 
 
+def entered_avatars(
+    targets: AvatarTargets, model: Path | None, stack: ExitStack, log: Callable[[str], None]
+) -> AvatarStream | None:
+    """The stream, entered; None for no targets, or where there is no way to them, which is said.
+
+    For a process that speaks on without them. Raises ModelError and MeasureError.
+    """
+    if not targets.is_any:
+        return None
+    try:
+        return stack.enter_context(avatar_stream(targets, model))
+    except AvatarError as error:
+        log(f"avatars are not sent to: {error}")
+        return None
+
+
+def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
+    """The targets with the numbers of their hosts, so that nobody need ask for them again.
+
+    Raises AvatarError for a target that cannot be sent to.
+    """
+    found: list[str | None] = []
+    for address in targets.addresses():
+        with _sender(address) as sender:
+            found.append(None if sender is None else "{}:{}".format(*sender.getpeername()))
+    return AvatarTargets(*found)
+
+
 @contextmanager
-def _sender(option: str, target: str | None) -> Iterator[socket.socket | None]:
-    """A UDP socket that sends to HOST:PORT and never waits; None for no target."""
-    if target is None:
+def _sender(address: Address | None) -> Iterator[socket.socket | None]:
+    """A UDP socket that sends there and never waits; None for no address."""
+    if address is None:
         yield None
         return
-    host, colon, port = target.rpartition(":")
-    if not colon or not host or not port.isascii() or not port.isdigit():
-        raise AvatarError(f"{option} {target}: give HOST:PORT, 127.0.0.1:39539 for one")
-    if not 0 < int(port) < 65536:
-        raise AvatarError(f"{option} {target}: a port is a number from 1 to 65535")
     try:
-        found = socket.getaddrinfo(host, int(port), socket.AF_INET, socket.SOCK_DGRAM)
+        found = socket.getaddrinfo(address.host, address.port, socket.AF_INET, socket.SOCK_DGRAM)
     except (OSError, UnicodeError) as error:
-        raise AvatarError(f"{option} {target}: no such host ({error})") from error
+        raise AvatarError(f"{address.option}: no such host ({error})") from error
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.setblocking(False)
         try:
             sender.connect(found[0][4])
         except OSError as error:
-            raise AvatarError(f"{option} {target}: cannot be sent to: {error.strerror}") from error
+            raise AvatarError(f"{address.option}: cannot be sent to: {error.strerror}") from error
         yield sender

@@ -116,7 +116,7 @@ def motion_options(
     """
     strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
     if chosen.low_latency:
-        _refuse_what_is_late(chosen, strategy)
+        _refuse_what_is_late(chosen, of_the_face)
         chosen = replace(chosen, lookahead_ms=LOW_LATENCY_LOOKAHEAD_S * 1e3)
     ignored = [
         f"--{name.replace('_', '-')}"
@@ -153,15 +153,17 @@ def motion_options(
     )
 
 
-def _refuse_what_is_late(chosen: ChosenMotion, strategy: Strategy) -> None:
-    """Options that go against --low-latency. Raises UserError."""
-    for option, is_given in (
-        (f"--strategy {strategy}", strategy != LIVE_STRATEGY),
-        ("--lookahead-ms", chosen.lookahead_ms is not None),
-        (f"--engine {chosen.engine}", chosen.engine not in (None, DEFAULT_ENGINE)),
-    ):
-        if is_given:
-            raise UserError(f"--low-latency and {option} contradict each other; leave one out")
+def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> None:
+    """What goes against --low-latency, typed or in the face's YAML. Raises UserError."""
+    found = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
+    for name, needed in (("strategy", LIVE_STRATEGY), ("engine", DEFAULT_ENGINE)):
+        typed, written = getattr(chosen, name), getattr(of_the_face, name)
+        if typed not in (None, needed):
+            found.append(f"--{name} {typed}")
+        elif typed is None and written not in (None, needed):
+            found.append(f"the face's `{name}: {written}`")
+    if found:
+        raise UserError(f"--low-latency and {found[0]} contradict each other; leave one out")
 
 
 def make_synthesizer(

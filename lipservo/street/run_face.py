@@ -16,6 +16,8 @@ from lipservo.face.assembly import Face, assemble_face, at_port, check_servos, m
 from lipservo.face.face_life import ControlOptions, face_life
 from lipservo.status.face_status import Status, whole_status
 from lipservo.status.street_tick import StreetTick, TickObserver
+from lipservo.street.avatar_stream import avatar_stream, resolved_avatars
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.daemon import play
 from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
 from lipservo.street.run_commands import run_commands
@@ -61,6 +63,7 @@ def run_face(
     began_s = time.perf_counter()
     face = at_port(assemble_face(request.config, request.model), request.port)
     check_servos(face)
+    avatars = resolved_avatars(request.avatars)
     rate_hz = face.settings.rate_hz if request.rate_hz is None else request.rate_hz
     length_s = math.inf if endless or source.duration_s is None else source.duration_s
     playout = source if isinstance(source, Playout) else None
@@ -94,7 +97,7 @@ def run_face(
                 quiet=request.quiet,
                 control=ControlOptions(control_path, run.commands, run.describe),
             ) as life,
-            run.observers(clock, rate_hz, live=live) as observers,
+            run.observers(clock, rate_hz, avatars, live=live) as observers,
             voice_agents(listener, street.side, request.voice, control_path, run.log) as url,
         ):
             run.listens_on = url
@@ -191,9 +194,9 @@ class _Run:
 
     @contextmanager
     def observers(
-        self, clock: Clock, rate_hz: float, *, live: bool
+        self, clock: Clock, rate_hz: float, avatars: AvatarTargets, *, live: bool
     ) -> Iterator[list[TickObserver]]:
-        """Who watches: the settings, the trace, and the view when somebody looks at a terminal."""
+        """Who watches: settings, trace, avatars, and the view when somebody looks at a terminal."""
         with ExitStack() as stack:
             observers: list[TickObserver] = [_SettingObserver(self.commands, self._synthesizer)]
             if self._request.trace is not None:
@@ -203,6 +206,9 @@ class _Run:
                 watcher = file if patient else BackgroundTrace(file)
                 stack.enter_context(watcher)
                 observers.append(watcher)
+            if avatars.is_any:
+                watching = avatar_stream(avatars, self._request.model)
+                observers.append(stack.enter_context(watching))
             if live:
                 from lipservo.terminal.view import TerminalView
 

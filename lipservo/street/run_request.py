@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.sources import Sound
 from lipservo.street.voice_options import VoiceOptions
@@ -27,7 +28,7 @@ class RunRequest:
     ticks a second; None: the face's. trace: the file that every tick is written to. control: where
     the control socket is made; None: in the runtime folder. as_json: results are printed as JSON.
     quiet: nothing is printed for people. dry_run: servos are read and never moved. voice: of a
-    robot that speaks; None: it only listens.
+    robot that speaks; None: it only listens. avatars: to whom the face is sent besides.
     """
 
     config: str
@@ -42,6 +43,7 @@ class RunRequest:
     quiet: bool = False
     dry_run: bool = False
     voice: VoiceOptions | None = None
+    avatars: AvatarTargets = field(default_factory=AvatarTargets)
 
 
 class RequestError(UserError):

@@ -1,12 +1,11 @@
 """The figures of `bench sync`, by the names under which they are documented."""
 
 from collections.abc import Callable
-from importlib import resources
 from typing import Final
 
 import numpy as np
 
-from lipservo.bench.sync.microphone_latency import microphone_to_bus_s
+from lipservo.bench.sync.microphone_latency import clip_to_bus_s
 from lipservo.bench.sync.playback_drift import drift_s
 from lipservo.bench.sync.speech_timing import SpeechTiming, speech_timing
 from lipservo.bench.sync.spoken_sentences import SENTENCES
@@ -16,9 +15,6 @@ from lipservo.street.motion_options import (
     LOW_LATENCY_S,
     MotionOptions,
 )
-from lipsync.arrays import Array
-from lipsync.audio.file import FileSource
-from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.motion.live_synthesizer import Style
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
@@ -32,7 +28,6 @@ _DRIFT_DURATION_S: Final = 600.0
 _OPENINGS: Final = ("Apples are here.", "My name is Bob.", "Open the door.", "Hello there.")
 #: Of the first sentence, so long after its beginning: vowels, with the lips open.
 _INTERRUPTED_AFTER_S: Final = (0.35, 0.62, 0.9, 1.3, 1.6)
-_MICROPHONE_S: Final = 3.0
 _N_MICROPHONE: Final = 20
 
 
@@ -50,7 +45,10 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
     minutes_s = 60.0 if quick else _DRIFT_DURATION_S
     drifts_s = [drift_s(skew, minutes_s) for skew in (-_SKEW, _SKEW)]
     advance("microphone", 3, steps)
-    microphone_s = _microphone_s(4 if quick else _N_MICROPHONE)
+    quickest = MotionOptions(
+        style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S
+    )
+    microphone_s = clip_to_bus_s(quickest, 4 if quick else _N_MICROPHONE)
     advance("streams", 4, steps)
     openings = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
     cuts = [barge_in(texts[0], after_s) for after_s in _INTERRUPTED_AFTER_S]
@@ -83,16 +81,6 @@ def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
         f"{name}_events": timing.n_asked,
         f"{name}_closure_hits": round(timing.n_hits / timing.n_closures, 4),
     }
-
-
-def _microphone_s(n_times: int) -> Array:
-    motion = MotionOptions(style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S)
-    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-        blocks = FileSource(clip).blocks(_MICROPHONE_S)
-    samples = np.concatenate([block.samples for block in blocks])
-    duration_s = len(samples) / SAMPLE_RATE_HZ
-    times_s = np.sort(np.random.default_rng(0).uniform(0.5, duration_s - 0.5, n_times))
-    return microphone_to_bus_s(samples, times_s.tolist(), motion)
 
 
 def _ms(seconds: float | np.floating) -> float:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from importlib import resources
 from typing import Final
 
 import numpy as np
@@ -15,11 +16,14 @@ from lipservo.street.motion_options import MotionOptions, make_recognizer, make_
 from lipservo.street.street import make_street
 from lipsync.arrays import Array
 from lipsync.audio.cutter import BLOCK_SAMPLES
+from lipsync.audio.file import FileSource
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 
 #: A piece of 10 ms is handed over when it is full and has passed the driver.
 _DRIVER_S: Final = 0.010
 _SAME_DEG: Final = 1e-6
+#: Of the bundled clip, so much is enough.
+_CLIP_S: Final = 3.0
 
 
 class SimulatedMicrophone:
@@ -48,6 +52,16 @@ class SimulatedMicrophone:
 
     def __exit__(self, *exc: object) -> None:
         """Nothing to give back."""
+
+
+def clip_to_bus_s(motion: MotionOptions, n_times: int) -> Array:
+    """`microphone_to_bus_s` of the bundled clip, at instants drawn by chance, always the same."""
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        blocks = FileSource(clip).blocks(_CLIP_S)
+    samples = np.concatenate([block.samples for block in blocks])
+    duration_s = len(samples) / SAMPLE_RATE_HZ
+    times_s = np.sort(np.random.default_rng(0).uniform(0.5, duration_s - 0.5, n_times))
+    return microphone_to_bus_s(samples, times_s.tolist(), motion)
 
 
 def microphone_to_bus_s(

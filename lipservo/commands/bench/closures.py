@@ -55,7 +55,7 @@ def closures(
     with progress_bar(quiet=quiet) as advance:
         if corpus is None:
             with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-                found = closure_hits(clip, _clip_phones(clip), recognizer, face, lookahead_ms / 1e3)
+                found = closure_hits(clip, clip_phones(clip), recognizer, face, lookahead_ms / 1e3)
         else:
             from lipservo.bench.aligned_corpus import aligned, selected
 
@@ -82,7 +82,7 @@ def closures(
         RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
 
 
-def _clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
+def clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
     """The bundled clip's phones, from its text."""
     from lipsync.recognition.alignment.forced_alignment import align
     from lipsync.recognition.speech_file import read_speech

@@ -110,6 +110,7 @@ def speech_process(
     from lipservo.face.assembly import assemble_face
     from lipservo.speech.delay import PUBLISH_PERIOD_S
     from lipservo.speech.speech_side import make_speech_side
+    from lipservo.street.avatar_stream import entered_avatars
     from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
     from lipservo.street.speech_status import speech_status
     from lipservo.street.spoken_sound import entered_sound
@@ -132,6 +133,7 @@ def speech_process(
         )
         synthesizer = make_synthesizer(face.model, asked.motion, asked.model)
         targets = SocketTargetChannel(end)
+        avatars = entered_avatars(asked.avatars, asked.model, stack, say)
         side = make_speech_side(face, source, recognizer, synthesizer, targets, has_soft_start=True)
         if zero_s is None or not start_s:
             zero_s = clock.now()
@@ -153,6 +155,9 @@ def speech_process(
                 adjust(synthesizer, wanted)
                 settings, tell_at_s = wanted, time_s
             side.advance(time_s)
+            if avatars is not None:
+                sound_s = side.speech.sound_time_s(time_s)
+                avatars.show(time_s, sound_s, side.speech.shown_at(max(0.0, sound_s))[1])
             for reason in recognizer.reasons[n_said:]:
                 say(f"recogniser left: {reason}")
             n_said = len(recognizer.reasons)

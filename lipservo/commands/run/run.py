@@ -15,9 +15,11 @@ from lipservo.commands.options import (
     DryRun,
     Json,
     Listen,
+    LiveLink,
     Mic,
     Model,
     Origins,
+    Osc,
     Output,
     Phonemes,
     Play,
@@ -38,6 +40,7 @@ from lipservo.face.assembly import load_settings
 from lipservo.face.face_life import say
 from lipservo.face.face_stopped import exit_status
 from lipservo.face.sim_process import servo_port
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import ChosenMotion, MotionOptions, motion_options
 from lipservo.street.run_face import RunOutcome, run_face
 from lipservo.street.run_request import RunRequest
@@ -59,6 +62,8 @@ def run(
     phonemes: Phonemes = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
+    osc: Osc = None,
+    live_link: LiveLink = None,
     trace: Trace = None,
     rate_hz: Rate = None,
     motion: ChosenMotion,
@@ -81,6 +86,7 @@ def run(
         quiet=quiet or as_json,
         dry_run=dry_run,
         voice=chosen_voice(play=play, output=output, is_needed=phonemes is not None),
+        avatars=AvatarTargets(osc, live_link),
     )
     with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)
@@ -102,6 +108,8 @@ def daemon(
     origins: Origins = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
+    osc: Osc = None,
+    live_link: LiveLink = None,
     trace: Trace = None,
     rate_hz: Rate = None,
     motion: ChosenMotion,
@@ -131,6 +139,7 @@ def daemon(
             listen,
             VoiceOptions(None, text_of(token_file), text_of(sounds), queue, origins),
         ),
+        avatars=AvatarTargets(osc, live_link),
     )
     with ExitStack() as stack:
         listener = bound_listener(listen, request.voice.token_file if request.voice else None)

@@ -13,7 +13,9 @@ from lipservo.commands.options import (
     DryRun,
     Json,
     Language,
+    LiveLink,
     Model,
+    Osc,
     Output,
     Port,
     Quiet,
@@ -25,6 +27,7 @@ from lipservo.commands.options import (
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.run import finish, motion_of
 from lipservo.face.sim_process import servo_port
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import ChosenMotion
 from lipservo.street.run_face import run_face
 from lipservo.street.run_request import RunRequest
@@ -54,6 +57,8 @@ def say(
     output: Output = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
+    osc: Osc = None,
+    live_link: LiveLink = None,
     trace: Trace = None,
     rate_hz: Rate = None,
     motion: ChosenMotion,
@@ -81,6 +86,7 @@ def say(
         quiet=quiet or as_json,
         dry_run=dry_run,
         voice=VoiceOptions(None if mute else output or DEFAULT_OUTPUT),
+        avatars=AvatarTargets(osc, live_link),
     )
     with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)

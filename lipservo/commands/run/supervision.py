@@ -2,6 +2,7 @@
 
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from firmware_bridge.process.control_socket import ControlSocket
@@ -36,6 +37,7 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
     from firmware_bridge.process.torque_release import TorqueRelease
     from lipservo.face.assembly import assemble_face, at_port, check_servos
     from lipservo.face.servos import port_opener
+    from lipservo.street.avatar_stream import resolved_avatars
 
     if request.trace is not None:
         raise UserError(
@@ -46,6 +48,7 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
     port = face.settings.servo_port
     assert port is not None
     check_sound(request)
+    request = replace(request, avatars=resolved_avatars(request.avatars))
     check_servos(face)
     settings = face.settings
     opener = port_opener(port, settings.bus.baud_rate)

@@ -16,6 +16,8 @@ from lipservo.settings.motion_settings import MotionSettings
 from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipservo.street.motion_options import (
+    LOW_LATENCY_LOOKAHEAD_S,
+    LOW_LATENCY_S,
     ChosenMotion,
     MotionOptions,
     make_recognizer,
@@ -50,9 +52,11 @@ def test_every_option_reaches_the_command_that_takes_them(name):
 
     app = typer.Typer()
     app.command()(command)
-    app([f"--{name.replace('_', '-')}", str(TYPED[name])], standalone_mode=False)
+    option = f"--{name.replace('_', '-')}"
+    value = TYPED.get(name, True)
+    app([option] if value is True else [option, str(value)], standalone_mode=False)
 
-    assert heard == [ChosenMotion(**{name: TYPED[name]})]
+    assert heard == [ChosenMotion(**{name: value})]
 
 
 def test_the_yaml_is_used_where_nothing_is_typed():
@@ -94,6 +98,38 @@ def test_what_a_strategy_ignores_is_refused_typed_or_written(strategy, name):
         motion_options(ChosenMotion(**{name: 0.0}), MotionSettings(strategy=strategy), None)
     with pytest.raises(SettingsError, match=f"strategy {strategy} has no {name}"):
         face_with({"strategy": strategy, name: 0.0})
+
+
+@pytest.mark.parametrize(
+    ("typed", "said"),
+    [
+        ({"lookahead_ms": 50.0}, "--lookahead-ms"),
+        ({"strategy": "naive"}, "--strategy naive"),
+        ({"engine": "pocketsphinx"}, "--engine pocketsphinx"),
+    ],
+)
+def test_low_latency_and_what_is_late_contradict_each_other(typed, said):
+    with pytest.raises(UserError) as refused:
+        motion_options(ChosenMotion(low_latency=True, **typed), MotionSettings(), None)
+    assert str(refused.value) == f"--low-latency and {said} contradict each other; leave one out"
+
+
+@pytest.mark.parametrize("written", [{"engine": "pocketsphinx"}, {"strategy": "priority"}])
+def test_low_latency_and_a_yaml_that_is_late_contradict_each_other(written):
+    ((name, value),) = written.items()
+    with pytest.raises(UserError, match=rf"and the face's `{name}: {value}` contradict"):
+        motion_options(ChosenMotion(low_latency=True), face_with(written), None)
+    typed = {name: getattr(MotionOptions(), name)}
+    options = motion_options(ChosenMotion(low_latency=True, **typed), face_with(written), None)
+    assert options.recognizer_latency_s == LOW_LATENCY_S
+
+
+@pytest.mark.parametrize("written", [{}, {"lookahead_ms": 200.0, "strength": 0.5}])
+def test_low_latency_goes_before_the_yaml(written):
+    options = motion_options(ChosenMotion(low_latency=True), face_with(written), None)
+
+    assert options.style == Style(LOW_LATENCY_LOOKAHEAD_S, written.get("strength", 1.0))
+    assert options.recognizer_latency_s == LOW_LATENCY_S
 
 
 def test_weights_of_a_yaml_are_found_from_its_folder(tmp_path):

@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+import socket
+import struct
 from importlib import resources
 from pathlib import Path
 
@@ -12,10 +14,10 @@ from speech import CLIP_PATH
 
 from firmware_bridge.process.control_client import ask
 from lipservo.face.sim_process import simulated_port
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.run_request import RunRequest, request_of_json
 from lipservo.street.sources import Sound
-from lipservo.street.voice_options import VoiceOptions
 from lipsync.motion.live_synthesizer import Style
 
 # Real processes in real time.
@@ -30,8 +32,12 @@ def typed(tmp_path_factory):
         pytest.MonkeyPatch.context() as monkeypatch,
         simulated_port(["--config", "face_sim", "--on-time"]) as port,
         resources.as_file(resources.files("lipsync.models") / "grid_s1.npz") as model,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as avatar,
     ):
         own_folder(monkeypatch)
+        avatar.bind(("127.0.0.1", 0))
+        avatar.settimeout(PATIENCE_S)
+        avatar_at = "{}:{}".format(*avatar.getsockname())
         control = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo", "typed.sock")
         control.parent.mkdir(mode=0o700)
         options = {
@@ -46,6 +52,8 @@ def typed(tmp_path_factory):
             "--strength": "1.25",
             "--smoothness": "0.25",
             "--control": str(control),
+            "--listen": "none",
+            "--live-link": avatar_at,
         }
         motion = MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 1.25, 0.25))
         wanted = RunRequest(
@@ -57,11 +65,11 @@ def typed(tmp_path_factory):
             rate_hz=50.0,
             control=control,
             as_json=True,
-            voice=VoiceOptions(),
+            avatars=AvatarTargets(live_link=avatar_at),
         )
         arguments = [word for option in options.items() for word in option]
         with running(port, folder, *arguments, "--json") as process:
-            process.wanted = wanted
+            process.wanted, process.avatar = wanted, avatar
             yield process
 
 
@@ -85,6 +93,11 @@ def test_the_children_receive_all_that_was_typed(typed):
     assert (status["engine"], status["weights"]) == ("pocketsphinx", "grid")
     assert status["settings"] == {"lookahead_ms": 50.0, "strength": 1.25, "smoothness": 0.25}
     assert status["sound"] == CLIP_PATH.name
+
+
+def test_an_avatar_is_sent_the_faces_of_the_process_that_hears(typed):
+    """Blendshapes of Live Link Face end the datagram, 61 numbers: the jaw is the 18th."""
+    wait_for(lambda: struct.unpack(">61f", typed.avatar.recv(2048)[-244:])[17] > 0.2)
 
 
 def test_what_is_set_reaches_the_speech_side_and_outlives_it(typed):

@@ -1,12 +1,14 @@
 """What avatars are sent while a face runs, over real sockets on this computer."""
 
 import socket
+from contextlib import ExitStack
 from types import SimpleNamespace
 
 import pytest
 
 from lipservo.status.street_tick import StreetTick
-from lipservo.street.avatar_stream import AvatarError, AvatarTargets, avatar_stream
+from lipservo.street.avatar_stream import avatar_stream, entered_avatars, resolved_avatars
+from lipservo.street.avatar_targets import AvatarError, AvatarTargets
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.face.frame import Expression, Frame
 
@@ -110,20 +112,49 @@ def test_without_targets_nothing_is_sent():
 @pytest.mark.parametrize(
     ("target", "said"),
     [
-        ("localhost", "give HOST:PORT"),
-        (":39539", "give HOST:PORT"),
+        ("", "give HOST:PORT, 127.0.0.1:11111"),
+        (":39539", "give HOST:PORT, 127.0.0.1:11111"),
+        ("two words", "give HOST:PORT"),
+        ("line\nline:1", "give HOST:PORT"),
+        ("localhost:", "give HOST:PORT, localhost:11111"),
         ("localhost:osc", "give HOST:PORT"),
         ("localhost:²", "give HOST:PORT"),
+        ("::1", "give HOST:PORT"),
+        ("localhost:0", "from 1 to 65535"),
         ("localhost:70000", "from 1 to 65535"),
-        ("no-such-host.invalid:39539", "no such host"),
-        (f"{'a' * 300}:39539", "no such host"),
+        (f"localhost:{'9' * 5000}", "from 1 to 65535"),
     ],
 )
-def test_a_target_that_is_none_is_told_in_one_line(target, said):
-    with (
-        pytest.raises(AvatarError, match=said) as raised,
-        avatar_stream(AvatarTargets(live_link=target)),
-    ):
-        pass
+def test_what_is_no_address_is_told_in_one_line(target, said):
+    with pytest.raises(AvatarError, match=said) as raised:
+        AvatarTargets(live_link=target)
     assert str(raised.value).startswith("--live-link ")
     assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("target", ["no-such-host.invalid:39539", f"{'a' * 300}"])
+def test_a_host_that_is_none_is_told_in_one_line(target):
+    targets = AvatarTargets(osc=target)
+    for sends in (lambda: avatar_stream(targets).__enter__(), lambda: resolved_avatars(targets)):
+        with pytest.raises(AvatarError, match=r"^--osc .*: no such host \(") as raised:
+            sends()
+        assert "\n" not in str(raised.value)
+
+
+def test_a_process_that_speaks_goes_on_where_a_host_is_not_to_be_found_any_more():
+    said = []
+    with ExitStack() as stack:
+        found = entered_avatars(AvatarTargets("no-such-host.invalid"), None, stack, said.append)
+    assert found is None
+    assert len(said) == 1
+    assert "no-such-host.invalid" in said[0]
+    assert entered_avatars(AvatarTargets(), None, ExitStack(), said.append) is None
+
+
+def test_without_a_port_that_of_the_protocol_is_taken_and_hosts_become_numbers():
+    assert resolved_avatars(AvatarTargets("localhost", "localhost")) == AvatarTargets(
+        "127.0.0.1:39539", "127.0.0.1:11111"
+    )
+    assert resolved_avatars(AvatarTargets(live_link="localhost:4000")) == AvatarTargets(
+        live_link="127.0.0.1:4000"
+    )

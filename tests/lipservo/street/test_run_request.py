@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from places import ROOT
 
 from lipservo.settings.motion_names import ENGINES, STRATEGIES
+from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.run_request import RequestError, RunRequest, request_json, request_of_json
 from lipservo.street.sources import CLIP, Sound
@@ -46,6 +47,7 @@ voices = st.builds(
     token_file=st.none() | names,
     sounds=st.none() | names,
 )
+addresses = st.sampled_from(["127.0.0.1", "avatar.local:39539"])
 requests = st.builds(
     RunRequest,
     config=names,
@@ -60,6 +62,7 @@ requests = st.builds(
     quiet=st.booleans(),
     dry_run=st.booleans(),
     voice=st.none() | voices,
+    avatars=st.builds(AvatarTargets, st.none() | addresses, st.none() | addresses),
 )
 WHOLE = json.loads(request_json(RunRequest("face_sim", CLIP)))
 

@@ -2,7 +2,9 @@
 
 import math
 
-from hypothesis import given
+import numpy as np
+import pytest
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipsync.audio.arrival_lag import ArrivalLag
@@ -35,3 +37,74 @@ def test_once_settled_no_more_is_expected_than_was_heard_and_not_much_less(
         if now_s > 2.0:
             expected_s = now_s - arrival.lag_s
             assert heard_s - piece_s - TICK_S <= expected_s <= heard_s + 1e-3
+
+
+FAST_TICK_S = 0.01
+
+
+def behind_s(duration_s, piece_s, *, jitter_s=0.0, seed=0, pauses=()):
+    """How far the newest sound is behind at each tick of 10 ms (n,).
+
+    pauses: (start, length) in s, in which nothing arrives; at their end all comes at once.
+    """
+    ends_s = np.arange(1, math.ceil(duration_s / piece_s) + 1) * piece_s
+    came_s = ends_s + np.random.default_rng(seed).uniform(0.0, jitter_s, len(ends_s))
+    for start_s, length_s in pauses:
+        came_s = np.where(
+            (came_s >= start_s) & (came_s < start_s + length_s), start_s + length_s, came_s
+        )
+    came_s = np.maximum.accumulate(came_s)
+    ticks_s = np.arange(round(duration_s / FAST_TICK_S)) * FAST_TICK_S
+    n_come = np.searchsorted(came_s, ticks_s + 1e-9, side="right")
+    return ticks_s - n_come * piece_s
+
+
+def followed_s(behind):
+    """The lag at each tick (n,)."""
+    arrival = ArrivalLag()
+    lags_s = []
+    for n, each in enumerate(behind):
+        arrival.observe(n * FAST_TICK_S, float(each))
+        lags_s.append(arrival.lag_s)
+    return np.array(lags_s)
+
+
+@pytest.mark.parametrize(("pause_s", "late_for_s"), [(0.25, 2.0), (1.0, 3.0), (3.0, 5.0)])
+def test_a_pause_after_which_all_comes_at_once_is_forgotten_in_seconds(pause_s, late_for_s):
+    lags_s = followed_s(behind_s(20.0, 0.01, pauses=[(10.0, pause_s)]))
+    again = round((10.0 + pause_s) / FAST_TICK_S)
+
+    assert lags_s[again - 1] > 0.4 * pause_s
+    assert lags_s[again + round(late_for_s / FAST_TICK_S) :].max() <= 0.045
+
+
+@settings(max_examples=40)
+@given(
+    piece_s=st.sampled_from([0.01, 0.032, 0.064]),
+    jitter_s=st.floats(0.0, 0.01),
+    seed=st.integers(0, 1000),
+    pauses=st.lists(st.tuples(st.floats(3.0, 20.0), st.floats(0.05, 3.0)), max_size=4),
+)
+def test_bursts_and_pauses_neither_make_the_mouth_jump_nor_keep_it_late(
+    piece_s, jitter_s, seed, pauses
+):
+    behind = behind_s(36.0, piece_s, jitter_s=jitter_s, seed=seed, pauses=pauses)
+    lags_s = followed_s(behind)
+    changes_s = np.diff(lags_s)
+
+    assert np.abs(changes_s).max() <= 0.5 * FAST_TICK_S + 1e-12
+    assert (lags_s <= np.maximum.accumulate(behind).clip(0.0) + 1e-12).all()
+    over_s = max((start_s + length_s for start_s, length_s in pauses), default=0.0)
+    settled = round((over_s + 2.0 + lags_s.max() / 0.5) / FAST_TICK_S) + 1
+    # No later than a piece with its jitter, and what jitter is allowed for.
+    assert lags_s[settled:].max() <= piece_s + jitter_s + FAST_TICK_S + 0.02
+
+
+@settings(max_examples=40)
+@given(jitter_s=st.floats(0.0, 0.01), seed=st.integers(0, 1000))
+def test_a_card_that_delivers_large_pieces_with_jitter_does_not_shake_the_mouth(jitter_s, seed):
+    """Once settled the lag falls no quicker than clocks drift."""
+    lags_s = followed_s(behind_s(40.0, 0.064, jitter_s=jitter_s, seed=seed))[500:]
+
+    assert np.diff(lags_s).min() >= -0.0005 * FAST_TICK_S - 1e-12
+    assert np.ptp(lags_s) <= jitter_s + FAST_TICK_S

@@ -1,0 +1,111 @@
+"""`--osc` and `--live-link`: what a screen avatar gets while the robot's face runs."""
+
+import socket
+
+import pytest
+import soundfile
+from running_daemon import own_folder
+from speech import CLIP_PATH
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+from lipservo.street.avatar_targets import AvatarError
+
+livelink = pytest.importorskip("pylivelinkface")
+osc_bundle = pytest.importorskip("pythonosc.osc_bundle")
+
+
+@pytest.fixture
+def receiver():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+        end.bind(("127.0.0.1", 0))
+        end.setblocking(False)
+        yield end
+
+
+@pytest.fixture
+def phrase(tmp_path, monkeypatch):
+    """A second of speech, and no other face."""
+    own_folder(monkeypatch)
+    samples, rate_hz = soundfile.read(CLIP_PATH)
+    path = tmp_path / "phrase.wav"
+    soundfile.write(path, samples[:rate_hz], rate_hz)
+    return path
+
+
+def waiting(receiver):
+    found = []
+    try:
+        while True:
+            found.append(receiver.recv(2048))
+    except BlockingIOError:
+        return found
+
+
+def jaws_of_live_link(packets):
+    faces = [livelink.PyLiveLinkFace.decode(packet)[1] for packet in packets]
+    return [face.get_blendshape(livelink.FaceBlendShape.JawOpen) for face in faces]
+
+
+def jaws_of_osc(packets):
+    messages = (m for packet in packets for m in osc_bundle.OscBundle(packet) if m.params)
+    return [m.params[1] for m in messages if m.params[0] == "jawOpen"]
+
+
+@pytest.mark.parametrize(
+    ("option", "jaws_of"), [("--osc", jaws_of_osc), ("--live-link", jaws_of_live_link)]
+)
+def test_an_avatar_speaks_with_the_robot_and_closes_its_mouth_at_the_end(
+    receiver, phrase, option, jaws_of
+):
+    at = "{}:{}".format(*receiver.getsockname())
+    done = CliRunner().invoke(app, ["run", "--wav", str(phrase), option, at, "--json"])
+
+    assert done.exit_code == 0, done.output
+    jaws = jaws_of(waiting(receiver))
+    assert 20 < len(jaws) < 60 * 3, "a second of speech and its tail, 60 a second at most"
+    assert max(jaws) > 0.2
+    assert jaws[-1] == 0.0
+
+
+def test_a_text_that_is_said_is_shown_there_too(receiver, monkeypatch):
+    own_folder(monkeypatch)
+    at = "{}:{}".format(*receiver.getsockname())
+    done = CliRunner().invoke(app, ["say", "Papa.", "--mute", "--live-link", at, "--quiet"])
+
+    assert done.exit_code == 0, done.output
+    jaws = jaws_of_live_link(waiting(receiver))
+    assert max(jaws) > 0.1
+    assert jaws[-1] == 0.0
+
+
+def test_nobody_who_listens_there_is_no_reason_to_stop(phrase):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as gone:
+        gone.bind(("127.0.0.1", 0))
+        at = "{}:{}".format(*gone.getsockname())
+    done = CliRunner().invoke(app, ["run", "--wav", str(phrase), "--osc", at, "--quiet"])
+
+    assert done.exit_code == 0, done.output
+
+
+@pytest.mark.parametrize("option", ["--osc", "--live-link"])
+@pytest.mark.parametrize("target", ["localhost:port", "no-such-host.invalid"])
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["run"],
+        ["say", "Hello.", "--mute"],
+        ["daemon", "--listen", "none"],
+        ["daemon", "--listen", "none", "--port", "/dev/no_such_port"],
+    ],
+)
+def test_a_bad_address_is_refused_in_one_line_before_a_servo_is_spoken_to(
+    command, target, option, monkeypatch
+):
+    own_folder(monkeypatch)
+    done = CliRunner().invoke(app, [*command, option, target])
+
+    assert isinstance(done.exception, AvatarError), done.exception
+    assert str(done.exception).startswith(f"{option} '{target}': ")
+    assert "\n" not in str(done.exception)
+    assert not done.stderr
