@@ -108,7 +108,9 @@ def find_device(wanted: str | int | None, direction: Direction) -> SoundDevice:
     devices = sound_devices(direction)
     word = _WORD[direction]
     if not devices:
-        otherwise = "play a file instead" if direction == "input" else "leave out --play (`say`: --mute)"
+        otherwise = (
+            "play a file instead" if direction == "input" else "leave out --play (`say`: --mute)"
+        )
         raise SoundError(f"no {word}: plug one in, or {otherwise}")
     # A shell hands an index over as text.
     key = int(wanted) if wanted is not None and is_number(wanted) else wanted

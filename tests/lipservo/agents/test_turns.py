@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-
 from voice_agents.served_face import KeptSound
 
 from lipservo.agents.agent_settings import AgentSettings

@@ -91,7 +91,10 @@ def test_a_request_without_a_field_is_refused(name):
         ({"config": None}, "request.config: None is not text"),
         ({"model": 3}, "request.model: 3 is not a path"),
         ({"sound": "clip"}, "request.sound: 'clip' has no fields; needs kind, name"),
-        ({"sound": {**WHOLE["sound"], "kind": "noise"}}, "request.sound.kind: 'noise', not one of clip"),
+        (
+            {"sound": {**WHOLE["sound"], "kind": "noise"}},
+            "request.sound.kind: 'noise', not one of clip",
+        ),
         ({"voice": "default"}, "request.voice: 'default' has no fields; needs output, token_file"),
         ({"voice": {"output": None, "sounds": None}}, "request.voice.token_file: is missing"),
         ({"motion": {**WHOLE["motion"], "style": {}}}, "request.motion.style.lookahead_s: is miss"),

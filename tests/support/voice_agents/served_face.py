@@ -68,7 +68,7 @@ class ForgottenSound(KeptSound):
 
 
 class ServedFace:
-    """See the module. Use as a context manager. sound: kind of its loudspeaker; None: it has none."""
+    """See the module. Use as a context manager. sound: its loudspeaker's kind; None: none."""
 
     def __init__(self, settings=None, sound=KeptSound, **given):
         self.settings = settings or AgentSettings(position_s=0.02)
