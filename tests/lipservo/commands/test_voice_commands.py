@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import numpy as np
 import pytest
 import soundfile
 from fake_sound_card import device, install_sound_card
@@ -12,10 +13,11 @@ from typer.testing import CliRunner
 
 from lipservo import command_line
 from lipservo.cli import app
+from lipsync.phoneme_files.reader import read_known_phonemes
 from lipsync.text_to_speech.spoken_text import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
-#: The clip's first word or two.
+#: The clip's script, as far as it is said.
 CUT_S = 1.0
 
 
@@ -71,7 +73,7 @@ def test_say_moves_the_mouth_by_the_phonemes_of_its_text():
 
 
 @pytest.mark.usefixtures("_espeak", "nothing_armed")
-@pytest.mark.parametrize("text", ["", "   ", "🙂 🎉", "--- ..."])
+@pytest.mark.parametrize("text", ["", "   ", "--- ..."])
 def test_a_text_in_which_nothing_can_be_spoken_is_refused(text, capsys, monkeypatch):
     line, status = refused(capsys, monkeypatch, "say", "--mute", "--", text)
     assert "write words" in line
@@ -144,13 +146,16 @@ def test_phonemes_that_cannot_be_read_are_refused(capsys, monkeypatch, tmp_path)
 
 
 def test_a_sound_file_with_its_phonemes_moves_the_mouth_by_them(tmp_path):
-    """The sound is silent: only the script can have moved it."""
-    samples, rate_hz = soundfile.read(CLIP_PATH)
-    soundfile.write(tmp_path / "short.wav", 0.0 * samples[: round(CUT_S * rate_hz)], rate_hz)
+    """The sound is a whisper without words: only the script can have moved it."""
+    rate_hz = 16_000
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(round(CUT_S * rate_hz))
+    soundfile.write(tmp_path / "short.wav", noise, rate_hz)
     shutil.copy(DATA / "welcome.TextGrid", tmp_path)
     told = answer(
         *("run", "--wav", tmp_path / "short.wav"),
         *("--phonemes", tmp_path / "welcome.TextGrid", "--json"),
     )
-    assert 4 <= told["phonemes"] <= 20
-    assert told["lip_gap_mm"][1] > 5.0
+    script = read_known_phonemes(DATA / "welcome.TextGrid")
+    spoken = [each for each in script if each.start_s < CUT_S and each.phoneme != "SIL"]
+    assert len(spoken) <= told["phonemes"] <= len(spoken) + 3
+    assert len(spoken) >= 4
