@@ -97,7 +97,7 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
         (["daemon", "--output", "x"], "--output goes with --play"),
         (["run", "--phonemes", "x.TextGrid"], "--phonemes goes with --wav"),
         (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
-        (["daemon", "--listen", "none", "--sounds", "."], "--listen none leaves nobody"),
+        (["daemon", "--listen", "none", "--sounds", "."], "--listen none: nobody is there"),
         (["daemon", "--listen", "0.0.0.0:0"], "0.0.0.0:0: can be reached from other computers"),
         (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
         (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),

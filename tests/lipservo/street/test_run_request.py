@@ -99,7 +99,7 @@ def test_a_request_without_a_field_is_refused(name):
             "request.sound.kind: 'noise', not one of clip",
         ),
         ({"voice": "default"}, "request.voice: 'default' has no fields; needs output, token_file"),
-        ({"voice": {"output": None, "sounds": None}}, "request.voice.token_file: is missing"),
+        ({"voice": {"output": None, "sounds": None}}, "request.voice.origins: is missing"),
         ({"motion": {**WHOLE["motion"], "style": {}}}, "request.motion.style.lookahead_s: is miss"),
     ],
 )
