@@ -128,6 +128,11 @@ class Speech:
         # Targets may have been dated ahead of this moment.
         self._newest_asked_s = min(self._newest_asked_s, now_s)
 
+    @property
+    def is_cut_off(self) -> bool:
+        """Whether the mouth is at rest, or on its way there, because its sound was cut off."""
+        return self._cut_off.is_closing
+
     def event_at(self, sound_s: float) -> PhonemeEvent | None:
         """The phoneme of a sound time, as far as it is known."""
         return self._synthesizer.event_at(sound_s)
@@ -155,11 +160,10 @@ class Speech:
 
     def _close(self, now_s: float) -> None:
         """The mouth goes to rest by the clock of the computer, whatever the sound's clock does."""
-        newest_s = now_s + PUBLISH_PERIOD_S
-        while (
-            asked_s := max(self._newest_asked_s, now_s - PUBLISH_PERIOD_S) + PUBLISH_PERIOD_S
-        ) <= newest_s:
-            self._newest_asked_s = asked_s
+        self._newest_asked_s = max(self._newest_asked_s, now_s - _OLDEST_WORTH_SHOWING_S)
+        # Every period counts, also where ticks are farther apart: it closes in the same time.
+        while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
+            self._newest_asked_s += PUBLISH_PERIOD_S
             self._newest_deg = self._cut_off.close()
             goals_deg = self._follower.feed(self._newest_deg)
             self._channel.publish(ServoTargets(self._newest_asked_s, goals_deg))

@@ -39,7 +39,10 @@ class Street:
         self.side.advance(time_s)
         report = self.bridge.tick(time_s, late)
         sound_s = self.speech.sound_time_s(time_s)
-        phoneme, frame = self.speech.shown_at(max(0.0, sound_s))
+        if self.speech.is_cut_off:
+            phoneme, frame = SILENCE, Frame(sound_s, self._rest)
+        else:
+            phoneme, frame = self.speech.shown_at(max(0.0, sound_s))
         captured_s = self.speech.captured_s(time_s)
         return StreetTick(sound_s, phoneme, frame, report, captured_s)
 

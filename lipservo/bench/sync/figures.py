@@ -26,6 +26,8 @@ _SKEW: Final = 200e-6
 _DRIFT_DURATION_S: Final = 600.0
 #: Streams whose first byte is already speech.
 _OPENINGS: Final = ("Apples are here.", "My name is Bob.", "Open the door.", "Hello there.")
+#: The slowest rate of a face, and that of a speech side in a process of its own.
+_RATES_HZ: Final = (30.0, 100.0)
 #: Of the first sentence, so long after its beginning: vowels, with the lips open.
 _INTERRUPTED_AFTER_S: Final = (0.35, 0.62, 0.9, 1.3, 1.6)
 _N_MICROPHONE: Final = 20
@@ -51,7 +53,11 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
     microphone_s = clip_to_bus_s(quickest, 4 if quick else _N_MICROPHONE)
     advance("streams", 4, steps)
     openings = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
-    cuts = [barge_in(texts[0], after_s) for after_s in _INTERRUPTED_AFTER_S]
+    cuts = [
+        barge_in(texts[0], after_s, rate_hz)
+        for rate_hz in _RATES_HZ
+        for after_s in _INTERRUPTED_AFTER_S
+    ]
     advance("jitter", 5, steps)
     stuck_s, n_underruns = stuck_open_s(texts, np.random.default_rng(0))
     return {

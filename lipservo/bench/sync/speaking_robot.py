@@ -74,8 +74,12 @@ class SpeakingRobot:
         loudspeaker: SimulatedLoudspeaker | None = None,
         *,
         hears: bool = False,
+        rate_hz: float = RATE_HZ,
     ) -> None:
-        """hears: whether there is a recogniser; else only known phonemes move the mouth."""
+        """rate_hz: ticks a second.
+
+        hears: whether there is a recogniser; else only known phonemes move the mouth.
+        """
         face = assemble_face(FACE, None)
         self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
         self.playout = Playout(self.loudspeaker)
@@ -84,7 +88,7 @@ class SpeakingRobot:
         self._names = [joint.name for joint in face.joints]
         recognizer = make_recognizer() if hears else Deaf()
         synthesizer = make_synthesizer(face.model, MotionOptions())
-        self.street = make_street(face, self.playout, self._bus, RATE_HZ, recognizer, synthesizer)
+        self.street = make_street(face, self.playout, self._bus, rate_hz, recognizer, synthesizer)
 
     def run(self, until_s: float, act: Callable[[float], None] | None = None) -> Watched:
         """From the first torque until so many seconds after the timeline began.

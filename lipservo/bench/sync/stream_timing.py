@@ -62,9 +62,9 @@ def first_seen(text: SpokenText) -> FirstSeen:
     return FirstSeen(float(watched.times_s[moved][0]) - first_s, sound_s - first_s)
 
 
-def barge_in(text: SpokenText, after_s: float) -> BargeIn:
+def barge_in(text: SpokenText, after_s: float, rate_hz: float) -> BargeIn:
     """Interrupted so long after its first sound was heard, with the lips open."""
-    robot = SpeakingRobot(hears=True)
+    robot = SpeakingRobot(hears=True, rate_hz=rate_hz)
     samples = text.samples
     feed = _Feed(robot, samples, text.sample_rate_hz, _even(len(samples), text.sample_rate_hz))
     asked_s: list[float] = []

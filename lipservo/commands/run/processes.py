@@ -115,6 +115,7 @@ def speech_process(
     from lipservo.street.speech_status import speech_status
     from lipservo.street.spoken_sound import entered_sound
     from lipservo.street.voice_agents import voice_agents
+    from lipsync.face.frame import Frame
 
     asked = request_of_json(request)
     face = assemble_face(asked.config, asked.model)
@@ -157,7 +158,9 @@ def speech_process(
             side.advance(time_s)
             if avatars is not None:
                 sound_s = side.speech.sound_time_s(time_s)
-                avatars.show(time_s, sound_s, side.speech.shown_at(max(0.0, sound_s))[1])
+                frame = side.speech.shown_at(max(0.0, sound_s))[1]
+                at_rest = Frame(sound_s, face.model.rest)
+                avatars.show(time_s, sound_s, at_rest if side.speech.is_cut_off else frame)
             for reason in recognizer.reasons[n_said:]:
                 say(f"recogniser left: {reason}")
             n_said = len(recognizer.reasons)
