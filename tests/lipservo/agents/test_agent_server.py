@@ -278,7 +278,8 @@ def test_speech_that_was_ended_is_cut_off_as_well_when_the_server_ends():
     async def leave():
         async with client(face) as agent:
             await agent.start()
-            await agent.send(tone(20.0))
+            for _ in range(6):
+                await agent.send(tone(20.0))
             await agent.say("end")
             await agent.next("started")
             face.hold()
