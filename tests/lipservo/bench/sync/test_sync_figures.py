@@ -22,6 +22,7 @@ MOST = {
     "stream_first_sound_ms": 300.0,
     "barge_in_ms": 200.0,
     "played_error_ms": 20.0,
+    "stuck_open_s": 0.0,
 }
 
 
@@ -33,6 +34,6 @@ def test_all_figures_are_there_and_within_their_bars():
     done = CliRunner().invoke(app, ["bench", "sync", "--quick", "--json"])
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
-    assert {"playback_median_ms", "stuck_open_s"} <= told.keys()
+    assert "playback_median_ms" in told
     assert {name: told[name] for name in MOST if told[name] > MOST[name]} == {}
     assert told["say_closure_hits"] >= 0.98
