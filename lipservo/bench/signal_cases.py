@@ -107,11 +107,15 @@ def _without_current_limits(robot: RobotAtPort) -> None:
         servo["operating_mode"] = 3
 
 
+#: Longer than any case lasts.
+_LONG_TEXT: Final = "Peter Piper picked a peck of pickled peppers. " * 8
+
 COMMANDS: Final = {
     command.name: command
     for command in (
         Command("run", _at_port("run", "--wav", str(CLIP))),
         Command("daemon", _at_port("daemon", "--wav", str(CLIP)), ends_well=True),
+        Command("say", _at_port("say", "--mute", _LONG_TEXT)),
         Command("jog", _at_port("jog", "jaw", "10", "--hold-s", "30")),
         Command("neutral", _at_port("neutral"), _stand_away),
         Command("new-face", _new_face, _without_current_limits, answers="jaw\nopens\ny\n"),
