@@ -35,7 +35,7 @@ def test_it_knows_its_version(monkeypatch, capsys):
     ("arguments", "said"),
     [
         (("run", "--rate-hz", "fast"), "'--rate-hz': not a number; see `lipservo run --help`"),
-        (("run", "--nonsense"), "No such option: --nonsense; see `lipservo run --help`"),
+        (("run", "--zzz"), "No such option: --zzz; see `lipservo run --help`"),
         (("bench",), "Missing command; see `lipservo bench --help`"),
         (("run", "--wav", "a", "--mic"), "give --wav or --mic, not both"),
     ],
@@ -81,7 +81,11 @@ def test_commands_that_move_simulated_servos_say_so_loudly(monkeypatch, capsys):
 
 
 def test_a_shell_completes_its_commands(tmp_path: Path):
-    asked = {"_LIPSERVO_COMPLETE": "complete_bash", "COMP_WORDS": "lipservo cal", "COMP_CWORD": "1"}
+    asked = {
+        "_LIPSERVO_COMPLETE": "complete_bash",
+        "COMP_WORDS": "lipservo calibrate",
+        "COMP_CWORD": "1",
+    }
     done = subprocess.run(
         [sys.executable, "-m", "lipservo"],
         env={**os.environ, **asked},
@@ -90,4 +94,4 @@ def test_a_shell_completes_its_commands(tmp_path: Path):
         text=True,
         timeout=60,
     )
-    assert done.stdout.split() == ["calibrate"]
+    assert sorted(done.stdout.split()) == ["calibrate", "calibrate-audio"]

@@ -89,7 +89,11 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
         "face_sim", Sound("file", str(sound)), MotionOptions(strategy=strategy), port="/dev/none"
     )
     process = subprocess.Popen(
-        [*command, "--board", str(board.fileno()), "--request", request_json(request)],
+        [
+            *command,
+            *("--board", str(board.fileno()), "--request", request_json(request)),
+            *("--control-path", "/nowhere.sock"),
+        ],
         pass_fds=[its.fileno(), line.fileno(), board.fileno()],
         stderr=subprocess.PIPE,
         text=True,
