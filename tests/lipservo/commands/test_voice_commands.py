@@ -10,8 +10,10 @@ from fake_sound_card import device, install_sound_card
 from places import DATA, short_folder
 from speech import CLIP_PATH
 from typer.testing import CliRunner
+from voice_agents.served_face import ServedFace
 
 from lipservo import command_line
+from lipservo.agents.agent_settings import AgentSettings
 from lipservo.cli import app
 from lipsync.phoneme_files.reader import read_known_phonemes
 from lipsync.text_to_speech.spoken_text import SynthesisError
@@ -159,3 +161,18 @@ def test_a_sound_file_with_its_phonemes_moves_the_mouth_by_them(tmp_path):
     spoken = [each for each in script if each.start_s < CUT_S and each.phoneme != "SIL"]
     assert len(spoken) <= told["phonemes"] <= len(spoken) + 3
     assert len(spoken) >= 4
+
+
+def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path, capsys, monkeypatch):
+    texts = []
+    token = tmp_path / "token"
+    token.write_text("open sesame\n")
+    settings = AgentSettings(token="open sesame")
+    with ServedFace(settings, say=lambda text: texts.append(text) or {}) as face:
+        told = ("say", "Good morning.", "--through", face.url)
+        done = CliRunner().invoke(app, [*told, "--token-file", str(token)])
+        assert done.exit_code == 0, done.output
+        line, status = refused(capsys, monkeypatch, *told)
+    assert texts == ["Good morning."]
+    assert status == 1
+    assert line.startswith(f"lipservo: --through {face.url}: ")
