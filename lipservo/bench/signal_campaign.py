@@ -236,11 +236,12 @@ def _judge_words(
 
 
 def _allowed_statuses(case: SignalCase, command: Command) -> tuple[int, ...]:
-    if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
-        return (ExitStatus.UNCONFIRMED,)
     if case.ending is Ending.STOP:
         return (0,)
     number = signal.Signals[f"SIG{case.ending}"].value
+    if case.moment in (Moment.UNPLUGGED, Moment.DEAF):
+        # Some have told that no servo can be reached, and ended, before the last signal comes.
+        return (ExitStatus.UNCONFIRMED, *((-number,) if case.twice else ()))
     # Before a program has asked for its signals they end it as the system does.
     # So they do after its servos are limp: shells show both as the same.
     early = case.moment in (Moment.STARTING, Moment.OPENING_SOUND)
