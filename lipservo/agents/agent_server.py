@@ -187,21 +187,19 @@ class AgentServer:
         else:
             session = ControlSession(outbox, self._commands)
         self._clients.add(connection)
+        sending = asyncio.ensure_future(_send(connection, outbox))
         working = [
             asyncio.ensure_future(each)
-            for each in (
-                self._hear(connection, session, outbox),
-                _send(connection, outbox),
-                outbox.overflowed.wait(),
-            )
+            for each in (self._hear(connection, session, outbox), outbox.overflowed.wait())
         ]
         try:
+            # Not the end of sending: who has gone may have sent more, its `end` for one.
             await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._clients.discard(connection)
             is_slow = outbox.overflowed.is_set()
             session.leave()
-            for task in working:
+            for task in (*working, sending):
                 task.cancel()
             if is_slow:
                 await connection.close(_POLICY_VIOLATION, "slow_reader: events were not read")

@@ -3,11 +3,15 @@
 import asyncio
 import threading
 from collections.abc import AsyncGenerator, Coroutine, Iterator
-from typing import Any, Literal, Self, TypeVar
+from concurrent.futures import CancelledError
+from typing import Any, Final, Literal, Self, TypeVar
 
 from lipservo.client.async_face import AsyncFace, AsyncSpeech
 from lipservo.client.face_answers import Event, Played
 from lipservo.client.pcm_bytes import Pcm
+
+#: Between two looks whether there is still somebody who could answer.
+_LOOK_S: Final = 0.5
 
 _Answer = TypeVar("_Answer")
 
@@ -127,7 +131,15 @@ class Face:
         """Run it in the connection's own thread, and wait."""
         answer = asyncio.run_coroutine_threadsafe(call, self._loop)
         try:
-            return answer.result()
+            while True:
+                try:
+                    return answer.result(_LOOK_S)
+                except TimeoutError:
+                    if answer.done():
+                        raise
+                    # What was asked while the connection ended is answered by nobody.
+                    if not self._thread.is_alive():
+                        raise EOFError("the connection has ended") from None
         except BaseException:
             answer.cancel()  # Ctrl-C: nobody waits for it any more
             raise
@@ -136,7 +148,13 @@ class Face:
         async def following() -> Event | None:
             return await anext(events, None)
 
-        while (event := self.wait_for(following())) is not None:
+        while not self._loop.is_closed():
+            try:
+                event = self.wait_for(following())
+            except (EOFError, CancelledError):
+                return
+            if event is None:
+                return
             yield event
 
     def _run(self) -> None:

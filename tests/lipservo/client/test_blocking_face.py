@@ -116,10 +116,10 @@ def test_events_end_with_the_connection_in_another_thread_too(served):
         with face.stream() as speech:
             speech.write(tone(0.1))
             speech.wait()
+        until(lambda: "finished" in [event["type"] for event in told])
     reading.join(60.0)
 
     assert not reading.is_alive()
-    assert "finished" in [event["type"] for event in told]
 
 
 def test_commands_reach_the_face(served):
