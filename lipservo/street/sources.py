@@ -61,8 +61,7 @@ def open_microphone(device: str) -> AudioSource:
     """A microphone by number, by part of its name, or the default one. Raises SoundError."""
     from lipsync.audio.microphone import MicrophoneSource
 
-    named = None if device == DEFAULT_MICROPHONE else int(device) if device.isdigit() else device
-    return MicrophoneSource(named)
+    return MicrophoneSource(None if device == DEFAULT_MICROPHONE else device)
 
 
 def warn(line: str) -> None:

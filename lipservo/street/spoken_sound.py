@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 
 from lipservo.face.assembly import load_settings
 from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import Sound, open_microphone, open_sound
+from lipservo.street.sources import DEFAULT_MICROPHONE, Sound, open_microphone, open_sound
 from lipservo.street.spoken_file import SpokenFile
 from lipservo.street.spoken_text import SpokenWords
 from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
@@ -22,6 +23,7 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
 
     start_s: the sound time at which a file is taken up. Raises SoundError.
     """
+    request = replace(request, sound=_of_the_face(request))
     if request.voice is None:
         with open_sound(request.sound, start_s) as source:
             yield source
@@ -43,6 +45,14 @@ def check_sound(request: RunRequest) -> None:
     """Refuse now what `entered_sound` would refuse later, without opening a device."""
     if request.sound.kind == "file":
         open_sound(request.sound)
+
+
+def _of_the_face(request: RunRequest) -> Sound:
+    """The default microphone is the one that the face's YAML names, if it names one."""
+    sound = request.sound
+    if (sound.kind, sound.name) != ("microphone", DEFAULT_MICROPHONE):
+        return sound
+    return replace(sound, name=load_settings(request.config)[0].sound.input or DEFAULT_MICROPHONE)
 
 
 def _entered_loudspeaker(config: str, voice: VoiceOptions, stack: ExitStack) -> Loudspeaker | None:

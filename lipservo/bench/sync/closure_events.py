@@ -59,11 +59,14 @@ def _release_s(text: SpokenText, start_s: float, end_s: float) -> float:
     return start_s + float(places[int(gaps.argmax()) + 1]) / text.sample_rate_hz
 
 
-def seen_closures(times_s: Array, gap_mm: Array) -> Crossings:
-    """What lips did: crossings of CLOSED_GAP_MM, between samples by a straight line."""
-    closed = gap_mm < CLOSED_GAP_MM
+def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_MM) -> Crossings:
+    """What lips did: crossings of closed_mm, between samples by a straight line.
+
+    times_s, gap_mm: (n,).
+    """
+    closed = gap_mm < closed_mm
     changed = np.flatnonzero(closed[1:] != closed[:-1])
-    share = (CLOSED_GAP_MM - gap_mm[changed]) / (gap_mm[changed + 1] - gap_mm[changed])
+    share = (closed_mm - gap_mm[changed]) / (gap_mm[changed + 1] - gap_mm[changed])
     at_s = times_s[changed] + share * (times_s[changed + 1] - times_s[changed])
     return Crossings(at_s[closed[changed + 1]], at_s[~closed[changed + 1]])
 

@@ -59,7 +59,7 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
         for after_s in _INTERRUPTED_AFTER_S
     ]
     advance("jitter", 5, steps)
-    stuck_s, n_underruns = stuck_open_s(texts, np.random.default_rng(0))
+    stuck_s, opening_s, n_underruns = stuck_open_s(texts, np.random.default_rng(0))
     return {
         **_timing("playback", known),
         **_timing("recognized", heard),
@@ -71,6 +71,7 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
         "played_error_ms": _ms(max(each.played_error_s for each in cuts)),
         "say_closure_hits": round(known.n_hits / known.n_closures, 4),
         "stuck_open_s": round(stuck_s, 3),
+        "stuck_and_opening_s": round(stuck_s + opening_s, 3),
         "jitter_underruns": n_underruns,
         "sentences": len(texts),
         "drift_duration_s": minutes_s,
@@ -82,6 +83,10 @@ def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
     return {
         f"{name}_median_ms": _ms(np.median(error_s)),
         f"{name}_p95_ms": _ms(np.percentile(error_s, 95)),
+        f"{name}_p95_ms_by_closed_mm": {
+            str(closed_mm): _ms(np.percentile(np.abs(errors_s), 95))
+            for closed_mm, errors_s in timing.errors_by_closed_mm_s.items()
+        },
         f"{name}_late_ms": _ms(np.median(timing.errors_s)),
         f"{name}_unmatched": round(timing.n_unmatched / timing.n_asked, 4),
         f"{name}_events": timing.n_asked,

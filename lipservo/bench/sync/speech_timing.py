@@ -1,6 +1,6 @@
 """Lips against sound at the encoders, of what a synthesiser says and knows."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -18,6 +18,8 @@ from lipsync.text_to_speech.spoken_text import SpokenText
 
 #: A closure hit (docs/motion.md): closed from 40 ms before the phoneme to 40 ms after it.
 _WINDOW_S: Final = 0.040
+#: How much the figures owe to what counts as closed.
+_OTHER_GAPS_MM: Final = (0.9, 1.5, 2.0, 3.0)
 #: Of full scale; an onset passes it within a millisecond or two.
 _LOUD: Final = 0.02
 #: The face is brought up, the sound is late, and the mouth goes to rest at the end.
@@ -29,6 +31,7 @@ class SpeechTiming:
     """Of all sentences: how much later lips close and part than the sound says, seconds.
 
     n_asked, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
+    errors_by_closed_mm_s: the same errors where lips count as closed at another gap.
     """
 
     errors_s: Array
@@ -36,6 +39,7 @@ class SpeechTiming:
     n_unmatched: int
     n_closures: int
     n_hits: int
+    errors_by_closed_mm_s: Mapping[float, Array]
 
 
 def speech_timing(
@@ -48,6 +52,7 @@ def speech_timing(
     """
     rng = np.random.default_rng(loudspeaker_seed)
     errors_s: list[Array] = []
+    others_s: dict[float, list[Array]] = {closed_mm: [] for closed_mm in _OTHER_GAPS_MM}
     n_asked = n_unmatched = n_closures = n_hits = 0
     for text in texts:
         watched, sound_s = _said(text, _loudspeaker(rng), knows=knows)
@@ -61,10 +66,17 @@ def speech_timing(
             errors_s.append(late_s)
             n_asked += len(asked_s)
             n_unmatched += n_missing
+        for closed_mm, found_s in others_s.items():
+            other = seen_closures(times_s, watched.gap_mm, closed_mm)
+            found_s.append(matched_errors_s(asked.closing_s, other.closing_s)[0])
+            found_s.append(matched_errors_s(asked.parting_s, other.parting_s)[0])
         hits = _closure_hits(text.phonemes, times_s, watched.gap_mm)
         n_closures += len(hits)
         n_hits += sum(hits)
-    return SpeechTiming(np.concatenate(errors_s), n_asked, n_unmatched, n_closures, n_hits)
+    by_gap_s = {closed_mm: np.concatenate(found_s) for closed_mm, found_s in others_s.items()}
+    return SpeechTiming(
+        np.concatenate(errors_s), n_asked, n_unmatched, n_closures, n_hits, by_gap_s
+    )
 
 
 def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:

@@ -88,20 +88,26 @@ def barge_in(text: SpokenText, after_s: float, rate_hz: float) -> BargeIn:
     return BargeIn(float(closed_s), abs(event.n_played / text.sample_rate_hz - heard_s))
 
 
-def stuck_open_s(texts: Sequence[SpokenText], rng: np.random.Generator) -> tuple[float, int]:
-    """Seconds of lips that stay open with nothing to say, and underruns, over jittery streams."""
-    stuck_s, n_underruns = 0.0, 0
+def stuck_open_s(texts: Sequence[SpokenText], rng: np.random.Generator) -> tuple[float, float, int]:
+    """Over jittery streams: seconds of lips that stay open with nothing to say, s.
+
+    Then seconds of those that open for the next sound, which are no part of them, and underruns.
+    """
+    stuck_s, opening_s, n_underruns = 0.0, 0.0, 0
     for text in texts:
         robot = SpeakingRobot(hears=True)
         schedule = _jittery(len(text.samples), text.sample_rate_hz, rng)
         feed = _Feed(robot, text.samples, text.sample_rate_hz, schedule)
         watched = robot.run(_READY_S + schedule[-1][0] + _TAIL_S, feed.advance)
-        stuck_s += _stuck_s(watched, robot.loudspeaker)
+        stuck_more_s, opening_more_s = _stuck_s(watched, robot.loudspeaker)
+        stuck_s += stuck_more_s
+        opening_s += opening_more_s
         n_underruns += robot.playout.n_underruns
-    return stuck_s, n_underruns
+    return stuck_s, opening_s, n_underruns
 
 
-def _stuck_s(watched: Watched, loudspeaker: SimulatedLoudspeaker) -> float:
+def _stuck_s(watched: Watched, loudspeaker: SimulatedLoudspeaker) -> tuple[float, float]:
+    """Seconds of lips that are stuck, and of lips that open for the next sound."""
     samples, left_s = loudspeaker.played()
     speech_s = left_s[np.abs(samples) > _SOUNDS]
     following = np.searchsorted(speech_s, watched.times_s)
@@ -109,8 +115,10 @@ def _stuck_s(watched: Watched, loudspeaker: SimulatedLoudspeaker) -> float:
     until_s = np.concatenate((speech_s, [np.inf]))[following] - watched.times_s
     rest_mm = float(np.median(watched.gap_mm[:20]))
     quarter_mm = rest_mm + _STUCK_SHARE * (float(watched.gap_mm.max()) - rest_mm)
-    stuck = (watched.gap_mm > quarter_mm) & (since_s > _STUCK_AFTER_S) & (until_s > _OPENING_S)
-    return float(np.sum(np.diff(watched.times_s)[stuck[1:]]))
+    is_open = (watched.gap_mm > quarter_mm) & (since_s > _STUCK_AFTER_S)
+    stuck, opening = is_open & (until_s > _OPENING_S), is_open & (until_s <= _OPENING_S)
+    ticks_s = np.diff(watched.times_s)
+    return float(ticks_s[stuck[1:]].sum()), float(ticks_s[opening[1:]].sum())
 
 
 class _Feed:

@@ -88,10 +88,7 @@ def run(
         voice=chosen_voice(play=play, output=output, is_needed=phonemes is not None),
         avatars=AvatarTargets(osc, live_link),
     )
-    with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
-        request = replace(request, port=at_port)
-        outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
-    finish(request, outcome)
+    run_once(request, sim)
 
 
 @takes_motion
@@ -182,6 +179,20 @@ def replay(
     with open_sound(request.sound) as source:
         outcome = run_face(request, source, ManualClock())
     finish(replace(request, quiet=quiet), outcome)
+
+
+def run_once(request: RunRequest, sim: str | None) -> None:
+    """Play a request live to the end of its sound, and print what came of it.
+
+    sim: as typed; with `pty` the servos are simulated behind a port made for the occasion.
+    """
+    with (
+        servo_port(request.port, sim, request.config) as at_port,
+        entered_sound(request) as source,
+    ):
+        request = replace(request, port=at_port)
+        outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
+    finish(request, outcome)
 
 
 def _sound(

@@ -1,12 +1,10 @@
 """`say`: a text, spoken and shown."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from firmware_bridge.clock import MonotonicClock
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
@@ -25,14 +23,11 @@ from lipservo.commands.options import (
     Trace,
 )
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.commands.run.run import finish, motion_of
-from lipservo.face.sim_process import servo_port
+from lipservo.commands.run.run import motion_of, run_once
 from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import ChosenMotion
-from lipservo.street.run_face import run_face
 from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import Sound
-from lipservo.street.spoken_sound import entered_sound
 from lipservo.street.voice_agents import read_token
 from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
 from lipsync.errors import UserError
@@ -88,10 +83,7 @@ def say(
         voice=VoiceOptions(None if mute else output or DEFAULT_OUTPUT),
         avatars=AvatarTargets(osc, live_link),
     )
-    with servo_port(port, sim, config) as at_port, entered_sound(request) as source:
-        request = replace(request, port=at_port)
-        outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
-    finish(request, outcome)
+    run_once(request, sim)
 
 
 def _say_through(url: str, text: str, token_file: Path | None) -> None:

@@ -45,8 +45,7 @@ def nothing_armed(monkeypatch):
     def refuse(*_arguments, **_options):
         raise AssertionError("the face was brought up")
 
-    for module in ("run", "say"):
-        monkeypatch.setattr(f"lipservo.commands.run.{module}.run_face", refuse)
+    monkeypatch.setattr("lipservo.commands.run.run.run_face", refuse)
     monkeypatch.setattr("lipservo.commands.run.run.supervise", refuse)
 
 
