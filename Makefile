@@ -1,4 +1,4 @@
-# make run    sees speech move a face; installs what it needs into .venv first
+# make run    sees speech move a head, here and in a browser; installs what it needs into .venv first
 # make test   the tests
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
 # make docs   the reference of all public names, from their docstrings, into site/
@@ -10,28 +10,23 @@ BIN := $(VENV)/bin
 .PHONY: run test traces docs check format clean
 
 run: $(VENV)/.installed
-	$(BIN)/lipservo run
+	$(BIN)/lipservo run --config face_head --dashboard --open
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --durations 15
 
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
 
-# Three modules need torch and one pipecat, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
-WITHOUT_TORCH := lipsync.recognition.training
+# These modules need torch or pipecat, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
+UNDOCUMENTED := lipservo.client.pipecat_face lipsync.recognition.adaptation.voice_learning \
+	$(addprefix lipsync.recognition.training.,network_training torch_network training_run)
 SITE := site
 docs: $(VENV)/.installed-dev
 	rm -rf $(SITE)
-	$(BIN)/python -W error \
-		-W "ignore:Couldn't import $(WITHOUT_TORCH).network_training" \
-		-W "ignore:Couldn't import $(WITHOUT_TORCH).torch_network" \
-		-W "ignore:Couldn't import $(WITHOUT_TORCH).training_run" \
-		-W "ignore:Couldn't import lipservo.client.pipecat_face" \
+	$(BIN)/python -W error $(foreach module,$(UNDOCUMENTED),-W "ignore:Couldn't import $(module)") \
 		-m pdoc --docformat markdown --no-show-source --output-directory $(SITE) \
-		calibration firmware_bridge lipservo lipsync \
-		'!lipsync\.recognition\.training\.(network_training|torch_network|training_run)' \
-		'!lipservo\.client\.pipecat_face'
+		calibration firmware_bridge lipservo lipsync $(foreach module,$(UNDOCUMENTED),'!$(subst .,\.,$(module))$$')
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -40,7 +35,7 @@ check: $(VENV)/.installed-dev
 	rm -rf dist build
 	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
 	$(BIN)/check-wheel-contents dist
-	$(BIN)/python -m pytest -m "packaging or campaign"
+	$(BIN)/python -m pytest --durations 15 -m "packaging or campaign"
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .
@@ -51,7 +46,7 @@ clean:
 
 $(VENV)/.installed: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard]'
 	touch $@
 
 $(VENV)/.installed-dev: pyproject.toml

@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from calibration.coupling_rule import CouplingRule, keep_rules
+from calibration.grade import Grade, LearntLips, VisemeReach
 from calibration.hold_out import HoldOutErrors
 from lipsync.arrays import Array, Indices
 from lipsync.errors import UserError
@@ -62,18 +63,6 @@ class Touch:
 
 
 @dataclass(frozen=True, slots=True)
-class VisemeReach:
-    """How well a robot makes the shapes of one viseme class.
-
-    reachable: the part of its frames, 0..1, that the face can come within 0.5 mm of; off_mm: how
-    far the calibrated face is from the shapes wanted, rms over the lips.
-    """
-
-    reachable: float
-    off_mm: float
-
-
-@dataclass(frozen=True, slots=True)
 class ServoMemory:
     """What a servo kept in its own memory when it was calibrated; pulses as in its registers.
 
@@ -91,7 +80,8 @@ class Origin:
     """Where a calibration comes from: what a person wants to know about a file found later.
 
     method: `simulated face`, `measured` or `guided`; date: ISO 8601; servo_models, servo_memories:
-    one a servo, or none where no servo was asked.
+    one a servo, or none where no servo was asked. not_measured: what whoever saw the markers
+    cannot see, `protrusion` for one camera.
     """
 
     method: str
@@ -99,21 +89,25 @@ class Origin:
     poses: int = 0
     servo_models: tuple[str, ...] = ()
     servo_memories: tuple[ServoMemory, ...] = ()
+    not_measured: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Quadratic about the model's rest, within the limits.
+    """Quadratic about the model's rest, with bends around centres, within the limits.
 
-    angles = rest_deg + weights @ x + quadratic_weights @ (x_i x_j), x = coefficients - rest, kept
-    in x_range.
+    angles = rest_deg + weights @ x + quadratic_weights @ (x_i x_j) + centre_weights @ |x - c_k|,
+    x = coefficients - rest, kept in x_range.
 
     weights: (n_servos, n_components), degrees; quadratic_weights: (n_servos, n_pairs), pairs
     i <= j row by row, or no columns for a linear map; rest: (n_components,); rest_deg:
     (n_servos,), the angles there; x_range: (2, n_components), least and most that the fit saw;
     min_deg, max_deg: (n_servos,), the face's limits at the time of the fit. trim: degrees
-    (n_servos,) to add for a viseme class, by the first phoneme of the class. rules: of the face's
-    YAML, never of the file; kept by every pose.
+    (n_servos,) to add for a viseme class, by the first phoneme of the class. hand_poses: angles
+    (n_servos,) that a person made with the fingers, by name. rules: of the face's YAML, never of
+    the file; kept by every pose. centres: (n_centres, n_components), c_k, or none; centre_weights:
+    (n_servos, n_centres). grade: None where nothing was measured after the fit. learnt_lips: None
+    where no lips were captured.
     """
 
     servo_names: tuple[str, ...]
@@ -132,7 +126,12 @@ class Calibration:
     touch: Touch | None = None
     coverage: Mapping[str, VisemeReach] = field(default_factory=dict)
     trim: Mapping[str, Array] = field(default_factory=dict)
+    hand_poses: Mapping[str, Array] = field(default_factory=dict)
     rules: tuple[CouplingRule, ...] = ()
+    centres: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    centre_weights: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    grade: Grade | None = None
+    learnt_lips: LearntLips | None = None
 
     def positions_deg(self, coefficients: Array) -> Array:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
@@ -141,6 +140,9 @@ class Calibration:
         if self.quadratic_weights.shape[1]:
             first, second = pairs(len(x))
             free_deg = free_deg + self.quadratic_weights @ (x[first] * x[second])
+        if len(self.centres):
+            apart = x - self.centres
+            free_deg = free_deg + self.centre_weights @ np.sqrt((apart * apart).sum(axis=1))
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
         return keep_rules(self.rules, kept_deg)
 
@@ -191,11 +193,13 @@ def check_servo_models(calibration: Calibration, servo_models: Sequence[str]) ->
     how its servos follow, and passes.
     """
     measured = calibration.origin.servo_models or tuple(servo_models)
-    for name, was, now in zip(calibration.servo_names, measured, servo_models, strict=True):
-        if was != now:
-            raise CalibrationError(
-                f"servo {name!r} was calibrated as a {was} and is a {now} in this face; {_REMEDY}"
-            )
+    other = [
+        f"servo {name!r} was calibrated as a {was} and is a {now} in this face"
+        for name, was, now in zip(calibration.servo_names, measured, servo_models, strict=True)
+        if was != now
+    ]
+    if other:
+        raise CalibrationError(f"{'; '.join(other)}; {_REMEDY}")
 
 
 def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemory | None]) -> None:
@@ -205,13 +209,18 @@ def check_servo_memories(calibration: Calibration, memories: Sequence[ServoMemor
     for others to complain of. A file made without servos passes.
     """
     measured = calibration.origin.servo_memories or memories
+    other = []
     for name, was, now in zip(calibration.servo_names, measured, memories, strict=True):
         if was is None or now is None:
             continue
         for field_ in fields(ServoMemory):
             before, found = getattr(was, field_.name), getattr(now, field_.name)
             if before != found:
-                raise CalibrationError(
+                other.append(
                     f"servo {name!r} has {field_.name.replace('_', ' ')} {found} and was "
-                    f"calibrated with {before}; run `lipservo setup-servos`, or calibrate anew"
+                    f"calibrated with {before}"
                 )
+    if other:
+        raise CalibrationError(
+            f"{'; '.join(other)}; run `lipservo setup-servos`, or calibrate anew"
+        )

@@ -11,6 +11,8 @@ from lipsync.markers import MARKERS_47
 
 #: The human's lips count as closed at this gap, as in training.
 CLOSED_GAP_MM = 1.0
+#: Openings of the speaker that a mouth which closes too soon loses, in millimetres.
+SMALL_GAPS_MM = (2.0, 4.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,10 @@ class HoldOutErrors:
     """For each servo, against the best angles of each frame."""
     each_marker_rms_mm: Mapping[str, float] = field(default_factory=dict)
     """For each marker by its name; empty where none was measured."""
+    gap_slope: float | None = None
+    """Openings made over openings asked for; None where it was not looked at."""
+    small_gaps_kept: float | None = None
+    """Part of the speaker's small openings that are at least half made; None: not looked at."""
 
 
 def measure_hold_out(

@@ -1,7 +1,7 @@
 """How the servos are: heat, voltage, errors, torque; what a bus notices between the goals."""
 
 from dataclasses import dataclass
-from enum import IntFlag
+from enum import IntEnum, IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,27 @@ class Health:
     effort: Array
     current_ma: Array
     n_unanswered: NDArray[np.int64]
+
+
+class ServoState(IntEnum):
+    """What a servo is doing, as `ServoSupervision` sees it."""
+
+    DRIVEN = 0
+    WAITING = 1
+    COOLING = 2
+    REBOOTING = 3
+    FAILED = 4
+    SWITCHING_OFF = 5
+    OFF = 6
+
+    @property
+    def word(self) -> str:
+        """For people and programs."""
+        return STATE_WORDS[self]
+
+
+#: Of `ServoState`, by its number.
+STATE_WORDS = tuple(state.name.lower().replace("_", " ") for state in ServoState)
 
 
 @dataclass(frozen=True, slots=True)

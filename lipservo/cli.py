@@ -8,24 +8,41 @@ import typer
 
 from lipservo.commands.bench import bench
 from lipservo.commands.bench import closures as bench_closures
+from lipservo.commands.bench import face as bench_face
+from lipservo.commands.bench import languages as bench_languages
 from lipservo.commands.bench import line as bench_line
 from lipservo.commands.bench import microphone as bench_microphone
+from lipservo.commands.bench import nonspeech as bench_nonspeech
+from lipservo.commands.bench import readability as bench_readability
 from lipservo.commands.bench import recognition as bench_recognition
 from lipservo.commands.bench import replay as bench_replay
+from lipservo.commands.bench import scans as bench_scans
 from lipservo.commands.bench import shapes as bench_shapes
 from lipservo.commands.bench import sync as bench_sync
 from lipservo.commands.bench import texts as bench_texts
 from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
 from lipservo.commands.calibrate import app as calibrate
-from lipservo.commands.learn import alignment, recognizer, training
+from lipservo.commands.learn import (
+    adaptation,
+    alignment,
+    expression,
+    import_scans,
+    import_video,
+    recognizer,
+    record_corpus,
+    training,
+)
+from lipservo.commands.lines import offline_training, perform, render
 from lipservo.commands.run import (
     calibrate_audio,
+    dashboard,
     devices,
     export,
     health,
     processes,
     run,
     say,
+    servo,
     set_value,
     stop,
     trace,
@@ -38,12 +55,21 @@ for command in (
     say.say,
     run.replay,
     devices.devices,
+    dashboard.dashboard,
     export.export,
+    record_corpus.record_corpus,
     training.train,
+    import_video.import_video,
+    import_scans.import_scans,
+    offline_training.train_offline,
+    render.render,
+    perform.perform,
+    expression.train_expression,
     alignment.align,
     recognizer.recognize,
     recognizer.train_recognizer,
     recognizer.plot_training,
+    adaptation.adapt,
 ):
     app.command()(command)
 # A number may be negative, which looks like an option.
@@ -52,11 +78,16 @@ app.command("trim", context_settings=_NUMBERS, hidden=True)(calibrate.old_trim)
 app.command("jog", context_settings=_NUMBERS)(builder.jog)
 bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
+bench.app.command("readability")(bench_readability.readability)
+bench.app.command("nonspeech")(bench_nonspeech.nonspeech)
+bench.app.command("languages")(bench_languages.languages)
 bench.app.command("replay")(bench_replay.replay)
 bench.app.command("line")(bench_line.line)
 bench.app.command("closures")(bench_closures.closures)
 bench.app.command("sync")(bench_sync.sync)
 bench.app.command("microphone")(bench_microphone.microphone)
+bench.app.command("face")(bench_face.face)
+bench.app.command("scans")(bench_scans.scans)
 bench.app.command("shapes")(bench_shapes.shapes)
 bench.app.command("texts")(bench_texts.texts)
 app.command("sim-bus")(sim_bus.sim_bus)
@@ -69,6 +100,7 @@ app.command("speech-process", hidden=True)(processes.speech_process)
 app.command("stop")(stop.stop)
 app.command("status")(stop.status)
 app.command("limp")(stop.limp)
+app.command("servo")(servo.servo)
 app.command("set", context_settings=_NUMBERS)(set_value.set_value)
 app.command()(health.health)
 app.command("calibrate-audio")(calibrate_audio.calibrate_audio)

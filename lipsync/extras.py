@@ -11,12 +11,25 @@ from lipsync.errors import UserError
 EXTRA_OF = {
     "gruut": "align",
     "torch": "train",
+    "trimesh": "scans",
     "ezc3d": "mocap",
-    "cv2": "video",
+    "ai_edge_litert": "video",
+    "av": "video",
+    "cv2": "dots",
+    "mediapipe": "video",
     "matplotlib": "plots",
     "rustypot": "bench",
     "espeakng_loader": "say",
+    "dtaidistance": "offline",
+    "joblib": "offline",
+    "distributed": "cluster",
     "pipecat": "pipecat",
+    "fastapi": "dashboard",
+    "nicegui": "dashboard",
+    "prometheus_client": "dashboard",
+    "ruamel": "dashboard",
+    "starlette": "dashboard",
+    "uvicorn": "dashboard",
 }
 
 

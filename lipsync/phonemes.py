@@ -6,7 +6,7 @@ The 39 phones of the CMU pronouncing dictionary plus SIL, upper case, without st
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 from lipsync.audio_block import AudioBlock
 
@@ -128,6 +128,19 @@ class PhonemeSource(PhonemeScript, Protocol):
     @property
     def heard_until_s(self) -> float:
         """The sound time up to which anything was heard or told."""
+
+
+#: What is believed about the sound: somebody speaks, something else is to be heard, or nothing is.
+Hearing = Literal["speech", "noise", "silence"]
+
+
+@runtime_checkable
+class Listener(Protocol):
+    """Whoever can say what is believed about the sound that was settled last."""
+
+    @property
+    def hears(self) -> Hearing | None:
+        """None: nobody listens."""
 
 
 class LiveRecognizer(Protocol):

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from places import short_folder
 
 # Before NumPy is loaded, here and in whatever the tests start: threads of BLAS that share a small
 # product wait for each other while other tests run, for a hundred times its time.
@@ -12,6 +13,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 settings.register_profile("lipservo", deadline=None)
 settings.load_profile("lipservo")
 
+# Faces of tests that run side by side, and those of whoever sits at this computer, do not meet.
+os.environ["XDG_RUNTIME_DIR"] = str(short_folder())
+os.environ.pop("RUNTIME_DIRECTORY", None)
 
 # Started behind `nohup` or with `&`, this process and all that it starts would not hear them.
 signal.signal(signal.SIGINT, signal.default_int_handler)

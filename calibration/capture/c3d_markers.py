@@ -17,7 +17,7 @@ _AXIS = re.compile(r"^([+-]?)([xyz])$")
 
 
 def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, Array]]:
-    """Pose, marker and mean position (3,) in mm, of every `*.c3d`; its last number is the pose.
+    """Pose, marker and median position (3,) in mm, of every `*.c3d`; its last number is the pose.
 
     axes: which of the file's axes point to the robot's left, up and forward, such as `x z -y`.
     Points that the system marks as lost are NaN. Raises CalibrationError for other files.
@@ -37,7 +37,7 @@ def read_c3d_folder(folder: Path, axes: str = "x y z") -> list[tuple[int, str, A
 
 
 def read_c3d(path: Path) -> dict[str, Array]:
-    """Mean position (3,) in mm of each labelled point; NaN for one never seen.
+    """Median position (3,) in mm of each labelled point; NaN for one never seen.
 
     Raises CalibrationError for what is no C3D file, MissingExtraError without ezc3d.
     """
@@ -55,7 +55,7 @@ def read_c3d(path: Path) -> dict[str, Array]:
         raise CalibrationError(f"{path}: unit {unit!r}, expected {', '.join(_MM_PER_UNIT)}")
     seen = np.asarray(np.isfinite(points).all(axis=0), dtype=np.bool_).reshape(points.shape[1:])
     return {
-        label: _MM_PER_UNIT[unit] * points[:, i, seen[i]].mean(axis=1)
+        label: _MM_PER_UNIT[unit] * np.median(points[:, i, seen[i]], axis=1)
         if seen[i].any()
         else np.full(3, np.nan)
         for i, label in enumerate(labels)

@@ -5,7 +5,7 @@ Knows no bus: `move` and `measure` are functions that somebody else makes.
 
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +34,8 @@ class Capture:
     """Captured poses.
 
     goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled: a
-    line for each pose that was left out because a joint did not get there.
+    line for each pose that was left out because a joint did not get there, or for those that were
+    not recorded.
     """
 
     servo_names: tuple[str, ...]
@@ -80,12 +81,17 @@ def capture_poses(
 
 @dataclass(frozen=True, slots=True)
 class Robot:
-    """All that a capture knows of a robot and its tracker."""
+    """All that a capture knows of a robot and its tracker.
+
+    strained: which servo pulls with all the current that it may draw, None where none does or
+    nobody measures.
+    """
 
     move: Move
     measure: Measure
     arrived: Arrived = lambda *_: None
     progress: Callable[[int], None] = lambda _: None
+    strained: Callable[[], str | None] = lambda: None
 
 
 def take_poses(
@@ -94,13 +100,19 @@ def take_poses(
     on: Robot,
     poses: list[CapturedPose],
     keep: Path | None,
+    pressing: Collection[int] = (),
 ) -> list[CapturedPose]:
-    """`poses` and those of the plan that are not among them, which are captured now."""
+    """`poses` and those of the plan that are not among them, which are captured now.
+
+    pressing: poses that close the lips farther and farther; once a servo is strained there, those
+    that follow are left out.
+    """
     poses = list(poses)
     done = {pose.index for pose in poses}
+    left_out: set[int] = set()
     try:
         for index in range(len(plan)):
-            if index not in done:
+            if index not in done and index not in left_out:
                 on.move(plan.start_deg[index])
                 reached_deg = on.move(plan.goals_deg[index])
                 on.arrived(index, reached_deg)
@@ -109,6 +121,8 @@ def take_poses(
                 poses.append(CapturedPose(index, stands_deg, seen_mm))
                 if keep is not None:
                     _append(keep, poses[-1], plan, marker_names)
+                if index in pressing and on.strained() is not None:
+                    left_out = set(pressing)
             on.progress(len(poses))
     finally:
         on.move(np.zeros(len(plan.servo_names)))

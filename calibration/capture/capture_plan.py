@@ -25,6 +25,8 @@ _SWEEP_SHARE = 0.6
 #: Poses a joint takes in the sweeps (the same angle from below and from above).
 _POSES_PER_SWEEP = 2
 _NEUTRAL_POSES = 2
+#: Neutral is taken again in the middle and at the end where so many poses are left for the rest.
+_LEAST_CUBE = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ def plan_poses(
 ) -> PosePlan:
     """Neutral, every joint alone from both sides, then a Latin hypercube within the limits.
 
+    Neutral comes again in the middle of the hypercube and at its end.
     rules: what the joints must not do together; a pose that breaks one is scaled towards neutral.
     Raises CalibrationError for fewer poses than `least_poses`.
     """
@@ -73,6 +76,10 @@ def plan_poses(
     cube = qmc.LatinHypercube(len(joints), rng=rng).random(n_cube)
     goals_deg = np.concatenate([single, low + cube * (high - low)])
     side = np.concatenate([single_side, rng.choice([-1.0, 1.0], (n_cube, len(joints)))])
+    if n_cube >= _LEAST_CUBE:
+        # The same pose again: what drifted, slipped or was moved meanwhile shows.
+        for repeat in (len(single) + n_cube // 2, len(goals_deg) - 1):
+            goals_deg[repeat], side[repeat] = 0.0, 1.0
     return _reached_from(joints, goals_deg, side, rules)
 
 

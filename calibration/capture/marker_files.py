@@ -3,14 +3,14 @@
 A plan is CSV: `pose`, then the goal of each joint as `<servo>_deg` and the side of the last step as
 `<servo>_from` (1 below, -1 above). Markers are CSV with the columns `pose, marker, x_mm, y_mm,
 z_mm`, or JSON as a list of objects with those keys; several readings of one marker in one pose
-count as their mean, and an empty or missing reading as lost.
+count as their median, and an empty or missing reading as lost.
 """
 
 import csv
 import io
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,10 @@ from lipsync.output_file import write_whole
 
 _AXES = ("x_mm", "y_mm", "z_mm")
 _COLUMNS = ("pose", "marker", *_AXES)
+#: A hundred metres: no tracker is so far from its zero.
+_FARTHEST_MM = 1e5
+#: Poses without markers are named up to so many.
+_MOST_NAMED = 8
 
 
 def write_plan(plan: PosePlan, path: Path) -> None:
@@ -58,15 +62,35 @@ def read_numbered_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[i
 
 
 def read_capture(
-    plan_path: Path, markers_path: Path, servo_names: tuple[str, ...], *, axes: str = "x y z"
+    plan_path: Path,
+    markers_path: Path,
+    servo_names: tuple[str, ...],
+    *,
+    axes: str = "x y z",
+    read: Callable[[], list[tuple[int, str, Array]]] | None = None,
 ) -> Capture:
     """The poses of the plan that markers were recorded for.
 
-    markers_path: as of `read_readings`; axes of C3D files are named as in `c3d_markers`.
+    markers_path: as of `read_readings`, or what `read` reads; axes of C3D files are named as in
+    `c3d_markers`.
     Raises CalibrationError, with file and line, for anything that is not as described above.
     """
+    return read_recorded(plan_path, markers_path, servo_names, axes=axes, read=read)[1]
+
+
+def read_recorded(
+    plan_path: Path,
+    markers_path: Path,
+    servo_names: tuple[str, ...],
+    *,
+    axes: str = "x y z",
+    read: Callable[[], list[tuple[int, str, Array]]] | None = None,
+) -> tuple[list[int], Capture]:
+    """The same with the row of the plan, counted from 0, that each pose of the capture is."""
     poses, goals_deg, from_below = _read_plan(plan_path, servo_names)
-    readings = read_readings(markers_path, axes)
+    readings = read_readings(markers_path, axes) if read is None else read()
+    if not readings:
+        raise CalibrationError(f"{markers_path}: holds no readings")
     unknown = sorted({pose for pose, _, _ in readings} - set(poses))
     if unknown:
         raise CalibrationError(f"{markers_path}: pose {unknown[0]} is not in {plan_path}")
@@ -80,26 +104,41 @@ def read_capture(
     for row, pose in enumerate(used):
         for column, name in enumerate(names):
             if (pose, name) in seen:
-                markers_mm[row, column] = _mean(seen[pose, name])
+                markers_mm[row, column] = median_place(seen[pose, name])
     rows = [poses.index(pose) for pose in used]
-    return Capture(servo_names, names, goals_deg[rows], from_below[rows], markers_mm)
+    left_out = _left_out([pose for pose in poses if pose not in recorded], len(poses))
+    return rows, Capture(
+        servo_names, names, goals_deg[rows], from_below[rows], markers_mm, left_out
+    )
 
 
-def _mean(places_mm: list[Array]) -> Array:
-    """(3,): of the readings that are whole; NaN where none is."""
+def _left_out(poses: list[int], n_poses: int) -> tuple[str, ...]:
+    """A line for a person, where nothing was recorded in some poses of the plan."""
+    if not poses:
+        return ()
+    named = ", ".join(str(pose) for pose in poses[:_MOST_NAMED])
+    more = ", ..." if len(poses) > _MOST_NAMED else ""
+    return (f"no markers for {len(poses)} of {n_poses} poses, which are left out: {named}{more}",)
+
+
+def median_place(places_mm: list[Array]) -> Array:
+    """(3,): of the readings that are whole, one wild one among several counts for nothing."""
     whole = [place for place in places_mm if np.isfinite(place).all()]
-    return np.asarray(np.mean(whole, axis=0)) if whole else np.full(3, np.nan)
+    return np.asarray(np.median(whole, axis=0)) if whole else np.full(3, np.nan)
 
 
 def _read_plan(path: Path, servo_names: tuple[str, ...]) -> tuple[list[int], Array, Array]:
-    rows = list(_csv_rows(path, ("pose", *(f"{name}_deg" for name in servo_names))))
+    rows = list(csv_rows(path, ("pose", *(f"{name}_deg" for name in servo_names))))
     poses = [_whole(row["pose"], place) for place, row in rows]
-    goals = [[_number(row[f"{n}_deg"], place) for n in servo_names] for place, row in rows]
+    goals = [[number_in(row[f"{n}_deg"], place) for n in servo_names] for place, row in rows]
     sides = [
-        [_number(row.get(f"{n}_from", "1"), place) for n in servo_names] for place, row in rows
+        [number_in(row.get(f"{n}_from", "1"), place) for n in servo_names] for place, row in rows
     ]
     if len(set(poses)) < len(poses):
         raise CalibrationError(f"{path}: a pose has two lines")
+    for (place, _), own in zip(rows, sides, strict=True):
+        if not set(own) <= {1.0, -1.0}:
+            raise CalibrationError(f"{place}: a side is 1, from below, or -1, from above")
     shape = (len(poses), len(servo_names))
     return poses, np.array(goals).reshape(shape), np.array(sides).reshape(shape)
 
@@ -111,25 +150,34 @@ def read_readings(path: Path, axes: str = "x y z") -> list[tuple[int, str, Array
     """
     if path.is_dir():
         return read_dots_folder(path) if is_dots_folder(path) else read_c3d_folder(path, axes)
-    rows = _json_rows(path) if path.suffix.lower() == ".json" else _csv_rows(path, _COLUMNS)
+    rows = _json_rows(path) if path.suffix.lower() == ".json" else csv_rows(path, _COLUMNS)
     return [
         (
             _whole(row["pose"], place),
             str(row["marker"]),
-            np.array([_number(row[axis], place, lost=True) for axis in _AXES]),
+            np.array([_millimetres(row[axis], place, axis) for axis in _AXES]),
         )
         for place, row in rows
     ]
 
 
-def _csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[str, object]]]:
-    """Every line with its place."""
+def csv_rows(path: Path, needed: Iterable[str]) -> Iterable[tuple[str, Mapping[str, object]]]:
+    """Every line of a CSV file with its place. Raises CalibrationError."""
     reader = csv.DictReader(io.StringIO(_text(path)))
-    for column in needed:
-        if column not in (reader.fieldnames or ()):
-            raise CalibrationError(f"{path}: column {column!r} is missing in the first line")
-    for number, row in enumerate(reader):
-        yield f"{path}, line {number + 2}", row
+    try:
+        for column in needed:
+            if column not in (reader.fieldnames or ()):
+                raise CalibrationError(f"{path}: column {column!r} is missing in the first line")
+        for number, row in enumerate(reader):
+            place = f"{path}, line {number + 2}"
+            if any(row.get(None, ())):  # spreadsheets leave empty ones
+                raise CalibrationError(
+                    f"{place}: has more values than the first line has columns; decimals are "
+                    "written with a point"
+                )
+            yield place, row
+    except csv.Error as error:
+        raise CalibrationError(f"{path}: not readable as CSV: {error}") from error
 
 
 def _json_rows(path: Path) -> Iterable[tuple[str, Mapping[str, object]]]:
@@ -156,9 +204,20 @@ def _text(path: Path) -> str:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _number(value: object, place: str, *, lost: bool = False) -> float:
+def _millimetres(value: object, place: str, axis: str) -> float:
+    """NaN for a lost point."""
+    number = number_in(value, place, lost=True)
+    if abs(number) > _FARTHEST_MM:
+        raise CalibrationError(f"{place}: {axis} is {shown(value)}; are these millimetres?")
+    return number
+
+
+def number_in(value: object, place: str, *, lost: bool = False) -> float:
+    """A finite number; where lost is allowed, NaN for nothing. Raises CalibrationError."""
     if lost and (value is None or str(value).strip() == ""):
         return math.nan
+    if value is None:
+        raise CalibrationError(f"{place}: a value is missing")
     try:
         number = float(str(value))
     except ValueError:
@@ -169,7 +228,7 @@ def _number(value: object, place: str, *, lost: bool = False) -> float:
 
 
 def _whole(value: object, place: str) -> int:
-    number = _number(value, place)
+    number = number_in(value, place)
     if number != int(number):
         raise CalibrationError(f"{place}: pose {shown(value)} is not a whole number")
     return int(number)

@@ -5,27 +5,46 @@ lost, poses that did not get there.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture
+from calibration.capture.head_frame import in_head_frame
+from calibration.capture.joint_faults import joint_fault
+from calibration.capture.marker_frame import check_frame
+from calibration.capture.straight_lines import (
+    StraightLines,
+    straight_lines,
+    without_far_points,
+)
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
 
-#: A joint is dead if it moves all markers together by no more than chance would: chance gives a
-#: ratio of 1 to 1.2, the joints of simulated robots (seeds 100 to 103) 4 and more.
-_DEAD_RATIO = 2.0
-#: Rounds of filling in lost points; each brings them some ten times closer.
-_FILLING_ROUNDS = 3
+#: What a joint does to the three markers that it moves most, in square standard errors: noise alone
+#: gives 8 to 13. Up to the first it is dead, up to the second nobody can be sure.
+_DEAD, _WEAK = 12.0, 40.0
+#: A joint is reversed where most of what it does goes the wrong way, by so many standard errors.
+_REVERSED_SHARE, _REVERSED_ERRORS = 0.5, 5.0
+_MOVED_MOST = 5
 #: A marker seen in fewer poses than this share of them is not worth keeping.
 _LEAST_SEEN = 0.5
 #: Swapped names must explain this part of what a pose leaves unexplained, and at least so much:
 #: two markers 3 mm apart that change places are 3 mm off each, six times the noise.
 _SWAP_SHARE, _SWAP_MM = 0.6, 3.0
 
+_INNER_LIPS = (
+    ("inner_lip_13", "inner_lip_14"),
+    ("inner_lip_82", "inner_lip_87"),
+    ("inner_lip_312", "inner_lip_317"),
+)
+#: Inner and outer lips part together; so much the other way is an exchange.
+_OPPOSED = -0.5
+#: A joint that is moved less than this was not moved.
+_LEAST_RANGE_DEG = 0.5
 #: Two dots that touch are farther apart than this, by their own noise alone.
 _SAME_DOT_MM = 0.05
 
@@ -34,19 +53,32 @@ _UPPER, _LOWER = ("outer_lip_0", "inner_lip_13"), ("outer_lip_17", "inner_lip_14
 _RIGHT, _LEFT = "outer_lip_61", "outer_lip_291"
 
 
+#: Two names, and where they were exchanged.
+_Swap = tuple[str, str, str]
+
+
 def least_poses_to_fit(n_servos: int) -> int:
     """A straight line for each joint and one constant need n + 1 poses; half as many again."""
     return round(1.5 * (n_servos + 1))
 
 
-def check_capture(
-    capture: Capture, model: FaceModel, positive: Sequence[str] = ()
-) -> tuple[str, ...]:
-    """Warnings, one line each: stalled poses, lost points.
+@dataclass(frozen=True, slots=True)
+class CheckedCapture:
+    """A capture with wrong readings left out, and what there is to say about it."""
 
-    What makes a calibration worthless raises CalibrationError and is named: too few poses, a dead
-    or reversed joint, swapped markers, a marker hardly ever seen. positive: the word of the face
-    YAML for each joint, where reversed joints shall be found.
+    capture: Capture
+    warnings: tuple[str, ...]
+
+
+def check_capture(
+    capture: Capture, model: FaceModel, positive: Sequence[str] = (), *, accept: bool = False
+) -> CheckedCapture:
+    """Warnings, one line each: stalled poses, lost points, points far off, weak joints.
+
+    What makes a calibration worthless raises CalibrationError and is named: axes and units, too few
+    poses, swapped markers, a marker hardly ever seen, a dead, reversed, stopped or slipped joint.
+    positive: the word of the face YAML for each joint, where reversed joints shall be found.
+    accept: what is judgement, of size and of joints, only warns.
     """
     least = least_poses_to_fit(len(capture.servo_names))
     if len(capture) < least:
@@ -55,16 +87,86 @@ def check_capture(
             f"{len(capture)} poses are too few for {len(capture.servo_names)} servos, "
             f"{least} are needed{why}"
         )
+    _check_range(capture)
+    stalled = capture.stalled
     lost = _lost_points(capture)
     _check_doubles(capture)
-    _check_swapped_everywhere(capture, model)
-    slopes, chance_mm, expected_mm = _straight_lines(capture)
-    _check_swapped_in_poses(capture, expected_mm)
-    for joint, name in enumerate(capture.servo_names):
-        _check_alive(capture, slopes[joint], chance_mm[joint], joint)
-        if positive:
-            _check_direction(capture, slopes[joint], name, positive[joint])
-    return (*capture.stalled, *lost)
+    usual_mm = np.nanmedian(capture.markers_mm, axis=0)
+    sizes = check_frame(capture.marker_names, usual_mm, model, accept=accept)
+    everywhere = _swapped_everywhere(capture, model) or _swapped_lips(capture)
+    lines = straight_lines(capture)
+    capture, moved = in_head_frame(capture, lines)
+    lines = straight_lines(capture) if moved else lines
+    _refuse_swaps([*everywhere, *_swapped_in_poses(capture, lines.expected_mm)])
+    capture, far = without_far_points(capture, lines)
+    joints = _judged_joints(capture, lines, positive, accept=accept)
+    return CheckedCapture(capture, (*stalled, *lost, *sizes, *moved, *far, *joints))
+
+
+def _check_range(capture: Capture) -> None:
+    """A joint that the plan never moves cannot be learnt."""
+    still = np.ptp(capture.goals_deg, axis=0) < _LEAST_RANGE_DEG
+    if still.any():
+        name = capture.servo_names[int(still.argmax())]
+        raise CalibrationError(
+            f"the captured poses never move servo {name!r}; were markers recorded for all poses?"
+        )
+
+
+def _judged_joints(
+    capture: Capture, lines: StraightLines, positive: Sequence[str], *, accept: bool
+) -> tuple[str, ...]:
+    """What is said of joints; the first that is certain is refused unless accepted."""
+    certain: list[str] = []
+    doubtful: list[str] = []
+    fault = joint_fault(capture, lines)
+    if fault is not None:
+        (certain if fault.joint >= 0 else doubtful).append(fault.told(capture.servo_names))
+    # Where something happened on the way, what joints seem to do is not what they do.
+    judged = capture.servo_names if fault is None else ()
+    for joint, name in enumerate(judged):
+        alive = _alive(lines, joint)
+        if alive < _DEAD:
+            certain.append(
+                f"servo {name!r} moves no marker by more than chance; "
+                "check its horn, its linkage and its limits"
+            )
+        elif positive and _is_reversed(capture, lines, joint, positive[joint]):
+            certain.append(
+                f"servo {name!r} is reversed: a positive angle should {_bare(positive[joint])}, "
+                "and does the opposite; change its `sign` in the face YAML"
+            )
+        elif alive < _WEAK:
+            doubtful.append(
+                f"servo {name!r} is weak or dead: it moves the markers little above chance"
+            )
+    if certain and not accept:
+        raise CalibrationError(f"{certain[0]}. If it is as it should be, add --accept")
+    return (*certain, *doubtful)
+
+
+def _alive(lines: StraightLines, joint: int) -> float:
+    """Mean square effect on the three markers it moves most, in square standard errors."""
+    chance_mm = lines.chance_mm[joint] * lines.own_noise_mm / max(lines.noise_mm, 1e-9)
+    effects = np.sum(lines.slopes_mm[joint] ** 2, axis=1) / np.maximum(chance_mm, 1e-9) ** 2
+    return float(np.sort(effects)[-3:].mean())
+
+
+def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) -> bool:
+    """By the markers that it moves most, where the word speaks of them."""
+    slope_mm = lines.slopes_mm[joint]
+    wanted = _wanted_direction(capture.marker_names, slope_mm, word)
+    if wanted is None:
+        return False
+    spoken_of = np.flatnonzero(np.abs(wanted).sum(axis=1))
+    if not len(spoken_of):
+        return False
+    sizes = np.linalg.norm(slope_mm[spoken_of], axis=1)
+    most = spoken_of[np.argsort(sizes)[-_MOVED_MOST:]]
+    along_mm = float((slope_mm[most] * wanted[most]).sum())
+    all_mm = float(np.linalg.norm(slope_mm[most], axis=1).sum())
+    error_mm = float(lines.chance_mm[joint] * np.sqrt(len(most)))
+    return along_mm < -_REVERSED_SHARE * all_mm and along_mm < -_REVERSED_ERRORS * error_mm
 
 
 def _lost_points(capture: Capture) -> tuple[str, ...]:
@@ -94,64 +196,29 @@ def _check_doubles(capture: Capture) -> None:
             )
 
 
-def _straight_lines(capture: Capture) -> tuple[Array, Array, Array]:
-    """Slopes (n_servos, n_markers, 3) in mm over a joint's captured range, and where they lead.
+def _wanted_direction(names: tuple[str, ...], slope_mm: Array, word: str) -> Array | None:
+    """(n_markers, 3), or None for a word that says nothing of markers.
 
-    Between the two, (n_servos,), the rms in each axis that noise alone would give the slopes. What
-    they lead to is shaped as captured. Lost points count as where these lines lead.
+    Of the corners only those count that the joint moves: its name says nothing.
     """
-    low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
-    inputs = (capture.goals_deg - low) / np.maximum(high - low, 1e-6)
-    inputs = np.hstack([inputs, np.ones((len(inputs), 1))])
-    usual_mm = np.nanmedian(capture.markers_mm, axis=0)
-    expected_mm = np.broadcast_to(usual_mm, capture.markers_mm.shape)
-    for _ in range(_FILLING_ROUNDS):
-        seen = np.where(np.isfinite(capture.markers_mm), capture.markers_mm, expected_mm)
-        fit = np.linalg.lstsq(inputs, seen.reshape(len(inputs), -1), rcond=None)[0]
-        expected_mm = (inputs @ fit).reshape(seen.shape)
-    noise_mm2 = np.sum((seen - expected_mm) ** 2) / (seen[0].size * (len(seen) - inputs.shape[1]))
-    chance_mm = np.sqrt(noise_mm2 * np.diag(np.linalg.pinv(inputs.T @ inputs))[:-1])
-    return fit[:-1].reshape(-1, *usual_mm.shape), chance_mm, expected_mm
-
-
-def _check_alive(capture: Capture, slope_mm: Array, chance_mm: float, joint: int) -> None:
-    if np.mean(slope_mm**2) < _DEAD_RATIO * chance_mm**2:
-        raise CalibrationError(
-            f"servo {capture.servo_names[joint]!r} moves no marker by more than chance; "
-            "check its horn, its linkage and its limits"
-        )
-
-
-def _check_direction(capture: Capture, slope_mm: Array, name: str, word: str) -> None:
-    """slope_mm: (n_markers, 3), what growing angles do."""
-    wanted = _wanted_direction(capture.marker_names, name, word)
-    if wanted is None:
-        return
-    along_mm = float((slope_mm * wanted).sum())
-    if along_mm < 0.0:
-        raise CalibrationError(
-            f"servo {name!r} is reversed: a positive angle should {_bare(word)}, and does the "
-            "opposite; change its `sign` in the face YAML"
-        )
-
-
-def _wanted_direction(names: tuple[str, ...], servo: str, word: str) -> Array | None:
-    """(n_markers, 3), or None for a word that says nothing of markers."""
     lips = [i for i, name in enumerate(names) if name in MARKERS_47.names and "lip" in name]
     wanted = np.zeros((len(names), 3))
-    if word == "opens":
+    if word in ("opens", "closes"):
         rides = [i for i, n in enumerate(names) if n in _LOWER or n.startswith(("jaw", "chin"))]
-        wanted[rides, 1] = -1.0
+        wanted[rides, 1] = -1.0 if word == "opens" else 1.0
     elif word in ("raises", "lowers"):
         wanted[lips, 1] = 1.0 if word == "raises" else -1.0
     elif word in ("widens", "narrows"):
         sign = 1.0 if word == "widens" else -1.0
-        if not servo.startswith(("corner_right", "right")) and _LEFT in names:
-            wanted[names.index(_LEFT), 0] = sign
-        if not servo.startswith(("corner_left", "left")) and _RIGHT in names:
-            wanted[names.index(_RIGHT), 0] = -sign
-    elif word == "protrudes":
-        wanted[lips, 2] = 1.0
+        corners = [
+            (names.index(n), side) for n, side in ((_LEFT, 1.0), (_RIGHT, -1.0)) if n in names
+        ]
+        moved_mm = [float(np.linalg.norm(slope_mm[i])) for i, _ in corners]
+        for (corner, side), by_mm in zip(corners, moved_mm, strict=True):
+            if by_mm > 0.5 * max(moved_mm):
+                wanted[corner, 0] = sign * side
+    elif word in ("protrudes", "retracts"):
+        wanted[lips, 2] = 1.0 if word == "protrudes" else -1.0
     else:
         return None
     return wanted
@@ -162,7 +229,7 @@ def _bare(word: str) -> str:
     return word[:-1] if word.endswith("s") else word
 
 
-def _check_swapped_everywhere(capture: Capture, model: FaceModel) -> None:
+def _swapped_everywhere(capture: Capture, model: FaceModel) -> list[_Swap]:
     """Two names exchanged throughout: the robot's neutral looks more like a face the other way.
 
     Compared with the speaker's rest after moving and scaling one onto the other, axis by axis.
@@ -179,31 +246,68 @@ def _check_swapped_everywhere(capture: Capture, model: FaceModel) -> None:
 
     apart = like(robot_mm) - like(human_mm)
     size_mm = np.median(np.abs(robot_mm - np.median(robot_mm, axis=0)), axis=0)
-    _refuse_swap(capture, known, apart * size_mm, robot_mm, "in every pose")
+    names = [capture.marker_names[i] for i in known]
+    return _swaps(names, apart * size_mm, robot_mm, "in every pose")
 
 
-def _check_swapped_in_poses(capture: Capture, expected_mm: Array) -> None:
-    everything = list(range(len(capture.marker_names)))
+def _swapped_lips(capture: Capture) -> list[_Swap]:
+    """Inner lips that come nearer, upper below lower, the farther the outer ones part."""
+    found: list[_Swap] = []
+    if _UPPER[0] not in capture.marker_names or _LOWER[0] not in capture.marker_names:
+        return found
+    at = [capture.marker_names.index(name) for name in (_UPPER[0], _LOWER[0])]
+    outer_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
+    for upper, lower in _INNER_LIPS:
+        if upper in capture.marker_names and lower in capture.marker_names:
+            at = [capture.marker_names.index(name) for name in (upper, lower)]
+            heights_mm = capture.markers_mm[:, at[0], 1] - capture.markers_mm[:, at[1], 1]
+            known = np.isfinite(heights_mm) & np.isfinite(outer_mm)
+            if known.sum() > 2 and np.corrcoef(heights_mm[known], outer_mm[known])[0, 1] < _OPPOSED:
+                found.append((upper, lower, "in every pose"))
+    return found
+
+
+def _swapped_in_poses(capture: Capture, expected_mm: Array) -> list[_Swap]:
+    names, found = capture.marker_names, []
     for pose, (seen_mm, wanted_mm) in enumerate(zip(capture.markers_mm, expected_mm, strict=True)):
         filled_mm = np.where(np.isfinite(seen_mm), seen_mm, wanted_mm)
         where = f"in pose {pose + 1}"
-        _refuse_swap(capture, everything, filled_mm - wanted_mm, filled_mm, where)
+        found += _swaps(names, filled_mm - wanted_mm, filled_mm, where)
+    return found
 
 
-def _refuse_swap(
-    capture: Capture, known: list[int], off_mm: Array, points_mm: Array, where: str
-) -> None:
-    """off_mm: (n, 3), how far each point is from where its name belongs."""
+def _swaps(names: Sequence[str], off_mm: Array, points_mm: Array, where: str) -> list[_Swap]:
+    """Pairs of markers that changed places, the clearest first; a marker is in one at most.
+
+    off_mm: (n, 3), how far each point is from where its name belongs.
+    """
     far = [i for i in range(len(off_mm)) if np.linalg.norm(off_mm[i]) > _SWAP_MM]
+    pairs = []
     for a, b in combinations(far, 2):
         as_named = np.linalg.norm(off_mm[a]) ** 2 + np.linalg.norm(off_mm[b]) ** 2
         change_mm = points_mm[b] - points_mm[a]
         swapped = (
             np.linalg.norm(off_mm[a] + change_mm) ** 2 + np.linalg.norm(off_mm[b] - change_mm) ** 2
         )
-        if swapped < (1.0 - _SWAP_SHARE) * as_named:
-            names = capture.marker_names
-            raise CalibrationError(
-                f"markers {names[known[a]]!r} and {names[known[b]]!r} have changed places {where}; "
-                "name them the other way round in the tracker and capture again"
-            )
+        # Two wild readings in one pose are no exchange: each must come near the other's place.
+        both = np.linalg.norm(off_mm[a] + change_mm) < 0.6 * np.linalg.norm(off_mm[b]) and (
+            np.linalg.norm(off_mm[b] - change_mm) < 0.6 * np.linalg.norm(off_mm[a])
+        )
+        if both and swapped < (1.0 - _SWAP_SHARE) * as_named:
+            pairs.append((swapped / as_named, a, b))
+    found: list[_Swap] = []
+    used: set[int] = set()
+    for _, a, b in sorted(pairs):
+        if not used & {a, b}:
+            used |= {a, b}
+            found.append((names[a], names[b], where))
+    return found
+
+
+def _refuse_swaps(swaps: Sequence[_Swap]) -> None:
+    """All of them in one line."""
+    if swaps:
+        told = "; ".join(f"{a!r} and {b!r} have changed places {where}" for a, b, where in swaps)
+        raise CalibrationError(
+            f"markers {told}; name them the other way round in the tracker and capture again"
+        )

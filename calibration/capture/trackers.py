@@ -13,7 +13,7 @@ import numpy as np
 
 from calibration.calibration import CalibrationError
 from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
-from calibration.capture.marker_files import read_readings
+from calibration.capture.marker_files import median_place, read_readings
 from lipsync.arrays import Array
 from lipsync.output_file import write_whole
 
@@ -23,6 +23,9 @@ Wait = Callable[[float], None]
 Say = Callable[[str], None]
 #: A question to a person, and the answer.
 Ask = Callable[[str], str]
+
+#: The readings of one pose: pose, marker, place (3,) in mm.
+ReadPose = Callable[[int], list[tuple[int, str, Array]]]
 
 _LOOK_EVERY_S = 0.1
 #: Readings of a pose are whole when all markers are there, or nothing new came for so long.
@@ -56,13 +59,23 @@ class FileTracker:
     """
 
     def __init__(
-        self, path: Path, servo_names: tuple[str, ...], wait: Wait, say: Say, *, axes: str = "x y z"
+        self,
+        path: Path,
+        servo_names: tuple[str, ...],
+        wait: Wait,
+        say: Say,
+        *,
+        axes: str = "x y z",
+        read: ReadPose | None = None,
     ) -> None:
-        """Ask for pose 0, the robot being in neutral."""
+        """Ask for pose 0, the robot being in neutral.
+
+        read: what is there of one pose, where `path` is a folder that is read in its own way.
+        """
         self._path = path
         self._servo_names = servo_names
         self._wait, self._say = wait, say
-        self._axes = axes
+        self._axes, self._read = axes, read
         self._names: tuple[str, ...] = ()
         self._pose = 0
         try:
@@ -125,11 +138,13 @@ class FileTracker:
         )
 
     def _readings(self, pose: int) -> Mapping[str, Array]:
-        """By marker, means; nothing while the file is not there or being written."""
+        """By marker, medians; nothing while the file is not there or being written."""
         if not self._path.exists() or self._is_in_mid_line():
             return {}
         try:
-            if self._path.is_dir() and is_dots_folder(self._path):
+            if self._read is not None:
+                readings = self._read(pose)
+            elif self._path.is_dir() and is_dots_folder(self._path):
                 readings = read_dots_folder(self._path, only=pose)
             else:
                 readings = read_readings(self._path, self._axes)
@@ -141,7 +156,7 @@ class FileTracker:
         for number, name, place_mm in readings:
             if number == pose:
                 places.setdefault(name, []).append(place_mm)
-        return {name: np.mean(seen, axis=0) for name, seen in places.items()}
+        return {name: median_place(seen) for name, seen in places.items()}
 
     def _is_in_mid_line(self) -> bool:
         """Whether somebody is writing a CSV file just now: its last line has no end."""

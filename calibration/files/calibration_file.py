@@ -13,12 +13,13 @@ from calibration.calibration import (
     Origin,
     ServoMemory,
     Touch,
-    VisemeReach,
     linear_calibration_parts,
     pairs,
 )
 from calibration.files.calibration_text import CALIBRATION_VERSION, calibration_text
+from calibration.files.file_checksum import check_checksum
 from calibration.files.file_place import Place
+from calibration.files.grade_text import parse_coverage, parse_grade, parse_learnt_lips
 from calibration.hold_out import HoldOutErrors
 from lipsync.arrays import Array
 from lipsync.output_file import write_whole
@@ -26,7 +27,7 @@ from lipsync.phonemes import VISEME_CLASSES
 from lipsync.yaml_depth import is_nested_deeper
 
 #: Older ones lack what came with the next: calibration_text.py says what.
-READABLE_VERSIONS = (1, 2, 3, 4)
+READABLE_VERSIONS = (1, 2, 3, 4, 5)
 #: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
 _SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
@@ -39,9 +40,16 @@ PREVIOUS_SUFFIX = ".previous"
 def save_calibration(calibration: Calibration, path: Path) -> None:
     """Write the file whole or not at all, and keep the file that was there as `.previous`.
 
-    The same calibration gives the same bytes. Raises OutputError where it cannot be written.
+    The same calibration gives the same bytes. Raises OutputError where it cannot be written, and
+    CalibrationError for one that could not be read again, with numbers that are none for instance.
     """
     text = calibration_text(calibration)
+    try:
+        parse_calibration(text, str(path))
+    except CalibrationError as error:
+        raise CalibrationError(
+            f"nothing is written, for it could not be used: {error}; look at the markers"
+        ) from error
     if path.exists():
         write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
     write_whole(path, text)
@@ -84,9 +92,12 @@ def parse_calibration(text: str, source: str) -> Calibration:
         line = f", line {where.line + 1}" if where else ""
         raise CalibrationError(f"{source}{line}: not readable as YAML") from error
     try:
-        return _parse(Place(content, ""))
+        calibration = _parse(Place(content, ""))
     except CalibrationError as error:
         raise CalibrationError(f"{source}: {error}; run `lipservo calibrate` again") from error
+    # Last, so that what is plainly wrong is named.
+    check_checksum(content, source)
+    return calibration
 
 
 def _parse(file: Place) -> Calibration:
@@ -111,6 +122,7 @@ def _parse(file: Place) -> Calibration:
         n_pairs = len(pairs(len(rest))[0])
         quadratic_weights = np.array([servo.at(key).numbers(n_pairs) for servo in servos])
         x_range = np.array([file.at(key).numbers(len(rest)) for key in ("x_least", "x_most")])
+    centres, centre_weights = _parse_centres(file, servos, len(rest))
     return Calibration(
         servo_names=names,
         weights=weights,
@@ -126,9 +138,23 @@ def _parse(file: Place) -> Calibration:
         origin=_parse_origin(file, servos) if version > 1 else Origin("simulated face"),
         following=_parse_following(servos),
         touch=_parse_touch(file, names),
-        coverage=_parse_coverage(file),
+        coverage=parse_coverage(file),
         trim=_parse_trim(file, names),
+        centres=centres,
+        centre_weights=centre_weights,
+        grade=parse_grade(file),
+        learnt_lips=parse_learnt_lips(file),
+        hand_poses=_parse_hand_poses(file, names),
     )
+
+
+def _parse_centres(file: Place, servos: list[Place], n_components: int) -> tuple[Array, Array]:
+    """Bends that are not quadratic, where the map has any."""
+    if not file.has("centres"):
+        return np.zeros((0, n_components)), np.zeros((len(servos), 0))
+    centres = np.array([centre.numbers(n_components) for centre in file.at("centres").places()])
+    weights = [servo.at("centre_weights").numbers(len(centres)) for servo in servos]
+    return centres, np.array(weights)
 
 
 def _parse_origin(file: Place, servos: list[Place]) -> Origin:
@@ -139,6 +165,7 @@ def _parse_origin(file: Place, servos: list[Place]) -> Origin:
         poses=file.at("poses").count(),
         servo_models=tuple(s.at("model").text() for s in servos) if named else (),
         servo_memories=_parse_memories(servos),
+        not_measured=file.at("not_measured").text() if file.has("not_measured") else "",
     )
 
 
@@ -178,18 +205,6 @@ def _parse_touch(file: Place, names: tuple[str, ...]) -> Touch | None:
     )
 
 
-def _parse_coverage(file: Place) -> dict[str, VisemeReach]:
-    if not file.has("coverage"):
-        return {}
-    coverage = file.at("coverage")
-    return {
-        viseme: VisemeReach(
-            coverage.at(viseme).at("reachable").number(), coverage.at(viseme).at("off_mm").number()
-        )
-        for viseme in coverage.names
-    }
-
-
 def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     """A hand writes this part, so names are checked."""
     if not file.has("trim"):
@@ -210,6 +225,15 @@ def _parse_trim(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     }
 
 
+def _parse_hand_poses(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
+    if not file.has("hand_poses"):
+        return {}
+    poses = file.at("hand_poses")
+    return {
+        pose: np.array([poses.at(pose).at(name).number() for name in names]) for pose in poses.names
+    }
+
+
 def _parse_errors(hold_out: Place, servos: list[Place], version: int) -> HoldOutErrors:
     return HoldOutErrors(
         n_frames=hold_out.at("n_frames").count(),
@@ -223,6 +247,11 @@ def _parse_errors(hold_out: Place, servos: list[Place], version: int) -> HoldOut
         clipped_share=hold_out.at("clipped_share").number(),
         joint_rms_deg=tuple(servo.at("hold_out_rms_deg").number() for servo in servos),
         each_marker_rms_mm=_parse_each_marker(hold_out) if version > 2 else {},
+        **{
+            key: hold_out.at(key).number()
+            for key in ("gap_slope", "small_gaps_kept")
+            if hold_out.has(key)
+        },
     )
 
 

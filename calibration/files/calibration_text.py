@@ -1,25 +1,26 @@
 """A calibration as YAML that a person can read: how every part of it is written."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict, fields
 
 import numpy as np
 
-from calibration.calibration import Calibration, Following, Touch, VisemeReach
+from calibration.calibration import Calibration, Following, Touch
+from calibration.files.file_checksum import with_checksum
+from calibration.files.grade_text import coverage_lines, grade_lines, learnt_lips_lines
 from calibration.hold_out import HoldOutErrors
 from lipsync.arrays import Array
-from lipsync.phonemes import VISEME_CLASSES
 
 #: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest,
 #: version 2 no error of each marker and nothing of the servos' own settings, version 3 another
-#: name for the quadratic weights.
-CALIBRATION_VERSION = 4
+#: name for the quadratic weights, version 4 no centres and no grade.
+CALIBRATION_VERSION = 5
 
 _HEADER = """\
 # From a speaker's mouth to this robot's servos, made by `lipservo calibrate`.
 # With x = coefficients - rest, kept within x_least .. x_most, the degrees of a servo are
 # rest_deg + weights . x + quadratic_weights . (x_i x_j, i <= j, row by row), kept between min_deg
-# and max_deg.
+# and max_deg. Where the file has centres, centre_weights . |x - centre| are added before that.
 # The coefficients are the principal components of the model named below, in millimetres; rest is
 # the closed mouth. hold_out tells how far off the map is on motion left out of the fit.
 # Made for one model and one face: change either, and lipservo asks for a new calibration.
@@ -42,6 +43,7 @@ def calibration_text(calibration: Calibration) -> str:
         f"method: {origin.method}",
         f'date: "{origin.date}"',
         f"poses: {origin.poses}",
+        *([f"not_measured: {origin.not_measured}"] if origin.not_measured else []),
         f'model_checksum: "{calibration.model_checksum}"',
         f'face_checksum: "{calibration.face_checksum}"',
         f"rest: {_list(calibration.rest, _exact)}",
@@ -51,14 +53,20 @@ def calibration_text(calibration: Calibration) -> str:
             f"x_least: {_list(calibration.x_range[0], _six)}",
             f"x_most: {_list(calibration.x_range[1], _six)}",
         ]
+    if len(calibration.centres):
+        lines.append("centres:")
+        lines += [f"- {_list(centre, _six)}" for centre in calibration.centres]
     lines.append("servos:")
     for i in range(len(calibration.servo_names)):
         lines += _servo_lines(calibration, i)
     lines += _touch_lines(calibration.touch, calibration.servo_names)
     lines += _hold_out_lines(calibration.errors)
-    lines += _coverage_lines(calibration.coverage)
+    lines += learnt_lips_lines(calibration.learnt_lips)
+    lines += grade_lines(calibration.grade)
+    lines += coverage_lines(calibration.coverage)
     lines += _trim_lines(calibration)
-    return _HEADER + "\n".join(lines) + "\n"
+    lines += _hand_pose_lines(calibration)
+    return with_checksum(_HEADER + "\n".join(lines) + "\n")
 
 
 def _servo_lines(calibration: Calibration, i: int) -> list[str]:
@@ -77,6 +85,8 @@ def _servo_lines(calibration: Calibration, i: int) -> list[str]:
     ]
     if calibration.quadratic_weights.shape[1]:
         lines.append(f"    quadratic_weights: {_list(calibration.quadratic_weights[i], _six)}")
+    if len(calibration.centres):
+        lines.append(f"    centre_weights: {_list(calibration.centre_weights[i], _six)}")
     lines += _following_lines(calibration.following, i)
     return [*lines, f"    hold_out_rms_deg: {_four(calibration.errors.joint_rms_deg[i])}"]
 
@@ -111,7 +121,7 @@ def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
     lines = ["hold_out:"]
     for field in fields(errors):
         value = getattr(errors, field.name)
-        if field.name in _WRITTEN_APART:
+        if field.name in _WRITTEN_APART or value is None:
             continue
         note = _HOLD_OUT_NOTES.get(field.name)
         shown = str(value) if isinstance(value, int) else _four(value)
@@ -122,20 +132,6 @@ def _hold_out_lines(errors: HoldOutErrors) -> list[str]:
         lines.append("  each_marker_rms_mm:")
         lines += [f"    {name}: {_four(rms_mm)}" for name, rms_mm in each.items()]
     return lines
-
-
-def _coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
-    if not coverage:
-        return []
-    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
-    return [
-        "coverage:  # part of each viseme class within 0.5 mm of a pose; distance of this map",
-        *(
-            f"  {viseme}: {{reachable: {_four(reach.reachable)}, off_mm: {_four(reach.off_mm)}}}"
-            f"  # {phonemes.get(viseme, '')}"
-            for viseme, reach in coverage.items()
-        ),
-    ]
 
 
 def _trim_lines(calibration: Calibration) -> list[str]:
@@ -150,6 +146,16 @@ def _trim_lines(calibration: Calibration) -> list[str]:
         if parts:
             lines.append(f"  {viseme}: {{{', '.join(parts)}}}")
     return ["trim:  # degrees to add while a viseme class is spoken", *lines] if lines else []
+
+
+def _hand_pose_lines(calibration: Calibration) -> list[str]:
+    if not calibration.hand_poses:
+        return []
+    lines = ["hand_poses:  # made with the fingers, torque off"]
+    for pose, positions_deg in calibration.hand_poses.items():
+        places = zip(calibration.servo_names, positions_deg, strict=True)
+        lines.append(f"  {pose}: {{{', '.join(f'{name}: {_four(deg)}' for name, deg in places)}}}")
+    return lines
 
 
 def _list(values: Array, shown: Callable[[float], str]) -> str:

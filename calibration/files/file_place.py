@@ -67,11 +67,24 @@ class Place:
             )
         return self._value
 
+    def flag(self) -> bool:
+        """True or false."""
+        if not isinstance(self._value, bool):
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected true or false")
+        return self._value
+
     def whole(self) -> int:
         """A whole number of either sign."""
         if isinstance(self._value, bool) or not isinstance(self._value, int):
             raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
         return self._value
+
+    def places(self) -> list["Place"]:
+        """What a list holds, one at least."""
+        values = self._value
+        if not isinstance(values, list) or not values:
+            raise CalibrationError(f"{self.path} should be a list")
+        return [Place(value, f"{self.path}[{i}]") for i, value in enumerate(values)]
 
     def numbers(self, n: int | None = None) -> Array:
         """(n,), or at least one where n is None."""

@@ -61,12 +61,20 @@ def correspond(marker_names: Sequence[str]) -> Correspondence:
 
 @dataclass(frozen=True, slots=True)
 class RobotMouth:
-    """A face as far as it is known, what is looked at in it, and what its joints may do."""
+    """A face as far as it is known, what is looked at in it, and what its joints may do.
+
+    stopped_of: the markers where lips stop each other, which markers_of lets overlap.
+    """
 
     markers_of: MarkersOf
     names: Correspondence
     limits_deg: tuple[Array, Array]
     rules: tuple[CouplingRule, ...] = ()
+    stopped_of: MarkersOf | None = None
+
+    def seen_mm(self, poses_deg: Array) -> Array:
+        """(n, n_servos) -> (n, n_markers, 3), where a tracker would see them."""
+        return (self.stopped_of or self.markers_of)(poses_deg)
 
     def neutral_mm(self) -> Array:
         """(n_markers, 3), all joints at 0."""

@@ -48,6 +48,7 @@ def fit_jaw(
     *,
     date: str = "",
     seed: int = 0,
+    accept: bool = False,
 ) -> tuple[Calibration, tuple[str, ...]]:
     """The calibration of one servo, and warnings. Only markers of the jaw line count.
 
@@ -59,7 +60,8 @@ def fit_jaw(
             f"{len(line)} markers on the jaw, {_LEAST_MARKERS} are needed: names that begin with "
             "`jaw` or `chin`"
         )
-    warnings = check_capture(capture, model, servos.positive)
+    checked = check_capture(capture, model, servos.positive, accept=accept)
+    capture, warnings = checked.capture, checked.warnings
     face = fit_robot_face(capture)
     (joint,) = servos.joints
     sweep_deg = np.linspace(joint.min_deg, _USED_SHARE * joint.max_deg, _SWEEP)

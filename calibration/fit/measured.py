@@ -6,6 +6,7 @@ Loads scikit-learn; the live path never does.
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from calibration.calibration import (
     Calibration,
@@ -16,14 +17,24 @@ from calibration.calibration import (
 )
 from calibration.capture.capture import Capture
 from calibration.capture.sanity import check_capture
+from calibration.fit.best_map import choose_map
 from calibration.fit.correspondence import Correspondence, RobotMouth, correspond
+from calibration.fit.lip_contact import gap_heights_mm
+from calibration.fit.loose_joint import loose_joint
 from calibration.fit.measured_errors import ShapeErrors, measure_shapes
-from calibration.fit.retargeting import Retargeting, fit_retargeting
+from calibration.fit.retargeting import (
+    LEAST_OPENING_MM,
+    PRESS_MM,
+    Retargeting,
+    fit_retargeting,
+    no_opening,
+)
 from calibration.fit.robot_face import RobotFace, fit_robot_face
+from calibration.grade import LearntLips
 from calibration.mouth_servos import MouthServos
-from calibration.run.run_time_map import fit_run_time_map
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
 
 HOLD_OUT_SHARE = 0.2
 #: At most so many AnimPhos of 5 frames are fitted to: a map of 45 numbers for each servo needs no
@@ -33,8 +44,11 @@ MAX_FITTED, MAX_HELD_OUT = 240, 160
 #: (https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#specifications). Soft lips need less.
 TOUCH_CURRENT_MA = 294.0
 
-#: Each round takes away most of what the last one missed.
-_TOUCH_ROUNDS = 4
+#: Where lips were seen to stop each other, closures go so far past contact: a few times what the
+#: learnt gap of closed lips is wrong by.
+_CONTACT_PRESS_MM = 0.4
+#: One narrow reading may be noise.
+_NARROWEST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,22 +70,37 @@ def fit_measured(
     *,
     date: str = "",
     seed: int = 0,
+    accept: bool = False,
 ) -> MeasuredFit:
     """The whole way: sanity, face, retargeting, inverse, run-time map, errors on held-out AnimPhos.
 
-    Raises CalibrationError for a capture that cannot be trusted.
+    accept: what is judgement only warns. Raises CalibrationError for a capture that cannot be
+    trusted.
     """
+    # Threads that share small products wait for each other: a minute in place of twenty seconds.
+    with threadpool_limits(limits=1):
+        return _fit(model, capture, servos, date, seed, accept)
+
+
+def _fit(
+    model: FaceWithAnimPhos,
+    capture: Capture,
+    servos: MouthServos,
+    date: str,
+    seed: int,
+    accept: bool,
+) -> MeasuredFit:
     names = correspond(capture.marker_names)
-    warnings = check_capture(capture, model, servos.positive)
-    face = fit_robot_face(capture)
+    checked = check_capture(capture, model, servos.positive, accept=accept)
+    capture = checked.capture
+    face = fit_robot_face(capture, names.shape_features)
+    warnings = (*checked.warnings, *loose_joint(face.servo_names, face.backlash_deg))
     limits = servos.limits_deg
     fit, held_out = split_frames(model, seed)
-    mouth = RobotMouth(face.markers_mm, names, limits, servos.rules)
-    retargeting = fit_retargeting(model, fit, mouth)
-    found = ShapeErrors(model, mouth, retargeting)
-    poses_deg = found.best_deg(retargeting.targets_mm(fit - model.rest))
-    run = fit_run_time_map(fit - model.rest, poses_deg, face.markers_mm, names.shape_features)
-    errors, coverage = measure_shapes(found, run, held_out)
+    mouth = mouth_of(face, names, servos)
+    chosen = choose_map(retargeting_of(model, fit, mouth, face, capture), fit - model.rest)
+    retargeting, run = chosen.retargeting, chosen.run
+    errors, coverage = measure_shapes(ShapeErrors(model, mouth, retargeting), run, held_out)
     calibration = Calibration(
         servo_names=capture.servo_names,
         weights=run.weights,
@@ -86,9 +115,17 @@ def fit_measured(
         face_checksum=servos.face_checksum,
         origin=Origin("measured", date, len(capture), servos.models),
         following=backlash_only(face.backlash_deg),
-        touch=Touch(_touch_deg(mouth, retargeting), TOUCH_CURRENT_MA),
+        touch=Touch(_touch_deg(retargeting), TOUCH_CURRENT_MA),
         coverage=coverage,
         rules=servos.rules,
+        centres=run.centres,
+        centre_weights=run.centre_weights,
+        learnt_lips=LearntLips(
+            left_out_rms_mm=face.left_out_rms_mm,
+            noise_mm=face.noise_mm,
+            own_gap_mm=float(retargeting.closed_mm[0]),
+            stop=face.contact is not None,
+        ),
     )
     return MeasuredFit(calibration, face, retargeting, names, held_out, warnings)
 
@@ -110,17 +147,28 @@ def backlash_only(backlash_deg: Array) -> Following:
     return Following(np.zeros(len(backlash_deg)), backlash_deg, unknown, unknown)
 
 
-def _touch_deg(mouth: RobotMouth, retargeting: Retargeting) -> Array:
-    """(n_servos,): near the robot's closed mouth, with the middle of the lips just meeting.
+def mouth_of(face: RobotFace, names: Correspondence, servos: MouthServos) -> RobotMouth:
+    """The learnt face as retargeting sees it."""
+    return RobotMouth(face.free_mm, names, servos.limits_deg, servos.rules, face.markers_mm)
 
-    The closed mouth of speech is pressed, and the shape of the pressed lips pulls the gap with it;
-    so the gap asked for is put off by what was missed, a few times.
-    """
-    shape_features = mouth.names.shape_features
-    closed_mm = retargeting.neutral_mm[None]
-    gaps_mm = shape_features.gaps_mm(closed_mm)
-    gaps_mm[..., 1] = 0.0
-    for _ in range(_TOUCH_ROUNDS):
-        pose_deg = mouth.nearest_deg(shape_features.of(closed_mm, gaps_mm))
-        gaps_mm[..., 1] -= shape_features.gaps_mm(mouth.markers_of(pose_deg))[:, :1, 1]
-    return np.asarray(pose_deg[0])
+
+def retargeting_of(
+    model: FaceModel, frames: Array, mouth: RobotMouth, face: RobotFace, capture: Capture
+) -> Retargeting:
+    """What is asked of a learnt face: by where its lips stop, where they were seen to."""
+    heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)
+    parts_mm = float(np.ptp(np.nanquantile(heights_mm[:, 0], [_NARROWEST, 1.0 - _NARROWEST])))
+    if parts_mm < LEAST_OPENING_MM:
+        raise no_opening(mouth, parts_mm)
+    if face.contact is not None:
+        return fit_retargeting(model, frames, mouth, face.contact.closed_mm, _CONTACT_PRESS_MM)
+    # Dots cannot pass each other, so lips touch at 0 at the latest; dots that never came so near
+    # lie beside the edges, and the narrowest that was seen is the best guess.
+    narrowest_mm = np.nanquantile(heights_mm, _NARROWEST, axis=0)
+    return fit_retargeting(model, frames, mouth, np.maximum(narrowest_mm, 0.0), PRESS_MM)
+
+
+def _touch_deg(retargeting: Retargeting) -> Array:
+    """(n_servos,): the speaker's rest with the middle of the lips just meeting."""
+    rest = np.zeros((1, retargeting.model.n_components))
+    return np.asarray(retargeting.at_gap(rest, float(retargeting.closed_mm[0]))[0])

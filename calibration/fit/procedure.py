@@ -6,13 +6,15 @@ best where it is looked at most. Loads scikit-learn; the live path never does.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from sklearn.cluster import KMeans
+from threadpoolctl import threadpool_limits
 
 from calibration.capture.capture import (
+    STALL_DEG,
     Arrived,
     Capture,
     Measure,
@@ -23,33 +25,45 @@ from calibration.capture.capture import (
     take_poses,
 )
 from calibration.capture.capture_plan import PosePlan, joined, least_poses, plan_around, plan_poses
+from calibration.capture.sanity import check_capture
 from calibration.coupling_rule import CouplingRule
-from calibration.fit.correspondence import RobotMouth, correspond
-from calibration.fit.measured import split_frames
-from calibration.fit.retargeting import fit_retargeting
+from calibration.fit.correspondence import correspond
+from calibration.fit.lip_contact import gap_heights_mm
+from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
+from calibration.fit.measured_grade import graded, graded_poses
+from calibration.fit.retargeting import Retargeting
 from calibration.fit.robot_face import fit_robot_face
-from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 
 #: The part of a plan that is taken where speech will be, and the part of these with lips closed. On
 #: development robots (seeds 106, 107, 116, 117) 16 of 60 poses took a quarter off the error of the
 #: learnt face in speech, and half off that of closed lips; 8 closed ones of them were no better.
-_SPEECH_SHARE, _CLOSED_SHARE = 0.27, 0.25
+_SPEECH_SHARE, _CLOSED_SHARE = 0.27, 0.375
+#: Lips are closed step by step, from a little open to past where they stop: about the closed gap
+#: where the first poses told of it, else from the neutral's gap on down.
+_ABOUT_CLOSED_MM, _FROM_NEUTRAL_MM = (0.8, -1.2), (0.3, -2.8)
 #: So many of the speaker's frames say well enough where speech is.
 _FRAMES = 400
 
 
 @dataclass(frozen=True, slots=True)
 class Procedure:
-    """What is captured: the speaker, the joints, how many poses, what must not go together."""
+    """What is captured: the speaker, the joints, how many poses, what must not go together.
+
+    positive: the word of each joint, where reversed joints shall be found before speech is taken;
+    accept: what is judgement only warns.
+    """
 
     model: FaceWithAnimPhos
     joints: Sequence[JointRange]
     n_poses: int
     rules: tuple[CouplingRule, ...] = ()
     seed: int = 0
+    positive: tuple[str, ...] = ()
+    accept: bool = False
 
     @property
     def n_of_speech(self) -> int:
@@ -68,28 +82,33 @@ class Procedure:
 
     def speech_plan(self, capture: Capture, n_poses: int) -> PosePlan:
         """Poses where speech will be, by what a first capture teaches; whole degrees."""
-        limits = (
-            np.array([j.min_deg for j in self.joints]),
-            np.array([j.max_deg for j in self.joints]),
-        )
-        face = fit_robot_face(capture)
-        mouth = RobotMouth(
-            face.markers_mm, correspond(capture.marker_names), limits, tuple(self.rules)
-        )
+        with threadpool_limits(limits=1):  # as `fit_measured`
+            return self._speech_plan(capture, n_poses)
+
+    def _speech_plan(self, capture: Capture, n_poses: int) -> PosePlan:
+        names = correspond(capture.marker_names)
+        face = fit_robot_face(capture, names.shape_features)
+        servos = MouthServos(tuple(self.joints), rules=tuple(self.rules))
+        mouth = mouth_of(face, names, servos)
         frames = split_frames(self.model, self.seed)[0]
         frames = frames[:: max(1, len(frames) // _FRAMES)]
-        wanted_mm = fit_retargeting(self.model, frames, mouth).targets_mm(frames - self.model.rest)
-        poses_deg = mouth.nearest_deg(mouth.names.shape_features.of(wanted_mm))
-        gaps_mm = np.array([self.model.lip_gap_mm(frame) for frame in frames])
-        closed = gaps_mm <= CLOSED_GAP_MM
-        n_closed = round(_CLOSED_SHARE * n_poses) if closed.any() else 0
+        from_rest = frames - self.model.rest
+        retargeting = retargeting_of(self.model, frames, mouth, face, capture)
+        closed = retargeting.closing(from_rest) >= 1.0
+        n_closed = self._n_closed(n_poses) if closed.any() else 0
+        usual = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
+        levels_mm = _levels_mm(retargeting, face.contact is not None, n_closed)
         goals_deg = np.concatenate(
             [
-                _middles(poses_deg[closed], n_closed),
-                _middles(poses_deg[~closed], n_poses - n_closed),
+                *(retargeting.at_gap(usual, level) for level in levels_mm),
+                _middles(retargeting.poses_deg(from_rest[~closed]), n_poses - n_closed),
             ]
         )
         return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
+
+    def _n_closed(self, n_poses: int) -> int:
+        """How many of the poses of speech close the lips step by step; they come first."""
+        return round(_CLOSED_SHARE * n_poses)
 
     def capture(
         self,
@@ -100,18 +119,51 @@ class Procedure:
         keep: Path | None = None,
         arrived: Arrived = lambda *_: None,
         progress: Callable[[int], None] = lambda _: None,
+        strained: Callable[[], str | None] = lambda: None,
     ) -> Capture:
-        """Both parts, one after the other; arguments as of `capture_poses`."""
+        """Both parts, one after the other; arguments as of `capture_poses` and `Robot`.
+
+        Lips are closed no farther once a servo is strained.
+        """
         first = self.range_plan()
-        on = Robot(move, measure, arrived, progress)
+        on = Robot(move, measure, arrived, progress, strained)
         kept = [] if keep is None else read_kept(keep, first, marker_names, goes_on=True)
         poses = take_poses(first, marker_names, on, kept, keep)
         captured = gather(first, marker_names, poses)
         if not self.n_of_speech:
             return captured
-        whole = joined(first, self.speech_plan(captured, self.n_of_speech))
+        checked = check_capture(captured, self.model, self.positive, accept=self.accept)
+        whole = joined(first, self.speech_plan(checked.capture, self.n_of_speech))
         kept = poses if keep is None else read_kept(keep, whole, marker_names)
-        return gather(whole, marker_names, take_poses(whole, marker_names, on, kept, keep))
+        pressing = range(len(first), len(first) + self._n_closed(self.n_of_speech))
+        taken = take_poses(whole, marker_names, on, kept, keep, pressing)
+        return gather(whole, marker_names, taken)
+
+
+def take_grade(
+    fit: MeasuredFit, servos: MouthServos, marker_names: tuple[str, ...], on: Robot
+) -> MeasuredFit:
+    """Move to ten poses of speech, measure, and grade the fit by them."""
+    asked = graded_poses(fit, servos)
+    plan = asked.plan
+    poses = take_poses(plan, marker_names, on, [], None)
+    seen = gather(plan, marker_names, poses)
+    stood = [
+        p.index for p in poses if np.abs(p.reached_deg - plan.goals_deg[p.index]).max() <= STALL_DEG
+    ]
+    rows = np.array(sorted(stood), dtype=np.int64)
+    calibration, lines = graded(fit.calibration, asked, seen, rows)
+    return replace(fit, calibration=calibration, warnings=(*fit.warnings, *lines))
+
+
+def _levels_mm(retargeting: Retargeting, known: bool, n: int) -> list[float]:
+    """Heights of the middle gap, the dots' own."""
+    neutral_mm = retargeting.mouth.neutral_mm()[None]
+    gaps = retargeting.mouth.names.shape_features.gaps
+    base_mm = float(retargeting.closed_mm[0] if known else gap_heights_mm(neutral_mm, gaps)[0, 0])
+    return [
+        base_mm + off for off in np.linspace(*(_ABOUT_CLOSED_MM if known else _FROM_NEUTRAL_MM), n)
+    ]
 
 
 def _middles(poses_deg: Array, n: int) -> Array:

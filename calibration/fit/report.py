@@ -7,6 +7,7 @@ import numpy as np
 
 from calibration.calibration import Calibration
 from calibration.fit.servo_response import CHIRP_END_HZ, chirp_amplitude_deg
+from calibration.grade import LearntLips
 from calibration.joint_range import JointRange
 from lipsync.phonemes import VISEME_CLASSES
 
@@ -25,13 +26,21 @@ def report_lines(
     fit: of a measured calibration; None for the others. with_servos: with a line for each servo.
     """
     lines = [f"{written}: {_summary(calibration)}"]
+    lips = calibration.learnt_lips
+    if lips is not None:
+        kind = "" if fit is None else f"{fit.face.kind}; "
+        lines.append(
+            f"learnt face: {kind}poses left out {lips.left_out_rms_mm:.2f} mm off in each axis, of "
+            f"which the tracker's noise is about {lips.noise_mm:.2f}"
+        )
+        lines.append(_closing_line(lips, fit))
     if fit is not None:
-        lines += [
-            f"learnt face: {fit.face.kind}; poses left out {fit.face.left_out_rms_mm:.2f} mm off "
-            f"in each axis, of which the tracker's noise is about {fit.face.noise_mm:.2f}",
-            f"the mouth moves {fit.retargeting.scale[1]:.2f} times as much as the speaker's up and "
-            f"down, {fit.retargeting.scale[0]:.2f} times across",
-        ]
+        lines.append(f"the mouth moves {fit.retargeting.scale:.2f} times as much as the speaker's")
+    if calibration.origin.not_measured:
+        lines.append(
+            f"not measured: {calibration.origin.not_measured}, for one camera sees no depth; no "
+            "figure here knows how far the lips are off forward"
+        )
     lines += _worst_markers(calibration.errors.each_marker_rms_mm)
     if with_servos:
         lines += following_lines(calibration)
@@ -41,6 +50,16 @@ def report_lines(
             f"{calibration.touch.current_cap_ma:.0f} in the YAML, then run `lipservo setup-servos`"
         )
     return lines + (_reach_lines(calibration) if fit is not None else [])
+
+
+def _closing_line(lips: LearntLips, fit: "MeasuredFit | None") -> str:
+    pressed = "" if fit is None else f"; closures go {fit.retargeting.press_mm:.1f} mm past it"
+    if not lips.stop:
+        return (
+            "contact: the lips were not seen to stop each other; closed is taken as the narrowest "
+            f"gap seen, {lips.own_gap_mm:.1f} mm between the dots{pressed}"
+        )
+    return f"contact: closing stops at a gap of {lips.own_gap_mm:.1f} mm between the dots{pressed}"
 
 
 def _summary(calibration: Calibration) -> str:
@@ -57,10 +76,24 @@ def _summary(calibration: Calibration) -> str:
             f"on {errors.n_frames} frames left out the jaw line is {errors.marker_rms_mm:.2f} mm "
             "from where the speaker's would be; lips were not seen"
         )
-    if origin.method == "measured":
+    grade = calibration.grade
+    if grade is not None:
         return (
-            f"on {errors.n_frames} frames left out the lips are {errors.lip_rms_mm:.2f} mm from "
-            f"the shapes asked for (the best this face can do: {errors.nearest_lip_rms_mm:.2f})"
+            f"measured at {grade.n_poses} poses of speech that were never fitted, the lips are "
+            f"{grade.lip_rms_mm:.2f} mm from the shapes asked for, the lip gap "
+            f"{grade.gap_rms_mm:.2f} mm (noise included); {max(grade.gap_slope, 0.0):.0%} of an "
+            f"opening is made{_kept_text(grade.small_gaps_kept)}, closed lips are "
+            f"{max(grade.closed_gap_mm, 0.0):.1f} mm apart; {errors.clipped_share:.0%} of the "
+            "frames reach a limit"
+        )
+    if origin.method == "measured":
+        kept, slope = _kept_text(errors.small_gaps_kept), errors.gap_slope
+        made = "" if slope is None else f"{max(slope, 0.0):.0%} of an opening is made{kept}, "
+        return (
+            f"estimated, not measured: on {errors.n_frames} frames left out the map is "
+            f"{errors.lip_rms_mm:.2f} mm from the shapes asked for, on the face as it was learnt; "
+            f"{made}closed lips are {errors.closed_gap_mm:.1f} mm apart; "
+            f"{errors.clipped_share:.0%} of the frames reach a limit"
         )
     return (
         f"on {errors.n_frames} frames left out the lips are {errors.lip_rms_mm:.2f} mm off (the "
@@ -69,16 +102,19 @@ def _summary(calibration: Calibration) -> str:
     )
 
 
+def _kept_text(small_gaps_kept: float | None) -> str:
+    if small_gaps_kept is None:
+        return ""
+    return f", {small_gaps_kept:.0%} of small openings stay open"
+
+
 def _reach_lines(calibration: Calibration) -> list[str]:
     phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
     poor = {v: r for v, r in calibration.coverage.items() if r.reachable < _WELL_REACHED}
     if not poor:
         return ["every viseme class is within reach"]
-    return [
-        f"out of reach: {1 - reach.reachable:.0%} of the shapes of {phonemes[viseme]}; "
-        "wider limits may help"
-        for viseme, reach in poor.items()
-    ]
+    told = ", ".join(f"{phonemes[v]} {1 - reach.reachable:.0%}" for v, reach in poor.items())
+    return [f"out of reach of the shapes of each class: {told}; wider limits may help"]
 
 
 def following_lines(calibration: Calibration) -> list[str]:

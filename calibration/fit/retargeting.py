@@ -1,172 +1,162 @@
-"""From the speaker's mouth to this robot's: the same mouth, as this robot's skin can make it.
+"""From the speaker's mouth to this robot's: what to ask for, and the pose that comes nearest.
 
-Markers correspond by name. First the speaker's motion is laid on the robot's neutral, larger or
-smaller by one factor for each axis (`RangeMatch`): openings and widths of the speaker fill those of
-the robot, and lips that touch, touch. A skin drawn by a few horns cannot copy a speaker's skin
-point by point, so what the robot does at the poses nearest to that becomes the shape to aim for, a
-linear function of the speaker's coefficients like the speaker's shapes themselves; lip gaps weigh
-most.
+Markers correspond by name. The wanted gap of the lips is the robot's own closed gap plus scale
+times (the speaker's gap less the speaker's closed gap); scale is the ratio of the widest gaps that
+the two reach, at most 1.3. The rest of the mouth is the speaker's motion at that scale, laid on the
+robot's neutral. A skin drawn by a few horns cannot copy a speaker's point by point, so the shape to
+aim for is that of the robot's own nearest pose; lip gaps weigh most.
+
+Only where the speaker closes are lips asked to go past contact, by as much as the learnt gap may be
+wrong there: more is force, not closure.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.fit.correspondence import Correspondence, RobotMouth
+from calibration.fit.correspondence import RobotMouth
+from calibration.fit.lip_contact import gap_heights_mm
 from calibration.hold_out import CLOSED_GAP_MM
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 
-#: Lips are asked to go so far past contact: soft lips are pressed a little, and a calibration that
-#: is off by this much still closes. On development robots the gap of closed lips was 0.1 to 0.25 mm
-#: larger than learnt, spread by 0.1 to 0.2 mm, and backlash added 0.1 to 0.2 mm.
+#: Where nobody saw lips stop each other they are asked to go so far past the closed gap.
 PRESS_MM = 1.2
+#: Speaker's gaps up to so much more than closed are blended from pressed to open, so that angles
+#: do not jump.
+_BLEND_MM = 0.8
 #: The speaker's range that is matched; more is rare and would make everything else small.
 _RANGE_QUANTILE = 0.98
-#: A robot may exaggerate its speaker by this factor over the ratio of their sizes, not more: its
-#: range is used, but a jaw that can drop by 30 degrees does not do so at every vowel (design).
+#: A robot may exaggerate its speaker by this factor, not more: a jaw that can drop by 30 degrees
+#: does not do so at every vowel (design).
 MOST_EXAGGERATION = 1.3
-#: And it is asked for this share of what it can do, so that limits are met rarely.
-_USED_SHARE = 0.9
-#: The largest of these sizes is taken at which the learnt face comes within _FOLLOWED_MM of that
-#: share of the shapes: less than the 0.5 mm that counts as reached, as the learnt face is not quite
-#: the real one.
-_SIZES = (1.0, 0.92, 0.85, 0.77, 0.69, 0.62, 0.54)
-_FOLLOWED_MM, _FOLLOWED_SHARE = 0.35, 0.95
-_FRAMES_TO_TRY = 200
+#: Rounds in which the gap that was missed at closures is asked for on top.
+_CLOSING_ROUNDS = 3
 #: A mouth smaller than this, or one that opens less, is no mouth but a mistake.
-_LEAST_WIDTH_MM, _LEAST_OPENING_MM = 10.0, 1.5
+_LEAST_WIDTH_MM, LEAST_OPENING_MM = 10.0, 1.5
 
 
 @dataclass(frozen=True, slots=True)
 class Retargeting:
-    """target = neutral_mm + (coefficients - rest) @ slopes, a shape of the robot's markers.
+    """What is asked of a mouth. closed_mm: (n_gaps,), heights between dots of lips that touch.
 
-    neutral_mm: (n_markers, 3), lips just closed; slopes: (n_components, n_markers * 3).
-    scale: (3,), robot over speaker, across, up, forward. difference_mm: how far, rms over the lips,
-    these shapes are from a copy of the speaker's at that scale.
+    scale: robot over speaker; press_mm: how far past contact where the speaker closes.
     """
 
-    neutral_mm: Array
-    slopes: Array
-    scale: Array
-    difference_mm: float
+    model: FaceModel
+    mouth: RobotMouth
+    scale: float
+    closed_mm: Array
+    press_mm: float
+
+    def wanted(self, from_rest: Array) -> Array:
+        """(n, n_components) -> (n, n_features): literal copies with the wanted gaps."""
+        copies_mm, gaps_mm = self.copies_mm(from_rest)
+        return self.mouth.names.shape_features.of(copies_mm, gaps_mm)
+
+    def poses_deg(self, from_rest: Array) -> Array:
+        """(n, n_components) -> (n, n_servos): nearest, and closed where the speaker closes."""
+        copies_mm, gaps_mm = self.copies_mm(from_rest)
+        of = self.mouth.names.shape_features
+        poses_deg = self.mouth.nearest_deg(of.of(copies_mm, gaps_mm))
+        closes = self.closing(from_rest) >= 1.0
+        if closes.any():
+            asked_mm = gaps_mm[closes].copy()
+            for _ in range(_CLOSING_ROUNDS):
+                reached_mm = gap_heights_mm(self.mouth.markers_of(poses_deg[closes]), of.gaps)
+                asked_mm[..., 1] += gaps_mm[closes][..., 1] - reached_mm
+                poses_deg[closes] = self.mouth.nearest_deg(of.of(copies_mm[closes], asked_mm))
+        return poses_deg
 
     def targets_mm(self, from_rest: Array) -> Array:
-        """(n, n_components) -> (n, n_markers, 3)."""
-        return self.neutral_mm + (from_rest @ self.slopes).reshape(-1, *self.neutral_mm.shape)
+        """(n, n_components) -> (n, n_markers, 3): the robot's own shapes there."""
+        return self.mouth.seen_mm(self.poses_deg(from_rest))
+
+    def at_gap(self, from_rest: Array, gap_mm: float) -> Array:
+        """(1, n_components) -> (1, n_servos): the shape, its lips so high apart in the middle."""
+        shifted = replace(self, closed_mm=self.closed_mm - self.closed_mm[0] + gap_mm, press_mm=0.0)
+        return shifted.poses_deg(from_rest)
+
+    def closing(self, from_rest: Array) -> Array:
+        """(n,): 1 where the speaker's lips are closed, 0 where they are open."""
+        gaps_mm = self.model.lip_gaps_mm(self.model.markers_mm(from_rest + self.model.rest))
+        return np.asarray(np.clip(1.0 - (gaps_mm - CLOSED_GAP_MM) / _BLEND_MM, 0.0, 1.0))
+
+    def asked_open_mm(self, from_rest: Array) -> Array:
+        """(n, n_components) -> (n, n_gaps): the openings wanted beyond the robot's closed gap."""
+        return np.maximum(self.copies_mm(from_rest)[1][..., 1] - self.closed_mm, 0.0)
+
+    def off_copy_mm(self, from_rest: Array) -> float:
+        """How far the shapes aimed for are from literal copies, rms over frames and lips."""
+        off_mm = self.targets_mm(from_rest) - self.copies_mm(from_rest)[0]
+        lips = list(self.mouth.names.shape_features.lips)
+        return float(np.sqrt(np.mean(np.sum(off_mm[:, lips] ** 2, axis=2))))
+
+    def copies_mm(self, from_rest: Array) -> tuple[Array, Array]:
+        """(n, n_components) -> literal copies (n, n_markers, 3), and gaps (n, n_gaps, 3)."""
+        names = self.mouth.names
+        rest_mm = self.model.markers_mm(self.model.rest[None])
+        moved_mm = self.model.markers_mm(from_rest + self.model.rest) - rest_mm
+        moved_mm = self.scale * moved_mm[:, list(names.human)]
+        neutral_mm = self.mouth.neutral_mm()[None]
+        of = names.shape_features
+        gaps_mm = of.gaps_mm(neutral_mm) + of.gaps_mm(moved_mm)
+        closes = self.closing(from_rest)[:, None]
+        opened_mm = np.maximum(of.gaps_mm(moved_mm)[..., 1], 0.0)
+        gaps_mm[..., 1] = self.closed_mm + (1.0 - closes) * opened_mm - closes * self.press_mm
+        return neutral_mm + moved_mm, gaps_mm
 
 
-def fit_retargeting(model: FaceModel, frames: Array, mouth: RobotMouth) -> Retargeting:
-    """As large as the robot can follow. frames: (n, n_components), speech to serve."""
-    widest = match_ranges(model.markers_mm(frames)[:, list(mouth.names.human)], mouth)
-    some = np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_TO_TRY)).astype(int)
-    for size in _SIZES:
-        if _aim(model, frames[some], mouth, size * widest).followed >= _FOLLOWED_SHARE:
-            break
-    return _aim(model, frames, mouth, size * widest).retargeting
+def fit_retargeting(
+    model: FaceModel, frames: Array, mouth: RobotMouth, closed_mm: Array, press_mm: float = PRESS_MM
+) -> Retargeting:
+    """frames: (n, n_components), speech to serve; closed_mm: (n_gaps,), as in `Retargeting`.
 
-
-@dataclass(frozen=True, slots=True)
-class _Aim:
-    """A retargeting at one scale; followed: the part of the frames that the robot comes near to."""
-
-    retargeting: Retargeting
-    followed: float
-
-
-def _aim(model: FaceModel, frames: Array, mouth: RobotMouth, scale: Array) -> _Aim:
-    human = list(mouth.names.human)
-    human_mm = model.markers_mm(frames)[:, human]
-    rest_mm = model.markers_mm(model.rest[None])[:, human]
-    copies_mm = mouth.neutral_mm() + scale * (human_mm - rest_mm)
-    shape_features = mouth.names.shape_features
-    wanted = shape_features.of(copies_mm, wanted_gaps_mm(human_mm, mouth.names, scale))
-    shapes_mm = mouth.markers_of(mouth.nearest_deg(wanted))
-    inputs = np.hstack([np.ones((len(frames), 1)), frames - model.rest])
-    fit = np.asarray(np.linalg.lstsq(inputs, shapes_mm.reshape(len(frames), -1), rcond=None)[0])
-    aims_mm = (inputs @ fit).reshape(shapes_mm.shape)
-    lips = list(shape_features.lips)
-    left_mm = np.sqrt(np.sum((shapes_mm - aims_mm)[:, lips] ** 2, axis=2).mean(axis=1))
-    copy_mm = np.sum((shapes_mm - copies_mm)[:, lips] ** 2, axis=2)
-    retargeting = Retargeting(fit[0].reshape(-1, 3), fit[1:], scale, float(np.sqrt(copy_mm.mean())))
-    return _Aim(retargeting, float((left_mm <= _FOLLOWED_MM).mean()))
-
-
-def wanted_gaps_mm(human_mm: Array, names: Correspondence, scale: Array) -> Array:
-    """(n, n_gaps, 3): the speaker's at the robot's scale, less what still counts as closed."""
-    gaps_mm = scale * names.shape_features.gaps_mm(human_mm)
-    gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
-    return gaps_mm
-
-
-def match_ranges(human_mm: Array, mouth: RobotMouth) -> Array:
-    """(3,): robot over speaker. Up: so that openings fill the robot's; across: so that widths do.
-
-    What is forward is scaled as what is across: both are what the lips' ring does when it rounds.
+    Raises CalibrationError for points that are not those of a mouth which opens.
     """
-    names = mouth.names
-    right, left = names.corners
-    _check_a_mouth(mouth)
-    width_mm = human_mm[:, left, 0] - human_mm[:, right, 0]
-    size = _width_mm(mouth.neutral_mm(), names) / np.median(width_mm)
-    upper, lower = names.shape_features.gaps[0]
-    opening_mm = human_mm[:, upper, 1] - human_mm[:, lower, 1]
-    most_open_mm, least_wide_mm, most_wide_mm = _robot_ranges_mm(mouth)
-    up = most_open_mm / np.quantile(opening_mm, _RANGE_QUANTILE)
-    human_range_mm = np.diff(np.quantile(width_mm, [1 - _RANGE_QUANTILE, _RANGE_QUANTILE]))[0]
-    across = (most_wide_mm - least_wide_mm) / max(human_range_mm, 1e-6)
-    most = MOST_EXAGGERATION * size
-    across, up = min(_USED_SHARE * across, most), min(_USED_SHARE * up, most)
-    return np.array([across, up, across])
+    widest_mm = _check_a_mouth(mouth, closed_mm)
+    speakers_mm = np.quantile(model.lip_gaps_mm(model.markers_mm(frames)), _RANGE_QUANTILE)
+    speakers_mm -= model.lip_gap_mm(model.rest)
+    scale = min(MOST_EXAGGERATION, widest_mm / max(float(speakers_mm), 1e-6))
+    return Retargeting(model, mouth, scale, closed_mm, press_mm)
 
 
-def _check_a_mouth(mouth: RobotMouth) -> None:
-    """Raises CalibrationError for points that are not those of a mouth which opens."""
+def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
+    """How far the lips part at most; raises CalibrationError for what is no mouth."""
     names = mouth.names.marker_names
     right, left = mouth.names.corners
-    width_mm = _width_mm(mouth.neutral_mm(), mouth.names)
+    neutral_mm = mouth.neutral_mm()
+    width_mm = float(neutral_mm[left, 0] - neutral_mm[right, 0])
     if width_mm < _LEAST_WIDTH_MM:
         raise CalibrationError(
             f"the corners {names[right]} and {names[left]} are {width_mm:.1f} mm apart from right "
             "to left; are they the right points, in millimetres, x to the robot's left?"
         )
+    opening_mm = _widest_mm(mouth) - float(closed_mm[0])
+    if opening_mm < LEAST_OPENING_MM:
+        raise no_opening(mouth, opening_mm)
+    return opening_mm
+
+
+def no_opening(mouth: RobotMouth, opening_mm: float) -> CalibrationError:
+    """Lips that hardly part."""
+    names = mouth.names.marker_names
     upper, lower = mouth.names.shape_features.gaps[0]
-    opening_mm = _robot_ranges_mm(mouth)[0]
-    if opening_mm < _LEAST_OPENING_MM:
-        raise CalibrationError(
-            f"{names[upper]} and {names[lower]} part by {opening_mm:.1f} mm at most; are they the "
-            "right points, and does any joint open the mouth?"
-        )
+    return CalibrationError(
+        f"{names[upper]} and {names[lower]} part by {opening_mm:.1f} mm at most; are they the "
+        "right points, and does any joint open the mouth?"
+    )
 
 
-def _width_mm(markers_mm: Array, names: Correspondence) -> float:
-    right, left = names.corners
-    return float(markers_mm[left, 0] - markers_mm[right, 0])
-
-
-def _robot_ranges_mm(mouth: RobotMouth) -> tuple[float, float, float]:
-    """The widest opening, the narrowest and the widest mouth, each joint at its better end.
-
-    Joint by joint, as a hill is climbed along its axes: the faces are close to linear.
-    """
-    names, limits_deg, markers_of = mouth.names, mouth.limits_deg, mouth.markers_of
-    right, left = names.corners
-    upper, lower = names.shape_features.gaps[0]
-
-    def best(measure: Array) -> float:
-        """measure: (n_markers * 3,) signs of what should grow."""
-        pose_deg = np.zeros((1, len(limits_deg[0])))
-        for joint in range(len(limits_deg[0])):
-            tries = np.repeat(pose_deg, 3, axis=0)
-            tries[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
-            values = markers_of(tries).reshape(3, -1) @ measure
-            pose_deg = tries[values.argmax()][None]
-        return float(markers_of(pose_deg).reshape(-1) @ measure)
-
-    opening = np.zeros((len(names.marker_names), 3))
-    opening[upper, 1], opening[lower, 1] = 1.0, -1.0
-    width = np.zeros_like(opening)
-    width[left, 0], width[right, 0] = 1.0, -1.0
-    return best(opening.ravel()), -best(-width.ravel()), best(width.ravel())
+def _widest_mm(mouth: RobotMouth) -> float:
+    """Height of the middle gap, each joint in turn at its better end, twice round."""
+    limits_deg, gaps = mouth.limits_deg, mouth.names.shape_features.gaps[:1]
+    n_servos = len(limits_deg[0])
+    pose_deg = np.zeros((1, n_servos))
+    for joint in (*range(n_servos), *range(n_servos)):
+        tries = np.repeat(pose_deg, 3, axis=0)
+        tries[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
+        heights_mm = gap_heights_mm(mouth.markers_of(mouth.kept_deg(tries)), gaps)[:, 0]
+        pose_deg = tries[heights_mm.argmax()][None]
+    return float(gap_heights_mm(mouth.markers_of(mouth.kept_deg(pose_deg)), gaps)[0, 0])

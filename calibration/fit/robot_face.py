@@ -16,17 +16,32 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
 from calibration.capture.capture import Capture
+from calibration.fit.lip_contact import (
+    LipContact,
+    closed_gaps_mm,
+    first_closed_mm,
+    fit_contact,
+    gap_heights_mm,
+    is_stopped,
+    poses_in_contact,
+)
 from calibration.fit.skin_process import (
     Hyperparameters,
     Poses,
+    SkinProcess,
     fit_hyperparameters,
     fit_process,
     squared_distances_mm2,
 )
+from calibration.run.inverse import ShapeFeatures
 from lipsync.arrays import Array
 
 _FOLDS = 6
-#: Rounds between the fit of the hyperparameters and the points that the tracker lost.
+#: Rounds of filling in, the hyperparameters as they are.
+_FILLING_ROUNDS = 12
+#: The narrowest gaps are taken for closed first; by turns the poses sort themselves.
+_FIRST_SHARE, _CONTACT_ROUNDS, _LEAST_IN_CONTACT = 0.12, 4, 3
+#: Rounds between hyperparameters and lost points.
 _ROUNDS = 2
 
 
@@ -49,7 +64,8 @@ class RobotFace:
     """A learnt face. backlash_deg: (n_servos,), the whole width of the backlash.
 
     kind: which regression cross-validation chose; left_out_rms_mm: its error on poses left out, in
-    each axis, the tracker's noise included; noise_mm: what the fit leaves unexplained.
+    each axis, the tracker's noise included; left_out_gap_mm: the same of the middle lip gap;
+    noise_mm: what the fit leaves unexplained. contact: None where lips were not seen to stop.
     """
 
     servo_names: tuple[str, ...]
@@ -62,62 +78,194 @@ class RobotFace:
     backlash_deg: Array
     left_out_rms_mm: float
     noise_mm: float
+    left_out_gap_mm: float = 0.0
+    contact: LipContact | None = None
+    gaps: tuple[tuple[int, int], ...] = ()
+
+    def free_mm(self, output_deg: Array) -> Array:
+        """(n, n_servos), degrees in the middle of the backlash -> (n, n_markers, 3).
+
+        As if lips did not stop each other: how far they would overlap says how hard they press.
+        """
+        inputs = (output_deg - self.middle_deg) / self.half_range_deg
+        warm = np.ones((len(inputs), 1))
+        return np.asarray(self.centre_mm + self.learnt.predict(np.hstack([inputs, warm])))
 
     def markers_mm(self, output_deg: Array) -> Array:
-        """(n, n_servos), degrees in the middle of the backlash -> (n, n_markers, 3)."""
-        inputs = (output_deg - self.middle_deg) / self.half_range_deg
-        return np.asarray(self.centre_mm + self.learnt.predict(inputs))
+        """The same with lips that stop each other, where they were seen to."""
+        free_mm = self.free_mm(output_deg)
+        if self.contact is None:
+            return free_mm
+        return self.contact.seen_mm(free_mm, gap_heights_mm(free_mm, self.gaps))
 
 
-def fit_robot_face(capture: Capture) -> RobotFace:
+def fit_robot_face(capture: Capture, mouth: ShapeFeatures | None = None) -> RobotFace:
     """Learn the face from a capture; points that the tracker lost are left out of the fit.
 
-    Backlash is found from the side that each pose was reached from, together with the face. The
+    Backlash is found from the side that each pose was reached from, together with the face. How
+    far the capture has got is an input like a joint, so that zeros may drift as servos warm; the
+    face is that of the end. mouth: where it shall be found out whether lips stop each other. The
     kind of regression is chosen by cross-validation over poses.
     """
     low, high = capture.goals_deg.min(axis=0), capture.goals_deg.max(axis=0)
     half_range_deg = np.maximum((high - low) / 2, 1e-6)
-    poses = Poses(capture.goals_deg, capture.from_below, (high + low) / 2, half_range_deg)
+    poses = _with_time(capture, (high + low) / 2, half_range_deg)
     centre_mm = np.nanmean(capture.markers_mm, axis=0)
-    seen = np.isfinite(capture.markers_mm)
-    from_centre_mm = np.where(seen, capture.markers_mm - centre_mm, 0.0)
+    seen_mm = capture.markers_mm - centre_mm
     apart_mm2 = squared_distances_mm2(capture.marker_names, centre_mm)
-    for _ in range(1 if seen.all() else _ROUNDS):
-        hyperparameters = fit_hyperparameters(poses, from_centre_mm, apart_mm2)
-        inputs = poses.inputs(hyperparameters.backlash_deg)
-        process = fit_process(hyperparameters, inputs, from_centre_mm, apart_mm2)
-        from_centre_mm = np.where(seen, from_centre_mm, process.predict(inputs))
-    learners = _learners(hyperparameters, apart_mm2)
-    left_out_mm = {
-        kind: _left_out_rms_mm(learner, inputs, from_centre_mm, seen)
+    learning = _Learning(poses, apart_mm2)
+    known = np.isfinite(seen_mm)
+    filled = learning.filled(seen_mm, known)
+    closed_mm: Array | None = None
+    gaps = () if mouth is None else mouth.gaps
+    if mouth is not None:
+        found = _free_of_contact(learning, seen_mm, known, filled, centre_mm, mouth)
+        if found is not None:
+            filled, known, closed_mm = found
+    assert learning.hyperparameters is not None
+    inputs = poses.inputs(learning.hyperparameters.backlash_deg)
+    together = (learning.hyperparameters,) * 3
+    learners = _learners(together, learning.by_axis(filled), apart_mm2)
+    left_out = {
+        kind: _left_out_rms_mm(learner, inputs, filled, known, gaps)
         for kind, learner in learners.items()
     }
-    kind = min(left_out_mm, key=lambda each: left_out_mm[each])
-    learnt = learners[kind].fit(inputs, from_centre_mm)
-    missed_mm = (from_centre_mm - learnt.predict(inputs))[seen]
+    # What is looked at is the lips' gap as much as the shape.
+    kind = min(left_out, key=lambda each: float(np.hypot(*left_out[each])))
+    learnt = learners[kind].fit(inputs, filled)
+    missed_mm = filled - learnt.predict(inputs)
+    contact = None
+    if closed_mm is not None:
+        free_mm = centre_mm + learnt.predict(inputs)
+        contact = fit_contact(
+            capture.markers_mm - free_mm,
+            gap_heights_mm(capture.markers_mm, gaps),
+            gap_heights_mm(free_mm, gaps),
+            closed_mm,
+            gaps,
+        )
     return RobotFace(
         servo_names=capture.servo_names,
         marker_names=capture.marker_names,
         kind=kind,
         learnt=learnt,
         centre_mm=centre_mm,
-        middle_deg=poses.middle_deg,
+        middle_deg=poses.middle_deg[:-1],
         half_range_deg=half_range_deg,
-        backlash_deg=hyperparameters.backlash_deg,
-        left_out_rms_mm=left_out_mm[kind],
-        noise_mm=float(np.sqrt(np.mean(missed_mm**2))),
+        backlash_deg=learning.hyperparameters.backlash_deg[:-1],
+        left_out_rms_mm=left_out[kind][0],
+        noise_mm=float(np.sqrt(np.mean(missed_mm[known] ** 2))),
+        left_out_gap_mm=left_out[kind][1],
+        contact=contact,
+        gaps=gaps,
     )
+
+
+def _with_time(capture: Capture, middle_deg: Array, half_range_deg: Array) -> Poses:
+    """The last joint is time, from -1 to 1; it has no backlash."""
+    time = np.linspace(-1.0, 1.0, len(capture))[:, None]
+    return Poses(
+        np.hstack([capture.goals_deg, time]),
+        np.hstack([capture.from_below, np.zeros_like(time)]),
+        np.append(middle_deg, 0.0),
+        np.append(half_range_deg, 1.0),
+    )
+
+
+class _Learning:
+    """The process by turns with what was not seen. hyperparameters: after the first `filled`."""
+
+    def __init__(self, poses: Poses, apart_mm2: Array) -> None:
+        self._poses = poses
+        self._apart_mm2 = apart_mm2
+        self.hyperparameters: Hyperparameters | None = None
+
+    def filled(self, seen_mm: Array, known: NDArray[np.bool_]) -> Array:
+        """(n, n_markers, 3), off the centre, where unknown as the process expects it."""
+        filled = np.where(known, seen_mm, 0.0)
+        for _ in range(1 if known.all() else _ROUNDS):
+            self.hyperparameters = fit_hyperparameters(self._poses, filled, self._apart_mm2)
+            for _ in range(1 if known.all() else _FILLING_ROUNDS):
+                filled = np.where(known, filled, self.expected(filled))
+        return filled
+
+    def by_axis(self, filled: Array) -> tuple[Hyperparameters, ...]:
+        """For each axis, the backlash of all of them."""
+        return tuple(
+            fit_hyperparameters(
+                self._poses, filled[..., axis : axis + 1], self._apart_mm2, self.hyperparameters
+            )
+            for axis in range(3)
+        )
+
+    def expected(self, filled: Array) -> Array:
+        """What the process makes of all poses."""
+        assert self.hyperparameters is not None
+        inputs = self._poses.inputs(self.hyperparameters.backlash_deg)
+        return fit_process(self.hyperparameters, inputs, filled, self._apart_mm2).predict(inputs)
+
+
+def _free_of_contact(
+    learning: _Learning,
+    seen_mm: Array,
+    known: NDArray[np.bool_],
+    filled: Array,
+    centre_mm: Array,
+    mouth: ShapeFeatures,
+) -> tuple[Array, NDArray[np.bool_], Array] | None:
+    """What the free face is learnt from, and the closed gaps; None where nothing stops."""
+    gaps = mouth.gaps
+    seen_gaps_mm = gap_heights_mm(np.where(known, seen_mm, np.nan) + centre_mm, gaps)
+    contact = seen_gaps_mm[:, 0] < np.nanquantile(seen_gaps_mm[:, 0], _FIRST_SHARE)
+    if contact.sum() < _LEAST_IN_CONTACT:
+        return None
+    if not np.isfinite(seen_gaps_mm).any(axis=0).all():
+        return None
+    closed_mm = first_closed_mm(seen_gaps_mm, contact)
+    for _ in range(_CONTACT_ROUNDS):
+        open_known = known.copy()
+        open_known[np.ix_(np.flatnonzero(contact), np.array(mouth.lips), np.array([1]))] = False
+        for _ in range(_FILLING_ROUNDS):
+            filled = np.where(open_known, seen_mm, learning.expected(filled))
+        free_gaps_mm = gap_heights_mm(filled + centre_mm, gaps)
+        expected_mm = gap_heights_mm(learning.expected(filled) + centre_mm, gaps)
+        free_gaps_mm = np.where(contact[:, None], free_gaps_mm, expected_mm)
+        contact = poses_in_contact(free_gaps_mm, closed_mm)
+        if contact.sum() < _LEAST_IN_CONTACT:
+            return None
+        closed_mm = closed_gaps_mm(seen_gaps_mm, free_gaps_mm, contact, closed_mm)
+    if not is_stopped(seen_gaps_mm, free_gaps_mm, closed_mm):
+        return None
+    return filled, open_known, closed_mm
 
 
 @dataclass(frozen=True, slots=True)
 class _Process:
-    """The process of skin_process.py, its setting found beforehand."""
+    """The process of skin_process.py, its settings found beforehand, of all axes or of each.
 
-    hyperparameters: Hyperparameters
+    What a joint does across, up and forward may have little in common: a jaw moves nothing across.
+    """
+
+    by_axis: tuple[Hyperparameters, ...]
     apart_mm2: Array
 
     def fit(self, inputs: Array, from_centre_mm: Array) -> Learnt:
-        return fit_process(self.hyperparameters, inputs, from_centre_mm, self.apart_mm2)
+        return _ThreeProcesses(
+            tuple(
+                fit_process(own, inputs, from_centre_mm[..., axis : axis + 1], self.apart_mm2)
+                for axis, own in enumerate(self.by_axis)
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class _ThreeProcesses:
+    """One for each axis."""
+
+    processes: tuple[SkinProcess, ...]
+
+    def predict(self, inputs: Array) -> Array:
+        return np.concatenate([process.predict(inputs) for process in self.processes], axis=2)
 
 
 class _Ridge:
@@ -134,10 +282,13 @@ class _Ridge:
         return np.asarray(self._regressor.predict(inputs)).reshape(len(inputs), -1, 3)
 
 
-def _learners(hyperparameters: Hyperparameters, apart_mm2: Array) -> Mapping[str, Learner]:
+def _learners(
+    together: tuple[Hyperparameters, ...], by_axis: tuple[Hyperparameters, ...], apart_mm2: Array
+) -> Mapping[str, Learner]:
     """Regressions to choose from; inputs run from -1 to 1, outputs are millimetres off centre."""
     return {
-        "gaussian process": _Process(hyperparameters, apart_mm2),
+        "gaussian process": _Process(together, apart_mm2),
+        "gaussian process, axis by axis": _Process(by_axis, apart_mm2),
         "ridge, straight": _Ridge(Ridge(0.03)),
         "ridge, own squares": _Ridge(make_pipeline(FunctionTransformer(_own_squares), Ridge(0.1))),
     }
@@ -149,13 +300,20 @@ def _own_squares(inputs: Array) -> Array:
 
 
 def _left_out_rms_mm(
-    learner: Learner, inputs: Array, from_centre_mm: Array, seen: NDArray[np.bool_]
-) -> float:
-    """In each axis, over the points that the tracker saw."""
+    learner: Learner,
+    inputs: Array,
+    from_centre_mm: Array,
+    seen: NDArray[np.bool_],
+    gaps: tuple[tuple[int, int], ...],
+) -> tuple[float, float]:
+    """Over the points that the tracker saw: in each axis, and the height of the middle lip gap."""
     predicted = np.empty_like(from_centre_mm)
     folds = KFold(min(_FOLDS, len(inputs)), shuffle=True, random_state=0)
     for rows, left_out in folds.split(inputs):
         predicted[left_out] = learner.fit(inputs[rows], from_centre_mm[rows]).predict(
             inputs[left_out]
         )
-    return float(np.sqrt(np.mean((predicted - from_centre_mm)[seen] ** 2)))
+    off_mm = np.where(seen, predicted - from_centre_mm, np.nan)
+    shape_mm = float(np.sqrt(np.nanmean(off_mm**2)))
+    gap_mm2 = gap_heights_mm(off_mm, gaps[:1]) ** 2 if gaps else np.full(1, np.nan)
+    return shape_mm, float(np.sqrt(np.nanmean(gap_mm2))) if np.isfinite(gap_mm2).any() else 0.0

@@ -66,6 +66,11 @@ class Hyperparameters:
     width_mm: float
     own: float
 
+    def logarithms(self) -> Array:
+        """Reaches, curvature, noise, width and own part, as they are searched for."""
+        others = [self.curvature, self.noise_mm2, self.width_mm, self.own]
+        return np.asarray(np.log(np.maximum(np.concatenate([self.reach_mm2, others]), 1e-8)))
+
     def joints(self, one: Array, other: Array) -> Array:
         """(n, n_servos) and (m, n_servos) -> K, (n, m)."""
         straight = (one * self.reach_mm2) @ other.T
@@ -109,8 +114,16 @@ def _side(name: str) -> float:
     return float(landmark in _UPPER_LIP) - float(landmark in _LOWER_LIP)
 
 
-def fit_hyperparameters(poses: Poses, from_centre_mm: Array, apart_mm2: Array) -> Hyperparameters:
-    """from_centre_mm: (n, n_markers, 3), without gaps; apart_mm2 as from above."""
+def fit_hyperparameters(
+    poses: Poses,
+    from_centre_mm: Array,
+    apart_mm2: Array,
+    begin: Hyperparameters | None = None,
+) -> Hyperparameters:
+    """from_centre_mm: (n, n_markers, axes), without gaps; apart_mm2 as from above.
+
+    begin: where the search begins, with the backlash as it is there.
+    """
     n_servos = poses.goals_deg.shape[1]
     first = np.concatenate(
         [
@@ -118,7 +131,11 @@ def fit_hyperparameters(poses: Poses, from_centre_mm: Array, apart_mm2: Array) -
             np.log(np.concatenate([np.full(n_servos, _FIRST[0]), _FIRST[1:]])),
         ]
     )
-    bounds = [(0.0, None)] * n_servos + [(-20.0, 20.0)] * (n_servos + 4)
+    bounds: list[tuple[float, float | None]] = [(0.0, None)] * n_servos
+    if begin is not None:
+        first = np.concatenate([begin.backlash_deg, begin.logarithms()])
+        bounds = [(degrees, degrees) for degrees in begin.backlash_deg.tolist()]
+    bounds += [(-20.0, 20.0)] * (n_servos + 4)
     found = minimize(
         _NegativeLogLikelihood(poses, from_centre_mm, apart_mm2),
         first,

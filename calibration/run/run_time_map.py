@@ -15,6 +15,8 @@ from lipsync.arrays import Array
 #: Poses are noisy by a few tenths of a degree where the face hardly shows a joint; this keeps the
 #: quadratic terms from following that. In degrees per unit of a standardised feature, squared.
 _STRENGTH = 3.0
+#: With centres the features are many and alike: a weaker ridge, as strong on what is smooth.
+_CENTRE_STRENGTH = 0.1
 #: Degrees that count as much as a weighted millimetre: also joints that show little stay tame.
 _ANGLE_WEIGHT_MM_PER_DEG = 0.05
 _DIFFERENCE_DEG = 0.5
@@ -30,6 +32,8 @@ class RunTimeMap:
     weights: Array
     quadratic_weights: Array
     x_range: Array
+    centres: Array
+    centre_weights: Array
 
     def free_deg(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_servos), before the limits."""
@@ -38,13 +42,23 @@ class RunTimeMap:
         products = (
             x[:, first] * x[:, second] if self.quadratic_weights.shape[1] else np.zeros((len(x), 0))
         )
-        return np.asarray(self.rest_deg + x @ self.weights.T + products @ self.quadratic_weights.T)
+        far = _distances(x, self.centres)
+        free_deg = self.rest_deg + x @ self.weights.T + products @ self.quadratic_weights.T
+        return np.asarray(free_deg + far @ self.centre_weights.T)
 
 
 def fit_run_time_map(
-    from_rest: Array, poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures
+    from_rest: Array,
+    poses_deg: Array,
+    markers_of: MarkersOf,
+    shape_features: ShapeFeatures,
+    centres: Array | None = None,
+    counts: Array | None = None,
 ) -> RunTimeMap:
     """from_rest: (n, n_components); poses_deg: (n, n_servos), the pose wanted at each.
+
+    centres: (n_centres, n_components) of bends that are not quadratic, or none. counts: (n,), how
+    much each frame counts; None: all alike.
 
     Generalised least squares: the metric of angle errors is the mean of J'J over the poses, J the
     slope of the shape features. With one metric for all frames and one ridge for all features the
@@ -52,27 +66,43 @@ def fit_run_time_map(
     metric is regressed on its own, with a ridge in inverse proportion to how much it shows.
     """
     first, second = pairs(from_rest.shape[1])
-    features = np.hstack([from_rest, from_rest[:, first] * from_rest[:, second]])
+    n = from_rest.shape[1]
+    centres = np.zeros((0, n)) if centres is None else rounded(centres)
+    x_range = rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)]))
+    products = from_rest[:, first] * from_rest[:, second]
+    features = np.hstack([from_rest, products, _distances(from_rest, centres)])
     centre, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
     inputs = (features - centre) / spread
+    counts = np.ones(len(inputs)) if counts is None else counts / counts.mean()
+    middle_input = np.average(inputs, axis=0, weights=counts)
+    inputs, weighed = inputs - middle_input, (inputs - middle_input) * counts[:, None]
+    strength = _STRENGTH if not len(centres) else _CENTRE_STRENGTH
     metric = _metric(poses_deg, markers_of, shape_features)
     shows, directions = np.linalg.eigh(metric)
     outputs = poses_deg @ directions
-    middle = outputs.mean(axis=0)
+    middle = np.average(outputs, axis=0, weights=counts)
     solved = np.empty((inputs.shape[1], outputs.shape[1]))
     for k, shown in enumerate(shows):
-        ridge = _STRENGTH * max(1.0, shows[-1] / shown / 100.0)
-        normal = inputs.T @ inputs + ridge * np.eye(inputs.shape[1])
-        solved[:, k] = np.linalg.solve(normal, inputs.T @ (outputs[:, k] - middle[k]))
+        ridge = strength * max(1.0, shows[-1] / shown / 100.0)
+        normal = weighed.T @ inputs + ridge * np.eye(inputs.shape[1])
+        solved[:, k] = np.linalg.solve(normal, weighed.T @ (outputs[:, k] - middle[k]))
     slopes = (solved / spread[:, None]) @ directions.T
-    rest_deg = middle @ directions.T - centre @ slopes
-    n = from_rest.shape[1]
+    rest_deg = middle @ directions.T - (centre + spread * middle_input) @ slopes
+    bends = n + len(first)
     return RunTimeMap(
         rest_deg=rounded(rest_deg),
         weights=rounded(slopes[:n].T),
-        quadratic_weights=rounded(slopes[n:].T),
-        x_range=rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)])),
+        quadratic_weights=rounded(slopes[n:bends].T),
+        x_range=x_range,
+        centres=centres,
+        centre_weights=rounded(slopes[bends:].T),
     )
+
+
+def _distances(from_rest: Array, centres: Array) -> Array:
+    """(n, n_components), (m, n_components) -> (n, m)."""
+    apart = from_rest[:, None] - centres[None]
+    return np.asarray(np.sqrt(np.einsum("nmk,nmk->nm", apart, apart)))
 
 
 def rounded(values: Array) -> Array:

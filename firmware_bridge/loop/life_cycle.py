@@ -12,6 +12,7 @@ from firmware_bridge.clock import Clock, ticks
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.report import FaceState
+from firmware_bridge.orders import ServoOrder, ServoSwitch
 from firmware_bridge.stop_signals import PreviousHandlers, install_handler, restore_handlers
 from firmware_bridge.stopping import PORT_WAIT_S, StopLevel, StopReport
 
@@ -21,6 +22,8 @@ _LAST_TRIES_S: Final = 0.5
 _TROUBLE_LASTS_S: Final = 1.0
 _HEALTH_EVERY_S: Final = 10.0
 _REMARKS_EVERY_S: Final = 1.0
+#: What a supervisor must know of, as the next bridge has to.
+_KEPT: Final = (ServoSwitch.OFF, ServoSwitch.ON)
 
 
 class ImmediateStop(BaseException):
@@ -114,6 +117,8 @@ class LifeCycle:
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             self._previous_handlers = install_handler(self._on_signal, leave_ignored=True)
+        if self._control is not None:
+            self._control.attend(self._bridge.refusal)
         return self
 
     def __exit__(
@@ -198,6 +203,7 @@ class LifeCycle:
             self._log(f"stopping: {signal.Signals(self.signal_number or 0).name}")
             self.stop()
         self._poll_control()
+        self._obey_orders(time_s)
         self._log_changes(time_s)
         if self._on_health is not None and time_s >= self._health_due_s:
             self._health_due_s = time_s + _HEALTH_EVERY_S
@@ -217,6 +223,16 @@ class LifeCycle:
         self.stopped_by_person = True
         self._log(f"asked to stop: {level.value}")
         self._stop(level)
+
+    def _obey_orders(self, time_s: float) -> None:
+        """Those of a person to single servos; a stop that came with them goes before."""
+        for order in () if self._control is None else self._control.take_orders():
+            why_not = self._bridge.obey(order, time_s)
+            if isinstance(order, ServoOrder):
+                self._log(f"{order}: {why_not or f'asked by {order.asked_by}'}")
+                if not why_not and self._lifeline is not None and order.switch in _KEPT:
+                    index = self._bridge.names.index(order.name)
+                    self._lifeline.switched(index, on=order.switch is ServoSwitch.ON)
 
     def _stop(self, level: StopLevel) -> None:
         self._asked = level

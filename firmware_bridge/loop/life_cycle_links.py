@@ -1,10 +1,11 @@
 """Whom the life cycle of a face listens to, and whom it tells what happens."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
 from firmware_bridge.health import ServoHealth
+from firmware_bridge.orders import Order
 from firmware_bridge.stopping import StopLevel
 
 
@@ -13,6 +14,12 @@ class Control(Protocol):
 
     def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
         """The stop that was asked for, if any; never waits."""
+
+    def attend(self, refusal: Callable[[Order], str]) -> None:
+        """Orders to single servos are obeyed from now on. refusal: why not this one."""
+
+    def take_orders(self) -> Sequence[Order]:
+        """What was ordered since the last call, oldest first; never waits."""
 
     def report_end(self, report: Mapping[str, object]) -> None:
         """Tell those who asked for a stop how it ended."""
@@ -29,6 +36,9 @@ class Heartbeat(Protocol):
 
     def failed(self, index: int, reason: str) -> None:
         """A servo was given up for good."""
+
+    def switched(self, index: int, *, on: bool) -> None:
+        """A person switched a servo off, or on again."""
 
 
 def _no_log(_line: str) -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from firmware_bridge.arrays import Array
 from firmware_bridge.gate.limits import GateCounts, StaleLevel
-from firmware_bridge.loop.servo_supervision import ServoState
+from firmware_bridge.health import ServoState
 
 
 class FaceState(StrEnum):

@@ -1,6 +1,9 @@
 """All servos of a face behind gate, limiter and supervision: goals out, feedback in."""
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +11,10 @@ from numpy.typing import NDArray
 from firmware_bridge.arrays import Array
 from firmware_bridge.bus import Readings, ServoBus, ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
-from firmware_bridge.health import Feedback, Health, ServoHealth
+from firmware_bridge.health import STATE_WORDS, Feedback, Health, ServoHealth
 from firmware_bridge.joints import Joint, named
-from firmware_bridge.loop.servo_supervision import ServoState, ServoSupervision
+from firmware_bridge.loop.heat import HeatDerating
+from firmware_bridge.loop.servo_supervision import ServoSupervision
 from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.loop.torque_gate import TorqueGate
 from firmware_bridge.loop.torque_off import TorqueOff
@@ -21,6 +25,7 @@ _READS = 5
 _ASKED = 3
 #: A shaft at top speed is so far behind its goal, in time, and stops there without turning back.
 _BRAKES_S = 0.02
+_HEALTH = tuple(each.name for each in fields(ServoHealth))
 
 
 class ServoGroup:
@@ -36,13 +41,19 @@ class ServoGroup:
         self._bus = bus
         self._joints = tuple(joints)
         self.limiter = Limiter(self._joints, settings.period_s, settings.prevent)
-        self.gate = TorqueGate(bus, joints, dry_run=settings.dry_run, given_up=settings.given_up)
-        self.supervision = ServoSupervision(self._joints, settings.tracking, settings.given_up)
+        given_up, off = settings.given_up, settings.switched_off
+        self.gate = TorqueGate(
+            bus, joints, dry_run=settings.dry_run, given_up=given_up, switched_off=off
+        )
+        self.supervision = ServoSupervision(self._joints, settings.tracking, given_up, off)
+        self._heat = HeatDerating(len(self._joints))
         self.torque_off = TorqueOff(self._joints, self.gate)
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         self._scale = np.ones(len(self._joints))
         self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
         self._health: Health | None = None
+        #: What the last question of a tick was answered; None before the first.
+        self.feedback: Feedback | None = None
 
     @property
     def scale(self) -> Array:
@@ -83,14 +94,18 @@ class ServoGroup:
 
     def check(self, indices: Sequence[int], may_continue: Callable[[], bool]) -> None:
         """Raise ServoError that names those who could not hold now, with the reason."""
-        self._refuse([(i, _asked_often(self.gate.obstacle, i)) for i in indices if may_continue()])
+        asked = self._not_off(indices)
+        self._refuse([(i, _asked_often(self.gate.obstacle, i)) for i in asked if may_continue()])
 
     def enable(
         self, indices: Sequence[int], time_s: float, may_continue: Callable[[], bool]
     ) -> None:
-        """Let these hold where they stand; with an error, or told to stop, nobody does."""
+        """Let these hold where they stand; with an error, or told to stop, nobody does.
+
+        Those that a person switched off stay so.
+        """
         found = []
-        for index in indices:
+        for index in self._not_off(indices):
             if not may_continue():
                 self.disable_all(time_s)
                 return
@@ -101,7 +116,7 @@ class ServoGroup:
 
     def keep_holding(self, time_s: float) -> None:
         """For a frozen face: whoever still has torque goes on holding where it stands."""
-        for index in range(len(self._joints)):
+        for index in self._not_off(range(len(self._joints))):
             kept = self.gate.keep(index)
             self.supervision.note_attempt(
                 index, "" if kept else "lost its torque; not again", time_s
@@ -149,7 +164,7 @@ class ServoGroup:
         elif not limp.all():
             self._bus.write_positions(np.where(limp, np.nan, goals_deg))
         feedback, health = self.poll()
-        self._scale = self.supervision.scale(feedback, health)
+        self._scale = self._heat.scale(feedback, health)
         self.supervision.check_tracking(goals_deg, feedback)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)
@@ -159,35 +174,67 @@ class ServoGroup:
 
     def poll(self) -> tuple[Feedback, Health]:
         """Where everybody stands, and what is known of how they are: one was asked just now."""
-        feedback = self._bus.feedback()
-        self._health = self._bus.look_after()
-        return feedback, self._health
+        self.feedback = feedback = self._bus.feedback()
+        self._health = health = self._bus.look_after()
+        return feedback, health
+
+    def rest(self, time_s: float) -> None:
+        """A tick of a face that is limp in a silence: hear how all are, and who has not let go."""
+        self.poll()
+        self.supervision.keep_off(time_s, self.gate)
+
+    def switch_off(self, index: int, time_s: float) -> None:
+        """A person wants one servo limp; the next tick lets it go."""
+        self.gate.switch_off(index)
+        self.supervision.switch_off(index, time_s)
+
+    def switch_on(self, index: int, time_s: float) -> bool:
+        """A person wants one servo tried again; False: there was nothing to take back."""
+        self.gate.switch_on(index)
+        return self.supervision.switch_on(index, time_s)
+
+    def reboot(self, index: int, time_s: float) -> None:
+        """A person restarts one servo that is not driven."""
+        self.supervision.reboot(index, time_s, self.gate)
 
     def remarks(self) -> Sequence[str]:
         """What is unusual about the bus, in sentences for a log."""
         return self._bus.remarks()
 
     def health(self) -> tuple[ServoHealth, ...]:
-        """How every servo was when it was asked last; for a log, not for a tick."""
+        """How every servo was when it was asked last; for people, not for a tick."""
+        return tuple(ServoHealth(*row) for row in zip(*self._health_columns(), strict=True))
+
+    def health_records(self) -> list[dict[str, object]]:
+        """The same for JSON: names and values of `ServoHealth`, None for what was never heard."""
+        records = [dict(zip(_HEALTH, row)) for row in zip(*self._health_columns())]  # noqa: B905 - strict costs as much again
+        for record in records:
+            for name in ("temperature_degc", "voltage_v"):
+                if record[name] != record[name]:
+                    record[name] = None
+        return records
+
+    def _health_columns(self) -> tuple[list[Any], ...]:
+        """What `ServoHealth` has, in its order, one value a servo; () before anybody was asked."""
         known = self._health
         if known is None:
             return ()
-        return tuple(
-            ServoHealth(
-                name=joint.name,
-                servo_id=joint.servo_id,
-                state=ServoState(int(self.supervision.states[i])).name.lower(),
-                temperature_degc=float(known.temperature_degc[i]),
-                load=float(known.effort[i]),
-                voltage_v=float(known.voltage_v[i]),
-                current_ma=float(ma) if np.isfinite(ma := known.current_ma[i]) else None,
-                hardware_errors=int(known.hardware_errors[i]),
-                n_reboots=int(self.supervision.n_reboots[i]),
-                n_unanswered=int(known.n_unanswered[i]),
-                torque_on=bool(known.torque_on[i]),
-            )
-            for i, joint in enumerate(self._joints)
+        return (
+            [joint.name for joint in self._joints],
+            [joint.servo_id for joint in self._joints],
+            [STATE_WORDS[state] for state in self.supervision.states.tolist()],
+            known.temperature_degc.tolist(),
+            known.effort.tolist(),
+            known.voltage_v.tolist(),
+            [ma if math.isfinite(ma) else None for ma in known.current_ma.tolist()],
+            known.hardware_errors.tolist(),
+            self.supervision.n_reboots.tolist(),
+            known.n_unanswered.tolist(),
+            known.torque_on.tolist(),
         )
+
+    def _not_off(self, indices: Sequence[int]) -> list[int]:
+        return [index for index in indices if index not in self.gate.switched_off]
 
     def _refuse(self, found: Sequence[tuple[int, str]]) -> None:
         lines = [f"{named(self._joints[i])} {why}" for i, why in found if why]

@@ -4,11 +4,11 @@ DRIVEN ──silent, torque lost──▶ WAITING ──answers, enabled──�
    ├──hardware error, too hot──▶ COOLING ──▶ REBOOTING ──▶ WAITING
    └──does not follow──────────▶ COOLING ──▶ WAITING
                                     └──third time in ten minutes──▶ FAILED, limp for good
+any ──a person──▶ SWITCHING_OFF ──torque is read off──▶ OFF ──a person──▶ WAITING; so from FAILED
 """
 
 from collections import deque
-from collections.abc import Mapping, Sequence
-from enum import IntEnum
+from collections.abc import Collection, Mapping, Sequence
 from typing import Final, Protocol
 
 import numpy as np
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from firmware_bridge.arrays import Array
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
-from firmware_bridge.health import Feedback, HardwareError, Health, describe_errors
+from firmware_bridge.health import Feedback, HardwareError, Health, ServoState, describe_errors
 from firmware_bridge.joints import Joint
+from firmware_bridge.loop.torque_gate import SWITCHED_OFF
 
 #: A servo that has not answered for so long has no power or no cable: its goals are withheld.
 SILENT_S: Final = 0.5
@@ -31,31 +32,15 @@ _RETRY_S: Final = 0.5
 #: A third reboot in ten minutes means that something is broken.
 _REBOOTS: Final = 3
 _REBOOT_WINDOW_S: Final = 600.0
-#: Amplitude shrinks over the last degrees below the servo's limit, and with the load's square,
-#: which is what heats a winding: full up to half the stall torque (root mean square).
-_DERATE_FROM_DEGC: Final = 10.0
-_DUTY_S: Final = 60.0
-_DUTY_FULL: Final = 0.25
-_LEAST_SCALE: Final = 0.3
-#: Heat is looked at so often: a winding knows nothing faster, and every tick would pay for it. A
-#: little less than the 50 ms meant, so that rounding makes no sixth tick of the fifth.
-_HEAT_EVERY_S: Final = 0.049
 #: A servo just enabled is slow for a second, then has to catch up.
 _CATCH_UP_S: Final = 2.0
 
 
-class ServoState(IntEnum):
-    """What a servo is doing."""
-
-    DRIVEN = 0
-    WAITING = 1
-    COOLING = 2
-    REBOOTING = 3
-    FAILED = 4
-
-
+#: Those that a person switched off: torque has been read off, or not yet.
+_SWITCHED_OFF: Final = (ServoState.SWITCHING_OFF, ServoState.OFF)
 #: An array is compared with an int five times as quickly as with a member of an enumeration.
 _DRIVEN: Final = int(ServoState.DRIVEN)
+_SWITCHING_OFF: Final = int(ServoState.SWITCHING_OFF)
 
 
 class TorquePort(Protocol):
@@ -89,8 +74,12 @@ class ServoSupervision:
         joints: Sequence[Joint],
         tracking: TrackingRule | None = None,
         given_up: Mapping[int, str] | None = None,
+        switched_off: Collection[int] = (),
     ) -> None:
-        """given_up: reason by index, of servos that stay limp from the beginning."""
+        """given_up: reason by index, of servos that stay limp from the beginning.
+
+        switched_off: by index, those that a person switched off.
+        """
         n = len(joints)
         self._tracking = TrackingMonitor(joints, tracking or TrackingRule())
         self._behind = np.zeros(n, dtype=np.bool_)
@@ -102,13 +91,12 @@ class ServoSupervision:
         self._any_critical = bool(self._critical.any())
         self._until_s = np.zeros(n)
         self._reboots: list[deque[float]] = [deque(maxlen=_REBOOTS) for _ in joints]
-        self._duty = np.zeros(n)
-        self._duty_at_s: float | None = None
-        self._scale = np.ones(n)
         self._next = 0
         for index, why in (given_up or {}).items():
             self.states[index] = ServoState.FAILED
             self._set_reason(index, why)
+        for index in switched_off:
+            self.switch_off(index, 0.0)
 
     @property
     def driven(self) -> NDArray[np.bool_]:
@@ -149,26 +137,45 @@ class ServoSupervision:
     def mark_all_waiting(self, time_s: float, why: str = "") -> None:
         """Nobody is driven any more: the port is gone, or all were let go."""
         for index in np.flatnonzero(self.states != ServoState.FAILED).tolist():
-            self._wait(index, time_s, why)
+            if self.states[index] in _SWITCHED_OFF:
+                self.switch_off(index, time_s)  # what it confirmed before may not be so any more
+            else:
+                self._wait(index, time_s, why)
+
+    def switch_off(self, index: int, time_s: float) -> None:
+        """A person wants this servo limp: it gets no goals, and `act` lets it go, first of all."""
+        self.states[index] = ServoState.SWITCHING_OFF
+        self._until_s[index] = time_s
+        self._next = index
+        self._set_reason(index, f"{SWITCHED_OFF}, has not confirmed yet")
+
+    def switch_on(self, index: int, time_s: float) -> bool:
+        """A person wants this servo tried again, as if it had never failed; False: it is anyway."""
+        if self.states[index] not in (*_SWITCHED_OFF, ServoState.FAILED):
+            return False
+        self._reboots[index].clear()
+        self._wait(index, time_s, "")
+        return True
+
+    def reboot(self, index: int, time_s: float, port: TorquePort) -> None:
+        """A person restarts a servo that is not driven; what it is to do afterwards is the same."""
+        port.reboot(index)
+        self.n_reboots[index] += 1
+        if self.states[index] in _SWITCHED_OFF:
+            self.switch_off(index, time_s)
+        elif self.states[index] != ServoState.FAILED:
+            self.states[index] = ServoState.REBOOTING
+        self._until_s[index] = time_s + _REBOOT_S
+
+    def keep_off(self, time_s: float, port: TorquePort) -> None:
+        """For a tick without `act`: ask those that a person switched off, until they confirm."""
+        for index in np.flatnonzero(self.states == _SWITCHING_OFF).tolist():
+            if time_s >= self._until_s[index]:
+                self._let_go(index, time_s, port)
 
     def check_tracking(self, sent_deg: Array, feedback: Feedback) -> None:
         """Compare the goals sent last with where the servos stand."""
         self._behind = self._tracking.behind(sent_deg, feedback)
-
-    def scale(self, feedback: Feedback, health: Health) -> Array:
-        """By how much each joint's amplitude shrinks, 0.3..1: heat now, and heat to come."""
-        if self._duty_at_s is not None:
-            if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
-                return self._scale
-            share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
-            self._duty += share * (feedback.effort * feedback.effort - self._duty)
-        self._duty_at_s = feedback.time_s
-        warm = health.room_degc / _DERATE_FROM_DEGC
-        worked = 2.0 - self._duty / _DUTY_FULL
-        scale = np.minimum(warm, worked)
-        np.maximum(scale, _LEAST_SCALE, out=scale)
-        self._scale = np.minimum(scale, 1.0, out=scale)
-        return self._scale
 
     def act(self, health: Health, time_s: float, port: TorquePort) -> int | None:
         """Act on one servo at most; the index of one that was enabled just now."""
@@ -206,6 +213,11 @@ class ServoSupervision:
             return self._check_driven(i, health, time_s, port), False
         if time_s < self._until_s[i]:
             return False, False
+        if state == _SWITCHING_OFF or (state == ServoState.OFF and health.torque_on[i]):
+            self._let_go(i, time_s, port)
+            return True, False
+        if state == ServoState.OFF:
+            return False, False
         if state in (ServoState.COOLING, ServoState.FAILED) and health.torque_on[i]:
             # Its torque was switched off and it has not confirmed: again, until it does.
             self._until_s[i] = time_s + _RETRY_S
@@ -230,6 +242,12 @@ class ServoSupervision:
         why_not = port.enable(i)
         self.note_attempt(i, why_not, time_s)
         return True, not why_not
+
+    def _let_go(self, i: int, time_s: float, port: TorquePort) -> None:
+        self.switch_off(i, time_s + _RETRY_S)
+        if port.disable(i):
+            self.states[i] = ServoState.OFF
+            self._set_reason(i, SWITCHED_OFF)
 
     def _check_driven(self, i: int, health: Health, time_s: float, port: TorquePort) -> bool:
         if health.silent_s[i] >= SILENT_S:

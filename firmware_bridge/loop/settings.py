@@ -1,6 +1,6 @@
 """What a bridge is told of its face."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from firmware_bridge.gate.coupling import PreventRule
@@ -17,6 +17,7 @@ class BridgeSettings:
     tolerant: `Bridge.start` leaves it to the ticks to enable whoever can hold; not all or none.
     dry_run: servos are read and supervised, but get neither torque nor goals.
     given_up: reason by index, of servos that an earlier process of this face gave up.
+    switched_off: by index, those that a person switched off there.
     """
 
     rate_hz: float
@@ -26,6 +27,7 @@ class BridgeSettings:
     tolerant: bool = False
     dry_run: bool = False
     given_up: Mapping[int, str] = field(default_factory=dict)
+    switched_off: Collection[int] = ()
 
     @property
     def period_s(self) -> float:

@@ -2,22 +2,22 @@
 
 import os
 
-import numpy as np
-
+from firmware_bridge.health import ServoState
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.servo_supervision import ServoState
 
 
 def face_status(bridge: Bridge) -> dict[str, object]:
     """One object for JSON. Made when somebody asks, not in every tick.
 
     state: a `FaceState`; plugged: whether the port is there; servos: the `ServoState` in words of
-    each joint, by name; troubles: a line for each servo that is not driven; *_total: how often
-    the gate stepped in, over all joints; the counts are those of `BridgeStatus`.
+    each joint, by name; troubles: a line for each servo that is not driven; jogged: joints that a
+    person jogs, by name; health: a `ServoHealth` for each servo that was asked, None for what was
+    never heard; *_total: how often the gate stepped in, over all joints; the counts are those of
+    `BridgeStatus`.
     """
     status = bridge.status
     gate = {
-        f"{name}_total": int(np.sum(getattr(status.gate, name)))
+        f"{name}_total": int(getattr(status.gate, name).sum())
         for name in ("range_hits", "rate_hits", "rejected", "prevented")
     }
     return {
@@ -25,10 +25,11 @@ def face_status(bridge: Bridge) -> dict[str, object]:
         "plugged": bridge.plugged,
         "torque_on": ServoState.DRIVEN in status.servo_states,
         "servos": {
-            name: state.name.lower()
-            for name, state in zip(bridge.names, status.servo_states, strict=True)
+            name: state.word for name, state in zip(bridge.names, status.servo_states, strict=True)
         },
         "troubles": list(bridge.troubles),
+        "jogged": list(bridge.jogged),
+        "health": bridge.health_records(),
         "n_ticks": status.n_ticks,
         "n_late": status.n_late,
         "n_stale": status.n_stale,

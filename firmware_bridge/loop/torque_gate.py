@@ -1,6 +1,7 @@
 """The one gate to torque: whether a servo may hold, asked by every path that wants it to."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,12 +9,16 @@ from numpy.typing import NDArray
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.joints import Joint
 
+#: Why a servo holds no torque that a person switched off.
+SWITCHED_OFF: Final = "switched off by a person"
+
 
 class TorqueGate:
     """Asks three questions before a servo gets torque, in this order.
 
     Is it forbidden for the whole face: a dry run, or a stop by a person, which holds until a person
-    starts again? Was this servo given up? Does the servo itself, asked now, agree with the YAML?
+    starts again? Was this servo switched off by a person, or given up? Does the servo itself, asked
+    now, agree with the YAML?
     (The last is `ServoBus.obstacle`, and every bus asks it again in `enable_torque`.)
     Start, the end of a silence, replug and restart all come through `enable`.
     """
@@ -25,14 +30,18 @@ class TorqueGate:
         *,
         dry_run: bool = False,
         given_up: Mapping[int, str] | None = None,
+        switched_off: Collection[int] = (),
     ) -> None:
         """given_up: reason by index, of servos that an earlier process of this face gave up.
+
+        switched_off: by index, those that a person switched off there.
 
         closed_because: why nobody may hold; empty: the gate is open.
         """
         self._bus = bus
         self._n_servos = len(joints)
         self._given_up = dict(given_up or {})
+        self._switched_off = set(switched_off)
         self.closed_because = ""
         self.dry_run = dry_run
 
@@ -41,11 +50,21 @@ class TorqueGate:
         """Servos that stay limp for good, with the reason."""
         return self._given_up
 
+    @property
+    def switched_off(self) -> Collection[int]:
+        """Servos that a person switched off, by index."""
+        return self._switched_off
+
+    @property
+    def forbidden(self) -> str:
+        """Why nobody may hold torque; empty: it is no matter of the whole face."""
+        return "dry run: servos are only read" if self.dry_run else self.closed_because
+
     def refusal(self, index: int) -> str:
         """Why this servo must not hold torque, whatever it says itself; empty: it may."""
-        if self.dry_run:
-            return "dry run: servos are only read"
-        return self.closed_because or self._given_up.get(index, "")
+        if why := self.forbidden:
+            return why
+        return SWITCHED_OFF if index in self._switched_off else self._given_up.get(index, "")
 
     def obstacle(self, index: int) -> str:
         """Why this servo would get no torque if it were asked for now; empty: it would."""
@@ -57,7 +76,8 @@ class TorqueGate:
 
     def keep(self, index: int) -> bool:
         """Let a servo that holds go on holding: the one thing that a stop does not forbid."""
-        return not self.dry_run and self._bus.keep_torque(index)
+        may_keep = not self.dry_run and index not in self._switched_off
+        return may_keep and self._bus.keep_torque(index)
 
     def disable(self, index: int) -> bool:
         """Let one servo go limp; whether it confirmed."""
@@ -70,8 +90,8 @@ class TorqueGate:
         return self._bus.disable_all()
 
     def reboot(self, index: int) -> None:
-        """Restart one servo, unless nobody may touch it."""
-        if not self.refusal(index):
+        """Restart one servo, which comes back limp, unless nobody may touch it."""
+        if not self.forbidden:
             self._bus.reboot(index)
 
     def close(self, because: str) -> None:
@@ -81,6 +101,15 @@ class TorqueGate:
     def open(self) -> None:
         """A person starts the face. Servos that were given up stay so."""
         self.closed_because = ""
+
+    def switch_off(self, index: int) -> None:
+        """A person switches one servo off: it gets no torque until a person switches it on."""
+        self._switched_off.add(index)
+
+    def switch_on(self, index: int) -> None:
+        """A person takes that back, and that it was given up."""
+        self._switched_off.discard(index)
+        self._given_up.pop(index, None)
 
     def give_up(self, index: int, because: str) -> None:
         """Leave one servo limp for good."""

@@ -9,6 +9,7 @@ from firmware_bridge.health import ServoHealth
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
+from firmware_bridge.loop.report import TickReport
 from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
@@ -25,12 +26,13 @@ def run_bridge(
     stopped: StopLevel | None,
     log: Callable[[str], None],
     on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None,
+    on_tick: Callable[[TickReport], None] | None = None,
 ) -> int:
     """Arm and tick until told to stop, by a signal or the control socket; the exit status.
 
     `bus` is entered here. stopped: what a person had asked of the bridge that died before this one.
-    log: takes a line; on_health: every ten seconds; both return at once. Raises BusError when it
-    cannot start.
+    log: takes a line; on_health: every ten seconds; on_tick: what each tick did; all return
+    at once. Raises BusError when it cannot start.
     """
     if lifeline.closed:
         return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
@@ -42,7 +44,9 @@ def run_bridge(
             life.start()
             run_on_time()
             for time_s, late in life.ticks():
-                bridge.tick(time_s, late)
+                report = bridge.tick(time_s, late)
+                if on_tick is not None:
+                    on_tick(report)
                 if not began and bridge.settled:
                     began = True
                     lifeline.ready()

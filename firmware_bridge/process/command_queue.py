@@ -1,21 +1,27 @@
-"""What people and programs ask of a running face: stops, and settings to change.
+"""What people and programs ask of a running face: stops, settings, and orders to single servos.
 
 Everybody who may command a face writes here: the control socket today, an API or an agent later.
 The loop of the face takes from it. It never grows: one place for each level of stop and one for
-each setting, so a stop is never lost and of several values of a setting the newest counts. Nothing
-here locks, since a second signal may break into the loop anywhere; each step is one operation on a
-dictionary, which CPython does not interrupt.
+each setting, so a stop is never lost and of several values of a setting the newest counts; orders
+keep their sequence, and there is room for a few. Nothing here locks, since a second signal may
+break into the loop anywhere; each step is one operation on a dictionary or a queue, which CPython
+does not interrupt.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+from firmware_bridge.orders import Order
 from firmware_bridge.stopping import StopLevel
 
 #: A stop that goes further replaces the others: freezing gives way to an end, an end to limp.
 _FURTHEST_FIRST: Final = (StopLevel.LIMP, StopLevel.SOFT, StopLevel.FREEZE)
+#: Orders that wait for the next tick; more than as many clients as may be connected can send.
+_MOST_ORDERS: Final = 64
+_NOBODY_DRIVES: Final = "nobody drives the servos just now; ask again"
 
 
 class CommandError(ValueError):
@@ -46,18 +52,18 @@ class CommandQueue:
         self,
         settings: Mapping[str, Setting] | None = None,
         *,
-        why_none: str = "this face has no settings that change while it runs",
-        on_change: Callable[[str, float], None] | None = None,
+        on_change: Callable[[Mapping[str, float]], None] | None = None,
     ) -> None:
-        """settings: what may be changed, by name. why_none: what is answered where there are none.
+        """settings: what may be changed, by name.
 
-        on_change: called with name and value at every change; must return at once.
+        on_change: called with names and values at every change; must return at once.
         """
         self._settings = dict(settings or {})
-        self._why_none = why_none
         self._on_change = on_change
         self._stops: dict[StopLevel, str] = {}
         self._changes: dict[str, float] = {}
+        self._orders: deque[Order] = deque()
+        self._refusal: Callable[[Order], str] = _nobody_drives
 
     @property
     def values(self) -> dict[str, float]:
@@ -68,18 +74,25 @@ class CommandQueue:
         """Ask for a stop."""
         self._stops[level] = asked_by
 
-    def change(self, name: str, value: float) -> None:
-        """Ask for another value of a setting. Raises CommandError."""
-        setting = self._settings.get(name)
-        if setting is None:
-            raise CommandError(f"{name!r}: no such setting; {self._names()}")
-        if not (math.isfinite(value) and setting.low <= value <= setting.high):
-            allowed = f"{setting.low:g} to {setting.high:g}"
-            raise CommandError(f"{name} is {value:g}; allowed: {allowed}")
-        self._settings[name] = Setting(value, setting.low, setting.high)
-        self._changes[name] = value
+    def change(self, values: Mapping[str, float]) -> None:
+        """Ask for other values of settings, all of them or none. Raises CommandError."""
+        changed = {name: self._checked(name, value) for name, value in values.items()}
+        self._settings.update(changed)
+        self._changes.update(values)
         if self._on_change is not None:
-            self._on_change(name, value)
+            self._on_change(values)
+
+    def attend(self, refusal: Callable[[Order], str]) -> None:
+        """From now on somebody obeys orders. refusal: why not this one, in one line; empty: yes."""
+        self._refusal = refusal
+
+    def order(self, order: Order) -> None:
+        """Ask something of single servos. Raises CommandError."""
+        if len(self._orders) >= _MOST_ORDERS:
+            raise CommandError("too many orders at once; ask again")
+        if why_not := self._refusal(order):
+            raise CommandError(why_not)
+        self._orders.append(order)
 
     def take_stop(self) -> StopRequest | None:
         """The stop that goes furthest of those asked for since the last call; None: none."""
@@ -97,8 +110,28 @@ class CommandQueue:
             return {}
         return {name: self._changes.pop(name) for name in list(self._changes)}
 
+    def take_orders(self) -> list[Order]:
+        """All orders since the last call, oldest first."""
+        if not self._orders:
+            return []
+        return [self._orders.popleft() for _ in range(len(self._orders))]
+
+    def _checked(self, name: str, value: float) -> Setting:
+        """The setting with another value. Raises CommandError."""
+        setting = self._settings.get(name)
+        if setting is None:
+            raise CommandError(f"{name!r}: no such setting; {self._names()}")
+        if not (math.isfinite(value) and setting.low <= value <= setting.high):
+            allowed = f"{setting.low:g} to {setting.high:g}"
+            raise CommandError(f"{name} is {value:g}; allowed: {allowed}")
+        return Setting(value, setting.low, setting.high)
+
     def _names(self) -> str:
         if not self._settings:
-            return self._why_none
+            return "this face has no settings that change while it runs"
         named = (f"{name} ({each.low:g} to {each.high:g})" for name, each in self._settings.items())
         return f"there are: {', '.join(named)}"
+
+
+def _nobody_drives(_order: Order) -> str:
+    return _NOBODY_DRIVES

@@ -3,27 +3,30 @@
 import contextlib
 import errno
 import json
+import os
 import socket
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_bridge.process.control_socket import (
-    LONGEST_WORD,
+from firmware_bridge.orders import ServoSwitch
+from firmware_bridge.process.command_words import (
+    ARM_WORD,
+    END_WORD,
+    JOG_WORD,
+    SERVO_WORD,
     SET_WORD,
-    held_folder,
-    is_dead_socket,
-    knock,
-    peer,
 )
+from firmware_bridge.process.control_socket import LONGEST_WORD, WATCH_WORD, peer
 from firmware_bridge.process.runtime_folder import (
     SOCKET_SUFFIX,
     ControlError,
     read_socket_name,
     searched_folders,
 )
+from firmware_bridge.process.socket_files import held_folder, is_dead_socket, knock
 from firmware_bridge.stopping import StopLevel
 
 #: Longer than the status of 252 servos.
@@ -32,6 +35,8 @@ _LONGEST_ANSWER: Final = 1 << 18
 _PATIENCE_S: Final = 2.0
 #: A face whose process was replaced in between is spoken to again after this.
 _RETRY_S: Final = 0.05
+#: No setting and no servo is called by a longer one, in characters.
+_LONGEST_NAME: Final = 40
 
 Answer = dict[str, Any]
 
@@ -74,8 +79,7 @@ def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
     give_up_s = time.monotonic() + patience_s
     while True:
         with _connected(path, give_up_s) as client:
-            client.send(word.encode())
-            answer = _receive(client, give_up_s)
+            answer = _send_and_receive(client, word, give_up_s)
         if answer is not None:
             return answer
         _wait_to_retry(give_up_s)
@@ -86,10 +90,86 @@ def change_setting(path: Path, name: str, value: float) -> Answer:
 
     Raises OSError when nobody answers.
     """
-    word = f"{SET_WORD} {name} {value!r}"
-    if len(word.encode()) > LONGEST_WORD or len(name.split()) != 1:
-        return {"error": f"{name[:40]!r}: no such setting"}
-    return ask(path, word)
+    answer = change_settings(path, {name: value})
+    return answer if "error" in answer else {**answer, "set": name, "value": value}
+
+
+def change_settings(path: Path, values: Mapping[str, float]) -> Answer:
+    """Set several things, all or none: {"set": {name: value, ...}}, or {"error"}: one line.
+
+    Raises OSError when nobody answers.
+    """
+    pairs = [f"{name} {float(value)!r}" for name, value in values.items()]
+    word = " ".join((SET_WORD, *pairs))
+    for name in values:
+        if not _is_name(name):
+            return {"error": f"{name[:_LONGEST_NAME]!r}: no such setting"}
+    if len(word.encode()) > LONGEST_WORD:
+        return {"error": "too many settings at once"}
+    answer = ask(path, word)
+    if "error" in answer:
+        return answer
+    answer.pop("value", None)
+    return {**answer, "set": dict(values)}
+
+
+def switch_servo(path: Path, name: str, switch: ServoSwitch) -> Answer:
+    """Ask for one servo to be switched off or on, or rebooted: {"servo", "asked"}, or {"error"}.
+
+    What became of it is in `status`: `servos`, `troubles`. Raises OSError when nobody answers.
+    """
+    return _ask_of(path, SERVO_WORD, name, switch.value)
+
+
+def arm_jog(path: Path) -> Answer:
+    """Mean to jog, or go on with it: {"jog": "arm"}, or {"error"}. Raises as `ask`."""
+    return ask(path, f"{JOG_WORD} {ARM_WORD}")
+
+
+def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
+    """Let one joint go there, in joint degrees: {"jog", "position_deg"}, or {"error"}.
+
+    Jogging ends 3 s after the last jog word of whatever kind. Raises OSError when nobody answers.
+    """
+    return _ask_of(path, JOG_WORD, name, repr(float(position_deg)))
+
+
+def end_jog(path: Path) -> Answer:
+    """Let all jogged joints go back: {"jog": "end"}, or {"error"}. Raises as `ask`."""
+    return ask(path, f"{JOG_WORD} {END_WORD}")
+
+
+def _ask_of(path: Path, word: str, name: str, what: str) -> Answer:
+    if not _is_name(name):
+        return {"error": f"{name[:_LONGEST_NAME]!r}: no such servo"}
+    return ask(path, f"{word} {name} {what}")
+
+
+def _is_name(text: str) -> bool:
+    """Whether it is one word of a command and no more."""
+    return text.split() == [text] and text.isprintable() and len(text) <= _LONGEST_NAME
+
+
+def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
+    """A descriptor of the memory where the face at `path` tells what it does, to read only.
+
+    `lipservo.status.live_board` reads it. Raises OSError when nobody answers, ControlError when the
+    face cannot be watched.
+    """
+    give_up_s = time.monotonic() + patience_s
+    raw = b""
+    handed: list[int] = []
+    while not raw:  # a face whose process is replaced hangs up
+        with _connected(path, give_up_s) as client, contextlib.suppress(ConnectionError):
+            client.send(WATCH_WORD.encode())
+            raw, handed, _, _ = socket.recv_fds(client, _LONGEST_ANSWER, 1)
+        if not raw:
+            _wait_to_retry(give_up_s)
+    if not handed:
+        why = json.loads(raw).get("error", "no memory was handed out")
+        raise ControlError(f"{path}: {why}")
+    os.set_inheritable(handed[0], False)
+    return handed[0]
 
 
 def stop_and_wait(
@@ -107,8 +187,7 @@ def stop_and_wait(
         try:
             answer_by_s = min(give_up_s, time.monotonic() + answer_s)
             with _connected(path, answer_by_s) as client:
-                client.send(level.value.encode())
-                answer = _receive(client, answer_by_s)
+                answer = _send_and_receive(client, level.value, answer_by_s)
                 first = first or answer
                 if answer is not None and level is StopLevel.FREEZE:
                     return answer, None
@@ -120,6 +199,15 @@ def stop_and_wait(
             if first is None:
                 raise
             return first, None
+
+
+def _send_and_receive(client: socket.socket, word: str, give_up_s: float) -> Answer | None:
+    """The answer; None when the other end has closed, before or after it could read."""
+    try:
+        client.send(word.encode())
+    except ConnectionError:
+        return None
+    return _receive(client, give_up_s)
 
 
 def _receive(client: socket.socket, give_up_s: float) -> Answer | None:

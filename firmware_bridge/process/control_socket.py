@@ -6,35 +6,33 @@ that serves it. `firmware_bridge.process.control_client` is the other end.
 """
 
 import contextlib
-import errno
-import fcntl
 import json
 import os
 import pwd
 import select
 import socket
-import stat
 import struct
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Final, Self
 
-from firmware_bridge.process.command_queue import CommandError, CommandQueue
+from firmware_bridge.orders import Order
+from firmware_bridge.process.command_queue import CommandQueue
+from firmware_bridge.process.command_words import command_answer
 from firmware_bridge.process.runtime_folder import ControlError
+from firmware_bridge.process.socket_files import held_folder, inode_of, make_room
 from firmware_bridge.stopping import StopLevel
 
-#: `status`, a level of stop, or `set NAME VALUE`; bytes.
-LONGEST_WORD: Final = 128
-#: The first word of a change of a setting.
-SET_WORD: Final = "set"
+#: `status`, `watch`, a level of stop, or a command; bytes. Fifty settings can be set at once.
+LONGEST_WORD: Final = 2048
+#: Asks for the memory in which the face tells what it does at this moment.
+WATCH_WORD: Final = "watch"
 #: People who wait for a stop, and some who ask; the oldest of these makes room.
 _MOST_CLIENTS: Final = 16
 _ACCEPTED_AT_ONCE: Final = 4
 #: Who connects while nobody serves waits here.
 _BACKLOG: Final = 128
-#: A folder is held by others for as long as a socket is made in it.
-_FOLDER_PATIENCE_S: Final = 1.0
 #: The owner, and the group of the folder's face: docs/hardware.md, "As a service".
 _MODE: Final = 0o660
 _CREDENTIALS: Final = struct.Struct("3i")
@@ -72,6 +70,8 @@ class ControlSocket:
         about: what every answer says besides, such as the face's name and port. describe: makes
         the answer to `status` of what the loop knows and of `about`.
         """
+        #: What `watch` hands out, to read only: a descriptor of shared memory; None: nothing.
+        self.watched_fd: int | None = None
         self._listener = listener
         self._listener.setblocking(False)
         self._path = path
@@ -101,7 +101,7 @@ class ControlSocket:
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             with held_folder(path.parent):
-                _make_room(path)
+                make_room(path)
                 os.fchmod(listener.fileno(), 0o600)  # Linux gives the file this mode: no gap
                 listener.bind(str(path))
                 listener.listen(_BACKLOG)
@@ -114,7 +114,7 @@ class ControlSocket:
             listener.close()
             raise
         control = cls(listener, path, about, commands, describe)
-        control._bound_inode = _inode(path)
+        control._bound_inode = inode_of(path)
         return control
 
     @classmethod
@@ -157,6 +157,19 @@ class ControlSocket:
         self.asked_by = request.asked_by
         return request.level
 
+    def attend(self, refusal: Callable[[Order], str]) -> None:
+        """From now on orders to single servos are taken: as `CommandQueue.attend`."""
+        self._commands.attend(refusal)
+
+    def take_orders(self) -> list[Order]:
+        """The orders of the queue since the last call."""
+        return self._commands.take_orders()
+
+    def send_away(self) -> None:
+        """Let go of everybody who waits for no stop: another process serves, and they ask again."""
+        for client in [each for each in self._clients.values() if not each.asked_to_stop]:
+            self._drop(client)
+
     def report_end(self, report: Mapping[str, object]) -> None:
         """Say to everybody who asked for a stop how it ended: who confirmed to be limp."""
         for client in list(self._clients.values()):
@@ -171,7 +184,7 @@ class ControlSocket:
         for client in list(self._clients.values()):
             self._drop(client)
         self._listener.close()
-        if self._bound_inode is not None and self._bound_inode == _inode(self._path):
+        if self._bound_inode is not None and self._bound_inode == inode_of(self._path):
             self._path.unlink(missing_ok=True)
 
     def _accept(self) -> None:
@@ -189,35 +202,41 @@ class ControlSocket:
 
     def _hear(self, client: _Client, status: Callable[[], Mapping[str, object]]) -> None:
         try:
-            word = client.end.recv(LONGEST_WORD).decode("utf-8", "replace").strip()
+            raw = client.end.recv(LONGEST_WORD + 1)
+            word = raw.decode("utf-8", "replace").strip()
         except BlockingIOError:
             return
         except OSError:
-            word = ""
+            raw, word = b"", ""
         if not word:
             self._drop(client)
+        elif len(raw) > LONGEST_WORD:  # cut off, so that its last number may be another
+            client.send({"error": f"longer than {LONGEST_WORD} bytes"})
         elif word == "status":
             client.send(self._describe({**status(), **self._about}))
+        elif word == WATCH_WORD:
+            self._hand_out(client)
         elif word in set(StopLevel):
             client.asked_to_stop = True
             client.send({"accepted": word, **self._describe({**status(), **self._about})})
             self._commands.stop(StopLevel(word), _named_peer(client.end))
-        elif word.split()[0] == SET_WORD:
-            client.send(self._changed(word.split()[1:]))
+        elif answer := command_answer(word, self._commands, partial(_numbered_peer, client.end)):
+            client.send(answer if "error" in answer else {**answer, **self._about})
         else:
-            client.send({"error": f"{word!r} is not known here"})
+            client.send({"error": f"{word[:40]!r} is not known here"})
 
-    def _changed(self, words: list[str]) -> dict[str, object]:
-        """The answer to `set NAME VALUE`."""
-        try:
-            name, value = words[0], float(words[1])
-            self._commands.change(name, value)
-        except (IndexError, CommandError) as error:
-            text = str(error) if isinstance(error, CommandError) else "say: set NAME VALUE"
-            return {"error": text}
-        except ValueError:
-            return {"error": f"{words[1]!r} is not a number"}
-        return {"set": name, "value": value, **self._about}
+    def _hand_out(self, client: _Client) -> None:
+        """Let somebody watch: the memory itself, which they cannot write."""
+        if self.watched_fd is None:
+            client.send({"error": "this face cannot be watched"})
+            return
+        answer = json.dumps({"watching": True, **self._about}).encode()
+        with contextlib.suppress(OSError):
+            to_read = os.open(f"/proc/self/fd/{self.watched_fd}", os.O_RDONLY | os.O_CLOEXEC)
+            try:
+                socket.send_fds(client.end, [answer], [to_read], socket.MSG_NOSIGNAL)
+            finally:
+                os.close(to_read)
 
     def _drop(self, client: _Client) -> None:
         fd = client.end.fileno()
@@ -226,75 +245,17 @@ class ControlSocket:
         client.end.close()
 
 
-@contextlib.contextmanager
-def held_folder(folder: Path) -> Iterator[None]:
-    """Nobody else makes or removes a socket in the folder meanwhile.
-
-    Raises ControlError where it cannot be opened, or others hold it for a second.
-    """
-    give_up_s = time.monotonic() + _FOLDER_PATIENCE_S
-    try:
-        fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    except OSError as error:
-        raise ControlError(f"{folder}: cannot be used: {error.strerror}") from error
-    try:
-        while True:
-            try:
-                fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() > give_up_s:
-                    raise ControlError(f"{folder}: is held by another program") from None
-                time.sleep(0.01)
-        yield
-    finally:
-        os.close(fd)
-
-
-def knock(path: Path) -> int:
-    """Connect and hang up again: 0 when somebody listens, else the number of the error."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as probe:
-        probe.setblocking(False)
-        try:
-            refused = probe.connect_ex(str(path))
-        except OSError:  # longer than a socket's address may be
-            return errno.ENAMETOOLONG
-    return 0 if refused == errno.EAGAIN else refused  # so many wait there already
-
-
-def is_dead_socket(path: Path) -> bool:
-    """Whether a socket lies there that nobody listens on any more, and it is ours to remove."""
-    try:
-        found = path.lstat()
-    except OSError:
-        return False
-    is_ours = os.geteuid() in (0, found.st_uid)
-    return stat.S_ISSOCK(found.st_mode) and is_ours and knock(path) == errno.ECONNREFUSED
-
-
-def _make_room(path: Path) -> None:
-    if not os.path.lexists(path):
-        return
-    if not stat.S_ISSOCK(path.lstat().st_mode):
-        raise ControlError(f"{path}: is no socket and stays as it is; choose another --control")
-    if not is_dead_socket(path):
-        raise ControlError(f"{path}: a face listens there already; stop it, or choose another")
-    path.unlink()
-
-
-def _inode(path: Path) -> tuple[int, int] | None:
-    try:
-        found = path.lstat()
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
-
-
 def peer(end: socket.socket) -> tuple[int, int]:
     """Process and user at the other end, as the kernel knows them."""
     raw = end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
     pid, uid, _ = _CREDENTIALS.unpack(raw)
     return pid, uid
+
+
+def _numbered_peer(end: socket.socket) -> str:
+    """As `_named_peer`, without looking a name up while servos are driven."""
+    pid, uid = peer(end)
+    return f"process {pid} of user {uid}"
 
 
 def _named_peer(end: socket.socket) -> str:

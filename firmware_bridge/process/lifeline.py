@@ -20,6 +20,7 @@ from firmware_bridge.stopping import StopLevel
 _BEAT_S: Final = 0.05
 _TIME: Final = struct.Struct("<d")
 _INDEX: Final = struct.Struct("<H")
+_SWITCHED: Final = struct.Struct("<H?")
 #: As many servos as a chain can have, and a stop or two.
 _MOST_UNSENT: Final = 256
 _LONGEST_REASON: Final = 400
@@ -44,6 +45,14 @@ class Failed:
 
 
 @dataclass(frozen=True, slots=True)
+class Switched:
+    """A person switched one servo off, or on again, which takes back that it was given up."""
+
+    index: int
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Began:
     """Sound time 0 was at this monotonic time."""
 
@@ -55,7 +64,7 @@ class Ready:
     """The servos are driven."""
 
 
-Message = Stopped | Failed | Began | Ready
+Message = Stopped | Failed | Switched | Began | Ready
 
 
 class Lifeline:
@@ -92,6 +101,10 @@ class Lifeline:
     def failed(self, index: int, reason: str) -> None:
         """A servo, by its place in the face, is given up for good."""
         self._say(b"F" + _INDEX.pack(index) + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
+
+    def switched(self, index: int, *, on: bool) -> None:
+        """A person switched a servo, by its place in the face, off or on."""
+        self._say(b"W" + _SWITCHED.pack(index, on))
 
     def began(self, zero_s: float) -> None:
         """Sound time 0 was at monotonic `zero_s`."""
@@ -180,6 +193,8 @@ def _understood(raw: bytes) -> Message:
         return Stopped(StopLevel(rest.decode()))
     if kind == b"F":
         return Failed(_INDEX.unpack_from(rest)[0], rest[_INDEX.size :].decode("utf-8", "replace"))
+    if kind == b"W":
+        return Switched(*_SWITCHED.unpack(rest))
     if kind == b"Z":
         return Began(_TIME.unpack(rest)[0])
     if kind == b"R":

@@ -15,7 +15,7 @@ from enum import Enum
 from typing import Final
 
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.lifeline import Began, Failed, Ready, Stopped
+from firmware_bridge.process.lifeline import Began, Failed, Ready, Stopped, Switched
 from firmware_bridge.process.restarted_child import RestartedChild, WatchedChild
 from firmware_bridge.process.service_notice import ServiceNotice
 from firmware_bridge.process.torque_release import TorqueRelease
@@ -77,6 +77,7 @@ class Supervisor:
         self._signal_s: float | None = None
         self._n_signals = 0
         self._failed: dict[int, str] = {}
+        self._switched_off: set[int] = set()
         self._zero_s: float | None = None
         self._well_s = float("-inf")
         self.report: StopReport | None = None
@@ -143,6 +144,8 @@ class Supervisor:
                     self._hold_stop(level)
                 case Failed(index, reason):
                     self._failed[index] = reason
+                case Switched(index, on):
+                    self._hold_switched(index, on=on)
                 case Ready():
                     self._ran_well = True
                     self._notice.ready()
@@ -160,6 +163,14 @@ class Supervisor:
         if self._is_ending and not was_ending:
             self._speech.child.send(signal.SIGTERM)
 
+    def _hold_switched(self, index: int, *, on: bool) -> None:
+        """What a person switched off stays so, whatever dies, until a person switches it on."""
+        if on:
+            self._switched_off.discard(index)
+            self._failed.pop(index, None)
+        else:
+            self._switched_off.add(index)
+
     def _handle_signals(self, n_signals: int, name: str, now_s: float) -> None:
         """The first: to rest and limp. The second: limp at once. The third waits for no port."""
         if n_signals == self._n_signals:
@@ -174,6 +185,7 @@ class Supervisor:
 
     def _serve_control(self) -> None:
         if self._bridge.serves:
+            self._control.send_away()  # who was let in here would wait for ever for an answer
             return
         for _ in range(_REQUESTS_AT_ONCE):
             level = self._control.poll(self.status)
@@ -214,6 +226,8 @@ class Supervisor:
         arguments = [] if self._stop is None else ["--stopped", self._stop.value]
         for index, reason in self._failed.items():
             arguments += ["--failed", f"{index}={reason}"]
+        for index in sorted(self._switched_off):
+            arguments += ["--switched-off", str(index)]
         self._bridge.start(arguments, now_s)
         self._phase = _Phase.RUNNING
 

@@ -75,21 +75,37 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
         return None
 
 
-def _host_of(url: str) -> str:
+def host_of(url: str) -> str:
+    """The host that a URL names; empty where it names none."""
     try:
         return urlsplit(url).hostname or ""
     except ValueError:
         return ""
 
 
+def is_plain_host(host: str) -> bool:
+    """Whether a `Host` header is an address or this computer: no page makes that lead elsewhere."""
+    name = host_of(f"//{host}")
+    return is_loopback(name) or _address(name) is not None
+
+
+def is_same_token(given: str, token: str) -> bool:
+    """Compared in a time that tells nothing of how much of it was right."""
+    return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())
+
+
+def bearer_token(authorization: str) -> str | None:
+    """What a header `Authorization: Bearer TOKEN` gives; None: it is no such header."""
+    scheme, _, given = authorization.partition(" ")
+    return given.strip() if scheme.lower() == "bearer" else None
+
+
 def _is_host_ours(host: str, settings: AgentSettings) -> bool:
-    name = _host_of(f"//{host}")
-    is_plain = is_loopback(name) or _address(name) is not None
-    return is_plain or not host or settings.token is not None
+    return is_plain_host(host) or not host or settings.token is not None
 
 
 def _is_allowed(origin: str, settings: AgentSettings) -> bool:
-    return origin in settings.allowed_origins or is_loopback(_host_of(origin))
+    return origin in settings.allowed_origins or is_loopback(host_of(origin))
 
 
 def _path_and_token(target: str) -> tuple[str, str]:
@@ -99,7 +115,5 @@ def _path_and_token(target: str) -> tuple[str, str]:
 
 
 def _is_token(token: str, in_query: str, headers: Mapping[str, str]) -> bool:
-    scheme, _, in_header = headers["Authorization"].partition(" ")
-    given = in_header.strip() if scheme.lower() == "bearer" else in_query
-    # Compared in a time that tells nothing of how much of it was right.
-    return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())
+    given = bearer_token(headers["Authorization"])
+    return is_same_token(in_query if given is None else given, token)

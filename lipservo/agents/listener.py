@@ -46,6 +46,20 @@ def url_of(listener: socket.socket) -> str:
     return f"ws://[{host}]:{port}" if ":" in host else f"ws://{host}:{port}"
 
 
+def read_token(token_file: str | None) -> str | None:
+    """The first line of a file, which clients must know. Raises UserError."""
+    if token_file is None:
+        return None
+    try:
+        with Path(token_file).open(encoding="utf-8") as file:
+            token = file.readline().strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise UserError(f"{token_file}: cannot be read as a token: {error}") from error
+    if not token:
+        raise UserError(f"{token_file}: its first line is empty; write a token there")
+    return token
+
+
 def _host_and_port(spec: str) -> tuple[str, int]:
     host, colon, port = spec.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")

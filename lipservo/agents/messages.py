@@ -127,7 +127,7 @@ class Say(_Command):
 
 
 class Play(_Command):
-    """A sound file is to be played."""
+    """A sound file or a performance is to be played."""
 
     type: Literal["play"]
     file: Annotated[str, Field(min_length=1, max_length=1024)]

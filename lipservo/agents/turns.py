@@ -150,7 +150,7 @@ class Turns:
     def tell_phoneme(self, phoneme: str, start_s: float, end_s: float) -> None:
         """Tell who speaks there on the timeline what is said."""
         found = _settled(partial(self._playout.stream_at, start_s))
-        if found is None or (stream := self._said.get(found[0])) is None:
+        if found is None or (stream := self._said.get(found[0].name)) is None:
             return
         heard_in_s = start_s - self._playout.position_s
         stream.tell_phoneme(phoneme, found[1], found[1] + end_s - start_s, heard_in_s)

@@ -17,10 +17,10 @@ from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.line import GoalWrite, Line, SpanRead
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
+from firmware_bridge.health import ServoState
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.servo_supervision import ServoState
 from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.process.scheduling import on_time
 from firmware_bridge.targets import ServoTargets

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from calibration.calibration import CalibrationError
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured
-from calibration.fit.measured_errors import REACHABLE_MM, lips_apart_mm
+from calibration.fit.measured_errors import lips_apart_mm
 from calibration.fit.procedure import Procedure
-from calibration.fit.retargeting import MOST_EXAGGERATION, wanted_gaps_mm
+from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM
 from calibration.fit.servo_response import identify
 from calibration.hold_out import CLOSED_GAP_MM
 from calibration.joint_range import JointRange
@@ -33,9 +33,11 @@ from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
 N_POSES = 60
+#: A shape counts as reachable when the best pose is within this, rms over the lips.
+REACHABLE_MM = 0.5
 #: A person who puts a mouth into a pose by eye, with keys of one degree: off by so much, rms
 #: (assumed, not observed: three key presses, one for a jaw, which moves the lip by 1.6 mm).
-_PERSON_DEG, _PERSON_JAW_DEG = 3.0, 1.0
+PERSON_DEG, PERSON_JAW_DEG = 3.0, 1.0
 _LARGE_IS_GOOD = ("reachable", "literal_copy_reachable", "gap_r", "closure_touch", "moving_gap_r")
 
 
@@ -100,7 +102,7 @@ def calibration_figures(seeds: Iterable[int]) -> dict[str, float]:
 def read_seeds(text: str) -> list[int]:
     """`3` or `0-19`. Raises CalibrationError for anything else."""
     parts = text.split("-")
-    if len(parts) > 2 or not all(part.isdigit() for part in parts):
+    if len(parts) > 2 or not all(part.isdecimal() for part in parts):
         raise CalibrationError(f"--seeds {text}: expected one number or a range such as 0-19")
     seeds = list(range(int(parts[0]), int(parts[-1]) + 1))
     if not seeds:
@@ -215,11 +217,11 @@ def _guided_apart_mm(
     right, left = fit.names.corners
     size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
     scale = np.full(3, MOST_EXAGGERATION * size)
-    wanted = fit.names.shape_features.of(
-        neutral_mm + scale * (shown_mm - closed_mm), wanted_gaps_mm(shown_mm, fit.names, scale)
-    )
+    gaps_mm = scale * fit.names.shape_features.gaps_mm(shown_mm)
+    gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
+    wanted = fit.names.shape_features.of(neutral_mm + scale * (shown_mm - closed_mm), gaps_mm)
     best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
-    off_deg = np.where([j.name == JAW for j in servos.joints], _PERSON_JAW_DEG, _PERSON_DEG)
+    off_deg = np.where([j.name == JAW for j in servos.joints], PERSON_JAW_DEG, PERSON_DEG)
     noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
     made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
     made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch

@@ -11,7 +11,14 @@ from lipsync.animpho.selection import STRATEGIES
 from lipsync.corpus.speech_frames import speech_frames
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
-from lipsync.evaluation.motion.methods import Heard, Method, PublishedMethod, all_methods
+from lipsync.evaluation.motion.methods import (
+    Heard,
+    LiveMethod,
+    Method,
+    PublishedMethod,
+    SplineMethod,
+    all_methods,
+)
 from lipsync.evaluation.motion.miss_rates import count_misses
 from lipsync.evaluation.motion.motion_scores import (
     Listen,
@@ -20,12 +27,19 @@ from lipsync.evaluation.motion.motion_scores import (
     check_scorable,
     true_phonemes,
 )
+from lipsync.evaluation.motion.offline_methods import (
+    ContextVisemeMethod,
+    OfflineMethod,
+    OfflineModels,
+    RecordedVisemes,
+)
 from lipsync.evaluation.motion.paper_tables import paper_tables
 from lipsync.evaluation.motion.recovery import recovery_rows
 from lipsync.evaluation.motion.splits import Part, read_parts, words_part
 from lipsync.evaluation.motion.timing import method_times
 from lipsync.evaluation.recognition.recognized_file import recognize_file
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+from lipsync.offline.line_methods import PLANNED_METHODS
 from lipsync.phonemes import PhonemeEvent
 from lipsync.training.trained_model import TrainedModel
 
@@ -34,6 +48,8 @@ Train = Callable[[Corpus], TrainedModel]
 Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
 
 PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
+#: Catmull-Rom through the means of viseme classes, beside the one through recorded examples.
+CLASS_MEANS = "catmull-rom-means"
 #: Sentences that speed is measured on: the first of a split's first part.
 _TIMED = 90
 #: Methods whose self-correction is measured, where they are asked for.
@@ -66,17 +82,19 @@ def question(
     words: str | None,
     *,
     published_derivatives: bool = False,
+    unit_share: float | None = None,
 ) -> Question:
     """From the command line's texts; raises BenchError for what is not known here.
 
     published_derivatives: of the paper's two strategies, as the paper prints equation (5).
+    unit_share: of the strategy `animpho`; None: its default.
     """
-    methods = {
-        name: replace(method, published_derivatives=published_derivatives)
-        if isinstance(method, PublishedMethod)
-        else method
-        for name, method in all_methods().items()
-    }
+    methods = all_methods()
+    for name, method in methods.items():
+        if isinstance(method, PublishedMethod):
+            methods[name] = replace(method, published_derivatives=published_derivatives)
+        elif isinstance(method, LiveMethod) and None not in (method.unit_share, unit_share):
+            methods[name] = replace(method, unit_share=unit_share)
     if strategy is not None and strategy not in methods:
         raise BenchError(f"unknown strategy {strategy!r}; known here: {', '.join(methods)}")
     if phonemes not in (PHONEMES_TRUE, PHONEMES_RECOGNIZED):
@@ -94,6 +112,26 @@ def question(
     return Question(chosen, lookaheads_ms, phonemes, named)
 
 
+def with_offline_methods(
+    asked: Question, models: OfflineModels, visemes: RecordedVisemes | None
+) -> Question:
+    """The same with the methods that hear a whole line after those asked for.
+
+    visemes: what the published comparison plays; None where no sentence that taught the face model
+    is at hand. With it `catmull-rom` is the paper's, and the baseline of that name, which knows
+    means of classes alone, is called `CLASS_MEANS`.
+    """
+    methods: list[Method] = [OfflineMethod(name, models) for name in PLANNED_METHODS]
+    if visemes is not None:
+        asked = replace(asked, methods=tuple(map(_class_means_named, asked.methods)))
+        methods.insert(0, ContextVisemeMethod(visemes))
+    return replace(asked, methods=(*asked.methods, *methods))
+
+
+def _class_means_named(method: Method) -> Method:
+    return replace(method, name=CLASS_MEANS) if isinstance(method, SplineMethod) else method
+
+
 def score_model(model: TrainedModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
     """A given model on a folder that it was not trained on."""
     utterances = check_scorable(model, corpus)
@@ -106,7 +144,7 @@ def score_model(model: TrainedModel, corpus: Corpus, asked: Question, track: Tra
 def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
     """Tables 2 and 3 and Figure 6 of the paper; case 2 with each live recogniser."""
     utterances = check_scorable(model, corpus)
-    return paper_tables(model, utterances, {engine: _listener(engine) for engine in ENGINES})
+    return paper_tables(model, utterances, {engine: live_listener(engine) for engine in ENGINES})
 
 
 def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
@@ -177,7 +215,7 @@ def _rows(
 ) -> list[Row]:
     """One split: the sums of all its parts together; misses and times of the phonemes heard."""
     scores = Scores()
-    listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else _listener(ENGINES[0])
+    listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else live_listener(ENGINES[0])
     listeners = []
     for model, part in trained:
         listeners.append(_RememberingListener(listen))
@@ -227,14 +265,14 @@ def _miss_rate(
     return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
 
 
-def _listener(engine: Engine) -> Callable[[Utterance], Heard]:
+def live_listener(engine: Engine) -> Callable[[Utterance], Heard]:
     """What a live recogniser hears in a sentence's sound; made when it is first asked."""
 
     def listen(utterance: Utterance) -> Heard:
         heard = recognize_file(recognizer(), utterance.sound_path)
         if recognizer().level != engine:
             raise BenchError(f"{engine} gave up: {'; '.join(recognizer().reasons)}")
-        return heard
+        return replace(heard, sound_path=utterance.sound_path)
 
     recognizer = cache(partial(make_recognizer, engine))
     return listen

@@ -7,7 +7,14 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+import soundfile
+
 from lipservo.bench.robot_at_port import CLIP, FACE, RobotAtPort
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.face.model import load_face
+from lipsync.offline.performance import RATE_HZ, Performance, performed_sound
+from lipsync.offline.performance_file import write_performance
 
 
 class Moment(StrEnum):
@@ -107,7 +114,27 @@ def _without_current_limits(robot: RobotAtPort) -> None:
         servo["operating_mode"] = 3
 
 
+def _performance(robot: RobotAtPort) -> Path:
+    return robot.folder / "line.perf"
+
+
+def _perform(robot: RobotAtPort) -> list[str]:
+    return _at_port("perform", str(_performance(robot)), "--mute")(robot)
+
+
+def _write_performance(robot: RobotAtPort) -> None:
+    """A minute of noise with a mouth at rest: who moves is the life cycle."""
+    sound = robot.folder / "noise.wav"
+    noise = np.random.default_rng(0).normal(0.0, 0.01, _LONG_S * SAMPLE_RATE_HZ)
+    soundfile.write(sound, noise, SAMPLE_RATE_HZ)
+    face = load_face()
+    faces = np.tile(face.rest.astype(np.float32), (round(_LONG_S * RATE_HZ) + 1, 1))
+    kept = performed_sound(sound, included=True)
+    write_performance(Performance(face.checksum, faces, (), kept, "heard"), _performance(robot))
+
+
 #: Longer than any case lasts.
+_LONG_S: Final = 60
 _LONG_TEXT: Final = "Peter Piper picked a peck of pickled peppers. " * 8
 
 COMMANDS: Final = {
@@ -116,6 +143,7 @@ COMMANDS: Final = {
         Command("run", _at_port("run", "--wav", str(CLIP))),
         Command("daemon", _at_port("daemon", "--wav", str(CLIP)), ends_well=True),
         Command("say", _at_port("say", "--mute", _LONG_TEXT)),
+        Command("perform", _perform, _write_performance),
         Command("jog", _at_port("jog", "jaw", "10", "--hold-s", "30")),
         Command("neutral", _at_port("neutral"), _stand_away),
         Command("new-face", _new_face, _without_current_limits, answers="jaw\nopens\ny\n"),

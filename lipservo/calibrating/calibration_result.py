@@ -6,12 +6,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.calibration import Calibration, Following, ServoMemory
-from calibration.capture.capture import Capture
+from calibration.capture.capture import Capture, Robot
 from calibration.fit.correspondence import LIPS_NEEDED
 from calibration.fit.jaw_fit import fit_jaw, jaw_agreement, jaw_markers
 from calibration.fit.measured import MeasuredFit, fit_measured
+from calibration.fit.procedure import take_grade
 from lipservo.calibrating.calibration_setup import CalibrationSetup, today
 from lipsync.arrays import Array
+
+#: What one camera from the front does not see.
+PROTRUSION = "protrusion"
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +30,22 @@ class CalibrationResult:
     def backlash_deg(self) -> Array:
         """(n_servos,), 0 where nothing is known."""
         return backlash_of(self.calibration)
+
+    def graded_by(self, setup: CalibrationSetup, on: Robot) -> "CalibrationResult":
+        """The same with a grade, measured at ten poses of speech; a jaw alone gets none."""
+        if self.fit is None:
+            return self
+        fit = take_grade(self.fit, setup.servos, self.fit.face.marker_names, on)
+        found = fit.calibration
+        calibration = replace(self.calibration, grade=found.grade, coverage=found.coverage)
+        return CalibrationResult(calibration, fit, fit.warnings)
+
+    def seen_by(self, setup: CalibrationSetup) -> "CalibrationResult":
+        """The same; its file says what was not measured."""
+        if setup.sees_forward:
+            return self
+        origin = replace(self.calibration.origin, not_measured=PROTRUSION)
+        return replace(self, calibration=replace(self.calibration, origin=origin))
 
     def with_following(self, following: Following) -> "CalibrationResult":
         """The same, with lags."""
@@ -55,10 +75,10 @@ def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
     servos = setup.servos
     lips = LIPS_NEEDED & set(capture.marker_names)
     if len(servos.joints) == 1 and jaw_markers(capture.marker_names) and not lips:
-        jaw, warnings = fit_jaw(setup.model, capture, servos, date=today())
-        return CalibrationResult(jaw, None, warnings)
-    fit = fit_measured(setup.model, capture, servos, date=today())
-    return CalibrationResult(fit.calibration, fit, fit.warnings)
+        jaw, warnings = fit_jaw(setup.model, capture, servos, date=today(), accept=setup.accept)
+        return CalibrationResult(jaw, None, warnings).seen_by(setup)
+    fit = fit_measured(setup.model, capture, servos, date=today(), accept=setup.accept)
+    return CalibrationResult(fit.calibration, fit, fit.warnings).seen_by(setup)
 
 
 def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None:

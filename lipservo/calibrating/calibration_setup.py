@@ -21,6 +21,8 @@ from lipsync.animpho.units import FaceWithAnimPhos
 #: Neutral, each of ten joints alone from both sides, and as many again spread over the range and
 #: over speech: docs/benchmarks.md has the errors for this number.
 N_POSES = 60
+#: What is seen from the side alone.
+_FORWARD_WORDS = ("protrudes", "retracts")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +31,8 @@ class CalibrationSetup:
 
     keep: the file that holds every captured pose; quiet: no progress bar; lags: whether servos are
     moved by chirps and steps; speed_deg_s: how fast servos are moved from pose to pose.
+    sees_forward: whether markers are measured in depth too. accept: what is judgement, of joints,
+    size and grade, only warns.
     """
 
     settings: FaceSettings
@@ -38,6 +42,8 @@ class CalibrationSetup:
     quiet: bool = False
     lags: bool = True
     speed_deg_s: float = SPEED_DEG_S
+    sees_forward: bool = True
+    accept: bool = False
 
     @property
     def servos(self) -> MouthServos:
@@ -47,14 +53,26 @@ class CalibrationSetup:
             joints=tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()),
             face_checksum=self.settings.checksum,
             models=tuple(servo.model for servo in mouth.values()),
-            positive=tuple(servo.positive for servo in mouth.values()),
+            positive=tuple(self._word(servo.positive) for servo in mouth.values()),
             rules=mouth_rules(self.settings),
         )
+
+    def _word(self, positive: str) -> str:
+        """What a positive angle does; nothing where nobody can see whether it does."""
+        return positive if self.sees_forward or positive not in _FORWARD_WORDS else ""
 
     def procedure(self, seed: int = 0) -> Procedure:
         """What is captured of this face."""
         servos = self.servos
-        return Procedure(self.model, servos.joints, self.n_poses, servos.rules, seed)
+        return Procedure(
+            self.model,
+            servos.joints,
+            self.n_poses,
+            servos.rules,
+            seed,
+            servos.positive,
+            self.accept,
+        )
 
 
 def today() -> str:

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.calibration import Calibration, CalibrationError
-from calibration.fit.correspondence import RobotMouth
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.measured_errors import REACHABLE_MM, ShapeErrors
 from lipservo.terminal.pictures import save_picture, without_screen
@@ -42,7 +41,7 @@ def draw_coverage(
 
     frames = model.animphos.frames
     frames = frames[:: max(1, len(frames) // _FRAMES)]
-    opening_mm, width_mm, off_mm = _best_off(model, calibration, fit, frames)
+    opening_mm, width_mm, off_mm = _best_off(model, fit, frames)
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.6), width_ratios=(3, 2))
     points = left.scatter(
         width_mm, opening_mm, c=np.minimum(off_mm, _WORST_MM), s=9, cmap="viridis_r", vmin=0.0,
@@ -60,7 +59,7 @@ def draw_coverage(
     left.set_xlabel("width asked for, mm")
     left.set_ylabel("opening asked for, mm (below 0: pressed)")
     left.set_title(f"{1 - missed.mean():.0%} of speech within {REACHABLE_MM} mm; red circles: not")
-    figure.colorbar(points, ax=left, label="best pose off, mm rms over the lips")
+    figure.colorbar(points, ax=left, label="best pose off in opening or width, mm")
     _draw_classes(right, calibration)
     figure.suptitle(f"What this robot can make of speech, {calibration.origin.poses} poses")
     figure.tight_layout()
@@ -106,15 +105,10 @@ def _draw_classes(axes: "Axes", calibration: Calibration) -> None:
 
 
 def _best_off(
-    model: FaceWithAnimPhos, calibration: Calibration, fit: MeasuredFit, frames: Array
+    model: FaceWithAnimPhos, fit: MeasuredFit, frames: Array
 ) -> tuple[Array, Array, Array]:
     """Opening and width that are asked for, and how far the best pose is off; (n,) each, mm."""
-    limits = (calibration.min_deg, calibration.max_deg)
-    mouth = RobotMouth(fit.face.markers_mm, fit.names, limits, calibration.rules)
-    found = ShapeErrors(model, mouth, fit.retargeting)
-    targets_mm = fit.retargeting.targets_mm(frames - model.rest)
-    right, left = fit.names.corners
-    upper, lower = fit.names.shape_features.gaps[0]
-    opening_mm = targets_mm[:, upper, 1] - targets_mm[:, lower, 1]
-    width_mm = targets_mm[:, left, 0] - targets_mm[:, right, 0]
-    return opening_mm, width_mm, found.apart_mm(found.best_deg(targets_mm), targets_mm)
+    found = ShapeErrors(model, fit.retargeting.mouth, fit.retargeting)
+    asked_mm, best_mm = found.openings_and_widths_mm(frames - model.rest)
+    off_mm = np.abs(best_mm - asked_mm).max(axis=1)
+    return asked_mm[:, 0] - fit.retargeting.closed_mm[0], asked_mm[:, 1], off_mm

@@ -18,7 +18,7 @@ from calibration.fit.guided_session import (
     start_session,
 )
 from calibration.joint_range import JointRange
-from calibration.simulated.face import marker_positions_mm, simulated_face
+from calibration.simulated.practice_robot import markers_of_face
 from lipservo.calibrating.calibration_result import CalibrationResult
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, today
 from lipservo.calibrating.servo_lags import with_lags
@@ -40,10 +40,10 @@ def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
     """
     model, joints = setup.model, setup.servos.joints
     if setup.settings.bus.kind == "simulated":
-        face = simulated_face(model.markers_mm(model.rest[None])[0], setup.servos.names)
+        markers_of = markers_of_face(model.markers_mm(model.rest[None])[0], setup.servos)
 
         def drawn(positions_deg: Array) -> Array:
-            return np.asarray(marker_positions_mm(face, positions_deg[None])[0])
+            return np.asarray(markers_of(positions_deg[None])[0])
 
         made_deg = guide(
             model, joints, lambda goal_deg: goal_deg, read_key, MESSAGES,

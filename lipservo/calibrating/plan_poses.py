@@ -38,6 +38,20 @@ def read_poses(
     return tuple(numbers[row] for row in rows), chosen
 
 
+def check_plan(setup: CalibrationSetup, path: Path) -> None:
+    """Raises CalibrationError for goals beyond the face's limits, and a joint that never moves."""
+    _, plan = read_poses(setup, path, ())
+    still = (
+        np.ptp(plan.goals_deg, axis=0) == 0.0 if len(plan) > 1 else np.zeros(len(plan.servo_names))
+    )
+    names = [name for name, stays in zip(plan.servo_names, still, strict=True) if stays]
+    if names:
+        raise CalibrationError(
+            f"{path}: {', '.join(names)} moves in no pose, so nothing can be learnt of it; write "
+            "a plan with `lipservo calibrate plan`"
+        )
+
+
 def stand_in_poses(
     setup: CalibrationSetup,
     plan: PosePlan,

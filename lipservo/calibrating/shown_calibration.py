@@ -21,6 +21,16 @@ _COLUMNS = {
     "top_speed_deg_s": "speed deg/s",
     "bandwidth_hz": "bandwidth Hz",
 }
+#: Columns of the table of viseme classes, by the names of `coverage_values`; shares or millimetres.
+_VISEME_COLUMNS = {
+    "reachable": ("reach", "%"),
+    "off_mm": ("off, estimated", "mm"),
+    "measured_mm": ("measured", "mm"),
+    "gap_slope": ("opens", "%"),
+    "small_gaps_kept": ("small kept", "%"),
+    "closed_gap_mm": ("closed apart", "mm"),
+    "at_limit": ("at limit", "%"),
+}
 Value = str | float | Sequence[float] | None
 
 
@@ -62,16 +72,20 @@ def shown_values(
 ) -> dict[str, object]:
     """Everything for JSON but the map itself. rules: of the face's YAML, None: not asked for."""
     origin, errors = calibration.origin, asdict(calibration.errors)
+    lips = calibration.learnt_lips
     errors.pop("joint_rms_deg")
     told: dict[str, object] = {
         "method": origin.method,
         "date": origin.date,
         "poses": origin.poses,
+        "not_measured": origin.not_measured,
         "model_checksum": calibration.model_checksum,
         "face_checksum": calibration.face_checksum,
         "servos": servo_values(calibration),
         "hold_out": errors,
-        "coverage": {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()},
+        "grade": None if calibration.grade is None else asdict(calibration.grade),
+        "learnt_lips": None if lips is None else asdict(lips),
+        "coverage": coverage_values(calibration),
         "trim": trim_values(calibration),
     }
     if rules is not None:
@@ -116,7 +130,7 @@ def servo_table(calibration: Calibration) -> Table:
 def shown_lines(
     calibration: Calibration, file: str, rules: Sequence[PreventSettings] | None
 ) -> list[str]:
-    """What is not of one servo: origin, errors of the lips, coverage, trims and rules."""
+    """What is not of one servo or viseme class: origin, errors of the lips, trims and rules."""
     origin = calibration.origin
     made = f", {origin.poses} poses" if origin.poses else ""
     dated = f", {origin.date}" if origin.date else ""
@@ -124,7 +138,6 @@ def shown_lines(
         *report_lines(calibration, file, None, with_servos=False),
         f"method: {origin.method}{made}{dated}; model {calibration.model_checksum}, "
         f"face {calibration.face_checksum}",
-        *_coverage_lines(calibration),
         f"trims: {'; '.join(trim_lines(calibration))}",
     ]
     if rules is not None:
@@ -133,12 +146,28 @@ def shown_lines(
     return lines
 
 
-def _coverage_lines(calibration: Calibration) -> list[str]:
+def coverage_values(calibration: Calibration) -> dict[str, dict[str, float | None]]:
+    """What is known of each viseme class, by its first phoneme; None where nobody can say."""
+    return {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()}
+
+
+def coverage_table(calibration: Calibration) -> Table:
+    """One row a viseme class; a dash where nobody can say."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("class", no_wrap=True)
+    for title, _ in _VISEME_COLUMNS.values():
+        table.add_column(title, justify="right")
     phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
-    return [
-        f"{phonemes[viseme]}: {reach.reachable:.0%} within reach, the map {reach.off_mm:.2f} mm off"
-        for viseme, reach in calibration.coverage.items()
-    ]
+    for viseme, values in coverage_values(calibration).items():
+        cells = (_measured(values[key], unit) for key, (_, unit) in _VISEME_COLUMNS.items())
+        table.add_row(phonemes[viseme], *cells)
+    return table
+
+
+def _measured(value: float | None, unit: str) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.0%}" if unit == "%" else f"{value:.2f}"
 
 
 def _rule_text(factors: Mapping[str, float], above_deg: float) -> str:

@@ -108,6 +108,8 @@ class AsyncSpeech:
         if not self._ready.done():
             self._ready.set_exception(error)
             self._ready.exception()  # nobody need wait for it
+            if not self.is_over:  # it never began, and an interruption waits for no end of it
+                self._heard.set_result(Played(finished=False, played_s=0.0))
         else:
             self._error = self._error or error
 
@@ -211,7 +213,11 @@ class AsyncFace:
         return await self._ask("say", text=text)
 
     async def play(self, file: str) -> dict[str, Any]:
-        """Play a sound file that lies where the face allows it. Raises FaceError."""
+        """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
+
+        Returns once it is read and waits for its turn. Of a performance the answer has `stream`, as
+        the face's status calls it in `speaking`, and `duration_s`.
+        """
         return await self._ask("play", file=file)
 
     async def _ask(self, kind: str, **fields: object) -> dict[str, Any]:

@@ -124,7 +124,11 @@ class Face:
         return self.wait_for(self._face.say(text))
 
     def play(self, file: str) -> dict[str, Any]:
-        """Play a sound file that lies where the face allows it. Raises FaceError."""
+        """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
+
+        Returns once it is read and waits for its turn. Of a performance the answer has `stream`, as
+        the face's status calls it in `speaking`, and `duration_s`.
+        """
         return self.wait_for(self._face.play(file))
 
     def wait_for(self, call: Coroutine[Any, Any, _Answer]) -> _Answer:

@@ -11,6 +11,7 @@ import typer
 from lipservo.settings.motion_names import (
     DEFAULT_STRATEGY,
     LONGEST_LOOKAHEAD_MS,
+    ONLY_UNITS,
     SMOOTHEST,
     STRONGEST,
     Engine,
@@ -104,7 +105,9 @@ Listen = Annotated[
 ]
 TokenFile = Annotated[
     Path | None,
-    typer.Option(help="File whose first line voice agents must know.", show_default=False),
+    typer.Option(
+        help="File whose first line voice agents and browsers must know.", show_default=False
+    ),
 ]
 Queue = Annotated[
     bool,
@@ -120,9 +123,38 @@ Origins = Annotated[
 ]
 Sounds = Annotated[
     Path | None,
-    typer.Option(help="Folder of sound files that voice agents may play.", show_default=False),
+    typer.Option(
+        help="Folder of sound files and performances that agents and the dashboard may play.",
+        show_default=False,
+    ),
+]
+Through = Annotated[
+    str | None,
+    typer.Option(
+        "--through",
+        metavar="URL",
+        help="Let a running face say it; `lipservo status` tells its address.",
+        show_default=False,
+    ),
 ]
 Language = Annotated[str, typer.Option(help="As espeak-ng names it: en-us, en-gb, de, fr-fr.")]
+
+# ---- who watches ----
+
+Dashboard = Annotated[
+    bool, typer.Option("--dashboard", help="Show the face in a browser; the address is printed.")
+]
+DashboardListen = Annotated[
+    str | None,
+    typer.Option(
+        metavar="HOST:PORT",
+        help="Where the dashboard is. Beyond loopback with a token.",
+        show_default="127.0.0.1:8080, or the next free port",
+    ),
+]
+OpenPage = Annotated[
+    bool, typer.Option("--open/--no-open", help="Open the dashboard in a browser.")
+]
 
 # ---- how sound becomes motion ----
 
@@ -140,8 +172,8 @@ FaceWeights = Annotated[str | None, _WEIGHTS]
 FaceStrategy = Annotated[
     Strategy | None,
     typer.Option(
-        help=f"How phonemes become motion: {DEFAULT_STRATEGY}, or the paper's naive, priority; "
-        "default: the face's.",
+        help=f"How phonemes become motion: {DEFAULT_STRATEGY}, animpho, or the paper's naive, "
+        "priority; default: the face's.",
         show_default=False,
     ),
 ]
@@ -173,6 +205,15 @@ Smoothness = Annotated[
     float | None,
     typer.Option(min=0.0, max=SMOOTHEST, help="0, the default, crisp, 1 slow.", show_default=False),
 ]
+UnitShare = Annotated[
+    float | None,
+    typer.Option(
+        min=0.0,
+        max=ONLY_UNITS,
+        help="With animpho: 0 plays what is expected, 1 AnimPhos alone.",
+        show_default=False,
+    ),
+]
 
 # ---- what comes out ----
 
@@ -199,6 +240,15 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object on std
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no messages.")]
 SkipBad = Annotated[
     bool, typer.Option("--skip-bad", help="Leave out sentences with a bad file, and list them.")
+]
+Landmarker = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="FILE",
+        help="Track faces with this face_landmarker.task rather than with mediapipe "
+        "(docs/own-face.md).",
+        show_default=False,
+    ),
 ]
 
 

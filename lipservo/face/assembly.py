@@ -23,13 +23,15 @@ from lipsync.face.model import load_face as load_face_model
 class Face:
     """One robot face and everything that belongs to it, checked against one another.
 
-    calibration: of the mouth's servos, with the face's rules between joints.
+    calibration: of the mouth's servos, with the face's rules between joints. folder: of the YAML;
+    None: a shipped face.
     """
 
     settings: FaceSettings
     model: FaceModel
     calibration: Calibration
     joints: tuple[Joint, ...]
+    folder: Path | None = None
 
 
 def load_settings(config: str) -> tuple[FaceSettings, Path | None]:
@@ -52,7 +54,7 @@ def assemble_face(config: str, model_path: Path | None) -> Face:
     check_calibration(calibration, model, list(settings.mouth_servos), settings.checksum)
     check_servo_models(calibration, [servo.model for servo in settings.mouth_servos.values()])
     kept = replace(calibration, rules=mouth_rules(settings))
-    return Face(settings, model, kept, settings.joints())
+    return Face(settings, model, kept, settings.joints(), folder)
 
 
 def at_port(face: Face, port: str | None) -> Face:

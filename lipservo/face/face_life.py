@@ -31,12 +31,15 @@ class ControlOptions:
     """How a face is commanded from outside.
 
     path: of its socket; None: in the runtime folder. commands: what is asked of it. describe: makes
-    its status, for JSON, of what the bridge knows.
+    its status, for JSON, of what the bridge knows. about: what every answer says besides the face's
+    name and port. watched_fd: of the memory that whoever watches may read; None: nobody may.
     """
 
     path: Path | None = None
     commands: CommandQueue = field(default_factory=CommandQueue)
     describe: Callable[[Mapping[str, object]], Mapping[str, object]] = _of_the_servos
+    about: Mapping[str, object] = field(default_factory=dict)
+    watched_fd: int | None = None
 
 
 @contextmanager
@@ -60,11 +63,12 @@ def face_life(
         return
     with ExitStack() as stack:
         log = stack.enter_context(LogLines(write=_nowhere if quiet else say))
-        about = {"name": name, "port": port}
         asked = ControlOptions() if control is None else control
+        about = {**asked.about, "name": name, "port": port}
         path = asked.path or socket_path(name)
         listener = ControlSocket.bind(path, about, asked.commands, asked.describe)
         stack.enter_context(listener)
+        listener.watched_fd = asked.watched_fd
         healths = health_log(name, port, log, os.environ)
         if healths is not None:
             stack.enter_context(healths)

@@ -4,6 +4,7 @@ Everything goes through the last gate. One thread speaks to the bus; whoever wai
 tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
 """
 
+import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -15,6 +16,7 @@ from firmware_bridge.bus import BusError, PortError, PortGone, ServoBus
 from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.budget import budget
 from firmware_bridge.gate.ramp import Ramp
+from firmware_bridge.health import Feedback
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.stopping import StopLevel
@@ -97,6 +99,11 @@ class HeldFace:
     def stands_deg(self) -> Array:
         """Where the posed joints stand, (n_joints,). Raises PortGone."""
         return self._stands_deg()[self._posed]
+
+    @property
+    def effort(self) -> Array:
+        """How hard the posed joints pull, (n_joints,), in stall torques. Raises PortGone."""
+        return self._feedback().effort[self._posed]
 
     def move(self, goal_deg: Array) -> Array:
         """Lead the mouth there, wait until it stands, and say where it does."""
@@ -214,18 +221,28 @@ class HeldFace:
     def _settle(self) -> Array:
         """Until every encoder is still, for as long as any servo needs at most."""
         until_s = self._clock.now() + _SETTLE_S
-        before_deg = self._stands_deg()
+        before_deg = self._heard_deg()
         while self._clock.now() < until_s:
-            self.hold(_STILL_S)
-            now_deg = self._stands_deg()
+            # By ticks: of a computer that stands still for so long no servo hears anything.
+            for _ in range(math.ceil(_STILL_S * self.rate_hz)):
+                self._tick()
+            now_deg = self._heard_deg()
             if np.abs(now_deg - before_deg).max() < _STILL_DEG:
                 break
             before_deg = now_deg
-        return self._stands_deg()[self._posed]
+        return self.stands_deg
+
+    def _heard_deg(self) -> Array:
+        """Where the servos stand that have just said so; NaN, never still, for the others."""
+        told = self._feedback()
+        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)
 
     def _stands_deg(self) -> Array:
+        return self._feedback().positions_deg
+
+    def _feedback(self) -> Feedback:
         try:
-            return self._bus.feedback().positions_deg
+            return self._bus.feedback()
         except PortError as error:
             raise PortGone(
                 "the port of the servos is gone; plug it in and go on with what was kept"

@@ -10,7 +10,6 @@ from typing import Any
 
 from firmware_bridge.errors import BusError
 from firmware_bridge.process.control_client import RunningFace, ask, stop_and_wait
-from firmware_bridge.process.control_socket import knock
 from firmware_bridge.process.port_holders import (
     end_hung,
     holders_of,
@@ -20,6 +19,7 @@ from firmware_bridge.process.port_holders import (
     ports_held_by,
     with_children,
 )
+from firmware_bridge.process.socket_files import knock
 from firmware_bridge.stopping import StopLevel, named_by_reason
 
 #: Easing takes 2 s, a bridge that hangs in it is noticed and its servos let go in as much again.

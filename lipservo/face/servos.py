@@ -1,6 +1,6 @@
 """The servos of a face's YAML as the bus knows them, their bus, and the bridge that drives them."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import fields
 from functools import partial
 
@@ -59,6 +59,7 @@ def bridge_for(
     tolerant: bool = False,
     dry_run: bool = False,
     given_up: Mapping[int, str] | None = None,
+    switched_off: Collection[int] = (),
 ) -> Bridge:
     """The bridge with all rules of the face's YAML. rate_hz: default the face's."""
     return Bridge(
@@ -73,6 +74,7 @@ def bridge_for(
             tolerant=tolerant,
             dry_run=dry_run,
             given_up=given_up or {},
+            switched_off=switched_off,
         ),
     )
 

@@ -6,7 +6,9 @@ from pydantic import model_validator
 
 from lipservo.settings.motion_names import (
     DEFAULT_STRATEGY,
+    FARTHEST_LIP_GAP_OFFSET_MM,
     LONGEST_LOOKAHEAD_MS,
+    ONLY_UNITS,
     SMOOTHEST,
     STRONGEST,
     STYLE_NAMES,
@@ -29,6 +31,10 @@ class MotionSettings(Strict):
     lookahead_ms: Annotated[float, within(0.0, LONGEST_LOOKAHEAD_MS)] | None = None
     strength: Annotated[float, within(0.0, STRONGEST)] | None = None
     smoothness: Annotated[float, within(0.0, SMOOTHEST)] | None = None
+    unit_share: Annotated[float, within(0.0, ONLY_UNITS)] | None = None
+    lip_gap_offset_mm: (
+        Annotated[float, within(-FARTHEST_LIP_GAP_OFFSET_MM, FARTHEST_LIP_GAP_OFFSET_MM)] | None
+    ) = None
 
     @model_validator(mode="after")
     def _the_strategy_has_them(self) -> Self:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import (
     ValidationError,
@@ -17,6 +17,7 @@ from pydantic import (
 
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.joints import Joint
+from lipservo.settings.expression_settings import ExpressionSettings, ServoExpression
 from lipservo.settings.gate_settings import PreventSettings, StaleSettings, TrackingSettings
 from lipservo.settings.motion_settings import MotionSettings
 from lipservo.settings.setting_types import (
@@ -32,6 +33,7 @@ from lipservo.settings.setting_types import (
     Speed,
     Strict,
     Text,
+    within,
 )
 from lipservo.settings.sound_settings import SoundSettings
 from lipservo.settings.strict_yaml import SettingsError, read_mapping
@@ -99,6 +101,7 @@ class ServoSettings(Strict):
     critical: bool = False
     #: What it moves; only the mouth is calibrated to a speaker.
     part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
+    expression: ServoExpression | None = None
 
     @model_validator(mode="after")
     def _neutral_is_within_reach(self) -> Self:
@@ -122,6 +125,13 @@ class ServoSettings(Strict):
                 f"max_speed_deg_s {self.max_speed_deg_s:g} is more than an {self.model} makes "
                 f"without load, {fastest:g}"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _a_mouth_only_smiles(self) -> Self:
+        shown = None if self.expression is None else self.expression.of
+        if self.part == "mouth" and shown not in (None, "smile"):
+            raise ValueError(f"expression.of {shown} needs another `part:`; a mouth may smile")
         return self
 
     @model_validator(mode="after")
@@ -153,6 +163,9 @@ class FaceSettings(Strict):
     tracking: TrackingSettings = TrackingSettings()
     motion: MotionSettings = MotionSettings()
     sound: SoundSettings = SoundSettings()
+    expression: ExpressionSettings = ExpressionSettings()
+    #: Between the outer corners of the robot's eyes: what gives a photograph its scale.
+    eye_distance_mm: Annotated[float, within(10.0, 500.0)] | None = None
 
     @field_validator("prevent", mode="before")
     @classmethod

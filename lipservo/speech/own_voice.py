@@ -55,6 +55,7 @@ class OwnVoice:
     def advance(self, now_s: float) -> None:
         """Follow whoever plays, do what was asked for, note which phoneme is heard."""
         self._follow(now_s)
+        self._get_up()
         position_s = self._clock.sound_s(now_s) - self._clock.lead_s
         if self.playout.advance(position_s):
             self._speech.cut_off(now_s, self._rest, self.playout.committed_s)
@@ -68,6 +69,13 @@ class OwnVoice:
         """The face is stopped: what was not heard never will be."""
         self.playout.requests.append(PlayoutRequest("interrupt"))
         self.playout.advance(self.playout.position_s)
+
+    def _get_up(self) -> None:
+        """A face whose servos rest has them back before anything is said."""
+        expression = self._speech.expression
+        if expression is not None and expression.is_resting and not self.playout.is_over:
+            expression.wake()
+            self.playout.be_quiet(self._quiet_s)
 
     def _follow(self, now_s: float) -> None:
         """A device that stands still closes the mouth; its clock stands still with it."""

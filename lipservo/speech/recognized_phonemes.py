@@ -2,15 +2,20 @@
 
 import math
 
+from lipservo.speech.heard_voice import HeardVoice
 from lipsync.audio.source import AudioSource
-from lipsync.phonemes import LiveRecognizer, PhonemeUpdate
+from lipsync.phonemes import Hearing, Listener, LiveRecognizer, PhonemeUpdate
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 
 
 class RecognizedPhonemes:
     """A `PhonemeSource` that feeds the sound of a source to a recogniser."""
 
-    def __init__(self, source: AudioSource, recognizer: LiveRecognizer) -> None:
+    def __init__(
+        self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
+    ) -> None:
+        """voice: hears the same sound."""
+        self._voice = voice
         self._source = source
         self._recognizer = recognizer
         self._sound = SoundAhead(source, recognizer)
@@ -27,10 +32,18 @@ class RecognizedPhonemes:
         """Sound has been heard until then."""
         return self._heard_until_s
 
+    @property
+    def hears(self) -> Hearing | None:
+        """What is believed about the sound; None where the recogniser does not say."""
+        return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
+
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Hear the sound that is due at sound time `until_s`; what became known by it."""
         # A device gives what has arrived, whatever the clock says.
         blocks = self._sound.blocks(math.inf if self._source.is_live else until_s)
+        if self._voice is not None:
+            for block in blocks:
+                self._voice.hear(block)
         step = self._recognition.feed(blocks)
         if blocks:
             self._heard_until_s = blocks[-1].end_s

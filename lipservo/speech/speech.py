@@ -11,12 +11,14 @@ from calibration.run.viseme_trim import VisemeTrim
 from firmware_bridge.targets import ServoTargets, TargetChannel
 from lipservo.speech.cut_off import CutOff
 from lipservo.speech.delay import PUBLISH_PERIOD_S, Delay
+from lipservo.speech.expression_layer import ExpressionLayer
 from lipservo.speech.layers import Claim, Layer, ServoLayers
+from lipservo.speech.lip_gap_offset import LipGapOffset
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
-from lipsync.face.frame import Frame
+from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
 from lipsync.face.synthesizer import Synthesizer
-from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeSource
+from lipsync.phonemes import SILENCE, Hearing, Listener, PhonemeEvent, PhonemeSource
 
 #: After a stall, targets that would be shown longer ago than this are not computed any more.
 _OLDEST_WORTH_SHOWING_S = 0.100
@@ -43,11 +45,13 @@ class Speech:
         channel: TargetChannel,
         *,
         least_delay_s: float = 0.0,
+        expression: ExpressionLayer | None = None,
     ) -> None:
         """servo_names: of the whole face, in the order of the targets.
 
-        Those without calibration stay at neutral. least_delay_s: the face waits for a loudspeaker
-        that is so late. Raises ValueError for a calibrated servo that is not among them.
+        Those without calibration that the expression does not move stay at neutral. least_delay_s:
+        the face waits for a loudspeaker that is so late. Raises ValueError for a calibrated servo
+        that is not among them.
         """
         self._phonemes = phonemes
         self._clock = clock
@@ -73,7 +77,10 @@ class Speech:
             actuation_s=self._follower.advance_s,
         ).at_least(least_delay_s)
         self._cut_off = CutOff(PUBLISH_PERIOD_S)
-        self._newest_deg = np.zeros(n_servos)
+        self.expression = expression
+        #: Lips more open or closed than planned; None: as planned.
+        self.lip_gap: LipGapOffset | None = None
+        self._newest_mouth_deg = np.zeros(len(self.mouth))
         self._newest_asked_s = self._newest_sound_s = -math.inf
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
@@ -82,6 +89,11 @@ class Speech:
     def phonemes_planned(self) -> int:
         """Phonemes that moved the mouth so far."""
         return self._synthesizer.phonemes_planned
+
+    @property
+    def hears(self) -> Hearing | None:
+        """What is believed about the sound that was settled last; None: nobody listens."""
+        return self._phonemes.hears if isinstance(self._phonemes, Listener) else None
 
     @property
     def calibration(self) -> Calibration:
@@ -112,7 +124,7 @@ class Speech:
         for n in range(max(self._n_published, n_remembered), n_due):
             targets = self._targets(n * PUBLISH_PERIOD_S)
             if n >= n_too_old:
-                self._channel.publish(targets)
+                self._publish(targets)
         self._n_published = max(self._n_published, n_due)
 
     def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
@@ -123,8 +135,10 @@ class Speech:
         """
         if until_s is None:
             until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S
-        rest_deg = self._compose(self._calibration.positions_deg(rest))
-        self._cut_off.begin(self._newest_deg, rest_deg, until_s)
+        rest_deg = self._calibration.positions_deg(
+            rest if self.lip_gap is None else self.lip_gap.shifted(rest)
+        )
+        self._cut_off.begin(self._newest_mouth_deg, rest_deg, until_s)
         # Targets may have been dated ahead of this moment.
         self._newest_asked_s = min(self._newest_asked_s, now_s)
 
@@ -164,19 +178,39 @@ class Speech:
         # Every period counts, also where ticks are farther apart: it closes in the same time.
         while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
             self._newest_asked_s += PUBLISH_PERIOD_S
-            self._newest_deg = self._cut_off.close()
-            goals_deg = self._follower.feed(self._newest_deg)
-            self._channel.publish(ServoTargets(self._newest_asked_s, goals_deg))
+            self._newest_mouth_deg = self._cut_off.close()
+            shown_s = self._newest_asked_s + self.delay.actuation_s
+            pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
+            goals_deg = self._follower.feed(pose_deg)
+            self._publish(ServoTargets(self._newest_asked_s, goals_deg))
 
     def _targets(self, sound_s: float) -> ServoTargets:
         phoneme, frame = self.shown_at(sound_s)
-        mouth_deg = self._calibration.positions_deg(frame.coefficients) + self._trim.feed(phoneme)
-        self._newest_deg = self._cut_off.join(self._compose(mouth_deg))
+        face = frame.coefficients if self.lip_gap is None else self.lip_gap.feed(frame.coefficients)
+        mouth_deg = self._calibration.positions_deg(face) + self._trim.feed(phoneme)
+        self._newest_mouth_deg = self._cut_off.join(mouth_deg)
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
         # Servos are asked before the face is shown, by as much as they are late.
         asked_s = shown_s - self.delay.actuation_s
         self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
-        return ServoTargets(asked_s, self._follower.feed(self._newest_deg))
+        pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
+        return ServoTargets(asked_s, self._follower.feed(pose_deg))
 
-    def _compose(self, mouth_deg: Array) -> Array:
-        return self._layers.compose([Claim(Layer.LIPS, self.mouth, mouth_deg)])
+    def _compose(
+        self, sound_s: float, shown_s: float, phoneme: str, performed: Expression
+    ) -> Array:
+        """The pose (n_servos,) of the next 10 ms: the newest of the mouth, and the expression.
+
+        performed: what a performance says of head and eyes.
+        """
+        mouth = Claim(Layer.LIPS, self.mouth, self._newest_mouth_deg)
+        if self.expression is None:
+            return self._layers.compose([mouth])
+        is_speaking = phoneme != SILENCE
+        self.expression.advance(sound_s, shown_s, is_speaking=is_speaking, performed=performed)
+        return self._layers.compose(self.expression.claims(mouth))
+
+    def _publish(self, targets: ServoTargets) -> None:
+        """Nothing of a face that rests: the bridge lets its servos go, and takes them up again."""
+        if self.expression is None or not self.expression.is_resting:
+            self._channel.publish(targets)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from lipsync.audio.playing_stream import KnownStretch
 from lipsync.audio.playout import Playout
-from lipsync.phonemes import LiveRecognizer, PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import Hearing, Listener, LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.streaming import RecognizerStream
 
 #: What is known beforehand is told so far ahead of the sound: more than the longest look-ahead
@@ -31,6 +31,11 @@ class SpokenPhonemes:
     def heard_until_s(self) -> float:
         """Sound has been committed until then."""
         return self._playout.committed_s
+
+    @property
+    def hears(self) -> Hearing | None:
+        """What is believed about the sound; None where the recogniser does not say."""
+        return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Commit the sound that is due at sound time `until_s`; what became known by it."""

@@ -6,7 +6,7 @@ moment is None. docs/architecture.md has the same fields as a table, which a tes
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,11 +16,14 @@ class SpeechStatus:
     sound: what is heard, by the name of file or device. recognizer: who listens now;
     fallback_level: how many recognisers were left for it, 0: the one that was asked for;
     fallback_reasons: why each of them was left. engine, weights, strategy: as asked for. settings:
-    what the strategy lets its user set, as set last. delay_ms: how much later than its sound the
+    what the strategy lets its user set, as set last. hears: what is believed about the sound,
+    `speech`, `noise` or `silence`. delay_ms: how much later than its sound the
     face is shown. n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output:
     the loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice
     agents are waited for; speaking: the stream that is being said; n_playout_underruns: how often
-    speech that was to be said had not come in time.
+    speech that was to be said had not come in time. arousal: of the voice that is shown, -1 to 1;
+    is_resting: after a long silence its servos are let go until somebody speaks; expression: how
+    lively it is, where it looks and what affect was set, by name.
     """
 
     sound: str
@@ -32,6 +35,7 @@ class SpeechStatus:
     strategy: str
     settings: Mapping[str, float]
     delay_ms: float
+    hears: str | None = None
     n_phonemes: int = 0
     n_lost_sound_blocks: int = 0
     output: str | None = None
@@ -39,21 +43,29 @@ class SpeechStatus:
     listens_on: str | None = None
     speaking: str | None = None
     n_playout_underruns: int | None = None
+    arousal: float | None = None
+    is_resting: bool | None = None
+    expression: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class Status:
     """The whole face at one moment. Nothing in it changes afterwards.
 
-    name: of the face; port: of its servos, None: simulated in memory; state: a `FaceState`, or what
-    the supervisor does while no bridge runs; stopped: the stop that a supervisor holds to; plugged:
-    whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
-    name; troubles: a line for each servo that is not driven; n_ticks to n_rejected_targets: the
-    counts of `BridgeStatus`; *_total: how often the gate stepped in, over all servos; bridge_pid:
-    the process that drives them. The rest is that of `SpeechStatus`.
+    name: of the face; config: its YAML, by the name of a shipped face or by its path; sounds: the
+    folder whose sound files may be played; port: of its servos, None: simulated in memory; state:
+    a `FaceState`, or what the supervisor does while no bridge runs; stopped: the stop that a
+    supervisor holds to; plugged: whether the port is there; torque_on: whether a servo is driven;
+    servos: the state of each, by name; troubles: a line for each servo that is not driven; jogged:
+    joints that a person jogs; health: how each servo is, as `ServoHealth` has it, None for what was
+    never heard; n_ticks to n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the
+    gate stepped in, over all servos; bridge_pid: the process that drives them. The rest is that of
+    `SpeechStatus`.
     """
 
     name: str = ""
+    config: str | None = None
+    sounds: str | None = None
     port: str | None = None
     state: str = ""
     stopped: str | None = None
@@ -61,6 +73,8 @@ class Status:
     torque_on: bool | None = None
     servos: Mapping[str, str] = field(default_factory=dict)
     troubles: tuple[str, ...] = ()
+    jogged: tuple[str, ...] = ()
+    health: tuple[Mapping[str, object], ...] = ()
     sound: str | None = None
     recognizer: str | None = None
     fallback_level: int | None = None
@@ -70,6 +84,7 @@ class Status:
     strategy: str | None = None
     settings: Mapping[str, float] = field(default_factory=dict)
     delay_ms: float | None = None
+    hears: str | None = None
     n_phonemes: int | None = None
     n_lost_sound_blocks: int | None = None
     output: str | None = None
@@ -77,6 +92,9 @@ class Status:
     listens_on: str | None = None
     speaking: str | None = None
     n_playout_underruns: int | None = None
+    arousal: float | None = None
+    is_resting: bool | None = None
+    expression: Mapping[str, float] = field(default_factory=dict)
     n_ticks: int | None = None
     n_late: int | None = None
     n_stale: int | None = None
@@ -91,10 +109,12 @@ class Status:
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
-        return asdict(self)
+        return {name: getattr(self, name) for name in _NAMES}
 
 
-_NAMES = frozenset(each.name for each in fields(Status))
+#: Copied one by one, since `asdict` copies what they hold as well, in the loop of the servos.
+_NAMES = tuple(each.name for each in fields(Status))
+_SPEECH_NAMES = tuple(each.name for each in fields(SpeechStatus))
 
 
 def whole_status(bridge: Mapping[str, object], speech: SpeechStatus | None) -> Status:
@@ -102,11 +122,12 @@ def whole_status(bridge: Mapping[str, object], speech: SpeechStatus | None) -> S
 
     Raises TypeError for a part that is not in `Status`: it would be said by nobody.
     """
-    if unknown := set(bridge) - _NAMES:
+    if unknown := set(bridge).difference(_NAMES):
         raise TypeError(f"no field of Status: {', '.join(sorted(unknown))}")
-    parts: dict[str, object] = {} if speech is None else asdict(speech)
+    named = () if speech is None else _SPEECH_NAMES
+    parts: dict[str, object] = {name: getattr(speech, name) for name in named}
     parts.update(bridge)
-    for name in ("troubles", "fallback_reasons"):
+    for name in ("troubles", "jogged", "health", "fallback_reasons"):
         listed = parts.get(name, ())
         assert isinstance(listed, (list, tuple))
         parts[name] = tuple(listed)

@@ -6,6 +6,7 @@ from typing import Protocol
 from firmware_bridge.loop.report import TickReport
 from lipsync.arrays import Array
 from lipsync.face.frame import Frame
+from lipsync.phonemes import Hearing
 
 
 @dataclass(frozen=True, slots=True)
@@ -13,6 +14,8 @@ class StreetTick:
     """What one tick of the street showed. sound_s is negative before the first sound is shown.
 
     captured_s: when the sound was captured that the servos were moved by; None before there is one.
+    hears: what is believed about the sound that was settled last, which is not shown yet; None:
+    nobody listens.
     """
 
     sound_s: float
@@ -20,6 +23,7 @@ class StreetTick:
     frame: Frame
     report: TickReport
     captured_s: float | None = None
+    hears: Hearing | None = None
 
     @property
     def coefficients(self) -> Array:

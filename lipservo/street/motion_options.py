@@ -1,6 +1,6 @@
 """How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -8,6 +8,7 @@ from firmware_bridge.process.command_queue import Setting
 from lipservo.settings.motion_names import (
     DEFAULT_ENGINE,
     DEFAULT_STRATEGY,
+    ONLY_UNITS,
     SMOOTHEST,
     STRONGEST,
     STYLE_NAMES,
@@ -26,7 +27,10 @@ from lipsync.face.model_file import ModelError, open_model
 from lipsync.face.synthesizer import Synthesizer
 from lipsync.motion.live_synthesizer import (
     DEFAULT_LOOKAHEAD_S,
+    DEFAULT_UNIT_SHARE,
     LIVE_STRATEGY,
+    UNIT_STRATEGY,
+    FinishedSynthesizer,
     LiveSynthesizer,
     Style,
     StyleError,
@@ -44,7 +48,7 @@ LOW_LATENCY_S = 0.045
 LOW_LATENCY_LOOKAHEAD_S = 0.05
 #: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
 #: from sound to face, which is declared at the start and stays.
-_LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST}
+_LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST, "unit_share": ONLY_UNITS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +57,8 @@ class MotionOptions:
 
     weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
     to a lesser recogniser. recognizer_latency_s: when a phoneme is settled; sooner is less right.
-    Raises WeightsError, StyleError.
+    performed: how the performance was rendered that is played; then nobody listens and no strategy
+    plans anything. Raises WeightsError, StyleError.
     """
 
     engine: Engine = DEFAULT_ENGINE
@@ -61,23 +66,26 @@ class MotionOptions:
     strategy: Strategy = DEFAULT_STRATEGY
     style: Style = field(default_factory=Style)
     recognizer_latency_s: float = LATENCY_S
+    performed: str = ""
 
     def __post_init__(self) -> None:
         check_weights(self.weights)
-        known = (LIVE_STRATEGY, *STRATEGIES)
+        known = (LIVE_STRATEGY, UNIT_STRATEGY, *STRATEGIES)
         if self.strategy not in known:
             raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
 
     @property
     def style_settings(self) -> dict[str, float]:
         """What the strategy lets its user set, by the names of the face YAML; may be empty."""
+        if self.performed:
+            return {}
         style = self.style
-        values = (style.lookahead_s * 1e3, style.strength, style.smoothness)
+        values = (style.lookahead_s * 1e3, style.strength, style.smoothness, style.unit_share)
         named = dict(zip(STYLE_NAMES, values, strict=True))
         return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
 
     def live_settings(self) -> dict[str, Setting]:
-        """What may change while a face runs; nothing for the paper's strategies."""
+        """What may change while a face runs."""
         values = self.style_settings
         return {
             name: Setting(values[name], 0.0, most)
@@ -86,6 +94,8 @@ class MotionOptions:
         }
 
     def __str__(self) -> str:
+        if self.performed:
+            return f"performance, rendered by {self.performed}"
         style = ", ".join(f"{name} {value:g}" for name, value in self.style_settings.items())
         return (
             f"strategy {self.strategy}{f' ({style})' if style else ''}; "
@@ -103,6 +113,7 @@ class ChosenMotion:
     lookahead_ms: float | None = None
     strength: float | None = None
     smoothness: float | None = None
+    unit_share: float | None = None
     low_latency: bool = False
 
 
@@ -148,6 +159,7 @@ def motion_options(
             style("lookahead_ms", DEFAULT_LOOKAHEAD_S * 1e3) / 1e3,
             style("strength", 1.0),
             style("smoothness", 0.0),
+            style("unit_share", DEFAULT_UNIT_SHARE),
         ),
         LOW_LATENCY_S if chosen.low_latency else LATENCY_S,
     )
@@ -156,11 +168,12 @@ def motion_options(
 def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> None:
     """What goes against --low-latency, typed or in the face's YAML. Raises UserError."""
     found = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
-    for name, needed in (("strategy", LIVE_STRATEGY), ("engine", DEFAULT_ENGINE)):
+    ours = (None, LIVE_STRATEGY, UNIT_STRATEGY)
+    for name, possible in (("strategy", ours), ("engine", (None, DEFAULT_ENGINE))):
         typed, written = getattr(chosen, name), getattr(of_the_face, name)
-        if typed not in (None, needed):
+        if typed not in possible:
             found.append(f"--{name} {typed}")
-        elif typed is None and written not in (None, needed):
+        elif typed is None and written not in possible:
             found.append(f"the face's `{name}: {written}`")
     if found:
         raise UserError(f"--low-latency and {found[0]} contradict each other; leave one out")
@@ -169,7 +182,7 @@ def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> N
 def make_synthesizer(
     face: FaceModel, options: MotionOptions, model_path: Path | None = None
 ) -> Synthesizer:
-    """Ours, or the paper's with one of its two selections.
+    """One of ours, or the paper's with one of its two selections, finished as ours are.
 
     model_path: the file that the face came from, None for the shipped one; of it is read only what
     the strategy plays. Raises ModelError.
@@ -177,10 +190,14 @@ def make_synthesizer(
     with open_model(model_path) as file:
         if read_face(file).checksum != face.checksum:
             raise ModelError(f"{file.name}: has changed while it was being read; start again")
+        style = options.style
         if options.strategy == LIVE_STRATEGY:
-            expectation = read_expectation(file, face.n_components)
-            return LiveSynthesizer(face, expectation, options.style)
-        return PublishedSynthesizer(read_animphos(file, face), STRATEGIES[options.strategy])
+            return LiveSynthesizer(face, read_expectation(file, face.n_components), style)
+        units = read_animphos(file, face)
+        if options.strategy == UNIT_STRATEGY:
+            return LiveSynthesizer(face, read_expectation(file, face.n_components), style, units)
+        published = PublishedSynthesizer(units, STRATEGIES[options.strategy])
+        return FinishedSynthesizer(face, published, style.strength)
 
 
 def make_recognizer(
@@ -206,6 +223,11 @@ def make_recognizer(
     return FallbackRecognizer(levels[first:], max(latency_s, _ENERGY_LATENCY_S), timer_s)
 
 
+def no_recognizer() -> FallbackRecognizer:
+    """Nobody listens: all is known."""
+    return FallbackRecognizer((), 0.0)
+
+
 def _network(weights: str, latency_s: float) -> LiveRecognizer:
     from lipsync.recognition.network_recognizer import NetworkRecognizer
 
@@ -222,10 +244,3 @@ def _energy() -> LiveRecognizer:
     from lipsync.recognition.energy_recognizer import EnergyRecognizer
 
     return EnergyRecognizer()
-
-
-def adjust(synthesizer: Synthesizer, changes: Mapping[str, float]) -> None:
-    """Change what `MotionOptions.live_settings` names, eased in; nothing of another strategy."""
-    if isinstance(synthesizer, LiveSynthesizer):
-        for name, value in changes.items():
-            synthesizer.adjust(name, value)

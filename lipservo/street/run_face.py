@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.status import face_status
@@ -14,18 +15,22 @@ from firmware_bridge.process.runtime_folder import socket_path
 from firmware_bridge.stopping import StopReport
 from lipservo.face.assembly import Face, assemble_face, at_port, check_servos, make_bus
 from lipservo.face.face_life import ControlOptions, face_life
+from lipservo.speech.speech_side import SpeechSide
 from lipservo.status.face_status import Status, whole_status
+from lipservo.status.live_board import LiveBoard
+from lipservo.status.servo_board import ServoBoard
 from lipservo.status.street_tick import StreetTick, TickObserver
 from lipservo.street.avatar_stream import avatar_stream, resolved_avatars
 from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.daemon import play
-from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
+from lipservo.street.motion_options import make_recognizer, make_synthesizer, no_recognizer
 from lipservo.street.run_commands import run_commands
-from lipservo.street.run_request import RunRequest
+from lipservo.street.run_request import RunRequest, about_run
 from lipservo.street.speech_status import FallbackRecognizer, speech_status
 from lipservo.street.street import Street, make_street
 from lipservo.street.summary import Summary, Tally
 from lipservo.street.voice_agents import voice_agents
+from lipservo.street.watched import ServoWatch, watched_street
 from lipservo.terminal.output import MESSAGES, say_simulated
 from lipservo.traces.trace_writer import BackgroundTrace, TraceFile
 from lipsync.audio.playout import Playout
@@ -54,11 +59,13 @@ def run_face(
     live: bool = False,
     endless: bool = False,
     listener: socket.socket | None = None,
+    synthesizer: Synthesizer | None = None,
 ) -> RunOutcome:
     """Play an entered source to its end or until stopped; the face is limp afterwards.
 
     live: draw the face in the terminal; endless: go on in silence when the source is over;
-    listener: where voice agents connect.
+    listener: where voice agents connect; synthesizer: of what needs no recogniser; None: whom the
+    request's motion asks for.
     """
     began_s = time.perf_counter()
     face = at_port(assemble_face(request.config, request.model), request.port)
@@ -67,19 +74,30 @@ def run_face(
     rate_hz = face.settings.rate_hz if request.rate_hz is None else request.rate_hz
     length_s = math.inf if endless or source.duration_s is None else source.duration_s
     playout = source if isinstance(source, Playout) else None
-    # On a clock of its own nobody waits, and the same file must give the same trace.
-    timer_s = None if isinstance(clock, ManualClock) else time.perf_counter
+    # On a clock of its own nobody waits or looks, and the same file must give the same trace.
+    is_live = not isinstance(clock, ManualClock)
+    timer_s = time.perf_counter if is_live else None
     motion = request.motion
-    recognizer = make_recognizer(
-        motion.engine, timer_s, motion.weights, motion.recognizer_latency_s
-    )
-    synthesizer = make_synthesizer(face.model, request.motion, request.model)
+    if synthesizer is None:
+        recognizer = make_recognizer(
+            motion.engine, timer_s, motion.weights, motion.recognizer_latency_s
+        )
+        synthesizer = make_synthesizer(face.model, motion, request.model)
+    else:
+        recognizer = no_recognizer()
     with make_bus(face, clock) as bus:
         street = make_street(
-            face, source, bus, rate_hz, recognizer, synthesizer, dry_run=request.dry_run
+            face,
+            source,
+            bus,
+            rate_hz,
+            recognizer,
+            synthesizer,
+            dry_run=request.dry_run,
+            is_watchable=is_live,
         )
         control_path = request.control or socket_path(face.settings.name)
-        run = _Run(request, face, source, street, recognizer, synthesizer)
+        run = _Run(request, face, source, street, recognizer)
         delay = street.speech.delay
         if not request.quiet:
             if face.settings.bus.kind == "simulated":
@@ -89,16 +107,19 @@ def run_face(
         tally = Tally(clock, street)
         zero_s = clock.now()
         with (
+            watched_street(street, face, request.config, is_watchable=is_live) as board,
             face_life(
                 face.settings.name,
                 face.settings.servo_port,
                 street.bridge,
                 clock,
                 quiet=request.quiet,
-                control=ControlOptions(control_path, run.commands, run.describe),
+                control=run.control_options(control_path, board),
             ) as life,
-            run.observers(clock, rate_hz, avatars, live=live) as observers,
-            voice_agents(listener, street.side, request.voice, control_path, run.log) as url,
+            run.observers(clock, rate_hz, avatars, board, live=live) as observers,
+            voice_agents(
+                listener, street.side, request.voice, face.model, control_path, run.log
+            ) as url,
         ):
             run.listens_on = url
             life.start()
@@ -133,16 +154,16 @@ class _End:
 
 @dataclass(frozen=True, slots=True)
 class _SettingObserver:
-    """Hands changed settings to the synthesiser, between two ticks."""
+    """Hands changed settings to the speech side, between two ticks."""
 
     commands: CommandQueue
-    synthesizer: Synthesizer
+    side: SpeechSide
 
     def observe(self, tick: StreetTick) -> None:
         """Look whether somebody has set something."""
         del tick
         if changes := self.commands.take_changes():
-            adjust(self.synthesizer, changes)
+            self.side.change(changes)
 
 
 class _Run:
@@ -155,15 +176,13 @@ class _Run:
         source: AudioSource,
         street: Street,
         recognizer: FallbackRecognizer,
-        synthesizer: Synthesizer,
     ) -> None:
         self._request = request
         self._face = face
         self._source = source
         self._street = street
         self._recognizer = recognizer
-        self._synthesizer = synthesizer
-        self.commands = run_commands(request.motion)
+        self.commands = run_commands(request.motion, face.settings)
         self.listens_on: str | None = None
 
     def log(self, line: str) -> None:
@@ -175,7 +194,14 @@ class _Run:
         """The whole face, now."""
         settings = self._face.settings
         about = {"name": settings.name, "port": settings.servo_port}
-        return self._whole({**face_status(self._street.bridge), **about})
+        return self._whole(
+            {**face_status(self._street.bridge), **about, **about_run(self._request)}
+        )
+
+    def control_options(self, path: Path, board: LiveBoard) -> ControlOptions:
+        """How it is commanded and watched. path: of its control socket."""
+        about = about_run(self._request)
+        return ControlOptions(path, self.commands, self.describe, about, board.fileno())
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
         """The same for JSON, of what the bridge knows."""
@@ -194,11 +220,13 @@ class _Run:
 
     @contextmanager
     def observers(
-        self, clock: Clock, rate_hz: float, avatars: AvatarTargets, *, live: bool
+        self, clock: Clock, rate_hz: float, avatars: AvatarTargets, board: LiveBoard, *, live: bool
     ) -> Iterator[list[TickObserver]]:
         """Who watches: settings, trace, avatars, and the view when somebody looks at a terminal."""
         with ExitStack() as stack:
-            observers: list[TickObserver] = [_SettingObserver(self.commands, self._synthesizer)]
+            observers: list[TickObserver] = [_SettingObserver(self.commands, self._street.side)]
+            if not isinstance(clock, ManualClock):
+                observers.append(ServoWatch(ServoBoard(board, self._street.bridge)))
             if self._request.trace is not None:
                 file = TraceFile(self._request.trace, self._trace_header(rate_hz))
                 # Where nobody waits for a tick, none may be dropped.
@@ -217,7 +245,7 @@ class _Run:
             yield observers
 
     def _trace_header(self, rate_hz: float) -> dict[str, object]:
-        motion = self._request.motion
+        status = self.status()
         return {
             "source": self._source.name,
             "face": self._face.settings.name,
@@ -225,8 +253,8 @@ class _Run:
             "rate_hz": rate_hz,
             "model": self._face.model.checksum,
             "delay_s": round(self._street.speech.delay.total_s, 6),
-            "strategy": motion.strategy,
-            "settings": motion.style_settings,
-            "recognizer": self._recognizer.level,
-            "weights": motion.weights,
+            "strategy": status.strategy,
+            "settings": status.settings,
+            "recognizer": status.recognizer,
+            "weights": status.weights,
         }

@@ -46,6 +46,12 @@ class RunRequest:
     avatars: AvatarTargets = field(default_factory=AvatarTargets)
 
 
+def about_run(request: RunRequest) -> dict[str, object]:
+    """What a face says of its request in every answer."""
+    sounds = None if request.voice is None else request.voice.sounds
+    return {"config": request.config, "sounds": sounds}
+
+
 class RequestError(UserError):
     """A text that is no whole request: one line, where and what is wrong."""
 

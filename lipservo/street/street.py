@@ -44,7 +44,7 @@ class Street:
         else:
             phoneme, frame = self.speech.shown_at(max(0.0, sound_s))
         captured_s = self.speech.captured_s(time_s)
-        return StreetTick(sound_s, phoneme, frame, report, captured_s)
+        return StreetTick(sound_s, phoneme, frame, report, captured_s, self.speech.hears)
 
     def rest(self, time_s: float, late: int) -> StreetTick:
         """The same once the face is stopped: nothing is heard any more, the mouth goes to rest."""
@@ -63,12 +63,22 @@ def make_street(
     synthesizer: Synthesizer,
     *,
     dry_run: bool = False,
+    is_watchable: bool = True,
 ) -> Street:
-    """Everything between an entered source and an entered bus, with a recogniser in it."""
+    """Everything between an entered source and an entered bus, with a recogniser in it.
+
+    is_watchable: as `make_speech_side` has it.
+    """
     channel = MemoryTargetChannel()
     has_soft_start = not isinstance(bus, SimulatedBus)
     side = make_speech_side(
-        face, source, recognizer, synthesizer, channel, has_soft_start=has_soft_start
+        face,
+        source,
+        recognizer,
+        synthesizer,
+        channel,
+        has_soft_start=has_soft_start,
+        is_watchable=is_watchable,
     )
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz, dry_run=dry_run)
     return Street(side, bridge, face.model.rest)

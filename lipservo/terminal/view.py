@@ -125,7 +125,8 @@ class TerminalView:
         width = min(_WIDEST_BAR, room - _GAP_COLUMNS)
         openness = self._bar(gap_mm / _WIDEST_GAP_MM, width).append(f"  {gap_mm:5.1f} mm")
         head = Table.grid(padding=(0, 2))
-        head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s")
+        heard = "" if tick.hears is None else f"   {tick.hears}"
+        head.add_row("sound", f"{max(0.0, tick.sound_s):6.2f} s{heard}")
         head.add_row("phonemes", spoken)
         head.add_row("lip gap", openness)
         return head

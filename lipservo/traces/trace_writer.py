@@ -134,6 +134,7 @@ def _record(number: int, tick: StreetTick) -> dict[str, object]:
         "tick": number,
         "sound_s": round(tick.sound_s, 6),
         "phoneme": tick.phoneme,
+        "hears": tick.hears,
         "coefficients": _rounded(tick.coefficients.tolist()),
         "wanted_deg": _rounded(report.wanted_deg.tolist()),
         "sent_deg": _rounded(report.sent_deg.tolist()),

@@ -26,9 +26,23 @@ def translate(animpho: Array, start: Array) -> Array:
     return np.asarray(animpho + (start - animpho[0]))
 
 
-def blend(connected: Array, chosen: Array) -> Array:
-    """m_t: begins as b'_t, ends as a_t; both (5, n_components). Wei and Deng, eq. (4)."""
+def remaining(animpho: Array, share: float) -> Array:
+    """What is left of an AnimPho after a share of it, 0 to below 1, at five times anew: (5, n)."""
+    if share <= 0.0:
+        return animpho
+    at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
+    number = np.minimum(at.astype(np.int64), SAMPLES_PER_ANIMPHO - 2)
+    part = (at - number)[:, None]
+    return np.asarray((1.0 - part) * animpho[number] + part * animpho[number + 1])
+
+
+def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
+    """m_t: begins as b'_t, ends as a_t; both (5, n_components). Wei and Deng, eq. (4).
+
+    joined_by: by which share of it m_t has become a_t; in the paper at its end.
+    """
     weight = np.linspace(0.0, 1.0, SAMPLES_PER_ANIMPHO)[:, None]
+    weight = np.minimum(1.0, weight / joined_by)
     return (1.0 - weight) * connected + weight * chosen
 
 

@@ -9,7 +9,7 @@ Other threads only append to `requests` and take from `events`; all is decided i
 """
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final
 
 import numpy as np
@@ -19,6 +19,7 @@ from lipsync.audio.cutter import BLOCK_SAMPLES
 from lipsync.audio.half_duplex import ListenedMicrophone
 from lipsync.audio.playing_stream import KnownPhonemes, KnownStretch, PlayingStream
 from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
+from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.source import Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
 
@@ -57,6 +58,8 @@ class Playout:
         self._quiet_from_s = 0.0
         n_played = BLOCK_SAMPLES if loudspeaker is None else loudspeaker.rate_hz // 100
         self._played_silence: Samples = np.zeros(n_played, dtype=np.float32)
+        #: Hears what is said, also where its phonemes are known and the recogniser hears nothing.
+        self.on_said: Callable[[AudioBlock], None] | None = None
         #: Any thread appends.
         self.requests: deque[PlayoutRequest] = deque(maxlen=_MOST_REQUESTS)
         #: Who will request more; until they are gone the playout is not over. For any thread.
@@ -141,6 +144,10 @@ class Playout:
             self.loudspeaker.write(self._played_silence)
         self.preroll_s = max(0, n_blocks) * BLOCK_S
 
+    def be_quiet(self, for_s: float) -> None:
+        """Nothing is said for so long, but afterwards."""
+        self._quiet_s = max(self._quiet_s, self.committed_s + for_s)
+
     def report(self) -> tuple[float, float] | None:
         """(monotonic seconds, position on the timeline then), the newest that is known.
 
@@ -160,14 +167,14 @@ class Playout:
             return None
         return report[0], report[1] - self.preroll_s
 
-    def stream_at(self, timeline_s: float) -> tuple[str, float] | None:
-        """Which stream is said there, by name, and seconds since its first sample; None: none."""
+    def stream_at(self, timeline_s: float) -> tuple[PlayoutStream, float] | None:
+        """Which stream is said there, and seconds since its first sample; None: none."""
         for playing in self._playing:
             for segment in playing.segments:
                 if segment.start_s <= timeline_s < segment.end_s:
                     stream = playing.stream
                     before_s = segment.n_before / stream.sample_rate_hz
-                    return stream.name, before_s + timeline_s - segment.start_s
+                    return stream, before_s + timeline_s - segment.start_s
         return None
 
     def advance(self, position_s: float) -> bool:
@@ -207,26 +214,31 @@ class Playout:
         while self._n_blocks < n_until:
             start_s = self.committed_s
             self._n_blocks += 1
-            heard, played = self._next(start_s)
+            heard, played, said = self._next(start_s)
             if self.loudspeaker is not None:
                 self.loudspeaker.write(played)
+            if self.on_said is not None:
+                self.on_said(AudioBlock(said, start_s))
             yield AudioBlock(heard, start_s)
 
-    def _next(self, start_s: float) -> tuple[Samples, Samples]:
+    def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
+        """10 ms for the recogniser, for the loudspeaker, and for whoever hears how it is said."""
         waiting = (each for each in self._playing if not each.stream.is_over)
         playing = next(waiting, None) if start_s >= self._quiet_s else None
         block = None if playing is None or not _is_ready(playing) else playing.stream.take()
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
                 self._note_underrun(playing)
-            return self._listened(start_s), self._played_silence
+            listened = self._listened(start_s)
+            return listened, self._played_silence, listened
         stream = playing.stream
         self._known.sounds(playing, start_s)
         playing.is_starved = False
         playing.add(start_s, block.n_samples)
         # A recogniser that hears what is known anyway would only disagree.
         heard = _SILENCE if stream.phonemes else block.heard
-        return heard, self._played_silence if stream.played_elsewhere else block.played
+        played = self._played_silence if stream.played_elsewhere else block.played
+        return heard, played, block.heard
 
     def _listened(self, start_s: float) -> Samples:
         """10 ms of the microphone; silence while the robot speaks, and until its echo is over."""

@@ -1,4 +1,4 @@
-"""Catmull-Rom splines through the centres of viseme classes; they see the whole sentence.
+"""Catmull-Rom splines through the centres of phones; they see the whole sentence.
 
 Catmull and Rom, "A class of local interpolating splines", 1974; non-uniform, each slope the
 difference of the two neighbours over their distance in time.
@@ -27,15 +27,22 @@ def viseme_centres(centres: Array, counts: Array) -> Array:
 
 
 def spline_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array) -> Array:
-    """(n, n_components); each phone's target is reached at its centre, silence's at both edges."""
+    """(n, n_components) at times (n,); targets: (40, n_components), a face for each phoneme."""
+    return joined_faces(phones, targets[[PHONEMES.index(p.phoneme) for p in phones]], times_s)
+
+
+def joined_faces(phones: Sequence[PhonemeEvent], targets: Array, times_s: Array) -> Array:
+    """(n, n_components) at times (n,); targets: (n_phones, n_components), a face for each phone.
+
+    It is reached at the phone's centre, that of a silence at both its edges.
+    """
     knots: list[tuple[float, int]] = []
-    for phone in phones:
-        index = PHONEMES.index(phone.phoneme)
+    for number, phone in enumerate(phones):
         end_s = phone.start_s if phone.end_s is None else phone.end_s
         if phone.phoneme == SILENCE:
-            knots += [(phone.start_s, index), (end_s, index)]
+            knots += [(phone.start_s, number), (end_s, number)]
         else:
-            knots.append(((phone.start_s + end_s) / 2.0, index))
+            knots.append(((phone.start_s + end_s) / 2.0, number))
     at_s = np.array([t for t, _ in knots])
     distinct = np.concatenate([[True], np.diff(at_s) > 1e-6])
     at_s, values = at_s[distinct], targets[[i for _, i in knots]][distinct]

@@ -19,7 +19,7 @@ from lipsync.textgrid import Interval, LabelError, read_tiers
 
 Progress = Callable[[list[str]], Iterable[str]]
 
-#: Outer eye corners, and their distance: sets millimetres (corpus README).
+#: Outer eye corners, and their distance where nobody measured it: sets millimetres.
 _RIGHT_EYE, _LEFT_EYE, _EYE_DISTANCE_MM = 33, 263, 90.0
 _UNITS_PER_PIXEL = 64.0
 #: The picture has y down and z into it; faces here have y up and z to the viewer.
@@ -37,6 +37,7 @@ class _Rows:
     markers: list[int]
     rigid: list[int]
     eyes: tuple[int, int]
+    eye_distance_mm: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,7 @@ def read_grid(
     rows = _read_rows(folder, layout)
     sentences: list[_Sentence] = []
     skipped: list[str] = []
-    for name in progress(_sentence_names(folder)):
+    for name in progress(sentence_names(folder)):
         try:
             sentences.append(_read_sentence(folder, name, rows))
         except CorpusError as error:
@@ -79,9 +80,14 @@ def read_grid(
         )
     rigid = np.concatenate([s.landmarks_px[:, rows.rigid] for s in sentences])
     if head_reference_mm is None:
-        head_reference_mm = refine_mean(rigid, (*rows.eyes, _EYE_DISTANCE_MM))
+        head_reference_mm = refine_mean(rigid, (*rows.eyes, rows.eye_distance_mm))
     utterances = tuple(_to_utterance(s, rows, head_reference_mm) for s in sentences)
-    return Corpus(folder.name, layout, utterances, head_reference_mm, tuple(skipped))
+    return Corpus(folder_name(folder), layout, utterances, head_reference_mm, tuple(skipped))
+
+
+def folder_name(folder: Path) -> str:
+    """What a corpus is called; `.` has a name, too."""
+    return Path(os.path.abspath(folder)).name
 
 
 def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) -> Utterance:
@@ -118,6 +124,7 @@ def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
             [row_of[n] for n in layout.landmarks],
             [row_of[n] for n in rigid],
             (rigid.index(_RIGHT_EYE), rigid.index(_LEFT_EYE)),
+            float(content.get("eye_distance_mm", _EYE_DISTANCE_MM)),
         )
     except FileNotFoundError:
         raise CorpusError(
@@ -131,7 +138,7 @@ def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
         ) from error
 
 
-def _sentence_names(folder: Path) -> list[str]:
+def sentence_names(folder: Path) -> list[str]:
     """Every sentence that any of the three folders knows, so that a missing file is noticed."""
     files = [
         *(folder / "landmarks").glob("*.npz"),
@@ -142,7 +149,7 @@ def _sentence_names(folder: Path) -> list[str]:
 
 
 def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
-    landmarks_px = _read_landmarks(folder / "landmarks" / f"{name}.npz", rows.n_landmarks)
+    landmarks_px = read_landmarks(folder / "landmarks" / f"{name}.npz", rows.n_landmarks)
     sound_path = folder / "audio" / f"{name}.flac"
     duration_s = len(landmarks_px) / rows.frame_rate_hz
     try:
@@ -174,7 +181,11 @@ def _phones(intervals: Iterable[Interval], path: Path) -> Iterable[PhonemeEvent]
         yield PhonemeEvent(phoneme, start_s, end_s)
 
 
-def _read_landmarks(path: Path, n_landmarks: int) -> Array:
+def read_landmarks(path: Path, n_landmarks: int) -> Array:
+    """Points (n_frames, n_landmarks, 3) of a file in pixels, y up, z to the viewer.
+
+    Raises CorpusError.
+    """
     try:
         with np.load(path, allow_pickle=False) as file:
             points = file["landmarks_64th_px"]

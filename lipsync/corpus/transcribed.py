@@ -1,10 +1,11 @@
-"""Corpora of speech whose words are known, in one of three layouts (docs/recognition.md).
+"""Corpora of speech whose words are known, in one of four layouts (docs/recognition.md).
 
 LibriSpeech's own: anywhere below the folder `*.trans.txt` with one utterance a line, its name
 first, SPEAKER-CHAPTER-NUMBER WORDS..., and the sounds beside it, NAME.flac. The same in two places:
 `transcripts.txt` and `audio/NAME.*`. grid_s1's: `labels/NAME.TextGrid` with a tier `words` and
-maybe one `phones`, all of one speaker, who is called as the folder, and `audio/NAME.*`. The sounds
-may have any ending that libsndfile reads.
+maybe one `phones`, all of one speaker, who is called as the folder, and `audio/NAME.*`. And the
+simplest: `NAME.txt` beside `NAME.*`, again of one speaker. The sounds may have any ending that
+libsndfile reads.
 """
 
 import json
@@ -40,9 +41,9 @@ class TranscribedUtterance:
 def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
     """Every utterance of the corpus in the order of its transcripts, or of its label files.
 
-    Raises TranscriptError for a folder without transcripts, a line without words, a name that is
-    there twice, and an utterance without a sound file; LabelError for a label file that cannot be
-    read.
+    Raises TranscriptError for a folder without transcripts, a line or a text without words, a name
+    that is there twice, and an utterance without a sound file; LabelError for a label file that
+    cannot be read.
     """
     path = folder / "transcripts.txt"
     if path.is_file():
@@ -51,10 +52,13 @@ def read_transcribed(folder: Path) -> tuple[TranscribedUtterance, ...]:
         return _read_labelled(folder)
     else:
         listed = [(each, each.parent) for each in sorted(folder.rglob("*.trans.txt"))]
+    if not listed and (texts := sorted(folder.glob("*.txt"))):
+        return _read_pairs(folder, texts)
     if not listed:
         raise TranscriptError(
-            f"{path}: no such file, and no *.trans.txt or labels/ either; give a folder laid out "
-            "like LibriSpeech or grid_s1 (docs/recognition.md, Corpora)"
+            f"{path}: no such file, and no *.trans.txt, labels/ or NAME.txt either; give a folder "
+            "laid out like LibriSpeech or grid_s1, or NAME.txt beside each NAME.wav "
+            "(docs/recognition.md, Corpora)"
         )
     utterances: dict[str, TranscribedUtterance] = {}
     for transcripts, sound_folder in listed:
@@ -69,11 +73,7 @@ def _add_listed(
 ) -> None:
     """The utterances of one list of transcripts, whose sounds lie in a folder."""
     sounds = {sound.stem: sound for sound in sorted(sound_folder.glob("*"))}
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise TranscriptError(f"{path}: cannot be read as text (UTF-8): {error}") from error
-    for number, line in enumerate(lines, start=1):
+    for number, line in enumerate(_text_of(path).splitlines(), start=1):
         name, _, text = line.strip().partition(" ")
         if not name:
             continue
@@ -105,6 +105,28 @@ def _read_labelled(folder: Path) -> tuple[TranscribedUtterance, ...]:
     if not utterances:
         raise TranscriptError(f"{folder / 'labels'}: holds no TextGrid")
     return tuple(utterances)
+
+
+def _read_pairs(folder: Path, texts: list[Path]) -> tuple[TranscribedUtterance, ...]:
+    """A text file beside each sound."""
+    sounds = {each.stem: each for each in sorted(folder.glob("*")) if each.suffix != ".txt"}
+    utterances = []
+    for path in texts:
+        if path.stem not in sounds:
+            raise TranscriptError(f"{path}: no sound {path.stem}.* beside it")
+        text = " ".join(_text_of(path).split())
+        if not text:
+            raise TranscriptError(f"{path}: holds no words; write what is said in the sound")
+        speaker = folder.resolve().name
+        utterances.append(TranscribedUtterance(path.stem, speaker, text, sounds[path.stem]))
+    return tuple(utterances)
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TranscriptError(f"{path}: cannot be read as text (UTF-8): {error}") from error
 
 
 def read_names(listed: str) -> frozenset[str]:

@@ -30,6 +30,7 @@ class Utterance:
 
     markers_mm: (n_frames, n_points, 3), head motion removed, x to the picture's right, y up,
     z to the viewer. Frame i is at i / frame_rate_hz. `phones` is empty where alignment failed.
+    weight: how often each of its frames counts when a model is trained, beside those of others.
     """
 
     name: str
@@ -38,11 +39,12 @@ class Utterance:
     sound_path: Path
     phones: tuple[PhonemeEvent, ...]
     words: tuple[Word, ...]
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Corpus:
-    """Sentences of one speaker in one common head pose.
+    """Sentences of one speaker in one common head pose; of several, with faces of one shape.
 
     layout: which points of the face `markers_mm` holds.
     head_reference_mm: (n_rigid, 3), the mean bone-fixed points that every frame was fitted to;

@@ -11,7 +11,8 @@ class Expression:
 
     Angles are in degrees, 0 = straight ahead: pitch is positive upwards, yaw positive to the
     face's own left, roll positive towards its left shoulder. The eyes turn relative to the head,
-    both alike. lid_left, lid_right: 0 = open, 1 = shut. brow: 0 = relaxed, 1 = raised.
+    both alike. lid_left, lid_right: 0 = open, 1 = shut, below 0 = wider than at rest. brow: 0 =
+    relaxed, 1 = raised. smile: 0 = neutral, 1 = a broad smile, -1 = corners down.
     """
 
     neck_pitch_deg: float | None = None
@@ -22,6 +23,7 @@ class Expression:
     lid_left: float | None = None
     lid_right: float | None = None
     brow: float | None = None
+    smile: float | None = None
 
 
 #: Says nothing about anything but the mouth.

@@ -6,8 +6,6 @@ is. Nothing is read of a part before it is asked for.
 
 import io
 import json
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from importlib import resources
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
+from lipsync.damaged_archive import UNREADABLE
 from lipsync.errors import UserError
 from lipsync.face.former_files import FORMER_VERSION, former_layout, former_members
 from lipsync.markers import PointLayout, layout_of
@@ -33,16 +32,6 @@ MODEL_VERSION = 4
 SHIPPED_MODEL = "grid_s1"
 _ABOUT = "about"
 _TRAIN_AGAIN = "train it again with `lipservo train`"
-#: What reading a damaged archive raises, by where the damage is.
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    EOFError,
-    RuntimeError,
-    MemoryError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
 
 
 class ModelError(UserError):
@@ -61,7 +50,7 @@ class ModelFile:
         try:
             self.about: dict[str, Any] = json.loads(archive[_ABOUT].tobytes())
             version = self.about["version"]
-        except (KeyError, TypeError, *_UNREADABLE) as error:
+        except (KeyError, TypeError, *UNREADABLE) as error:
             raise self._damaged() from error
         if version not in (FORMER_VERSION, MODEL_VERSION):
             raise ModelError(
@@ -97,7 +86,7 @@ class ModelFile:
             return assemble({name: self._archive[stored] for name, stored in members.items()})
         except ModelError:
             raise
-        except (KeyError, TypeError, IndexError, *_UNREADABLE) as error:
+        except (KeyError, TypeError, IndexError, *UNREADABLE) as error:
             raise self._damaged(error) from error
 
     def _members(self) -> dict[str, str]:
@@ -131,7 +120,7 @@ def open_model(path: Path | None = None) -> Iterator[ModelFile]:
             raise ModelError(f"{name}: cannot be read: {error.strerror}") from error
         try:
             archive = np.load(stream, allow_pickle=False)
-        except _UNREADABLE as error:
+        except UNREADABLE as error:
             raise ModelError(
                 f"{name}: damaged or not a lipservo model; get a fresh copy or train one again"
             ) from error

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from lipsync.expectation.context import PhonemeTrack
 from lipsync.motion.amount import Amount
+from lipsync.phonemes import PHONEMES
 
 #: Lips shut, and lower lip at the upper teeth.
 BILABIALS = ("P", "B", "M")
@@ -17,6 +18,9 @@ CLOSING_S = 0.04
 PARTING_S = 0.04
 #: They touch this long at least, around the moment at which the recordings are tightest.
 HOLD_S = 0.02
+#: While an M sounds the lips stay shut, from its onset until they must part for what follows.
+_HUMMED = PHONEMES.index("M")
+_HUM_ENDS_S = 0.03
 #: Sums of the same times differ by less.
 _ROUNDING_S = 1e-9
 
@@ -63,10 +67,13 @@ def _is_due(
         if track.phonemes[i] in moments_s:
             # In the recordings an M lasts long; a short one is tightest in its middle, not its end.
             moment_s = min(start_s + moments_s[track.phonemes[i]], (start_s + end_s) / 2.0)
-            until_s = moment_s + HOLD_S / 2.0
+            from_s, until_s = moment_s - HOLD_S / 2.0, moment_s + HOLD_S / 2.0
+            if track.phonemes[i] == _HUMMED:
+                from_s = min(from_s, start_s + HOLD_S)
+                until_s = max(until_s, min(end_s, known_until_s) - _HUM_ENDS_S)
             if touched_s < start_s - HOLD_S:
                 until_s = max(until_s, end_s)  # told late: close late, as long as it goes on
-            begins_s = moment_s - HOLD_S / 2.0 - CLOSING_S
+            begins_s = from_s - CLOSING_S
             if begins_s <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S:
                 return True
     return False

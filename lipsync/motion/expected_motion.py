@@ -27,8 +27,14 @@ from lipsync.timeline import PhonemeTimeline
 USED_LOOKAHEAD_S = 0.2
 #: Averages over what is not known move too little. A share of the last frame's step (25 Hz, as in
 #: the recordings) is extrapolated; chosen on inner splits (docs/motion.md).
-LEAD = 0.07
+LEAD = 0.1
 _LEAD_TICKS = 4
+#: The recordings' 25 frames a second know of nothing quicker than 80 ms; a context does, it changes
+#: from one tick to the next. So what is expected is averaged over so many ticks before and after,
+#: as far as the look-ahead reaches.
+_AVERAGED_TICKS = 1
+#: A look-ahead of whole ticks is a quotient of floats.
+_ROUNDING_TICKS = 1e-6
 #: The slowest that smoothness can make the mouth: its time constant, s.
 _SLOWEST_S = 0.04
 
@@ -64,6 +70,9 @@ class ExpectedMotion:
         self._rest = rest
         self._lookahead_s = lookahead_s
         self.known_s = min(lookahead_s, USED_LOOKAHEAD_S)
+        n_ahead = min(_AVERAGED_TICKS, int(self.known_s / TICK_S + _ROUNDING_TICKS))
+        self._ahead_s = n_ahead * TICK_S
+        self._weights = _bell(2 * n_ahead + 1)
         self._smoothness = EasedSetting(smoothness, 1.0)
         self.reset()
 
@@ -84,6 +93,7 @@ class ExpectedMotion:
         self._track = track_of(())
         self._wanted = rest
         self._expectations = deque([rest] * _LEAD_TICKS, maxlen=_LEAD_TICKS)
+        self._newest = deque([rest] * len(self._weights), maxlen=len(self._weights))
         self._ticks = TickPlan(_Tick(rest, still, rest, still, AT_REST))
         self._smoothness.settle()
         self._newest_start_s = -math.inf
@@ -119,7 +129,8 @@ class ExpectedMotion:
         context = context_at(self._track, time_s, time_s + self.known_s)
         rest = planned_rest(last.rest, *context, begin_s, self.known_s)
         at_rest = is_reached(rest, begin_s)
-        wanted = self._extrapolated(self._expected(time_s, *context, at_rest=at_rest))
+        self._newest.append(self._expected(time_s, at_rest=at_rest))
+        wanted = self._extrapolated(self._weights @ np.array(self._newest))
         slowness_s = self._smoothness.at(time_s) * _SLOWEST_S
         keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
         self._wanted = keep * self._wanted + (1.0 - keep) * wanted
@@ -127,17 +138,18 @@ class ExpectedMotion:
         end_speed = (self._wanted - last.start) / 2.0
         return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
 
-    def _expected(
-        self, time_s: float, phonemes: list[int], times_s: list[float], *, at_rest: bool
-    ) -> Array:
-        """What the mouth should look like while somebody speaks.
+    def _expected(self, time_s: float, *, at_rest: bool) -> Array:
+        """What the mouth should look like a little later, while somebody speaks.
 
         From a mouth at rest the motion sets out from rest itself, not from the mean of silences.
         """
         if at_rest:
             return self._rest
-        self._count(time_s - times_s[2])
-        return self._expectation.at(phonemes, times_s, self.known_s)
+        known_s = self.known_s - self._ahead_s
+        later_s = time_s + self._ahead_s
+        phonemes, times_s = context_at(self._track, later_s, later_s + known_s)
+        self._count(later_s - times_s[2])
+        return self._expectation.at(phonemes, times_s, known_s)
 
     def _extrapolated(self, expectation: Array) -> Array:
         """The expectation, and a little more of where it is going."""
@@ -149,3 +161,9 @@ class ExpectedMotion:
         if start_s > self._newest_start_s:
             self._newest_start_s = start_s
             self.phonemes_planned += 1
+
+
+def _bell(n: int) -> Array:
+    """Weights (n,) of a mean, largest in the middle (Hann's window)."""
+    weights = np.sin(np.pi * np.arange(1, n + 1) / (n + 1)) ** 2
+    return np.asarray(weights / weights.sum())

@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from lipsync.arrays import Array32
 from lipsync.phonemes import PHONEMES, PhonemeEvent
-from lipsync.recognition.decoder import SMOOTH, best_heads, change_penalties, log_scores
+from lipsync.recognition.decoder import (
+    PAUSE_FRAMES,
+    SILENCE_INDEX,
+    SMOOTH,
+    best_heads,
+    change_penalties,
+    log_scores,
+    waking_penalties,
+)
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
 from lipsync.recognition.network import LATENCY_S, NetworkWeights
 from lipsync.recognition.network_recognizer import frames_of_delay
@@ -60,7 +68,7 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     heard since.
     """
     scores = log_scores(posteriors, SMOOTH)
-    penalties = change_penalties(SMOOTH)
+    penalties = np.stack((change_penalties(SMOOTH), waking_penalties(SMOOTH)))
     heads = best_heads(delays, delay)
     n_recordings, n_frames, _, n_phonemes = posteriors.shape
     rows, states = np.arange(n_recordings), np.arange(n_phonemes)
@@ -69,12 +77,14 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
     def step(best: Array32, frame: int, age: int) -> tuple[Array32, NDArray[np.int64]]:
         head = heads[age - delays[0]]
         leader = best.argmax(axis=1)
-        changed = best[rows, leader][:, None] - penalties
+        is_waking = (leader == SILENCE_INDEX) & (n_silent >= PAUSE_FRAMES)
+        changed = best[rows, leader][:, None] - penalties[is_waking.astype(np.int64)]
         stays = best >= changed
         source = np.where(stays, states, leader[:, None])
         return np.where(stays, best, changed) + scores[:, frame + delays[head], head], source
 
     settled = np.zeros((n_recordings, n_phonemes), np.float32)
+    n_silent = np.full(n_recordings, PAUSE_FRAMES)
     for oldest in range(n_frames - delay):
         best = step(settled, oldest, delay)[0]
         settled = best - best.max(axis=1, keepdims=True)
@@ -83,8 +93,15 @@ def _settled(posteriors: Array32, delays: tuple[int, ...], delay: int) -> NDArra
             best, source = step(best, oldest + delay - age, age)
             sources.append(source)
         state = best.argmax(axis=1)
+        path = [state]
         for source in reversed(sources):
             state = source[rows, state]
+            path.append(state)
+        # The nearest frames, the one to be settled first.
+        nearest = np.stack(path[::-1][: SMOOTH.waking_frames])
+        is_believed = (nearest != SILENCE_INDEX).all(axis=0)
+        state = np.where((n_silent >= PAUSE_FRAMES) & ~is_believed, SILENCE_INDEX, state)
+        n_silent = np.where(state == SILENCE_INDEX, n_silent + 1, 0)
         labels[:, oldest] = state
     return labels
 

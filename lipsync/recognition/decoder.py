@@ -4,6 +4,10 @@ At the delay D the phoneme of frame n - D is settled when frame n was heard. For
 stretch in between the best head that has spoken about it is taken (the one with the longest delay).
 A Viterbi search with a penalty for every change of phoneme runs over all of it: the frames after
 n - D, known from the quick heads, smooth what is settled without waiting any longer.
+
+After a pause speech has to be believed before it is settled (decisions/0032): leaving silence costs
+more, so that evidence adds up over frames as in Wald's sequential test (Annals of Mathematical
+Statistics 16(2), 1945), and all that is known of the frames after n - D has to be speech too.
 """
 
 from dataclasses import dataclass
@@ -15,6 +19,9 @@ from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 
 _CLOSERS = (VISEME_OF["P"], VISEME_OF["F"])
 _SMALLEST = np.float32(1e-6)
+#: Silence that has lasted so many frames is a pause (motion/rest_plan.py has the same): the mouth
+#: is on its way to rest.
+PAUSE_FRAMES = 17
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,17 +30,21 @@ class DecoderSettings:
 
     switch_penalty: of a change of phoneme, in natural-log units; closure_penalty: of a change to a
     closure (P B M, F V), which smoothing would swallow; closure_bonus: added to a closure's score;
-    phone_weight: of the phone within its viseme class, against the class itself.
+    phone_weight: of the phone within its viseme class, against the class itself. waking_penalty: of
+    a change from silence after a pause, on top of the other; waking_frames: that have to be speech
+    then, as far as so many are known.
     """
 
     switch_penalty: float = 2.0
     closure_penalty: float = 1.0
     closure_bonus: float = 0.0
     phone_weight: float = 0.6
+    waking_penalty: float = 6.0
+    waking_frames: int = 6
 
 
 #: Where nothing is heard beyond the frame that is due, a penalty mostly delays every change.
-QUICK = DecoderSettings(switch_penalty=0.3, closure_penalty=0.15)
+QUICK = DecoderSettings(switch_penalty=0.3, closure_penalty=0.15, waking_penalty=1.0)
 SMOOTH = DecoderSettings()
 
 
@@ -56,10 +67,18 @@ class ViterbiDecoder:
         self._delays = delays
         self._settings = settings
         self._penalties = change_penalties(settings)
+        self._waking_penalties = waking_penalties(settings)
         # Scores (n_heads, n_phonemes) of the last frames, by frame number modulo the length.
         self._recent = np.zeros((delay + 1, len(delays), len(PHONEMES)), np.float32)
         self._best = np.zeros(len(PHONEMES), np.float32)
         self._n_heard = 0
+        # Frames of silence settled last; before anything was heard there was silence.
+        self._n_silent = PAUSE_FRAMES
+
+    @property
+    def is_awake(self) -> bool:
+        """Whether speech was settled within the last `PAUSE_FRAMES`."""
+        return self._n_silent < PAUSE_FRAMES
 
     def scores(self, posteriors: Array32) -> Array32:
         """What `push` takes, of posteriors (..., n_heads, n_phonemes); the same shape."""
@@ -85,12 +104,26 @@ class ViterbiDecoder:
             self._recent[f % length, self._head_at_age[n - f - self._delays[0]]]
             for f in range(first, newest + 1)
         ]
-        leader = self._best.argmax()
-        best = np.maximum(self._best, self._best[leader] - self._penalties) + frames[0]
+        best = self._changed(self._best)[0] + frames[0]
         if oldest >= 0:
             self._best = best - best.max()
         path = self._path(best, frames[1:])
-        return (path[0], path[1:]) if oldest >= 0 else (None, path)
+        if not self.is_awake and not self._is_believed(path):
+            path = [SILENCE_INDEX] * len(path)
+        if oldest < 0:
+            return None, path
+        self._n_silent = self._n_silent + 1 if path[0] == SILENCE_INDEX else 0
+        return path[0], path[1:]
+
+    def _is_believed(self, path: list[int]) -> bool:
+        return SILENCE_INDEX not in path[: self._settings.waking_frames]
+
+    def _changed(self, best: Array32) -> tuple[Array32, Array32, int]:
+        """The best way to each phoneme, whether it stays there, and where it comes from else."""
+        leader = int(best.argmax())
+        is_waking = leader == SILENCE_INDEX and not self.is_awake
+        changed = best[leader] - (self._waking_penalties if is_waking else self._penalties)
+        return np.maximum(best, changed), best >= changed, leader
 
     def _path(self, best: Array32, frames: list[Array32]) -> list[int]:
         """The best way through the frames, the one before them included.
@@ -99,10 +132,9 @@ class ViterbiDecoder:
         """
         steps = []
         for scores in frames:
-            leader = int(best.argmax())
-            changed = best[leader] - self._penalties
-            steps.append((best >= changed, leader))
-            best = np.maximum(best, changed) + scores
+            way, stays, leader = self._changed(best)
+            steps.append((stays, leader))
+            best = way + scores
         state = int(best.argmax())
         path = [state]
         for stays, leader in reversed(steps):
@@ -126,6 +158,13 @@ def change_penalties(settings: DecoderSettings) -> Array32:
     return penalties.astype(np.float32)
 
 
+def waking_penalties(settings: DecoderSettings) -> Array32:
+    """(n_phonemes,): what a change from silence to each phoneme costs after a pause."""
+    penalties = change_penalties(settings) + np.float32(settings.waking_penalty)
+    penalties[SILENCE_INDEX] -= np.float32(settings.waking_penalty)
+    return penalties
+
+
 def log_scores(posteriors: Array32, settings: DecoderSettings) -> Array32:
     """Of the viseme class and of the phone within it; (..., n_phonemes), as the posteriors."""
     classes = np.maximum(posteriors @ _MEMBERSHIP, _SMALLEST)
@@ -137,7 +176,7 @@ def log_scores(posteriors: Array32, settings: DecoderSettings) -> Array32:
     return blended
 
 
+SILENCE_INDEX = PHONEMES.index(SILENCE)
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _IS_CLOSURE = np.isin(_CLASS_OF, _CLOSERS)
 _MEMBERSHIP: Array32 = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
-SILENCE_INDEX = PHONEMES.index(SILENCE)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from lipsync.audio_block import BLOCK_S, AudioBlock
-from lipsync.phonemes import LiveRecognizer, PhonemeUpdate
+from lipsync.phonemes import Hearing, Listener, LiveRecognizer, PhonemeUpdate
 from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
 
@@ -70,6 +70,11 @@ class FallbackRecognizer:
     def reasons(self) -> tuple[str, ...]:
         """Why each level was left, in order."""
         return tuple(self._reasons)
+
+    @property
+    def hears(self) -> Hearing | None:
+        """What the level in use believes about the sound; None where it does not say."""
+        return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
 
     def reset(self) -> None:
         """Back to the best level that could be made, ready for a new stream at sound time 0."""

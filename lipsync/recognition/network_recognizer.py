@@ -8,7 +8,7 @@ import numpy as np
 
 from lipsync.arrays import Array32
 from lipsync.audio_block import AudioBlock
-from lipsync.phonemes import PHONEMES, PhonemeUpdate
+from lipsync.phonemes import PHONEMES, Hearing, PhonemeUpdate
 from lipsync.recognition.audio_input import AudioInput
 from lipsync.recognition.decoder import (
     QUICK,
@@ -26,6 +26,8 @@ from lipsync.recognition.update_builder import UpdateBuilder
 _WINDOW_S = 0.025
 #: Sound that is worked on at once where nobody waits for it: 64 frames make one matrix product.
 _AHEAD_S = 0.64
+#: Between two keys that are struck there is noise still.
+_NOISE_LASTS_S = 0.5
 
 
 class NetworkRecognizer:
@@ -61,6 +63,14 @@ class NetworkRecognizer:
         """How much sound `prepare` is best given at once."""
         return _AHEAD_S
 
+    @property
+    def hears(self) -> Hearing:
+        """What is believed about the sound that was settled last; speech until a pause."""
+        if self._decoder.is_awake:
+            return "speech"
+        quiet_s = (self._n_heard - self._noticed_at) / FRAMES_PER_S
+        return "noise" if quiet_s < self.latency_s + _NOISE_LASTS_S else "silence"
+
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
         self._input = AudioInput()
@@ -71,6 +81,7 @@ class NetworkRecognizer:
         self._updates = UpdateBuilder(FRAMES_PER_S, self._delay + 1)
         self._n_heard = 0  # frames whose window was heard, those jumped over among them
         self._n_reported = 0
+        self._noticed_at = -(10**9)  # the last frame that a person would have noticed
         self._settled: list[int] = []  # phonemes from the first frame not final on
         self._provisional: list[int] = []  # of the frames after them that a head has spoken about
 
@@ -88,11 +99,14 @@ class NetworkRecognizer:
             n_jumped = round(jump_s * FRAMES_PER_S)
             counts.append((block.start_s, n_silent, n_jumped, self._n_completed(len(sound))))
         scores = self._decoder.scores(self._posteriors.push(np.concatenate(samples)))
+        noticeable = self._posteriors.noticeable
         end = 0
         for start_s, n_silent, n_jumped, n_sound in counts:
             first, middle, end = end, end + n_silent, end + n_silent + n_sound
+            is_noticed = bool(noticeable[first:end].any())
+            silence_scores, sound_scores = scores[first:middle], scores[middle:end]
             self._prepared.append(
-                _PreparedBlock(start_s, scores[first:middle], n_jumped, scores[middle:end])
+                _PreparedBlock(start_s, silence_scores, n_jumped, sound_scores, is_noticed)
             )
 
     def feed(self, block: AudioBlock) -> None:
@@ -113,6 +127,8 @@ class NetworkRecognizer:
         self._settled.extend([SILENCE_INDEX] * prepared.n_jumped)
         self._n_heard += prepared.n_jumped
         self._decode(prepared.sound)
+        if prepared.is_noticed:
+            self._noticed_at = self._n_heard
 
     def updates(self) -> list[PhonemeUpdate]:
         """One update if a frame's window was completed since the last call, else none."""
@@ -147,12 +163,14 @@ class _PreparedBlock:
     """Scores (n, n_heads, n_phonemes) of the frames that a block completes, and frames jumped over.
 
     In order: the silence put in place of a gap, the jump over the rest of it, the block's sound.
+    is_noticed: a person would hear something in it.
     """
 
     start_s: float
     silence: Array32
     n_jumped: int
     sound: Array32
+    is_noticed: bool
 
 
 def frames_of_delay(latency_s: float) -> int:

@@ -1,20 +1,27 @@
-"""From samples to the posteriors of phonemes: features, network, digital silence.
+"""From samples to the posteriors of phonemes: features, network, digital silence, steady sound.
 
 One arithmetic for the live recogniser (a frame at a time), for a file that is worked on ahead of
 its time (many frames in one matrix product), and for whole recordings.
 """
 
+import math
+
 import numpy as np
+from numpy.typing import NDArray
 
 from lipsync.arrays import Array32
 from lipsync.recognition.decoder import SILENCE_INDEX
-from lipsync.recognition.features import LevelNormalizer, LogMelStream
+from lipsync.recognition.features import SPEECH_PEAK, LevelNormalizer, LogMelStream
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
+from lipsync.recognition.steady_sound import SteadySoundDetector
 
 #: Where no band reaches this log power there is no sound: digital silence gives -16.1, white noise
 #: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
 #: no band above -13 and 13 % none above -11 (20 LibriSpeech utterances, measured).
 INAUDIBLE = -15.5
+#: The mean over the bands from which on a person in the room would call it a sound: 30 dB below
+#: the loud frames of speech.
+NOTICEABLE = SPEECH_PEAK - 3.0 * math.log(10.0)
 
 
 class PosteriorStream:
@@ -30,21 +37,27 @@ class PosteriorStream:
         self._normalizer = LevelNormalizer(weights.scale)
         self._network = StreamingNetwork(weights)
         self._none = np.zeros((0, len(weights.delays), len(weights.phonemes)), np.float32)
-        # Whether there was any sound in each of the last frames, the newest last.
+        #: Whether each of the frames of the last push was noticeable.
+        self.noticeable: NDArray[np.bool_] = np.zeros(0, np.bool_)
+        self._steady = SteadySoundDetector()
+        # Whether there may have been a voice in each of the last frames, the newest last.
         self._audible = np.ones(weights.delays[-1], np.bool_)
 
     def push(self, samples: Array32) -> Array32:
         """(n, n_heads, n_phonemes) of the frames that samples (m,) at 16 kHz complete.
 
         The head that waits d frames gives, at frame k, the posteriors of frame k - d. Where that
-        frame holds no sound it is silence, whatever the network says.
+        frame holds no sound, or one that stands still, it is silence, whatever the network says.
         """
         frames = self._log_mel.push(samples)
         n = len(frames)
+        self.noticeable = frames.mean(axis=1) >= NOTICEABLE
         if n == 0:
             return self._none
         posteriors = self._network.push(self._normalizer.push(frames))
-        audible = np.concatenate((self._audible, frames.max(axis=1) >= INAUDIBLE))
+        is_steady = np.array([self._steady.push(frame) for frame in frames])
+        may_be_voice = (frames.max(axis=1) >= INAUDIBLE) & ~is_steady
+        audible = np.concatenate((self._audible, may_be_voice))
         for head, delay in enumerate(self._delays):
             first = len(self._audible) - delay
             silent = ~audible[first : first + n]

@@ -1,7 +1,7 @@
 """The network's weights on disk: one .npz of float16 arrays, never pickle."""
 
-import zipfile
-import zlib
+import json
+from collections.abc import Mapping
 from importlib import resources
 from os import PathLike
 from pathlib import Path
@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.damaged_archive import UNREADABLE
 from lipsync.errors import UserError
 from lipsync.output_file import written_whole
 from lipsync.phonemes import VISEME_OF
@@ -16,16 +17,6 @@ from lipsync.recognition.features import N_BANDS, FeatureScale
 from lipsync.recognition.network import Layer, NetworkWeights
 
 _FORMAT = 1
-#: What reading a damaged archive raises, by where the damage is.
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    EOFError,
-    RuntimeError,
-    MemoryError,
-    zlib.error,
-    zipfile.BadZipFile,
-)
 DEFAULT_WEIGHTS = "default"
 #: The weights that come with the package, by name.
 SHIPPED = {DEFAULT_WEIGHTS: "recognizer.npz", "grid": "recognizer_grid.npz"}
@@ -35,10 +26,15 @@ class WeightsError(UserError):
     """A weights file cannot be used; the message is one line: which, what, what to do."""
 
 
-def save_weights(weights: NetworkWeights, path: str | PathLike[str]) -> None:
+def save_weights(
+    weights: NetworkWeights,
+    path: str | PathLike[str],
+    provenance: Mapping[str, object] | None = None,
+) -> None:
     """Write the weights, whole or not at all. Raises OutputError.
 
-    Half precision changes posteriors by less than 0.01 (tested).
+    Half precision changes posteriors by less than 0.01 (tested). provenance: where they are from,
+    kept beside them as JSON (`provenance`); nothing that runs reads it.
     """
     layers = (weights.entry, *weights.residuals)
     arrays: dict[str, NDArray[np.generic]] = {
@@ -54,6 +50,8 @@ def save_weights(weights: NetworkWeights, path: str | PathLike[str]) -> None:
     for index, layer in enumerate(layers):
         arrays[f"kernel_{index}"] = layer.kernel.astype(np.float16)
         arrays[f"bias_{index}"] = layer.bias.astype(np.float32)
+    if provenance is not None:
+        arrays["provenance"] = np.array(json.dumps(provenance))
     with written_whole(Path(path)) as partial, partial.open("wb") as file:
         np.savez_compressed(file, allow_pickle=False, **arrays)
 
@@ -71,7 +69,7 @@ def load_weights(path: str | PathLike[str]) -> NetworkWeights:
             arrays = {name: archive[name] for name in archive.files}
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file; check the path") from error
-    except _UNREADABLE as error:
+    except UNREADABLE as error:
         raise WeightsError(f"{path}: damaged or no weights file; copy or train it again") from error
     try:
         weights = _weights(arrays)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.cluster import KMeans
-from sklearn.decomposition import PCA
 from threadpoolctl import threadpool_limits
 
 from lipsync.animpho.index_lists import IndexLists
@@ -23,21 +22,15 @@ from lipsync.corpus.recorded_closures import CLOSED_GAP_MM, observe_closures
 from lipsync.corpus.speech_frames import speech_frames
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.errors import UserError
-from lipsync.expectation.training.expectation_training import (
-    collect_training_set,
-    fit_expectation,
-    joined,
-)
+from lipsync.expectation.training.deviation import with_deviation
+from lipsync.expectation.training.expectation_training import fit_expectation, joined
 from lipsync.face.model import FaceModel
 from lipsync.markers import PointLayout
-from lipsync.phonemes import (
-    PHONEMES,
-    SILENCE,
-    VISEME_CLASSES,
-    VISEME_OF,
-    PhonemeEvent,
-    stand_in,
-)
+from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF, PhonemeEvent, stand_in
+from lipsync.training.counted_frames import counted_sentences, counted_training_set
+from lipsync.training.principal_components import PrincipalComponents, principal_components
+from lipsync.training.rest_face import mean_at_rest
+from lipsync.training.several_speakers import sentence_name, speaker_name
 from lipsync.training.trained_model import TrainedModel
 
 Progress = Callable[[str], None]
@@ -63,13 +56,15 @@ class TrainingError(UserError):
 class Segments:
     """The corpus cut at its phoneme boundaries.
 
-    samples: (n, 5, n_components); phonemes: n indices into PHONEMES; sentence: n sentence numbers.
-    Segments follow one another in order of time within a sentence.
+    samples: (n, 5, n_components); phonemes: n indices into PHONEMES; sentence: n sentence numbers;
+    weights: (n,), how often each counts. Segments follow one another in order of time within a
+    sentence.
     """
 
     samples: Array
     phonemes: NDArray[np.int64]
     sentence: NDArray[np.int64]
+    weights: Array
 
 
 def train(
@@ -83,6 +78,7 @@ def train(
 ) -> TrainedModel:
     """Learn a model from every labelled sentence; the same corpus and seed give the same model.
 
+    corpus: of one speaker, or of several on one face (`several_speakers.on_one_face`).
     n_components: principal components of the face, from 1 on.
     n_animphos: None searches for the number that gives an AnimPho 3.45 successors, as in the paper.
     heard: what the recogniser makes of the sentences, by name (`hearing.hear_sentences`); from it
@@ -103,15 +99,15 @@ def train(
             )
     progress("principal components")
     frames = np.concatenate([_flat(u) for u in labelled.utterances])
-    if len(frames) <= n_components:
-        raise TrainingError(
-            f"corpus {corpus.name}: {len(frames)} frames are too few for {n_components} components"
-        )
+    _check_length(corpus, labelled.utterances, n_components)
     if not frames.std(axis=0).any():
         raise TrainingError(f"corpus {corpus.name}: the face does not move in {len(frames)} frames")
     with threadpool_limits(limits=1):  # several threads add up in changing order
-        pca = PCA(n_components, svd_solver="covariance_eigh").fit(frames)
-        coefficients = [pca.transform(_flat(u)) for u in labelled.utterances]
+        weights = np.concatenate(
+            [np.full(len(u.markers_mm), u.weight) for u in labelled.utterances]
+        )
+        pca = principal_components(frames, weights, n_components)
+        coefficients = [pca.coefficients(_flat(u)) for u in labelled.utterances]
 
     progress("segments")
     segments = cut_segments(labelled.utterances, coefficients)
@@ -120,12 +116,15 @@ def train(
     with threadpool_limits(limits=1):
         animphos, cluster = _cluster(segments, n_animphos, seed, progress)
         centres, counts = phone_centres(segments)
-        from_labels = collect_training_set(labelled.utterances, coefficients)
-        from_hearing = collect_training_set(labelled.utterances, coefficients, heard or {})
+        from_labels = counted_training_set(labelled.utterances, coefficients)
+        from_hearing = counted_training_set(labelled.utterances, coefficients, heard or {})
         both = joined([from_labels, from_hearing])
         expectation = fit_expectation(both, centres, seed=seed, progress=progress)
+        each = counted_sentences(labelled.utterances)
+        said, motion = [labelled.utterances[i] for i in each], [coefficients[i] for i in each]
+        expectation = with_deviation(expectation, said, motion)
         progress("baselines")
-        dominance = tune_dominance(labelled.utterances, coefficients, centres)
+        dominance = tune_dominance(said, motion, centres)
         regression = fit_regression(
             from_labels.phonemes, from_labels.times_s, from_labels.lookahead_s, from_labels.faces
         )
@@ -143,13 +142,13 @@ def train(
         ),
         expectation=expectation,
         baselines=Baselines(centres, counts, dominance, regression),
-        training_sentences=tuple(u.name for u in labelled.utterances),
+        training_sentences=tuple(sentence_name(u.name) for u in labelled.utterances),
         provenance={
             "corpus": corpus.name,
             "seed": seed,
             "frames": len(frames),
             "segments": len(segments.samples),
-            "variance_held": round(float(pca.explained_variance_ratio_.sum()), 6),
+            "variance_held": round(pca.variance_held, 6),
             "sentences_heard": len((heard or {}).keys() & {u.name for u in labelled.utterances}),
         },
     )
@@ -164,20 +163,38 @@ def check_components(n_components: int, layout: PointLayout) -> None:
         )
 
 
+def _check_length(corpus: Corpus, utterances: Sequence[Utterance], n_components: int) -> None:
+    """Every speaker has frames enough for a face of so many components. Raises TrainingError."""
+    n_frames: dict[str, int] = {}
+    for utterance in utterances:
+        speaker = speaker_name(utterance.name) or corpus.name
+        n_frames[speaker] = n_frames.get(speaker, 0) + len(utterance.markers_mm)
+    for speaker, n in n_frames.items():
+        if n <= n_components:
+            raise TrainingError(
+                f"corpus {speaker}: {n} frames are too few for {n_components} components"
+            )
+
+
 def _face(
-    corpus: Corpus, pca: PCA, utterances: Sequence[Utterance], coefficients: list[Array]
+    corpus: Corpus,
+    pca: PrincipalComponents,
+    utterances: Sequence[Utterance],
+    coefficients: list[Array],
 ) -> FaceModel:
     """Basis, rest pose, and how the lips close."""
-    spoken = np.concatenate(
-        [m[speech_frames(u)] for u, m in zip(utterances, coefficients, strict=True)]
-    )
-    covariance = np.cov(spoken if len(spoken) > 1 else np.concatenate(coefficients), rowvar=False)
+    in_speech = [speech_frames(u) for u in utterances]
+    if sum(map(np.count_nonzero, in_speech)) < 2:
+        in_speech = [np.ones(len(m), dtype=bool) for m in coefficients]
+    spoken = np.concatenate([m[s] for m, s in zip(coefficients, in_speech, strict=True)])
+    weights = np.repeat([u.weight for u in utterances], [np.count_nonzero(s) for s in in_speech])
+    covariance = np.cov(spoken, rowvar=False, aweights=weights)
     face = FaceModel(
         layout=corpus.layout,
-        mean_mm=pca.mean_.reshape(-1, 3),
-        basis=pca.components_,
+        mean_mm=pca.mean.reshape(-1, 3),
+        basis=pca.basis,
         head_reference_mm=corpus.head_reference_mm,
-        rest=_rest(utterances, coefficients, corpus.layout),
+        rest=mean_at_rest(utterances, coefficients, corpus.layout),
         covariance=np.atleast_2d(covariance),
         labiodental_gap_mm=CLOSED_GAP_MM,
         tightest_s=np.zeros(len(PHONEMES)),
@@ -189,15 +206,15 @@ def _face(
 
 
 def phone_centres(segments: Segments) -> tuple[Array, Array]:
-    """The mean middle sample of each phoneme (40, n_components), and how many there are (40,).
+    """The mean middle sample of each phoneme (40, n_components), and how often they count (40,).
 
     A phoneme never heard takes the mean of its viseme class, and where that is empty of what
     stands in for it.
     """
     middles = segments.samples[:, SAMPLES_PER_ANIMPHO // 2]
-    counts = np.bincount(segments.phonemes, minlength=len(PHONEMES)).astype(np.float64)
+    counts = np.bincount(segments.phonemes, segments.weights, len(PHONEMES)).astype(np.float64)
     sums = np.zeros((len(PHONEMES), middles.shape[1]))
-    np.add.at(sums, segments.phonemes, middles)
+    np.add.at(sums, segments.phonemes, middles * segments.weights[:, None])
     known = frozenset(p for p, count in zip(PHONEMES, counts, strict=True) if count)
     centres = np.zeros_like(sums)
     for index, phoneme in enumerate(PHONEMES):
@@ -216,13 +233,14 @@ def cut_segments(utterances: Iterable[Utterance], coefficients: list[Array]) -> 
     coefficients: (n_frames, n_components) for each utterance. Neighbours share exactly one frame:
     the one at their boundary, interpolated, because a phone may be shorter than a frame at 25 Hz.
     """
-    samples, phonemes, sentence = [], [], []
+    samples, phonemes, sentence, weights = [], [], [], []
     for number, (utterance, motion) in enumerate(zip(utterances, coefficients, strict=True)):
         for phone in utterance.phones:
             samples.append(_five_samples(phone, motion, utterance.frame_rate_hz))
             phonemes.append(PHONEMES.index(phone.phoneme))
             sentence.append(number)
-    return Segments(np.array(samples), np.array(phonemes), np.array(sentence))
+            weights.append(utterance.weight)
+    return Segments(np.array(samples), np.array(phonemes), np.array(sentence), np.array(weights))
 
 
 def _five_samples(phone: PhonemeEvent, motion: Array, frame_rate_hz: float) -> Array:
@@ -242,7 +260,8 @@ def _cluster(
 
     def cluster(m: int) -> tuple[Array, NDArray[np.int64]]:
         progress(f"clustering {len(vectors)} segments into {m} AnimPhos")
-        kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed).fit(vectors)
+        kmeans = KMeans(m, n_init=1, max_iter=_KMEANS_ITERATIONS, random_state=seed)
+        kmeans.fit(vectors, sample_weight=segments.weights)
         return kmeans.cluster_centers_, kmeans.labels_.astype(np.int64)
 
     n_distinct = len(np.unique(vectors, axis=0))
@@ -266,25 +285,6 @@ def _successors(segments: Segments, cluster: NDArray[np.int64], m: int) -> Index
     """T: which AnimPho directly follows which in some sentence."""
     same_sentence = segments.sentence[:-1] == segments.sentence[1:]
     return IndexLists.from_pairs(cluster[:-1][same_sentence], cluster[1:][same_sentence], m)
-
-
-def _rest(utterances: Iterable[Utterance], coefficients: list[Array], layout: PointLayout) -> Array:
-    """The mean of all silent frames with closed lips; of the most closed tenth if none touch."""
-    silent, gaps_mm = [], []
-    for utterance, motion in zip(utterances, coefficients, strict=True):
-        times_s = np.arange(len(motion)) / utterance.frame_rate_hz
-        spoken = np.zeros(len(motion), dtype=bool)
-        for phone in utterance.phones:
-            if phone.phoneme != SILENCE and phone.end_s is not None:
-                spoken |= (times_s >= phone.start_s) & (times_s < phone.end_s)
-        lips = layout.gap_vectors_mm(utterance.markers_mm)
-        silent.append(motion[~spoken])
-        gaps_mm.append(np.linalg.norm(lips[~spoken], axis=1))
-    frames, gap_mm = np.concatenate(silent), np.concatenate(gaps_mm)
-    if not len(frames):
-        frames, gap_mm = np.concatenate(coefficients), np.zeros(sum(map(len, coefficients)))
-    threshold = max(CLOSED_GAP_MM, float(np.quantile(gap_mm, 0.1)))
-    return np.asarray(frames[gap_mm <= threshold].mean(axis=0))
 
 
 def _flat(utterance: Utterance) -> Array:

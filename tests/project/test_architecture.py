@@ -71,20 +71,24 @@ def told_files(header):
 
 
 def test_every_thread_is_told():
-    assert starters(r"threading\.Thread\(|\.(?:In|Out)putStream\(") == told_files("thread")
+    assert starters(
+        r"threading\.Thread\(|\(threading\.Thread[,)]|\.(?:In|Out)putStream\("
+    ) == told_files("thread")
 
 
 def test_every_socket_is_told():
     makers = starters(r"socket\.socketpair\(|socket\.socket\(socket\.AF_")
-    # The other end of the control socket, which listens nowhere.
-    assert makers - {"firmware_bridge/process/control_client.py"} == told_files("socket")
+    # The other end of the control socket, and whoever looks whether it listens.
+    clients = {f"firmware_bridge/process/{name}.py" for name in ("control_client", "socket_files")}
+    assert makers - clients == told_files("socket")
 
 
 def test_every_process_is_told():
     starting = starters(r"subprocess\.Popen\(")
-    assert starting == {"firmware_bridge/process/child.py", "lipservo/face/sim_process.py"}
-    assert told_files("process") >= {"lipservo/face/sim_process.py"}
-    for command in ("bridge-process", "speech-process", "sim-bus"):
+    told = {"lipservo/face/sim_process.py", "lipservo/dashboard/child.py"}
+    assert starting == {"firmware_bridge/process/child.py", *told}
+    assert told_files("process") >= told
+    for command in ("bridge-process", "speech-process", "sim-bus", "dashboard"):
         assert f"`lipservo {command}`" in TEXT
 
 

@@ -30,5 +30,6 @@ def test_the_table_has_every_command():
     assert tried >= {
         "run", "daemon", "replay", "devices", "train", "calibrate", "trim", "recognize", "align",
         "train-recognizer", "plot-training", "sim-bus", "doctor", "setup-servos", "new-face",
-        "jog", "neutral", "stop", "bench",
+        "jog", "neutral", "stop", "bench", "render",
+        "perform", "train-offline", "adapt",
     }  # fmt: skip

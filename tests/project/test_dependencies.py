@@ -16,6 +16,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 DISTRIBUTION_OF = {
     "cv2": "opencv-python-headless",
     "pipecat": "pipecat-ai",
+    "ruamel": "ruamel.yaml",
     "serial": "pyserial",
     "sklearn": "scikit-learn",
     "yaml": "pyyaml",

@@ -50,10 +50,14 @@ def test_the_wheel_holds_data_and_no_top_level_config(wheel):
         "lipservo/clips/welcome.flac",
         "lipsync/models/grid_s1.npz",
         "lipsync/models/grid_s1.md",
+        "lipsync/models/mean_face.npz",
+        "lipsync/models/mean_face.md",
         "lipsync/models/recognizer.npz",
         "lipsync/models/recognizer.md",
         "lipsync/models/recognizer_grid.npz",
         "lipsync/models/recognizer_grid.md",
+        "lipservo/dashboard/twin/twin.js",
+        "lipservo/dashboard/twin/picture/index.js",
         "lipservo/py.typed",
     ):
         assert needed in names
@@ -156,6 +160,14 @@ def test_the_wheel_alone_hears_and_aligns_words_of_its_dictionary(alone, short_c
 
 
 @pytest.mark.packaging
+def test_the_wheel_alone_renders_a_line_and_performs_it(alone, short_clip):
+    line = alone.folder / "line.perf"
+    alone.succeeds("render", short_clip, "-o", line)
+    told = json.loads(alone.succeeds("perform", line, "--mute", "--json"))
+    assert told["stop"]["complete"]
+
+
+@pytest.mark.packaging
 def test_the_wheel_alone_calibrates_and_speaks_with_what_it_made(alone, short_clip):
     face = alone.folder / "my_face.yaml"
     shipped = "from importlib.resources import files; print(files('lipservo.config'))"
@@ -189,6 +201,8 @@ def test_an_absent_extra_is_one_line_that_names_it(alone, short_clip):
         "align": ("align", short_clip, f"{SAID} lipservo"),
         "train": ("train-recognizer", alone.folder, "-o", alone.folder / "w.npz"),
         "plots": ("plot-training", log, "-o", alone.folder / "log.png"),
+        "video": ("import-video", alone.folder, "-o", alone.folder / "corpus"),
+        "offline": ("render", short_clip, "-o", log.with_name("l.perf"), "--method", "model-based"),
     }.items():
         done = alone.lipservo(*arguments)
         (line,) = done.stderr.splitlines()

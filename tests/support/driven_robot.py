@@ -8,6 +8,9 @@ from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.settings import BridgeSettings
+from firmware_bridge.loop.status import face_status
+from firmware_bridge.process.command_queue import CommandQueue
+from firmware_bridge.process.command_words import command_answer
 from firmware_bridge.stopping import StopLevel
 from firmware_bridge.targets import ServoTargets
 
@@ -17,10 +20,15 @@ TORQUE_ON = bytes((3, 64, 0, 1))
 
 
 class ScriptedControl:
-    """A control socket in memory: stops by their moments, in seconds; what it was told last."""
+    """A control socket in memory: stops by their moments, in seconds; what it was told last.
+
+    commands: what else is asked of the face, as a socket would.
+    """
 
     def __init__(self, clock, stops):
         self.clock, self.stops, self.end = clock, sorted(stops), None
+        self.commands = CommandQueue()
+        self.attend, self.take_orders = self.commands.attend, self.commands.take_orders
 
     def poll(self, status):
         assert "state" in status()
@@ -37,6 +45,7 @@ class SupervisorEnd:
 
     def __init__(self):
         self.n_beats, self.stops, self.failures = 0, [], {}
+        self.switches = []
 
     def beat(self):
         self.n_beats += 1
@@ -46,6 +55,14 @@ class SupervisorEnd:
 
     def failed(self, index, reason):
         self.failures[index] = reason
+
+    def switched(self, index, *, on):
+        self.switches.append((index, on))
+
+
+def speech_deg(time_s, n):
+    """What speech wants: 15 degrees to and fro, once a second, each joint a little later."""
+    return 15.0 * np.sin(2.0 * np.pi * time_s + np.arange(n))
 
 
 class Robot:
@@ -68,10 +85,20 @@ class Robot:
         self.on_log = lambda _line: None
         #: (time, torque of each servo, position of each) after every tick.
         self.seen = []
+        #: (time, goals) of every tick.
+        self.sent_deg = []
 
     def note(self, line):
         self.log.append(line)
         self.on_log(line)
+
+    def say(self, word):
+        """A word of the control socket; what is answered."""
+        return command_answer(word, self.control.commands, lambda: "a test")
+
+    def state(self, name):
+        """Of one servo, as the status tells it."""
+        return face_status(self.bridge)["servos"][name]
 
     def live(self, until_s, at=None):
         """From start to end; `at`: what happens at a moment, by its time."""
@@ -83,11 +110,13 @@ class Robot:
                     at.pop(moment_s)()
                 if time_s > until_s:
                     break
-                goal_deg = 15.0 * np.sin(2.0 * np.pi * time_s + np.arange(len(self.face.servos)))
-                self.channel.publish(ServoTargets(time_s, goal_deg))
-                self.bridge.tick(time_s, late)
+                self.channel.publish(
+                    ServoTargets(time_s, speech_deg(time_s, len(self.face.servos)))
+                )
+                report = self.bridge.tick(time_s, late)
                 torque = [servo.torque_on for servo in self.face.chain.servos]
                 self.seen.append((time_s, torque, self.face.chain.motors.position.copy()))
+                self.sent_deg.append((time_s, report.sent_deg))
         return life.report
 
     @property

@@ -117,8 +117,12 @@ class SupervisedFace:
         assert self.supervisor.report is not None
         return self.supervisor.exit_status
 
-    def ask_to_stop(self, word):
+    def connect(self):
         client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         client.connect(str(self.path))
+        return client
+
+    def ask_to_stop(self, word):
+        client = self.connect()
         client.send(word.encode())
         return client

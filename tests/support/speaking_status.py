@@ -12,6 +12,7 @@ SPEECH = SpeechStatus(
     strategy="expected",
     settings={"strength": 0.5},
     delay_ms=226.69,
+    hears="speech",
     n_phonemes=12,
     n_lost_sound_blocks=1,
     output="USB Audio",
@@ -19,4 +20,7 @@ SPEECH = SpeechStatus(
     listens_on="ws://127.0.0.1:8765",
     speaking="greeting #1",
     n_playout_underruns=2,
+    arousal=0.3,
+    is_resting=False,
+    expression={"expression": 1.0},
 )

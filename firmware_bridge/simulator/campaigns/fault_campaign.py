@@ -13,13 +13,14 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.health import ServoState
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
-from firmware_bridge.loop.servo_supervision import ServoState
 from firmware_bridge.loop.settings import BridgeSettings
+from firmware_bridge.orders import Order
 from firmware_bridge.simulator.campaigns.auditor import Auditor
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
@@ -172,6 +173,13 @@ class _Stop:
         self._auditor.stopped_s = now_s
         self._auditor.frozen = level is StopLevel.FREEZE
         return level
+
+    def attend(self, refusal: Callable[[Order], str]) -> None:
+        """Nobody orders anything of single servos."""
+
+    def take_orders(self) -> Sequence[Order]:
+        """None."""
+        return ()
 
     def report_end(self, report: Mapping[str, object]) -> None:
         """Nobody waits."""

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from lipservo.bench.sync.microphone_latency import clip_to_bus_s
+from lipservo.bench.sync.performed_texts import performances_of
 from lipservo.bench.sync.playback_drift import drift_s
 from lipservo.bench.sync.speech_timing import SpeechTiming, speech_timing
 from lipservo.bench.sync.spoken_sentences import SENTENCES
@@ -38,31 +39,34 @@ def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
     voice = synthesizer_for()
     sentences = SENTENCES[:3] if quick else SENTENCES
     texts = [voice.speak(sentence) for sentence in sentences]
-    steps = 6
+    steps = 7
     advance("known phonemes", 0, steps)
     known = speech_timing(texts, knows=True)
     advance("recognised phonemes", 1, steps)
     heard = speech_timing(texts, knows=False)
-    advance("drift", 2, steps)
+    advance("performances", 2, steps)
+    performed = speech_timing(texts, knows=True, performances=performances_of(texts))
+    advance("drift", 3, steps)
     minutes_s = 60.0 if quick else _DRIFT_DURATION_S
     drifts_s = [drift_s(skew, minutes_s) for skew in (-_SKEW, _SKEW)]
-    advance("microphone", 3, steps)
+    advance("microphone", 4, steps)
     quickest = MotionOptions(
         style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S
     )
     microphone_s = clip_to_bus_s(quickest, 4 if quick else _N_MICROPHONE)
-    advance("streams", 4, steps)
+    advance("streams", 5, steps)
     openings = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
     cuts = [
         barge_in(texts[0], after_s, rate_hz)
         for rate_hz in _RATES_HZ
         for after_s in _INTERRUPTED_AFTER_S
     ]
-    advance("jitter", 5, steps)
+    advance("jitter", 6, steps)
     stuck_s, opening_s, n_underruns = stuck_open_s(texts, np.random.default_rng(0))
     return {
         **_timing("playback", known),
         **_timing("recognized", heard),
+        **_timing("performed", performed),
         "drift_10min_ms": _ms(max(drifts_s)),
         "mic_to_bus_p95_ms": _ms(np.percentile(microphone_s, 95)),
         "stream_first_motion_ms": _ms(max(each.motion_s for each in openings)),

@@ -10,6 +10,7 @@ from lipservo.bench.sync.microphone_latency import clip_to_bus_s
 from lipservo.speech.delay import Delay
 from lipservo.street.motion_options import MotionOptions, make_recognizer
 from lipsync.evaluation.recognition.closure_hits import Closure, closure_figures, closure_hits
+from lipsync.evaluation.recognition.heard_motion import heard_motion
 from lipsync.motion.live_synthesizer import Style
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.network_recognizer import NetworkRecognizer
@@ -77,10 +78,13 @@ def _closures(
     recordings: Sequence[Recording], face: TrainedModel, motion: MotionOptions
 ) -> list[Closure]:
     recognizer = NetworkRecognizer(find_weights(motion.weights), motion.recognizer_latency_s)
+    lookahead_s = motion.style.lookahead_s
     return [
         closure
         for sound, phones in recordings
-        for closure in closure_hits(sound, phones, recognizer, face, motion.style.lookahead_s)
+        for closure in closure_hits(
+            heard_motion(sound, recognizer, face, lookahead_s), phones, face
+        )
     ]
 
 

@@ -13,7 +13,12 @@ from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.loop.life_cycle import LifeCycle
 from lipservo.face.assembly import assemble_face
 from lipservo.face.servos import simulated_wire
-from lipservo.street.motion_options import MotionOptions, make_recognizer, make_synthesizer
+from lipservo.street.motion_options import (
+    MotionOptions,
+    make_recognizer,
+    make_synthesizer,
+    no_recognizer,
+)
 from lipservo.street.street import make_street
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
@@ -21,7 +26,9 @@ from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
 from lipsync.audio_block import AudioBlock
 from lipsync.markers import MARKERS_47
-from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
+from lipsync.motion.still_motion import StillMotion
+from lipsync.offline.performance import Performance
+from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.network import LATENCY_S
 from lipsync.text_to_speech.spoken_text import SpokenText
 
@@ -75,10 +82,12 @@ class SpeakingRobot:
         *,
         hears: bool = False,
         rate_hz: float = RATE_HZ,
+        performance: Performance | None = None,
     ) -> None:
         """rate_hz: ticks a second.
 
-        hears: whether there is a recogniser; else only known phonemes move the mouth.
+        hears: whether there is a recogniser; else only known phonemes move the mouth, or what was
+        rendered, where there is a performance.
         """
         face = assemble_face(FACE, None)
         self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
@@ -86,8 +95,11 @@ class SpeakingRobot:
         self._bus, self.clock = simulated_wire(face.settings)
         self._neutral_mm = face.model.markers_mm(face.model.rest[None])[0]
         self._names = [joint.name for joint in face.joints]
-        recognizer = make_recognizer() if hears else Deaf()
+        recognizer: LiveRecognizer = make_recognizer() if hears else Deaf()
         synthesizer = make_synthesizer(face.model, MotionOptions())
+        if performance is not None:
+            recognizer = no_recognizer()
+            synthesizer = StillMotion(face.model.rest)
         self.street = make_street(face, self.playout, self._bus, rate_hz, recognizer, synthesizer)
 
     def run(self, until_s: float, act: Callable[[float], None] | None = None) -> Watched:

@@ -7,12 +7,14 @@ from typing import Final
 import numpy as np
 
 from lipservo.bench.sync.closure_events import matched_errors_s, seen_closures, sounding_closures
+from lipservo.bench.sync.performed_texts import performed_stream
 from lipservo.bench.sync.speaking_robot import SpeakingRobot, Watched, spoken_stream
 from lipsync.arrays import Array
 from lipsync.audio.playout_events import PlayoutRequest
 from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.motion.closure_plan import BILABIALS
+from lipsync.offline.performance import Performance
 from lipsync.phonemes import PhonemeEvent
 from lipsync.text_to_speech.spoken_text import SpokenText
 
@@ -43,19 +45,26 @@ class SpeechTiming:
 
 
 def speech_timing(
-    texts: Sequence[SpokenText], *, knows: bool, loudspeaker_seed: int = 0
+    texts: Sequence[SpokenText],
+    *,
+    knows: bool,
+    performances: Sequence[Performance] | None = None,
+    loudspeaker_seed: int = 0,
 ) -> SpeechTiming:
     """Say each by a robot of its own. knows: the phonemes come with the sound; else it listens.
+
+    performances: of the texts, which are performed then.
 
     Every loudspeaker is another: its latency 20 to 120 ms, its clock up to 200 parts in a million
     off, its reports up to 5 ms.
     """
+    rendered = [None] * len(texts) if performances is None else performances
     rng = np.random.default_rng(loudspeaker_seed)
     errors_s: list[Array] = []
     others_s: dict[float, list[Array]] = {closed_mm: [] for closed_mm in _OTHER_GAPS_MM}
     n_asked = n_unmatched = n_closures = n_hits = 0
-    for text in texts:
-        watched, sound_s = _said(text, _loudspeaker(rng), knows=knows)
+    for text, performance in zip(texts, rendered, strict=True):
+        watched, sound_s = _said(text, _loudspeaker(rng), performance, knows=knows)
         times_s = watched.times_s - sound_s
         asked, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
         for asked_s, seen_s in (
@@ -89,11 +98,18 @@ def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:
 
 
 def _said(
-    text: SpokenText, loudspeaker: SimulatedLoudspeaker, *, knows: bool
+    text: SpokenText,
+    loudspeaker: SimulatedLoudspeaker,
+    performance: Performance | None,
+    *,
+    knows: bool,
 ) -> tuple[Watched, float]:
     """What was seen, and when the first sample of the text left the loudspeaker."""
-    robot = SpeakingRobot(loudspeaker, hears=not knows)
-    stream = spoken_stream(text, robot.playout, knows=knows)
+    robot = SpeakingRobot(loudspeaker, hears=not knows, performance=performance)
+    if performance is None:
+        stream = spoken_stream(text, robot.playout, knows=knows)
+    else:
+        stream = performed_stream(text, performance, robot.playout)
     robot.playout.requests.append(PlayoutRequest("say", stream))
     watched = robot.run(text.duration_s + _AROUND_S)
     return watched, first_sample_s(text, loudspeaker)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 from rich.progress import Progress
 
+from calibration.simulated.robot_family import RobotFamily
 from lipservo.commands.bench import motion as bench_motion
 from lipservo.commands.options import Json, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
@@ -231,21 +232,40 @@ def calibration(
     seeds: Annotated[
         str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
     ] = "0-19",
+    family: Annotated[
+        RobotFamily,
+        typer.Option(help="own: rubber and play; elastic: lips that stop each other, and more."),
+    ] = RobotFamily.OWN,
+    ways: Annotated[
+        bool,
+        typer.Option(
+            "--ways",
+            help="elastic: also every shipped way (measured, guided, practise, port, dots) on "
+            "robots of 1 to 12 servos, drawn by the first seed.",
+        ),
+    ] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
+    from lipservo.bench.calibration.elastic_figures import elastic_figures
     from lipservo.bench.calibration_figures import calibration_figures, read_seeds
 
+    if ways and family is not RobotFamily.ELASTIC:
+        raise typer.BadParameter("--ways goes with --family elastic")
     numbers = read_seeds(seeds)
     began_s = time.perf_counter()
+    figures: Mapping[str, object]
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         tracked = progress.track(numbers, description="calibrating")
-        figures = calibration_figures(tracked)
+        if family is RobotFamily.ELASTIC:
+            figures = elastic_figures(tracked, ways_seed=numbers[0] if ways else None)
+        else:
+            figures = {"family": family.value, **calibration_figures(tracked)}
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
 
 
-def _print(figures: Mapping[str, float | str], seconds: float, *, as_json: bool) -> None:
+def _print(figures: Mapping[str, object], seconds: float, *, as_json: bool) -> None:
     result = {**figures, "machine": machine_class(), "seconds": seconds}
     if as_json:
         print_json(result)

@@ -15,6 +15,7 @@ from lipsync.recognition.network import LATENCY_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
 
 if TYPE_CHECKING:
+    from lipsync.evaluation.motion.lip_speed import LipSpeed
     from lipsync.evaluation.recognition.closure_hits import Closure
     from lipsync.phonemes import PhonemeEvent
 
@@ -41,31 +42,39 @@ def closures(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure at how many closures the mouth closes, by what the recogniser hears.
+    """Measure at how many closures the mouth closes, by what the recogniser hears, and how fast.
 
-    Where they are is told by forced alignment of what is said.
+    Where they are is told by forced alignment of what is said. Lips are watched at 100 Hz.
     """
+    from lipsync.evaluation.motion.lip_speed import lip_speed, lip_speed_figures
     from lipsync.evaluation.recognition.closure_hits import closure_figures, closure_hits
+    from lipsync.evaluation.recognition.heard_motion import heard_motion
     from lipsync.recognition.network_recognizer import NetworkRecognizer
     from lipsync.training.trained_model import load_trained_model
 
     recognizer = NetworkRecognizer(find_weights(weights), latency_ms / 1e3)
     face = load_trained_model(model)
     found: list[Closure] = []
+    speeds: list[LipSpeed] = []
+
+    def listen(sound: Path, phones: "tuple[PhonemeEvent, ...]") -> None:
+        motion = heard_motion(sound, recognizer, face, lookahead_ms / 1e3)
+        found.extend(closure_hits(motion, phones, face))
+        speeds.append(lip_speed(face, motion.faces, motion.spoken_s))
+
     with progress_bar(quiet=quiet) as advance:
         if corpus is None:
             with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
-                found = closure_hits(clip, clip_phones(clip), recognizer, face, lookahead_ms / 1e3)
+                listen(clip, clip_phones(clip))
         else:
             from lipservo.bench.aligned_corpus import aligned, selected
 
             utterances = selected(corpus, speakers, limit=limit)
             alignments = aligned(utterances, cache, None, advance)
             for number, utterance in enumerate(utterances, start=1):
-                phones = alignments[utterance.name].events()
-                found += closure_hits(utterance.sound, phones, recognizer, face, lookahead_ms / 1e3)
+                listen(utterance.sound, alignments[utterance.name].events())
                 advance("closing", number, len(utterances))
-    figures = closure_figures(found)
+    figures = {**closure_figures(found), **lip_speed_figures(speeds)}
     settings = {
         "weights": weights,
         "lookahead_ms": lookahead_ms,

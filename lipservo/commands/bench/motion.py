@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,12 +11,14 @@ import typer
 from rich.progress import Progress
 from rich.table import Table
 
-from lipservo.commands.options import Json, Quiet, SkipBad
+from lipservo.commands.bench.video import measure_video
+from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShare
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
 
 if TYPE_CHECKING:
     from lipservo.bench.motion_figures import Question
     from lipsync.corpus.utterance import Corpus, Utterance
+    from lipsync.evaluation.motion.offline_methods import OfflineModels
     from lipsync.training.trained_model import TrainedModel
 
 
@@ -34,9 +37,23 @@ _HEADINGS = {
     "frames": "frames",
 }
 
+#: What rendering a line, and making its model of a whole folder, costs.
+_RENDERING = ("seconds_per_sentence", "build_s", "build_processor_s", "build_mb")
+
 
 def motion(
-    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    corpus: Annotated[
+        Path | None, typer.Option(help="Folder laid out like grid_s1.", show_default=False)
+    ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead: a folder of video of any talkers (or one video); our mouth, by its "
+            "sound alone, beside theirs.",
+            show_default=False,
+        ),
+    ] = None,
+    landmarker: Landmarker = None,
     model: Annotated[
         Path | None,
         typer.Option(
@@ -52,12 +69,20 @@ def motion(
     strategy: Annotated[str | None, typer.Option(help="Score one method only.")] = None,
     lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
     phonemes: Annotated[str, typer.Option(help="true, or recognized live.")] = "true",
+    unit_share: UnitShare = None,
     published_derivatives: Annotated[
         bool,
         typer.Option(
             "--published-derivatives",
             help="The paper's two strategies with equation (5) as printed: a derivative for each "
             "sample, so that the speed jumps between phones of other lengths.",
+        ),
+    ] = False,
+    offline: Annotated[
+        bool,
+        typer.Option(
+            "--offline",
+            help="Score the methods of `lipservo render` too: the published one and ours.",
         ),
     ] = False,
     plots: Annotated[
@@ -67,32 +92,52 @@ def motion(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure synthesised motion against recorded faces, ours and the baselines."""
+    """Measure synthesised motion against recorded faces, ours and the baselines.
+
+    With --video, against faces filmed by anybody: docs/own-face.md.
+    """
+    if (corpus is None) == (video is None):
+        raise typer.BadParameter("give --corpus FOLDER or --video FOLDER")
+    shipped = None if str(model) == "shipped" else model
+    if video is not None:
+        measure_video(video, landmarker, shipped, as_json=as_json, quiet=quiet)
+        return
+    assert corpus is not None
     from lipservo.bench import motion_figures as measure
-    from lipservo.bench.motion_plots import PICTURES
+    from lipservo.bench.pictures.line_plots import LINE_PICTURES
+    from lipservo.bench.pictures.motion_plots import PICTURES
     from lipservo.terminal.pictures import check_folder
     from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+    from lipsync.offline.line_methods import DEFAULT_METHOD
     from lipsync.training.trained_model import load_trained_model
 
     began_s = time.perf_counter()
     if plots is not None:
-        check_folder(plots, PICTURES)
+        check_folder(plots, (*PICTURES, *LINE_PICTURES) if offline else PICTURES)
     asked = measure.question(
-        strategy, lookahead_ms, phonemes, words, published_derivatives=published_derivatives
+        strategy,
+        lookahead_ms,
+        phonemes,
+        words,
+        published_derivatives=published_derivatives,
+        unit_share=unit_share,
     )
     given = None
     if model is not None:
-        given = load_trained_model(None if str(model) == "shipped" else model)
+        given = load_trained_model(shipped)
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        answer = _answer(corpus, given, asked, plots, progress, skip_bad=skip_bad)
+        answer = _answer(
+            corpus, given, asked, plots, progress, skip_bad=skip_bad, with_offline=offline
+        )
     seconds = time.perf_counter() - began_s
     answer["published_derivatives"] = published_derivatives
-    answer |= {"default_strategy": LIVE_STRATEGY, "machine": machine_class(), "seconds": seconds}
+    default = DEFAULT_METHOD if offline else LIVE_STRATEGY
+    answer |= {"default_strategy": default, "machine": machine_class(), "seconds": seconds}
     if as_json:
         print_json(answer)
         return
     _print_answer(answer)
-    RESULTS.print(f"default strategy: {LIVE_STRATEGY}; {machine_class()}; {seconds:.0f} s")
+    RESULTS.print(f"default strategy: {default}; {machine_class()}; {seconds:.0f} s")
 
 
 def _answer(
@@ -103,6 +148,7 @@ def _answer(
     progress: Progress,
     *,
     skip_bad: bool,
+    with_offline: bool,
 ) -> dict[str, Any]:
     """Rows, the paper's tables, self-correction; pictures on the way."""
     from lipservo.bench import motion_figures as measure
@@ -120,6 +166,16 @@ def _answer(
         skip_bad=skip_bad,
         progress=lambda names: progress.track(names, description="reading"),
     )
+
+    rendering: OfflineModels | None = None
+    if with_offline:
+        from lipservo.bench.offline_models import models_of, visemes_of
+
+        rendering = models_of(sentences, "bench motion --offline")
+        known = given is None or bool(seen_in_training(given, sentences.utterances))
+        asked = measure.with_offline_methods(
+            asked, rendering, visemes_of(sentences) if known else None
+        )
 
     def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
         return progress.track(items, description=what)
@@ -150,21 +206,51 @@ def _answer(
     recovery = measure.recovery(model, unseen, sentences, asked)
     errors = None
     if plots is not None:
-        from lipservo.bench.motion_plots import draw
+        from lipservo.bench.pictures.motion_plots import draw
 
         progress.update(step, description="pictures")
-        errors = draw(plots, model, unseen.labelled().utterances, rows, recovery)
+        shown = unseen.labelled().utterances
+        errors = draw(plots, model, shown, rows, recovery)
+        if rendering is not None:
+            from lipservo.bench.pictures.line_plots import draw_lines
+
+            training = sentences.labelled().keep(set(model.training_sentences)).utterances
+            states = rendering.of(model).states
+            draw_lines(plots, model, states, training, shown[0], asked.methods, rows)
     return {
         "results": rows,
         "paper": paper,
         "recovery": recovery,
         "errors": errors,
         "skipped": list(sentences.skipped),
+        **({} if rendering is None else _rendering(rendering, folder, model, skip_bad=skip_bad)),
     }
+
+
+def _rendering(
+    rendering: "OfflineModels", folder: Path, model: "TrainedModel", *, skip_bad: bool
+) -> dict[str, Any]:
+    """What a sentence costs and what a model of the folder does; nothing for one too small."""
+    from lipservo.bench.building_cost import building_cost
+    from lipservo.bench.motion_figures import BenchError
+    from lipsync.offline.line_methods import DEFAULT_METHOD
+
+    seconds = rendering.seconds_per_sentence()
+    figures = {
+        "seconds_per_sentence": seconds.get(DEFAULT_METHOD),
+        "seconds_per_sentence_by_strategy": seconds,
+    }
+    try:
+        return figures | asdict(building_cost(folder, model, skip_bad=skip_bad))
+    except BenchError as error:
+        MESSAGES.print(f"no offline model of the whole folder: {error}", soft_wrap=True)
+        return figures
 
 
 def _print_answer(answer: Mapping[str, Any]) -> None:
     _print_table("Motion", answer["results"], _HEADINGS)
+    if "seconds_per_sentence" in answer:
+        _print_table("Rendering", [{name: answer.get(name) for name in _RENDERING}])
     for name, rows in (answer["paper"] or {}).items():
         _print_table(f"The paper's {name.replace('_', ' ')}", rows)
     _print_table("Left of a phoneme, in itself and in those after it", answer["recovery"])
@@ -178,7 +264,10 @@ def _print_table(
     if not rows:
         return
     headings = headings or {name: name for name in rows[0] if not name.endswith("_95")}
-    table = Table(*headings.values(), title=title, title_justify="left", box=None, pad_edge=False)
+    table = Table(
+        *headings.values(), title=title, title_justify="left", box=None, pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )  # fmt: skip
     for row in rows:
         table.add_row(*(_cell(row[name]) for name in headings))
     RESULTS.print(table, "")

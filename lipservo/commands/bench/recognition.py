@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 import typer
 
@@ -44,6 +44,17 @@ def recognition(
         str | None,
         typer.Option(metavar="KIND:DB", help="white, music, babble (signal to noise), level, ..."),
     ] = None,
+    by: Annotated[
+        Literal["speaker", "group"] | None,
+        typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
+    ] = None,
+    groups: Annotated[
+        Path | None,
+        typer.Option(
+            help="Table of speakers, speaker,group,gender; default: speakers.csv of the corpus.",
+            show_default=False,
+        ),
+    ] = None,
     cache: Cache = None,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes that align.")] = None,
@@ -52,12 +63,14 @@ def recognition(
 ) -> None:
     """Measure a recogniser, live, against forced alignment of the transcripts."""
     from lipservo.bench.aligned_corpus import aligned, selected
+    from lipservo.bench.hearing.speaker_groups import speaker_groups
     from lipsync.evaluation.recognition.benchmark import measure
     from lipsync.evaluation.recognition.conditions import parse_condition
 
     condition = None if noise is None else parse_condition(noise)
-    make = _maker(engine, latency_ms / 1e3, weights)
+    make = recognizer_maker(engine, latency_ms / 1e3, weights)
     utterances = selected(corpus, speakers, only, limit)
+    groups_of = speaker_groups(by, corpus, groups)
     with progress_bar(quiet=quiet) as advance:
         alignments = aligned(utterances, cache, jobs, advance)
         heard: list[str] = []
@@ -66,7 +79,7 @@ def recognition(
             heard.append(name)
             advance("listening", len(heard), len(utterances))
 
-        figures = measure(utterances, alignments, make, condition, progress=count)
+        figures = measure(utterances, alignments, make, condition, count, groups_of)
     for utterance in alignments.values():
         if utterance.error:
             MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)
@@ -100,7 +113,7 @@ def listening(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure false speech, the time that a block costs, and how soon the mouth closes."""
+    """Measure false speech, the time that a block costs, how soon the mouth closes and wakes."""
     import numpy as np
 
     from lipsync.evaluation.recognition.benchmark import block_costs_s, false_speech, quiet_sounds
@@ -111,7 +124,7 @@ def listening(
         from lipservo.bench.aligned_corpus import aligned, selected
 
         utterances = selected(corpus, speakers, limit=limit)
-    recognizer = _maker(engine, latency_ms / 1e3, weights)()
+    recognizer = recognizer_maker(engine, latency_ms / 1e3, weights)()
     figures: dict[str, object] = {
         f"false_speech_{name}": false_speech(recognizer, sound)
         for name, sound in quiet_sounds(np.random.default_rng(0)).items()
@@ -123,6 +136,7 @@ def listening(
         figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
     if utterances is not None:
         from lipsync.evaluation.recognition.closing_times import ClosingBench, closing_figures
+        from lipsync.evaluation.recognition.waking_times import waking_figures
         from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
         from lipsync.training.trained_model import load_trained_model
 
@@ -130,14 +144,12 @@ def listening(
         with progress_bar(quiet=quiet) as advance:
             alignments = aligned(utterances, cache, None, advance)
             usable = [u for u in utterances if not alignments[u.name].error]
-            figures |= closing_figures(
-                bench,
-                (
+            for what, measured in (("closing", closing_figures), ("waking", waking_figures)):
+                recordings = (
                     (read_speech(u.sound), alignments[u.name].phones)
-                    for u in _counted(usable, "closing", advance)
-                ),
-                np.random.default_rng(0),
-            )
+                    for u in _counted(usable, what, advance)
+                )
+                figures |= measured(bench, recordings, np.random.default_rng(0))
     if hours > 0.0:
         from lipservo.street.summary import resident_mb
         from lipsync.evaluation.recognition.endurance import endure, without_pauses
@@ -163,7 +175,9 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
     advance(what, len(items), len(items))
 
 
-def _maker(engine: Engine, latency_s: float, weights: str) -> Callable[[], LiveRecognizer]:
+def recognizer_maker(
+    engine: Engine, latency_s: float, weights: str
+) -> Callable[[], LiveRecognizer]:
     """A function that makes the engine itself, without fallback levels: a failure must be seen."""
     from lipsync.recognition.network_recognizer import NetworkRecognizer
     from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer

@@ -6,10 +6,13 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from lipservo.commands.calibrate import by_files, on_servos, single_steps, written
+from lipservo.commands.calibrate import by_files, by_hand, grading, on_servos, single_steps, written
 from lipservo.commands.calibrate.old_spelling import new_spelling
 
-_NAMES = ("plan", "fit", "measure", "guided", "practise", "pose", "lags", "trim", "show")
+_NAMES = (
+    *("plan", "fit", "grade", "measure", "guided", "practise"),
+    *("by-hand", "pose", "lags", "trim", "show"),
+)
 #: Degrees may be negative, which looks like an option.
 _DEGREES = {"ignore_unknown_options": True}
 
@@ -34,9 +37,11 @@ class CalibrateGroup(TyperGroup):
 app = typer.Typer(cls=CalibrateGroup, invoke_without_command=True)
 app.command(epilog=by_files.PLAN_EXAMPLE)(by_files.plan)
 app.command(epilog=by_files.FIT_EXAMPLE)(by_files.fit)
+app.command(epilog=grading.GRADE_EXAMPLE)(grading.grade)
 app.command(epilog=on_servos.MEASURE_EXAMPLE)(on_servos.measure)
 app.command(epilog=on_servos.GUIDED_EXAMPLE)(on_servos.guided)
 app.command(epilog=on_servos.PRACTISE_EXAMPLE)(on_servos.practise)
+app.command("by-hand", epilog=by_hand.BY_HAND_EXAMPLE)(by_hand.by_hand)
 app.command(epilog=single_steps.POSE_EXAMPLE)(single_steps.pose)
 app.command(epilog=single_steps.LAGS_EXAMPLE)(single_steps.lags)
 app.command(epilog=written.TRIM_EXAMPLE, context_settings=_DEGREES)(written.trim)

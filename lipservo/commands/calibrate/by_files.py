@@ -7,15 +7,18 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.calibrate.calibration_options import (
+    Accept,
     Axes,
+    EyeDistance,
     Lags,
+    Landmarker,
     Markers,
     Output,
     Plots,
     Poses,
     Ranges,
 )
-from lipservo.commands.calibrate.making import check_files, finish, load_setup
+from lipservo.commands.calibrate.making import check_files, finish, load_setup, mesh_options
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.output_file import check_output
@@ -43,6 +46,7 @@ def plan(
     markers: Markers = None,
     axes: Axes = "x y z",
     ranges: Ranges = None,
+    accept: Accept = False,
     as_json: Json = False,
 ) -> None:
     """Write poses to move a robot through: neutral, each joint alone, then all joints together."""
@@ -58,8 +62,16 @@ def plan(
         made = procedure.whole_range_plan()
         then = f"--plan {file} --markers FILE -o FILE"
     else:
+        from calibration.capture.dots_folder import is_dots_folder
+        from calibration.capture.sanity import check_capture
+
+        has_depth = not (markers.is_dir() and is_dots_folder(markers))
+        positive = replace(setup, sees_forward=has_depth).servos.positive
         capture = read_capture(refine, markers, names, axes=axes)
-        further = procedure.speech_plan(capture, max(1, procedure.n_of_speech))
+        checked = check_capture(capture, setup.model, positive, accept=accept)
+        for line in checked.warnings:
+            MESSAGES.print(line, soft_wrap=True, highlight=False)
+        further = procedure.speech_plan(checked.capture, max(1, procedure.n_of_speech))
         made = joined(read_plan(refine, names), further)
         then = f"--plan {file} --markers {markers} -o FILE"
     write_plan(made, file)
@@ -85,22 +97,46 @@ def fit(
     ] = None,
     markers: Markers = None,
     axes: Axes = "x y z",
+    landmarker: Landmarker = None,
+    eye_distance_mm: EyeDistance = None,
     lags: Lags = True,
     ranges: Ranges = None,
     plots: Plots = None,
+    check_plan: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write ten poses of speech that were not fitted; `calibrate grade` measures by "
+            "them.",
+            show_default=False,
+        ),
+    ] = None,
+    accept: Accept = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Fit to recorded markers; without --plan and --markers: to the simulated face.
 
+    What the fit says of itself is estimated until `calibrate grade` has measured it.
     Lags of servos are found here for simulated ones only, and not for recorded markers.
     """
     if (plan is None) != (markers is None):
         raise typer.BadParameter("--plan and --markers go together; `calibrate plan` writes a plan")
-    if plots is not None and markers is None:
-        raise typer.BadParameter("needs --markers: nothing is measured on the simulated face")
+    for option, path in (("--plots", plots), ("--check-plan", check_plan)):
+        if path is not None and markers is None:
+            raise typer.BadParameter(
+                f"{option} needs --markers: nothing is measured on the simulated face"
+            )
     setup = replace(load_setup(config, model, ranges), quiet=quiet or as_json, lags=lags)
+    setup = replace(setup, accept=accept)
     check_files(output, plots=plots, inputs=[plan, markers])
+    if check_plan is not None:
+        from calibration.capture.marker_files import is_plan
+
+        if check_plan.resolve() == output.resolve():
+            raise typer.BadParameter("--check-plan and -o name the same file")
+        inputs = [plan, markers]
+        check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=inputs)
     if plan is None or markers is None:
         from lipservo.calibrating.simulated_calibration import fit_simulated_face
 
@@ -108,8 +144,14 @@ def fit(
     else:
         from calibration.capture.marker_files import read_capture
         from lipservo.calibrating.calibration_result import fit_capture
+        from lipservo.calibrating.face_source import is_seen_from_the_front, reader_of
+        from lipservo.calibrating.plan_poses import check_plan as check_goals
 
-        capture = read_capture(plan, markers, setup.servos.names, axes=axes)
+        check_goals(setup, plan)
+        mesh = mesh_options(landmarker, eye_distance_mm)
+        read = reader_of(markers, setup, mesh)
+        setup = replace(setup, sees_forward=not is_seen_from_the_front(markers, mesh))
+        capture = read_capture(plan, markers, setup.servos.names, axes=axes, read=read)
         with MESSAGES.status("fitting", spinner="line"):
             result = fit_capture(setup, capture)
-    finish(setup, result, output, plots=plots, as_json=as_json)
+    finish(setup, result, output, plots=plots, check_plan=check_plan, as_json=as_json)

@@ -36,4 +36,29 @@ Plots = Annotated[
     Path | None,
     typer.Option(help="Folder for a picture of what is within reach.", show_default=False),
 ]
+Landmarker = Annotated[
+    Path | None,
+    typer.Option(
+        help="A face_landmarker.task (docs/own-face.md); default: mediapipe's own face mesh.",
+        show_default=False,
+    ),
+]
+EyeDistance = Annotated[
+    float | None,
+    typer.Option(
+        min=10.0,
+        max=500.0,
+        help="Between the outer corners of the robot's eyes; default: of the face's YAML.",
+        show_default=False,
+    ),
+]
+Camera = Annotated[
+    str, typer.Option(help="With --tracker camera: a number or a device; a video to try.")
+]
 CalibrationFile = Annotated[Path, typer.Argument(metavar="FILE", help="The calibration.")]
+Accept = Annotated[
+    bool,
+    typer.Option(
+        "--accept", help="Take what is judgement (odd joints, odd size, a bad grade) as a warning."
+    ),
+]

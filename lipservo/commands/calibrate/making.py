@@ -15,6 +15,7 @@ from lipsync.output_file import check_output
 if TYPE_CHECKING:
     from lipservo.calibrating.calibration_result import CalibrationResult
     from lipservo.calibrating.calibration_setup import CalibrationSetup
+    from lipservo.calibrating.face_source import MeshOptions
 
 
 def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "CalibrationSetup":
@@ -50,6 +51,18 @@ def setup_at_port(
             yield replace(setup, settings=settings_at_port(setup.settings, found))
 
 
+def mesh_options(
+    landmarker: Path | None, eye_distance_mm: float | None, camera: str = "0"
+) -> "MeshOptions":
+    """What was typed about a face mesh; its networks are opened only where one is used."""
+    from lipservo.calibrating.face_source import MeshOptions
+    from lipsync.video.tracking.trackers import open_tracker
+
+    return MeshOptions(
+        lambda: open_tracker(landmarker), eye_distance_mm, camera, landmarker is not None
+    )
+
+
 def check_files(
     output: Path,
     *,
@@ -78,41 +91,65 @@ def finish(
     output: Path,
     *,
     plots: Path | None = None,
+    check_plan: Path | None = None,
     as_json: bool,
 ) -> None:
-    """Save, draw, and say how good it is."""
+    """Save, draw, write poses to grade by, and say how good it is."""
     from calibration.files.calibration_file import save_calibration
+    from calibration.fit.measured_grade import too_bad
     from calibration.fit.report import report_lines
     from lipservo.calibrating.calibration_result import jaw_check
+    from lipservo.calibrating.made_by_hand import with_hand_made
 
-    calibration, fit = result.calibration, result.fit
+    fit = result.fit
+    calibration, kept = with_hand_made(result.calibration, setup.servos, output)
+    bad = None if fit is None else too_bad(calibration)
+    if bad is not None and not setup.accept:
+        raise UserError(
+            f"{output} is not written: {bad}; look at the warnings, capture again, or take it as "
+            "it is with --accept"
+        )
     save_calibration(calibration, output)
     if plots is not None:
         from lipservo.calibrating.coverage_plot import draw_coverage
 
         drawn = draw_coverage(plots, setup.model, calibration, fit)
         MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
+    then = None
+    if check_plan is not None:
+        from lipservo.calibrating.graded_by_files import write_check_poses
+
+        then = write_check_poses(setup, calibration, fit, check_plan, output)
     jaw_r = jaw_check(setup, calibration)
     if as_json:
+        from lipservo.calibrating.shown_calibration import coverage_values
+
+        lips = calibration.learnt_lips
         told = {
             "calibration": str(output),
             "method": calibration.origin.method,
             "poses": calibration.origin.poses,
             **asdict(calibration.errors),
-            "coverage": {viseme: asdict(reach) for viseme, reach in calibration.coverage.items()},
+            "coverage": coverage_values(calibration),
+            "learnt_lips": None if lips is None else asdict(lips),
+            "check_plan": None if check_plan is None else str(check_plan),
             "jaw_correlation": jaw_r,
             "warnings": result.warnings,
+            "kept": kept,
+            "grade": None if calibration.grade is None else asdict(calibration.grade),
         }
         if fit is not None:
             told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm
         print_json(told)
         return
-    for line in result.warnings:
+    for line in (*result.warnings, *kept):
         MESSAGES.print(line, soft_wrap=True, highlight=False)
     for line in report_lines(calibration, str(output), fit):
         RESULTS.print(line, soft_wrap=True, highlight=False)
     if jaw_r is not None:
         RESULTS.print(f"the jaw goes with the speaker's: correlation {jaw_r:.2f}")
+    if then is not None:
+        RESULTS.print(then, soft_wrap=True, highlight=False)
     if setup.settings.calibration != output.name:
         RESULTS.print(
             f"to use it, write `calibration: {output.name}` into the face's YAML, and keep both "

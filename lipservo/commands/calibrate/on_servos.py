@@ -1,21 +1,33 @@
 """`calibrate measure`, `guided` and `practise`: servos that are moved for a whole calibration."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from calibration.simulated.robot_family import RobotFamily
 from lipservo.commands.calibrate.calibration_options import (
+    Accept,
     Axes,
+    Camera,
+    EyeDistance,
     Keep,
     Lags,
+    Landmarker,
     Output,
     Plots,
     Poses,
     Ranges,
     Speed,
 )
-from lipservo.commands.calibrate.making import check_files, finish, load_setup, setup_at_port
+from lipservo.commands.calibrate.making import (
+    check_files,
+    finish,
+    load_setup,
+    mesh_options,
+    setup_at_port,
+)
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
 
 MEASURE_EXAMPLE = (
@@ -38,17 +50,22 @@ def measure(
     tracker: Annotated[
         str | None,
         typer.Option(
-            help="Who sees the markers: a .csv, .json or folder filled meanwhile, or `typed`.",
+            help="Who sees the markers: `camera`, a .csv, .json or folder filled meanwhile, keys "
+            "(`typed`).",
             show_default=False,
         ),
     ] = None,
     axes: Axes = "x y z",
+    landmarker: Landmarker = None,
+    eye_distance_mm: EyeDistance = None,
+    camera: Camera = "0",
     poses: Poses = 60,
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
     ranges: Ranges = None,
     plots: Plots = None,
+    accept: Accept = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -56,15 +73,15 @@ def measure(
 
     With --sim pty and no --tracker the markers are computed: a rehearsal of all but the skin.
     """
+    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
     from lipservo.calibrating.measured_calibration import (
         calibrate_on_computed_skin,
         calibrate_on_servos,
-        tracker_of,
     )
 
     if tracker is None and sim is None:
         raise typer.BadParameter(
-            "say who sees the markers: --tracker FILE, FOLDER or typed; by eye it is "
+            "say who sees the markers: --tracker camera, FILE, FOLDER or typed; by eye it is "
             "`lipservo calibrate guided`"
         )
     setup = replace(
@@ -74,13 +91,17 @@ def measure(
         quiet=quiet or as_json,
         lags=lags,
         speed_deg_s=speed,
+        accept=accept,
     )
     check_files(output, keep=keep, plots=plots)
     with setup_at_port(setup, port, sim, config) as at:
         if tracker is None:
             result = calibrate_on_computed_skin(at)
         else:
-            result = calibrate_on_servos(at, tracker_of(at, tracker, axes))
+            mesh = mesh_options(landmarker, eye_distance_mm, camera)
+            at = replace(at, sees_forward=not is_seen_from_the_front(Path(tracker), mesh))
+            with tracker_source(at, tracker, axes, mesh) as make_tracker:
+                result = calibrate_on_servos(at, make_tracker)
     finish(setup, result, output, plots=plots, as_json=as_json)
 
 
@@ -122,11 +143,20 @@ def practise(
     config: Config = DEFAULT_FACE,
     model: Model = None,
     sim: Sim = None,
+    family: Annotated[
+        RobotFamily | None,
+        typer.Option(
+            help="own: rubber and play, for joints named as face_sim's; elastic: lips that stop "
+            "each other, and more, for any joints. Default: own where it knows the names.",
+            show_default=False,
+        ),
+    ] = None,
     poses: Poses = 60,
     keep: Keep = None,
     lags: Lags = True,
     speed: Speed = 30.0,
     plots: Plots = None,
+    accept: Accept = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -143,11 +173,12 @@ def practise(
         quiet=quiet or as_json,
         lags=lags,
         speed_deg_s=speed,
+        accept=accept,
     )
     check_files(output, keep=keep, plots=plots)
     if sim is None:
-        result = practise_in_memory(setup, seed)
+        result = practise_in_memory(setup, seed, family)
     else:
         with setup_at_port(setup, None, sim, config) as at:
-            result = practise_over_wire(at, seed)
+            result = practise_over_wire(at, seed, family)
     finish(setup, result, output, plots=plots, as_json=as_json)

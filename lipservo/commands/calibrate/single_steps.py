@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lipservo.commands.calibrate.calibration_options import CalibrationFile, Speed
-from lipservo.commands.calibrate.making import load_setup, setup_at_port
+from lipservo.commands.calibrate.making import check_files, load_setup, setup_at_port
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
 from lipservo.terminal.output import RESULTS, print_json, say_simulated
 
@@ -69,6 +69,7 @@ def lags(
 
     The map stays; the file that was there is kept as `.previous`. 14 s for each joint.
     """
+    from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration
     from calibration.fit.report import following_lines
     from lipservo.calibrating.servo_lags import measure_lags
@@ -76,8 +77,14 @@ def lags(
 
     before = load_calibration(file)
     setup = replace(load_setup(config, model), quiet=quiet or as_json, speed_deg_s=speed)
+    check_files(file)
     with setup_at_port(setup, port, sim, config) as at:
         found = measure_lags(at, before)
+    # Trims may have been set while servos chirped.
+    now = load_calibration(file)
+    if now.origin != before.origin or now.servo_names != before.servo_names:
+        raise CalibrationError(f"{file}: was replaced while servos chirped, and stays as it is")
+    found = replace(now, following=found.following)
     save_calibration(found, file)
     if as_json:
         print_json({"calibration": str(file), "servos": following_values(found)})

@@ -59,9 +59,14 @@ def show(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Print what a calibration says: of each servo error, lag and backlash; rules, reach, trims."""
+    """Print what a calibration says: its grade, each servo, each viseme class, rules, trims."""
     from calibration.files.calibration_file import load_calibration
-    from lipservo.calibrating.shown_calibration import servo_table, shown_lines, shown_values
+    from lipservo.calibrating.shown_calibration import (
+        coverage_table,
+        servo_table,
+        shown_lines,
+        shown_values,
+    )
 
     calibration = load_calibration(file)
     rules = None
@@ -80,5 +85,7 @@ def show(
         print_json({"calibration": str(file), **shown_values(calibration, rules)})
         return
     RESULTS.print(servo_table(calibration))
+    if calibration.coverage:
+        RESULTS.print(coverage_table(calibration))
     for line in shown_lines(calibration, str(file), rules):
         RESULTS.print(line, soft_wrap=True, highlight=False)

@@ -14,6 +14,7 @@ from rich.progress import Progress, TimeRemainingColumn
 from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES
 from lipsync.audio.source import AudioSource
+from lipsync.errors import UserError
 from lipsync.extras import check_extra
 from lipsync.output_file import check_output
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, check_weights
@@ -85,7 +86,11 @@ def train_recognizer(
         Path, typer.Option(help="Keeps alignments, state and run log; a run goes on from there.")
     ] = Path("recognizer-training"),
     held_out: Annotated[
-        str, typer.Option(help="Speakers that train nothing, with commas between.")
+        str,
+        typer.Option(
+            help="Speakers that train nothing, with commas between, or FILE.csv with a column "
+            "`speaker`."
+        ),
     ] = "",
     validation: Annotated[
         str, typer.Option(help="Speakers that only the run log hears, with commas between.")
@@ -98,10 +103,38 @@ def train_recognizer(
             show_default=False,
         ),
     ] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
+    ] = None,
+    synthetic: Annotated[
+        str,
+        typer.Option(
+            metavar="VOICES",
+            help="Also learn from these synthetic voices, with commas between: espeak:en-us, "
+            "flite:awb, festival:ked. They read the corpora's texts.",
+        ),
+    ] = "",
+    noise: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder of sounds without speech (music, effects): noise beside speech, and "
+            "silence. May be given again.",
+            show_default=False,
+        ),
+    ] = None,
     start_from: Annotated[
         str | None,
         typer.Option(help="Weights to go on from: default, grid, or a file.", show_default=False),
     ] = None,
+    start_share: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="How much of the weights gone on from is in the mean that is written: what they "
+            "knew is kept, and what is new is learned all the same.",
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
     steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 5_000,
     rate: Annotated[
@@ -122,19 +155,26 @@ def train_recognizer(
     """Learn the recogniser's weights (needs the extra `train`: torch)."""
     check_extra("torch", "train-recognizer")
     from lipsync.corpus.transcribed import read_names
+    from lipsync.recognition.synthetic.synthetic_corpus import read_voices
     from lipsync.recognition.training.training_plan import TrainingPlan
     from lipsync.recognition.training.training_run import TrainingRun, run_training
     from lipsync.recognition.weights import find_weights, is_weights, save_weights
 
     check_output(output, replaces=is_weights, kind="weights")
+    if start_share and start_from is None:
+        raise UserError("--start-share is of the weights to go on from; give --start-from")
     n_jobs = jobs or os.cpu_count() or 1
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
-        held_out=_names(held_out),
-        validation=_names(validation),
+        held_out=_speakers(held_out),
+        validation=_speakers(validation),
         left_out=frozenset() if leave_out is None else read_names(leave_out),
+        limit=limit,
+        voices=read_voices(synthetic) if synthetic else (),
+        sounds=tuple(noise or ()),
         start=None if start_from is None else find_weights(start_from),
+        start_share=start_share,
         n_copies=copies,
         n_processes=n_jobs,
         plan=TrainingPlan(seed=seed, n_steps=steps, peak_rate=rate, n_threads=n_jobs),
@@ -178,5 +218,11 @@ def progress_bar(*, quiet: bool) -> Iterator[Advance]:
         yield advance
 
 
-def _names(listed: str) -> frozenset[str]:
-    return frozenset(name.strip() for name in listed.split(",") if name.strip())
+def _speakers(listed: str) -> frozenset[str]:
+    """Names with commas between; one that ends in .csv is a file of speakers."""
+    from lipsync.corpus.speaker_table import read_speakers
+
+    names: set[str] = set()
+    for name in filter(None, (each.strip() for each in listed.split(","))):
+        names |= set(read_speakers(Path(name))) if name.endswith(".csv") else {name}
+    return frozenset(names)

@@ -13,6 +13,7 @@ from lipservo.commands.options import (
     LowLatency,
     Smoothness,
     Strength,
+    UnitShare,
 )
 from lipservo.street.motion_options import ChosenMotion
 
@@ -24,10 +25,12 @@ def chosen_motion(
     lookahead_ms: Lookahead = None,
     strength: Strength = None,
     smoothness: Smoothness = None,
+    unit_share: UnitShare = None,
     low_latency: LowLatency = False,
 ) -> ChosenMotion:
     """What was typed of these options."""
-    return ChosenMotion(engine, weights, strategy, lookahead_ms, strength, smoothness, low_latency)
+    style = (lookahead_ms, strength, smoothness, unit_share)
+    return ChosenMotion(engine, weights, strategy, *style, low_latency)
 
 
 def takes_motion(command: Callable[..., None]) -> Callable[..., None]:

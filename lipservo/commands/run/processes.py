@@ -20,7 +20,7 @@ from firmware_bridge.stopping import StopLevel
 from lipservo.commands.run.supervision import no_log
 from lipservo.status.status_board import StatusBoard
 from lipservo.street.run_commands import shared_commands
-from lipservo.street.run_request import request_of_json
+from lipservo.street.run_request import about_run, request_of_json
 from lipsync.errors import UserError
 
 Fd = Annotated[int, typer.Option(hidden=True)]
@@ -36,9 +36,11 @@ def bridge_process(
     control: Fd,
     control_path: Annotated[Path, typer.Option(hidden=True)],
     board: Fd,
+    live: Fd,
     request: Request,
     stopped: StopLevel | None = None,
     failed: Annotated[list[str] | None, typer.Option(metavar="INDEX=REASON")] = None,
+    switched_off: Annotated[list[int] | None, typer.Option(metavar="INDEX")] = None,
 ) -> None:
     """Own the port and drive the servos; targets come through a socket. Started by `daemon`."""
     die_with_parent(signal.SIGTERM)
@@ -50,6 +52,8 @@ def bridge_process(
     from lipservo.face.assembly import load_settings, settings_at_port
     from lipservo.face.servos import bridge_for, bus_for
     from lipservo.health.health_log import health_log
+    from lipservo.status.live_board import LiveBoard
+    from lipservo.status.servo_board import ServoBoard
 
     asked = request_of_json(request)
     if asked.port is None:
@@ -58,19 +62,29 @@ def bridge_process(
         )
     settings = settings_at_port(load_settings(asked.config)[0], asked.port)
     rate = asked.rate_hz or settings.rate_hz
-    about = {"name": settings.name, "port": asked.port}
+    about = {**about_run(asked), "name": settings.name, "port": asked.port}
     with ExitStack() as stack:
         say = no_log if asked.quiet else stack.enter_context(LogLines(prefix="bridge: "))
         end = stack.enter_context(socket.socket(fileno=channel))
         shared = stack.enter_context(StatusBoard.adopt(board))
-        commands = shared_commands(asked, shared)
+        watched = stack.enter_context(LiveBoard.adopt(live))
+        commands = shared_commands(asked, settings, shared)
         listener = stack.enter_context(
             ControlSocket.adopt(control, control_path, about, commands, shared.describe)
         )
+        listener.watched_fd = watched.fileno()
         bus = bus_for(settings, MonotonicClock(), strict=False)
         targets = SocketTargetChannel(end)
         given_up = dict(_failed_servos(failed or ()))
-        bridge = bridge_for(settings, bus, targets, rate_hz=rate, tolerant=True, given_up=given_up)
+        bridge = bridge_for(
+            settings,
+            bus,
+            targets,
+            rate_hz=rate,
+            tolerant=True,
+            given_up=given_up,
+            switched_off=switched_off or (),
+        )
         for index, reason in given_up.items():
             say(f"stays limp: {settings.joints()[index].name}: {reason}")
         healths = health_log(settings.name, asked.port, say, os.environ)
@@ -84,6 +98,7 @@ def bridge_process(
             stopped=stopped,
             log=say,
             on_health=None if healths is None else healths.offer,
+            on_tick=ServoBoard(watched, bridge).tell,
         )
     raise typer.Exit(status)
 
@@ -92,6 +107,7 @@ def speech_process(
     channel: Fd,
     lifeline: Fd,
     board: Fd,
+    live: Fd,
     request: Request,
     control_path: Annotated[Path, typer.Option(hidden=True)],
     agents: Annotated[int | None, typer.Option(hidden=True)] = None,
@@ -109,9 +125,11 @@ def speech_process(
     from firmware_bridge.process.socket_channel import SocketTargetChannel
     from lipservo.face.assembly import assemble_face
     from lipservo.speech.delay import PUBLISH_PERIOD_S
+    from lipservo.speech.speech_board import SpeechBoard
     from lipservo.speech.speech_side import make_speech_side
+    from lipservo.status.live_board import LiveBoard
     from lipservo.street.avatar_stream import entered_avatars
-    from lipservo.street.motion_options import adjust, make_recognizer, make_synthesizer
+    from lipservo.street.motion_options import make_recognizer, make_synthesizer
     from lipservo.street.speech_status import speech_status
     from lipservo.street.spoken_sound import entered_sound
     from lipservo.street.voice_agents import voice_agents
@@ -136,6 +154,7 @@ def speech_process(
         targets = SocketTargetChannel(end)
         avatars = entered_avatars(asked.avatars, asked.model, stack, say)
         side = make_speech_side(face, source, recognizer, synthesizer, targets, has_soft_start=True)
+        side.board = SpeechBoard(stack.enter_context(LiveBoard.adopt(live)), face.model.rest)
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:
@@ -144,7 +163,8 @@ def speech_process(
         side.begin(zero_s if asked.voice is None else clock.now())
         alive.began(zero_s)
         listener = None if agents is None else socket.socket(fileno=agents)
-        url = stack.enter_context(voice_agents(listener, side, asked.voice, control_path, say))
+        serving = voice_agents(listener, side, asked.voice, face.model, control_path, say)
+        url = stack.enter_context(serving)
         n_said = 0
         settings: dict[str, float] = {}
         tell_at_s = float("-inf")
@@ -153,7 +173,7 @@ def speech_process(
             if signals.count or alive.closed:
                 return
             if (wanted := shared.settings()) != settings:
-                adjust(synthesizer, wanted)
+                side.change(wanted)
                 settings, tell_at_s = wanted, time_s
             side.advance(time_s)
             if avatars is not None:

@@ -1,5 +1,6 @@
 """`run`, `daemon` and `replay`: the street with one source, three clocks and ends."""
 
+import socket
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -8,16 +9,20 @@ from typing import Annotated
 import typer
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
+from lipservo.agents.listener import bind_listener
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
     Control,
+    Dashboard,
+    DashboardListen,
     DryRun,
     Json,
     Listen,
     LiveLink,
     Mic,
     Model,
+    OpenPage,
     Origins,
     Osc,
     Output,
@@ -32,6 +37,11 @@ from lipservo.commands.options import (
     TokenFile,
     Trace,
     Wav,
+)
+from lipservo.commands.run.dashboard_beside import (
+    check_page_options,
+    dashboard_beside,
+    with_sounds,
 )
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.supervision import supervise
@@ -49,7 +59,10 @@ from lipservo.street.spoken_sound import entered_sound
 from lipservo.street.summary import print_summary
 from lipservo.street.voice_agents import bound_listener
 from lipservo.street.voice_options import VoiceOptions
-from lipservo.terminal.output import RESULTS, print_json
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+
+#: For a face's own page: it asks the face where that is.
+ANY_PORT = "127.0.0.1:0"
 
 
 @takes_motion
@@ -69,11 +82,24 @@ def run(
     motion: ChosenMotion,
     port: Port = None,
     sim: Sim = None,
+    dashboard: Dashboard = False,
+    dashboard_listen: DashboardListen = None,
+    token_file: TokenFile = None,
+    open_page: OpenPage = False,
     dry_run: DryRun = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Speech drives the face, live; without --wav or --mic the bundled clip speaks."""
+    """Speech drives the face, live; without --wav or --mic the bundled clip speaks.
+
+    With --dashboard, in a terminal, it goes on after the sound until Ctrl-C.
+    """
+    check_page_options(
+        dashboard_listen, is_shown=dashboard, open_page=open_page, token_file=token_file
+    )
+    voice = chosen_voice(play=play, output=output, is_needed=phonemes is not None or dashboard)
+    if dashboard:
+        voice = replace(with_sounds(voice), token_file=text_of(token_file))
     request = RunRequest(
         config,
         _sound(wav, mic, CLIP, phonemes),
@@ -85,10 +111,17 @@ def run(
         as_json=as_json,
         quiet=quiet or as_json,
         dry_run=dry_run,
-        voice=chosen_voice(play=play, output=output, is_needed=phonemes is not None),
+        voice=voice,
         avatars=AvatarTargets(osc, live_link),
     )
-    run_once(request, sim)
+    if not dashboard:
+        run_once(request, sim)
+        return
+    with (
+        bind_listener(ANY_PORT, None) as agents,
+        dashboard_beside(request, dashboard_listen, token_file, open_page=open_page),
+    ):
+        run_once(request, sim, agents, endless=MESSAGES.is_terminal)
 
 
 @takes_motion
@@ -113,6 +146,9 @@ def daemon(
     port: Port = None,
     sim: Sim = None,
     control: Control = None,
+    dashboard: Dashboard = False,
+    dashboard_listen: DashboardListen = None,
+    open_page: OpenPage = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -120,6 +156,12 @@ def daemon(
 
     With servos at a port, bridge and speech are processes of their own, watched over.
     """
+    check_page_options(dashboard_listen, is_shown=dashboard, open_page=open_page)
+    voice = daemons_voice(
+        chosen_voice(play=play, output=output),
+        listen,
+        VoiceOptions(None, text_of(token_file), text_of(sounds), queue, origins),
+    )
     request = RunRequest(
         config,
         _sound(wav, mic, SILENCE),
@@ -131,11 +173,7 @@ def daemon(
         control=control,
         as_json=as_json,
         quiet=quiet,
-        voice=daemons_voice(
-            chosen_voice(play=play, output=output),
-            listen,
-            VoiceOptions(None, text_of(token_file), text_of(sounds), queue, origins),
-        ),
+        voice=with_sounds(voice) if dashboard and voice is not None else voice,
         avatars=AvatarTargets(osc, live_link),
     )
     with ExitStack() as stack:
@@ -144,6 +182,9 @@ def daemon(
             stack.enter_context(listener)
         at_port = stack.enter_context(servo_port(port, sim, config))
         request = replace(request, port=at_port or load_settings(config)[0].servo_port)
+        if dashboard:
+            page = dashboard_beside(request, dashboard_listen, token_file, open_page=open_page)
+            stack.enter_context(page)
         if request.port is not None:
             raise typer.Exit(supervise(request, listener))
         source = stack.enter_context(entered_sound(request))
@@ -181,17 +222,31 @@ def replay(
     finish(replace(request, quiet=quiet), outcome)
 
 
-def run_once(request: RunRequest, sim: str | None) -> None:
+def run_once(
+    request: RunRequest,
+    sim: str | None,
+    listener: socket.socket | None = None,
+    *,
+    endless: bool = False,
+) -> None:
     """Play a request live to the end of its sound, and print what came of it.
 
     sim: as typed; with `pty` the servos are simulated behind a port made for the occasion.
+    listener: where voice agents connect; endless: the face goes on when the sound is over.
     """
     with (
         servo_port(request.port, sim, request.config) as at_port,
         entered_sound(request) as source,
     ):
         request = replace(request, port=at_port)
-        outcome = run_face(request, source, MonotonicClock(), live=not request.quiet)
+        outcome = run_face(
+            request,
+            source,
+            MonotonicClock(),
+            live=not request.quiet,
+            endless=endless,
+            listener=listener,
+        )
     finish(request, outcome)
 
 

@@ -1,10 +1,17 @@
-"""Which of the running faces a command means."""
+"""Which of the running faces a command means, and what they answer to it."""
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import typer
 
 from firmware_bridge.process.control_client import RunningFace, face_at, running_faces
 from firmware_bridge.process.runtime_folder import name_in_path
+from lipservo.terminal.output import RESULTS, complain, print_json
 from lipsync.errors import UserError
+
+Answer = dict[str, Any]
 
 
 def chosen_faces(face: str | None, control: Path | None) -> list[RunningFace]:
@@ -19,3 +26,43 @@ def chosen_faces(face: str | None, control: Path | None) -> list[RunningFace]:
         names = ", ".join(sorted({each.name for each in faces})) or "none"
         raise UserError(f"--face {face}: no such face runs; running: {names}")
     return chosen
+
+
+def ask_faces(
+    face: str | None,
+    control: Path | None,
+    ask_one: Callable[[RunningFace], Answer],
+    line: Callable[[Answer], str],
+    *,
+    as_json: bool,
+) -> None:
+    """Ask every face that is meant, and print what each answered.
+
+    ask_one: its answer, {"error": one line} where it refuses; line: what a good answer says. Raises
+    UserError where no face runs, typer.Exit with status 1 where one refused or did not answer.
+    """
+    faces = chosen_faces(face, control)
+    if not faces:
+        raise UserError("no face answers; is a face running?")
+    answers = [{"name": each.name, **_answered(each, ask_one)} for each in faces]
+    if as_json:
+        print_json({"faces": answers})
+    for answer in answers:
+        if "error" in answer:
+            complain(f"{answer['name']}: {answer['error']}")
+        elif not as_json:
+            told = f"{answer['name']}: {line(answer)}"
+            RESULTS.print(told, soft_wrap=True, markup=False, highlight=False)
+    if any("error" in answer for answer in answers):
+        raise typer.Exit(1)
+
+
+def _answered(face: RunningFace, ask_one: Callable[[RunningFace], Answer]) -> Answer:
+    try:
+        return ask_one(face)
+    except TimeoutError:
+        return {"error": "hangs: does not answer"}
+    except PermissionError:
+        return {"error": "may not be asked; use sudo"}
+    except OSError:
+        return {"error": "has just ended"}

@@ -1,10 +1,12 @@
 """`say`: a text, spoken and shown."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from lipservo.agents.listener import read_token
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
@@ -19,6 +21,7 @@ from lipservo.commands.options import (
     Quiet,
     Rate,
     Sim,
+    Through,
     TokenFile,
     Trace,
 )
@@ -28,9 +31,11 @@ from lipservo.street.avatar_targets import AvatarTargets
 from lipservo.street.motion_options import ChosenMotion
 from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import Sound
-from lipservo.street.voice_agents import read_token
 from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
 from lipsync.errors import UserError
+
+if TYPE_CHECKING:
+    from lipservo.client.blocking_face import Face
 
 
 @takes_motion
@@ -39,15 +44,7 @@ def say(
     text: Annotated[str, typer.Argument(help="What is said.")],
     language: Language = "en-us",
     mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
-    through: Annotated[
-        str | None,
-        typer.Option(
-            "--through",
-            metavar="URL",
-            help="Let a running face say it; `lipservo status` tells its address.",
-            show_default=False,
-        ),
-    ] = None,
+    through: Through = None,
     token_file: TokenFile = None,
     output: Output = None,
     config: Config = DEFAULT_FACE,
@@ -67,7 +64,7 @@ def say(
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
     if through is not None:
-        _say_through(through, text, token_file)
+        told_through(through, token_file, lambda face: face.say(text))
         return
     request = RunRequest(
         config,
@@ -86,14 +83,16 @@ def say(
     run_once(request, sim)
 
 
-def _say_through(url: str, text: str, token_file: Path | None) -> None:
-    """A running face says it; its own options hold. Raises UserError."""
+def told_through(
+    url: str, token_file: Path | None, tell: "Callable[[Face], dict[str, Any]]"
+) -> dict[str, Any]:
+    """What a running face answers; its own options hold. Raises UserError."""
     from lipservo.client.blocking_face import Face
     from lipservo.client.face_answers import FaceError
 
     token = read_token(None if token_file is None else str(token_file))
     try:
         with Face(url, token) as face:
-            face.say(text)
+            return tell(face)
     except FaceError as error:
         raise UserError(f"--through {url}: {error}") from error

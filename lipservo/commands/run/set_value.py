@@ -1,49 +1,41 @@
 """`set`: what may change while a face runs."""
 
-from typing import Annotated
+import time
+from typing import Annotated, Any
 
 import typer
 
-from firmware_bridge.process.control_client import RunningFace, change_setting
+from firmware_bridge.process.control_client import RunningFace, change_settings
 from lipservo.commands.options import Control, FaceName, Json
-from lipservo.commands.run.running import chosen_faces
-from lipservo.terminal.output import RESULTS, complain, print_json
-from lipsync.errors import UserError
+from lipservo.commands.run.running import ask_faces
+from lipservo.speech.passing_wish import whole_wish
 
 
 def set_value(
-    name: Annotated[str, typer.Argument(help="What: strength or smoothness.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="What: strength, smoothness, unit_share, lip_gap_offset_mm, expression, "
+            "look_yaw_deg, look_pitch_deg, look_weight (0: at nobody), affect_valence, "
+            "affect_arousal, affect_tau_s."
+        ),
+    ],
     value: Annotated[float, typer.Argument(help="To which value.")],
     face: FaceName = None,
     control: Control = None,
     as_json: Json = False,
 ) -> None:
-    """Change a setting of every running face, eased in over 0.3 s; it lasts until the face ends.
+    """Change a setting of every running face without a jump; it lasts until the face ends.
 
-    Exit status 1 unless every face has taken it.
+    A place to look at is looked at from then on; a mood fades by itself. Exit status 1 unless every
+    face has taken it.
     """
-    faces = chosen_faces(face, control)
-    if not faces:
-        raise UserError("no face answers; is a face running?")
-    answers = [{"name": each.name, **_answer(each, name, value)} for each in faces]
-    if as_json:
-        print_json({"faces": answers})
-    for answer in answers:
-        if "error" in answer:
-            complain(f"{answer['name']}: {answer['error']}")
-        elif not as_json:
-            line = f"{answer['name']}: {answer['set']} is {answer['value']:g} from now on"
-            RESULTS.print(line, soft_wrap=True, markup=False, highlight=False)
-    if any("error" in answer for answer in answers):
-        raise typer.Exit(1)
 
+    def asked(each: RunningFace) -> dict[str, Any]:
+        answer = change_settings(each.path, whole_wish({name: value}, time.monotonic()))
+        return answer if "error" in answer else {**answer, "set": name, "value": value}
 
-def _answer(face: RunningFace, name: str, value: float) -> dict[str, object]:
-    try:
-        return change_setting(face.path, name, value)
-    except TimeoutError:
-        return {"error": "hangs: does not answer"}
-    except PermissionError:
-        return {"error": "may not be asked; use sudo"}
-    except OSError:
-        return {"error": "has just ended"}
+    def told(answer: dict[str, Any]) -> str:
+        return f"{name} is {answer['value']:g} from now on"
+
+    ask_faces(face, control, asked, told, as_json=as_json)

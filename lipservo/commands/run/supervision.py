@@ -11,7 +11,7 @@ from firmware_bridge.stop_signals import SignalCounter
 from lipservo.status.face_status import Status, whole_status
 from lipservo.status.status_board import StatusBoard
 from lipservo.street.run_commands import shared_commands
-from lipservo.street.run_request import RunRequest, request_json
+from lipservo.street.run_request import RunRequest, about_run, request_json
 from lipservo.street.spoken_sound import check_sound
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
@@ -37,7 +37,10 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
     from firmware_bridge.process.torque_release import TorqueRelease
     from lipservo.face.assembly import assemble_face, at_port, check_servos
     from lipservo.face.servos import port_opener
+    from lipservo.speech.face_expression import check_expression
+    from lipservo.status.live_board import LiveBoard
     from lipservo.street.avatar_stream import resolved_avatars
+    from lipservo.street.watched import board_layout
 
     if request.trace is not None:
         raise UserError(
@@ -49,23 +52,28 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
     assert port is not None
     check_sound(request)
     request = replace(request, avatars=resolved_avatars(request.avatars))
+    check_expression(face.settings, face.folder)
     check_servos(face)
     settings = face.settings
     opener = port_opener(port, settings.bus.baud_rate)
     servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
-    about = {"name": settings.name, "port": port}
+    about = {**about_run(request), "name": settings.name, "port": port}
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
         say = no_log if request.quiet else stack.enter_context(LogLines())
         say(str(request.motion))
         board = stack.enter_context(StatusBoard.create())
+        rate_hz = request.rate_hz or settings.rate_hz
+        live = stack.enter_context(LiveBoard.create(board_layout(face, request.config, rate_hz)))
         path = request.control or socket_path(settings.name)
-        listener = ControlSocket.bind(path, about, shared_commands(request, board), board.describe)
+        commands = shared_commands(request, settings, board)
+        listener = ControlSocket.bind(path, about, commands, board.describe)
         stack.enter_context(listener)
+        listener.watched_fd = live.fileno()
         writer, reader = channel_pair()
         command = [sys.executable, "-m", "lipservo"]
         shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
-        shared += ["--board", "{board}", "--channel", "{channel}"]
+        shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
         bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
         bridge += ["--control-path", str(listener.path)]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
@@ -74,7 +82,7 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
         if agents is not None:
             speech += ["--agents", "{agents}"]
             of_speech["{agents}"] = agents.fileno()
-        ours = {"{board}": board.fileno()}
+        ours = {"{board}": board.fileno(), "{live}": live.fileno()}
         supervisor = Supervisor(
             Child(
                 "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)

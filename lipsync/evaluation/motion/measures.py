@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from lipsync.arrays import Array
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.corpus.utterance import Utterance
+from lipsync.evaluation.motion.lip_shape import LIP_SHAPE, lip_shapes_mm
 from lipsync.face.model import FaceModel
 from lipsync.phonemes import SILENCE, PhonemeEvent
 
@@ -28,14 +29,25 @@ CLOSING = (*_BILABIALS, "F", "V")
 #: A closed mouth further than this from any P B M and from silence is a false closure.
 _FALSE_WINDOW_S = 0.08
 _ROUNDING_S = 1e-9
+#: The finer components, 5 to 8: what an average over contexts loses first.
+_FINE = slice(4, 8)
+_FINE_NUMBERS = range(_FINE.start + 1, _FINE.stop + 1)
 
-#: What a sentence's sums are, in this order.
+#: What a sentence's sums are, in this order. free: of the sentence's own mean error. fine: of each
+#: of the finer components its sum and its squares, made and recorded; fine_free: of all of them the
+#: squares about the sentence's own mean.
 SUMS = (
     "frames", "squared_mm2", "squared_lips_mm2", "reference_mm2",
     "gap", "gap_recorded", "gap2", "gap_recorded2", "gap_product",
     "closures", "closure_hits", "labiodentals", "labiodental_hits",
     "open_frames", "false_closures", "recorded_false_closures",
     "peaks", "peak_ratio", "acceleration2", "recorded_acceleration2",
+    "free_mm2", "free_lips_mm2",
+    *(f"{name}_error_mm2" for name in LIP_SHAPE[1:]),
+    *(f"{name}_free_mm2" for name in LIP_SHAPE),
+    *(f"fine_{whose}{power}_{n}" for whose in ("made", "recorded") for power in ("", "2")
+      for n in _FINE_NUMBERS),
+    "fine_free_made2", "fine_free_recorded2",
 )  # fmt: skip
 
 
@@ -58,12 +70,16 @@ def sentence_sums(
     """The sums named in SUMS; face: whose motion it is; scored: (n,), the frames that count."""
     lips = list(face.layout.lips)
     n_points, n_lips = face.layout.n_points, len(lips)
-    error = ((made.markers_mm - recorded.markers_mm)[scored] ** 2).sum(axis=2)
+    away_mm = (made.markers_mm - recorded.markers_mm)[scored].astype(np.float64)
+    error = (away_mm**2).sum(axis=2)
+    free = (_without_mean(away_mm) ** 2).sum(axis=2)
+    shape_mm = lip_shapes_mm(face, made.markers_mm) - lip_shapes_mm(face, recorded.markers_mm)
+    shape_mm = shape_mm[scored]
     reference_error = ((reference.markers_mm - recorded.markers_mm)[scored] ** 2).sum()
     gap, gap_recorded = face.lip_gaps_mm(made.markers_mm), face.lip_gaps_mm(recorded.markers_mm)
     g, r = gap[scored], gap_recorded[scored]
     times_s = np.arange(len(gap)) / utterance.frame_rate_hz
-    free = _far_from_closure(utterance, times_s)
+    open_ = _far_from_closure(utterance, times_s)
     lip_error = error[:, lips].sum() / n_lips
     has_peak = len(r) > 0 and r.max() > CLOSED_GAP_MM
     return np.array(
@@ -71,12 +87,18 @@ def sentence_sums(
             scored.sum(), error.sum() / n_points, lip_error, reference_error / n_points,
             g.sum(), r.sum(), (g * g).sum(), (r * r).sum(), (g * r).sum(),
             *_closure_hits(utterance, times_s, scored, gap),
-            free.sum(),
-            (free & (gap <= CLOSED_GAP_MM)).sum(),
-            (free & (gap_recorded <= CLOSED_GAP_MM)).sum(),
+            open_.sum(),
+            (open_ & (gap <= CLOSED_GAP_MM)).sum(),
+            (open_ & (gap_recorded <= CLOSED_GAP_MM)).sum(),
             float(has_peak), g.max() / r.max() if has_peak else 0.0,
             _acceleration2(made.coefficients, scored),
             _acceleration2(recorded.coefficients, scored),
+            free.sum() / n_points, free[:, lips].sum() / n_lips,
+            *(shape_mm[:, 1:] ** 2).sum(axis=0),
+            *(_without_mean(shape_mm) ** 2).sum(axis=0),
+            *_fine_sums(made.coefficients[scored]), *_fine_sums(recorded.coefficients[scored]),
+            *((_without_mean(moved.coefficients[scored][:, _FINE]) ** 2).sum()
+              for moved in (made, recorded)),
         ],
         dtype=np.float64,
     )  # fmt: skip
@@ -128,6 +150,23 @@ def _acceleration2(coefficients: Array, scored: Mask) -> float:
     return float((second[scored[2:] & scored[1:-1] & scored[:-2]] ** 2).sum())
 
 
+def _without_mean(values: Array) -> Array:
+    """(n, ...) less its mean over n."""
+    return np.asarray(values - values.mean(axis=0)) if len(values) else values
+
+
+def _fine_sums(coefficients: Array) -> Array:
+    """(n, n_components) -> (8,): sums of the finer components, then sums of their squares.
+
+    0 for components that the model does not have.
+    """
+    fine = coefficients[:, _FINE]
+    sums = np.zeros((2, len(_FINE_NUMBERS)))
+    sums[0, : fine.shape[1]] = fine.sum(axis=0)
+    sums[1, : fine.shape[1]] = (fine**2).sum(axis=0)
+    return sums.ravel()
+
+
 def figures(sums: Array) -> dict[str, float]:
     """The figures of many sentences from the total (len(SUMS),) of their sums; NaN where empty."""
     s = dict(zip(SUMS, (float(x) for x in sums), strict=True))
@@ -151,7 +190,22 @@ def figures(sums: Array) -> dict[str, float]:
         "false_closures_ratio": _share(s["false_closures"], s["recorded_false_closures"]),
         "peak_opening_ratio": _share(s["peak_ratio"], s["peaks"]),
         "acceleration_ratio": _root_of(s["acceleration2"], s["recorded_acceleration2"]),
+        "rmse_free_mm": _root_of(s["free_mm2"], n),
+        "rmse_lips_free_mm": _root_of(s["free_lips_mm2"], n),
+        "gap_free_rmse_mm": _root_of(s["gap_free_mm2"], n),
+        "width_rmse_mm": _root_of(s["width_error_mm2"], n),
+        "width_free_rmse_mm": _root_of(s["width_free_mm2"], n),
+        "protrusion_rmse_mm": _root_of(s["protrusion_error_mm2"], n),
+        "protrusion_free_rmse_mm": _root_of(s["protrusion_free_mm2"], n),
+        "fine_deviation": _root_of(_fine_variance(s, "made"), _fine_variance(s, "recorded")),
+        "fine_deviation_free": _root_of(s["fine_free_made2"], s["fine_free_recorded2"]),
     }
+
+
+def _fine_variance(s: dict[str, float], whose: str) -> float:
+    """Of the finer components together, times the squared number of frames."""
+    squares = [s[f"fine_{whose}2_{n}"] * s["frames"] for n in _FINE_NUMBERS]
+    return max(0.0, sum(squares) - sum(s[f"fine_{whose}_{n}"] ** 2 for n in _FINE_NUMBERS))
 
 
 def confidence_intervals(

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -12,7 +13,13 @@ from lipsync.arrays import Array
 from lipsync.baselines.dominance import Dominance, fixed_reference
 from lipsync.baselines.spline import spline_faces, viseme_centres
 from lipsync.expectation.context import contexts, track_of
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer, Style
+from lipsync.motion.live_synthesizer import (
+    DEFAULT_UNIT_SHARE,
+    LIVE_STRATEGY,
+    UNIT_STRATEGY,
+    LiveSynthesizer,
+    Style,
+)
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
@@ -21,6 +28,7 @@ from lipsync.training.trained_model import TrainedModel
 #: A label that begins at t is known at t: "labels of sound up to t + L", the border included.
 _BORDER_S = 1e-6
 REFERENCE = "cohen-massaro"
+CATMULL_ROM = "catmull-rom"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +37,14 @@ class Heard:
 
     events: in the end. updates: as they came, for recognised phonemes, in order of
     `heard_until_s`, and `latency_s`, how much later than its sound a phoneme is settled; without
-    updates the events are told one by one by a perfect listener.
+    updates the events are told one by one by a perfect listener. sound_path: for methods that hear
+    the sound itself.
     """
 
     events: tuple[PhonemeEvent, ...]
     updates: tuple[PhonemeUpdate, ...] = ()
     latency_s: float = 0.0
+    sound_path: Path | None = None
 
 
 class Method(Protocol):
@@ -68,9 +78,9 @@ class DominanceMethod:
 
 @dataclass(frozen=True, slots=True)
 class SplineMethod:
-    """Catmull-Rom through viseme centres."""
+    """Catmull-Rom through the mean of each viseme class."""
 
-    name: str = "catmull-rom"
+    name: str = CATMULL_ROM
     looks_ahead: bool = False
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
@@ -140,17 +150,20 @@ class RegressionMethod:
 
 @dataclass(frozen=True, slots=True)
 class LiveMethod:
-    """Ours, as it runs live: every 10 ms it learns what is known by then, and moves on."""
+    """Ours, as it runs live: every 10 ms it learns what is known by then, and moves on.
+
+    unit_share: of AnimPhos; None: the strategy that has none.
+    """
 
     name: str = LIVE_STRATEGY
     looks_ahead: bool = True
     strength: float = 1.0
     smoothness: float = 0.0
+    unit_share: float | None = None
 
     def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
         """Faces decided at t from what is known of the sound up to t + L."""
-        style = Style(lookahead_s, self.strength, self.smoothness)
-        synthesizer = LiveSynthesizer(model, model.expectation, style)
+        synthesizer = self.synthesizer(model, lookahead_s)
         source = script_of(heard, lookahead_s)
         faces, n_ticks = [], 0
         for time_s in times_s:
@@ -162,6 +175,14 @@ class LiveMethod:
             faces.append(synthesizer.frame_at(float(time_s)).coefficients)
         return np.array(faces)
 
+    def synthesizer(self, model: TrainedModel, lookahead_s: float) -> LiveSynthesizer:
+        """A fresh one."""
+        if self.unit_share is None:
+            style = Style(lookahead_s, self.strength, self.smoothness)
+            return LiveSynthesizer(model, model.expectation, style)
+        style = Style(lookahead_s, self.strength, self.smoothness, self.unit_share)
+        return LiveSynthesizer(model, model.expectation, style, model.animphos)
+
 
 def all_methods() -> dict[str, Method]:
     """Every method by its name, the fixed reference first and ours last."""
@@ -172,6 +193,7 @@ def all_methods() -> dict[str, Method]:
         MeanFaceMethod(),
         *(PublishedMethod(strategy) for strategy in STRATEGIES.values()),
         RegressionMethod(),
+        LiveMethod(UNIT_STRATEGY, unit_share=DEFAULT_UNIT_SHARE),
         LiveMethod(),
     )
     return {method.name: method for method in methods}

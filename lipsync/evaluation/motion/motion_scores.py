@@ -23,7 +23,7 @@ _WITH_INTERVAL = ("ratio", "gap_r", "closure_hits")
 
 def true_phonemes(utterance: Utterance) -> Heard:
     """A perfect listener: the labels, told one by one."""
-    return Heard(utterance.phones)
+    return Heard(utterance.phones, sound_path=utterance.sound_path)
 
 
 @dataclass(frozen=True, slots=True)

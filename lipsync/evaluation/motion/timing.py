@@ -11,7 +11,7 @@ import numpy as np
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.evaluation.motion.methods import Heard, LiveMethod, Method, PublishedMethod, script_of
 from lipsync.face.frame import Frame
-from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
+from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeScript, PhonemeUpdate
 from lipsync.training.trained_model import TrainedModel
@@ -48,8 +48,7 @@ def method_times(
     for heard in sentences:
         synthesizer: _Synthesizer
         if isinstance(method, LiveMethod):
-            style = Style(lookahead_s, method.strength, method.smoothness)
-            synthesizer = LiveSynthesizer(model, model.expectation, style)
+            synthesizer = method.synthesizer(model, lookahead_s)
             script = script_of(heard, lookahead_s)
         elif isinstance(method, PublishedMethod):
             synthesizer, script = method.synthesizer(model), _Known(heard)

@@ -1,8 +1,8 @@
 """A recogniser measured on a corpus of transcribed speech."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,7 +22,10 @@ _N_VOICES = 20
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Everything that was measured; `score.figures()` are the accuracies."""
+    """Everything that was measured; `score.figures()` are the accuracies.
+
+    groups: the same of some of the speakers, by name.
+    """
 
     score: Score
     n_utterances: int
@@ -36,10 +39,19 @@ class Figures:
     n_labelled: int
     n_tight: int
     n_failed: int
+    groups: Mapping[str, Score] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """For JSON; the keys of `lipservo bench recognition`."""
         least, median, most = self.score.agreement()
+        grouped: dict[str, object] = {
+            name: {
+                **score.figures(),
+                "closures": score.bilabials.n_spoken,
+                "utterances": len(score.phone_all_by_utterance),
+            }
+            for name, score in sorted(self.groups.items())
+        }
         return {
             **self.score.figures(),
             "revisions_per_s": self.n_revisions / self.duration_s if self.duration_s else 0.0,
@@ -56,6 +68,7 @@ class Figures:
             "block_ms_p50": 1e3 * self.block_cost_p50_s,
             "block_ms_p99": 1e3 * self.block_cost_p99_s,
             "agreement_min_median_max": [least, median, most],
+            **({"groups": grouped} if grouped else {}),
         }
 
 
@@ -65,10 +78,12 @@ def measure(
     make_recognizer: Callable[[], LiveRecognizer],
     condition: Condition | None = None,
     progress: Callable[[str], None] = lambda _name: None,
+    groups_of: Callable[[str], Sequence[str]] = lambda _speaker: (),
 ) -> Figures:
     """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
 
-    Alignments that needed the second try are no reference: they are counted, not scored.
+    Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
+    names of the groups that a speaker is counted in.
     """
     counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
     scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
@@ -77,13 +92,16 @@ def measure(
     voices = [read_speech(u.sound) for u in utterances[::step]] if is_babble else []
     score, duration_s, n_revisions, n_said = Score(), 0.0, 0, 0
     costs: list[np.ndarray] = []
+    groups: dict[str, Score] = defaultdict(Score)
     recognizer = make_recognizer()
     for utterance in scored:
         samples = read_speech(utterance.sound)
         if condition is not None:
             samples = condition.apply(samples, utterance.name, voices)
         heard, block_costs = label_frames(recognizer, samples)
-        score.add(heard.labels, alignments[utterance.name].labels(len(heard.labels)))
+        reference = alignments[utterance.name].labels(len(heard.labels))
+        for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
+            each.add(heard.labels, reference)
         duration_s += len(samples) / SAMPLE_RATE_HZ
         n_revisions += heard.n_revisions
         n_said += len(phone_sequence(heard.labels))
@@ -103,6 +121,7 @@ def measure(
         n_labelled=counts[LABELLED],
         n_tight=counts["tight"],
         n_failed=sum(bool(alignments[u.name].error) for u in utterances),
+        groups=groups,
     )
 
 

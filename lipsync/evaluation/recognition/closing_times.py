@@ -41,6 +41,8 @@ GAPS_S = (0.04, 0.08, 0.12)
 #: A mouth sent to rest by a gap is on its way so long after it.
 _GAP_MARGIN_S = 0.05
 _ROOM_DB = -40.0
+#: Samples of the longest part that is played.
+_LONGEST = round((2 * _BEFORE_S + _AFTER_S + max(GAPS_S)) * SAMPLE_RATE_HZ)
 _LEAST_VOWEL_FRAMES = 6
 #: A mouth less open than this at the cut has nothing to close, mm beyond the gap at rest.
 _LEAST_OPENING_MM = 2.0
@@ -130,7 +132,7 @@ def closing_figures(
     rests: dict[float, list[bool]] = {gap_s: [] for gap_s in GAPS_S}
     n_cuts = 0
     for samples, phones in recordings:
-        room = _room_noise(rng, samples)
+        room = room_noise(rng, samples, _LONGEST)
         for cut_s in _some(rng, vowel_cuts(phones), _CUTS):
             for noise in (None, room):
                 sound, at_s = cut_dead(samples, cut_s)
@@ -169,9 +171,8 @@ def _some(rng: np.random.Generator, instants_s: list[float], n: int) -> list[flo
     return [float(x) for x in rng.choice(late, min(n, len(late)), replace=False)] if late else []
 
 
-def _room_noise(rng: np.random.Generator, samples: Samples) -> Samples:
-    """Noise for any part of a recording: 40 dB below it, long enough for the longest part."""
-    n = round((2 * _BEFORE_S + _AFTER_S + max(GAPS_S)) * SAMPLE_RATE_HZ)
+def room_noise(rng: np.random.Generator, samples: Samples, n: int) -> Samples:
+    """Noise (n,) 40 dB below a recording."""
     level = float(np.sqrt(np.mean(np.square(samples)))) * 10.0 ** (_ROOM_DB / 20.0)
     noise: Samples = np.asarray(level * rng.standard_normal(n), np.float32)
     return noise

@@ -2,16 +2,11 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
-
-import numpy as np
 
 from lipsync.evaluation.motion.measures import CLOSING, closes, is_bilabial
-from lipsync.evaluation.motion.methods import LiveMethod
-from lipsync.evaluation.recognition.recognized_file import recognize_file
-from lipsync.motion.tick_plan import TICK_S
-from lipsync.phonemes import LiveRecognizer, PhonemeEvent
-from lipsync.training.trained_model import TrainedModel
+from lipsync.evaluation.recognition.heard_motion import HeardMotion
+from lipsync.face.model import FaceModel
+from lipsync.phonemes import PhonemeEvent
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,24 +18,16 @@ class Closure:
 
 
 def closure_hits(
-    recording: Path,
-    phones: Iterable[PhonemeEvent],
-    recognizer: LiveRecognizer,
-    model: TrainedModel,
-    lookahead_s: float,
+    motion: HeardMotion, phones: Iterable[PhonemeEvent], model: FaceModel
 ) -> list[Closure]:
-    """Every closure among the phones spoken in a recording, in order, with the motion at 100 Hz.
+    """Every closure among the phones spoken in a recording, in order, in the motion it gave.
 
     A closure is met as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
     4.6 mm, at some instant from 40 ms before the phone to 40 ms after it.
     """
-    heard = recognize_file(recognizer, recording)
-    n_ticks = round((heard.events[-1].end_s or 0.0) / TICK_S)
-    times_s = np.arange(n_ticks, dtype=np.float64) * TICK_S
-    faces = LiveMethod().faces(model, heard, times_s, lookahead_s)
-    gaps_mm = model.lip_gaps_mm(model.markers_mm(faces))
+    gaps_mm = model.lip_gaps_mm(model.markers_mm(motion.faces))
     return [
-        Closure(phone, closes(phone, times_s, gaps_mm))
+        Closure(phone, closes(phone, motion.times_s, gaps_mm))
         for phone in phones
         if phone.phoneme in CLOSING
     ]

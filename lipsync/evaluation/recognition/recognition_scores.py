@@ -10,22 +10,27 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.evaluation.recognition.heard_closures import SLACK_FRAMES, HeardClosures
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 
 Labels = NDArray[np.int64]
 
-#: A hit may lie this many frames beside: the boundaries of forced alignment are not better.
-SLACK_FRAMES = 2
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
-_SILENT_CLASS, _CLOSED_CLASS = VISEME_OF[SILENCE], VISEME_OF["P"]
+_SILENT_CLASS = VISEME_OF[SILENCE]
+#: Where the lips touch each other, and where the lower one touches the teeth.
+_CLOSED_CLASS, _BITTEN_CLASS = VISEME_OF["P"], VISEME_OF["F"]
+#: Vowels for which the jaw comes down.
+_OPEN_CLASSES = tuple(VISEME_OF[vowel] for vowel in ("EH", "AA", "AO"))
 
 
 @dataclass(slots=True)
 class Score:
     """Counts, added up over utterances; every figure is a quotient of two of them.
 
-    `confusion` (n_visemes, n_visemes): frames by class of reference and hypothesis.
+    `confusion` (n_visemes, n_visemes): frames by class of reference and hypothesis. bilabials:
+    P B M; labiodentals: F V; openings: vowels for which the jaw comes down, those of the classes
+    of EH, AA and AO, counted in the same way.
     """
 
     n_frames: int = 0
@@ -33,12 +38,11 @@ class Score:
     n_phones_right: int = 0
     n_speech_phones_right: int = 0
     n_slack_right: int = 0
-    n_closures: int = 0
-    n_closures_found: int = 0
-    n_closures_said: int = 0
-    n_closures_true: int = 0
     n_phones: int = 0
     n_edits: int = 0
+    bilabials: HeardClosures = field(default_factory=HeardClosures)
+    labiodentals: HeardClosures = field(default_factory=HeardClosures)
+    openings: HeardClosures = field(default_factory=HeardClosures)
     phone_all_by_utterance: list[float] = field(default_factory=list)
     confusion: NDArray[np.int64] = field(
         default_factory=lambda: np.zeros((len(VISEME_CLASSES),) * 2, np.int64)
@@ -55,7 +59,11 @@ class Score:
         self.n_speech_phones_right += int(right[is_speech].sum())
         self.n_slack_right += int(_right_nearby(hypothesis_class, true_class)[is_speech].sum())
         np.add.at(self.confusion, (true_class, hypothesis_class), 1)
-        self._add_closures(hypothesis_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
+        self.bilabials.add(hypothesis_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
+        self.labiodentals.add(hypothesis_class == _BITTEN_CLASS, true_class == _BITTEN_CLASS)
+        self.openings.add(
+            np.isin(hypothesis_class, _OPEN_CLASSES), np.isin(true_class, _OPEN_CLASSES)
+        )
         said, spoken = phone_sequence(hypothesis), phone_sequence(reference)
         self.n_phones += len(spoken)
         self.n_edits += edit_distance(said, spoken)
@@ -72,8 +80,9 @@ class Score:
                 int(visemes_right.sum() - visemes_right[_SILENT_CLASS]), self.n_speech
             ),
             "viseme_speech_slack20": _share(self.n_slack_right, self.n_speech),
-            "closure_recall": _share(self.n_closures_found, self.n_closures),
-            "closure_precision": _share(self.n_closures_true, self.n_closures_said),
+            **self.bilabials.figures("closure"),
+            **self.labiodentals.figures("labiodental"),
+            **self.openings.figures("opening"),
             "per": _share(self.n_edits, self.n_phones),
         }
 
@@ -83,12 +92,6 @@ class Score:
             return 0.0, 0.0, 0.0
         ordered = self.phone_all_by_utterance
         return min(ordered), float(np.median(ordered)), max(ordered)
-
-    def _add_closures(self, said: NDArray[np.bool_], spoken: NDArray[np.bool_]) -> None:
-        self.n_closures += len(_runs(spoken))
-        self.n_closures_found += _n_touched(_runs(spoken), said)
-        self.n_closures_said += len(_runs(said))
-        self.n_closures_true += _n_touched(_runs(said), spoken)
 
 
 def phone_sequence(labels: Labels) -> list[int]:
@@ -115,19 +118,6 @@ def _right_nearby(hypothesis: Labels, reference: Labels) -> NDArray[np.bool_]:
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * SLACK_FRAMES + 1)
     nearby: NDArray[np.bool_] = (windows == hypothesis[:, None]).any(axis=1)
     return nearby
-
-
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """(first, after the last) of each run of True."""
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
-    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
-
-
-def _n_touched(runs: list[tuple[int, int]], flags: NDArray[np.bool_]) -> int:
-    """How many of the runs have a True of `flags` within the slack."""
-    return sum(
-        bool(flags[max(0, first - SLACK_FRAMES) : end + SLACK_FRAMES].any()) for first, end in runs
-    )
 
 
 def _share(part: int, whole: int) -> float:

@@ -1,4 +1,4 @@
-"""Augmentation of training speech: level, speed, room, noise, line."""
+"""Augmentation of training speech: voice, speed, room, noise, line, level."""
 
 from dataclasses import dataclass
 
@@ -8,15 +8,24 @@ from numpy.typing import NDArray
 
 from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
-from lipsync.recognition.features import FRAMES_PER_S
-from lipsync.recognition.training import noise
+from lipsync.phonemes import PHONEMES, SILENCE
+from lipsync.recognition.features import FRAMES_PER_S, HOP
+from lipsync.recognition.training import noise, nonspeech_sounds, voice_changes
+from lipsync.recognition.training.noise import Noise
 
 Labels = NDArray[np.int64]
 
 #: The recipe's gain was -25..+5 dB and lost .12 at -30 dB; -40 covers it.
 _GAIN_DB = (-40.0, 5.0)
 _SNR_DB = (3.0, 30.0)
+#: Beside somebody who is louder than this nobody could tell which talker is meant.
+_SECOND_TALKER_DB = (8.0, 25.0)
 _SPEED = (0.88, 1.12)
+#: Vocal tracts from a large man's to a small child's; adults who read are between.
+_WARP = (0.85, 1.40)
+#: Heard before somebody speaks, s.
+_BEFORE_S = (0.2, 1.5)
+_SILENCE_INDEX = PHONEMES.index(SILENCE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,41 +36,103 @@ class LabelledSamples:
     labels: Labels
 
 
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What is heard beside the voice.
+
+    babble: many others; talker: one other; found: files, or None where there are none.
+    """
+
+    babble: Noise
+    talker: Noise
+    found: Noise | None = None
+
+    def sound(self, rng: np.random.Generator, n: int) -> Array32:
+        """A sound that is no speech: made, or found."""
+        if self.found is not None and rng.random() < 0.45:
+            return self.found(rng, n)
+        if rng.random() < 0.6:
+            return nonspeech_sounds.any_sound(rng, n)
+        makers = (noise.white, noise.coloured, noise.chords)
+        return makers[int(rng.integers(len(makers)))](rng, n)
+
+    def beside_speech(self, rng: np.random.Generator, speech: Array32) -> Array32:
+        """The speech with a sound, many voices or one other voice in it."""
+        chance, n = rng.random(), len(speech)
+        if chance < 0.15:
+            return noise.add_noise(speech, self.babble(rng, n), rng.uniform(*_SNR_DB))
+        if chance < 0.25:
+            return noise.add_noise(speech, self.talker(rng, n), rng.uniform(*_SECOND_TALKER_DB))
+        return noise.add_noise(speech, self.sound(rng, n), rng.uniform(*_SNR_DB))
+
+
 def augment_lightly(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
     """Only another loudness."""
     return LabelledSamples(_at_level(rng, clean.samples, -12.0, 5.0), clean.labels)
 
 
 def augment_heavily(
-    rng: np.random.Generator, clean: LabelledSamples, babble: noise.Noise
+    rng: np.random.Generator, clean: LabelledSamples, around: Surroundings
 ) -> LabelledSamples:
-    """Another speed, room, line, noise, loudness: each with its own chance."""
-    changed = _at_speed(rng, clean) if rng.random() < 0.6 else clean
+    """Another voice, speed, room, line, noise, loudness: each with its own chance."""
+    changed = _by_another_voice(rng, clean)
     samples = changed.samples
     if rng.random() < 0.25:
         samples = noise.reverberate(rng, samples)
     if rng.random() < 0.75:
-        makers = (noise.white, noise.coloured, noise.coloured, noise.chords, babble)
-        added = makers[rng.integers(len(makers))](rng, len(samples))
-        samples = noise.add_noise(samples, added, rng.uniform(*_SNR_DB))
+        samples = around.beside_speech(rng, samples)
     if rng.random() < 0.12:
         samples = noise.telephone(samples)
     elif rng.random() < 0.12:
         samples = noise.lossy(rng, samples)
     if rng.random() < 0.08:
         samples = np.clip(samples * np.float32(10.0 ** rng.uniform(0.3, 1.2)), -1.0, 1.0)
-    return LabelledSamples(_at_level(rng, samples, *_GAIN_DB), changed.labels)
+    result = LabelledSamples(_at_level(rng, samples, *_GAIN_DB), changed.labels)
+    return _after_a_sound(rng, result, around) if rng.random() < 0.3 else result
 
 
-def no_speech(rng: np.random.Generator, n: int) -> Array32:
-    """Noise alone at any level down to nothing, now and then with a pause."""
-    makers = (noise.white, noise.coloured, noise.chords)
-    samples = makers[rng.integers(3)](rng, n) * np.float32(10.0 ** (rng.uniform(-75.0, -8.0) / 20))
-    if rng.random() < 0.5:
+def no_speech(rng: np.random.Generator, n: int, around: Surroundings) -> Array32:
+    """A sound alone at any level down to nothing, now and then with a pause, in a room, cut off."""
+    samples = around.sound(rng, n)
+    if rng.random() < 0.2:
+        samples = noise.add_noise(samples, around.sound(rng, n), rng.uniform(0.0, 20.0))
+    if rng.random() < 0.2:
+        samples = noise.reverberate(rng, samples)
+    low_db = -75.0 if rng.random() < 0.3 else -45.0
+    samples = samples * np.float32(10.0 ** (rng.uniform(low_db, -8.0) / 20))
+    if rng.random() < 0.4:
         first, last = np.sort(rng.integers(0, n, 2))
         samples[first:last] *= np.float32(10.0 ** (-rng.uniform(0.0, 100.0) / 20))
     clipped: Array32 = np.clip(samples, -1.0, 1.0)
     return clipped.astype(np.float32)
+
+
+def _by_another_voice(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:
+    chance = rng.random()
+    if chance < 0.3:
+        return _at_speed(rng, clean)
+    if chance < 0.65:
+        samples = voice_changes.warped(clean.samples, rng.uniform(*_WARP))
+        return LabelledSamples(samples, clean.labels)
+    if chance < 0.70:
+        return LabelledSamples(voice_changes.shouted(rng, clean.samples), clean.labels)
+    if chance < 0.74:
+        return LabelledSamples(voice_changes.whispered(rng, clean.samples), clean.labels)
+    return clean
+
+
+def _after_a_sound(
+    rng: np.random.Generator, speech: LabelledSamples, around: Surroundings
+) -> LabelledSamples:
+    """Speech that begins after a knock, a cough, a bar of music: as loud as itself, or less."""
+    n_frames = round(rng.uniform(*_BEFORE_S) * FRAMES_PER_S)
+    level = np.sqrt(np.mean(np.square(speech.samples, dtype=np.float64)))
+    gain = np.float32(level * 10.0 ** (rng.uniform(-25.0, 3.0) / 20.0))
+    before = np.clip(gain * around.sound(rng, n_frames * HOP), -1.0, 1.0)
+    return LabelledSamples(
+        np.concatenate((before.astype(np.float32), speech.samples)),
+        np.concatenate((np.full(n_frames, _SILENCE_INDEX), speech.labels)),
+    )
 
 
 def _at_speed(rng: np.random.Generator, clean: LabelledSamples) -> LabelledSamples:

@@ -75,12 +75,12 @@ def band(rng: np.random.Generator, n: int) -> Array32:
     return unit_power(total[:n])
 
 
-def babble(voices: Sequence[Array32]) -> Noise:
-    """Six of the voices at random at once, each from a random place on."""
+def babble(voices: Sequence[Array32], n_voices: int = 6) -> Noise:
+    """So many of the voices at random at once, each from a random place on."""
 
     def together(rng: np.random.Generator, n: int) -> Array32:
         total = np.zeros(n, np.float32)
-        for index in rng.choice(len(voices), size=min(6, len(voices)), replace=False):
+        for index in rng.choice(len(voices), size=min(n_voices, len(voices)), replace=False):
             voice = unit_power(voices[index])
             total += np.resize(np.roll(voice, -int(rng.integers(len(voice)))), n)
         return unit_power(total)

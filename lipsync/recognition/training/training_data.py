@@ -12,6 +12,7 @@ from multiprocessing import get_context
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.phonemes import PHONEMES, SILENCE
@@ -25,15 +26,16 @@ from lipsync.recognition.features import (
 )
 from lipsync.recognition.speech_file import read_speech
 from lipsync.recognition.training import augmentation, noise
-from lipsync.recognition.training.augmentation import LabelledSamples
+from lipsync.recognition.training.augmentation import LabelledSamples, Surroundings
+from lipsync.recognition.training.found_sounds import found
 
 #: Targets of frames that a head cannot know yet; torch's cross entropy passes over them.
 NO_TARGET = -100
 #: Silence put behind every utterance, so that late heads learn its last phones.
 _TAIL_S = 0.15
-#: One noise without speech for so many utterances.
-_UTTERANCES_PER_NOISE = 8
-_NOISE_S = 4.0
+#: One sound without speech for so many utterances: a seventh of the time.
+_UTTERANCES_PER_SOUND = 2
+_SOUND_S = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +89,18 @@ def training_arrays(
     *,
     n_heavy: int,
     seed: int,
+    found_sounds: Sequence[Array32] = (),
     n_processes: int = 1,
     progress: Callable[[int], None] = lambda _n: None,
 ) -> list[TrainingArray]:
-    """One lightly augmented copy, `n_heavy` heavily; the same seed gives the same arrays."""
+    """One lightly augmented copy, `n_heavy` heavily; the same seed gives the same arrays.
+
+    found_sounds: recordings (n,) in which nobody speaks, beside those that are made.
+    """
     jobs = [(copy, seed, scale, tuple(delays)) for copy in range(1 + n_heavy)]
     arrays: list[TrainingArray] = []
     _SHARED[:] = clean
+    _FOUND[:] = found_sounds
     if n_processes <= 1:
         for job in jobs:
             arrays.append(_one_array(job))
@@ -108,6 +115,7 @@ def training_arrays(
 
 
 _SHARED: list[LabelledSamples] = []
+_FOUND: list[Array32] = []
 
 
 def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingArray:
@@ -116,15 +124,18 @@ def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingA
 
 
 def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
-    babble = noise.babble([each.samples for each in clean[:: max(1, len(clean) // 200)]])
+    voices = [each.samples for each in clean[:: max(1, len(clean) // 200)]]
+    around = Surroundings(
+        noise.babble(voices), noise.babble(voices, 1), found(_FOUND) if _FOUND else None
+    )
     silence = PHONEMES.index(SILENCE)
     for index, each in enumerate(clean):
         rng = np.random.default_rng([seed, copy, index])
         if copy == 0:
             yield augmentation.augment_lightly(rng, each)
         else:
-            yield augmentation.augment_heavily(rng, each, babble)
-        if index % _UTTERANCES_PER_NOISE == 0:
-            n_frames = round(_NOISE_S * FRAMES_PER_S)
-            samples = augmentation.no_speech(rng, n_frames * HOP)
+            yield augmentation.augment_heavily(rng, each, around)
+        if index % _UTTERANCES_PER_SOUND == 0:
+            n_frames = round(_SOUND_S * FRAMES_PER_S)
+            samples = augmentation.no_speech(rng, n_frames * HOP, around)
             yield LabelledSamples(samples, np.full(n_frames, silence))

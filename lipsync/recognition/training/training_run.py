@@ -7,13 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from lipsync.corpus.transcribed import TranscribedUtterance, read_transcribed, without_names
+from lipsync.corpus.transcribed import (
+    TranscribedUtterance,
+    of_speakers,
+    read_transcribed,
+    without_names,
+)
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.alignment.alignment_cache import AlignedUtterance, align_corpus
 from lipsync.recognition.features import FeatureScale
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
+from lipsync.recognition.synthetic.synthetic_corpus import SyntheticVoice, write_voice
 from lipsync.recognition.training import noise
 from lipsync.recognition.training.augmentation import LabelledSamples
+from lipsync.recognition.training.found_sounds import read_found_sounds
 from lipsync.recognition.training.network_training import train_network
 from lipsync.recognition.training.training_data import (
     TrainingArray,
@@ -23,11 +30,14 @@ from lipsync.recognition.training.training_data import (
     training_arrays,
 )
 from lipsync.recognition.training.training_plan import TrainingError, TrainingPlan
+from lipsync.recognition.training.weight_average import averaged
 
 #: The scale needs no more than every sixth utterance.
 _SCALE_STEP = 6
 #: So many validation utterances are enough for a curve.
 _MOST_VALIDATION = 40
+#: Texts that a synthetic voice reads: short enough for every synthesiser, long enough for prosody.
+_TEXT_CHARACTERS = range(20, 200)
 _CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
 _MEMBERSHIP = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
 
@@ -39,7 +49,10 @@ Advance = Callable[[str, int, int], None]
 class TrainingRun:
     """What to learn from, and where the run is kept.
 
-    held_out, validation: speakers; left_out: utterances. start: weights to go on from.
+    held_out, validation: speakers; left_out: utterances. limit: only so many of each speaker; None:
+    all. voices: synthetic ones, which read texts of the corpora that train, so many each. sounds:
+    folders of files in which nobody speaks. start: weights to go on from; start_share: how much of
+    them is in the mean that comes out.
     """
 
     corpora: tuple[Path, ...]
@@ -47,7 +60,12 @@ class TrainingRun:
     held_out: frozenset[str] = frozenset()
     validation: frozenset[str] = frozenset()
     left_out: frozenset[str] = frozenset()
+    limit: int | None = None
+    voices: tuple[SyntheticVoice, ...] = ()
+    n_texts_each: int = 200
+    sounds: tuple[Path, ...] = ()
     start: NetworkWeights | None = None
+    start_share: float = 0.0
     n_copies: int = 10
     n_processes: int = 1
     plan: TrainingPlan = field(default_factory=TrainingPlan)
@@ -62,6 +80,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     """
     run.folder.mkdir(parents=True, exist_ok=True)
     plan = run.plan
+    sounds = [sound for folder in run.sounds for sound in read_found_sounds(folder)]
     utterances, alignments = _aligned(run, advance)
     usable = [u for u in utterances if not alignments[u.name].error]
     training = [u for u in usable if u.speaker not in run.validation]
@@ -75,6 +94,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
         plan.delays,
         n_heavy=run.n_copies,
         seed=plan.seed,
+        found_sounds=sounds,
         n_processes=min(run.n_processes, 1 + run.n_copies),
         progress=lambda n: advance("disturbing", n, 1 + run.n_copies),
     )
@@ -82,7 +102,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     step = max(1, len(validation) // _MOST_VALIDATION)
     recordings = [read_labelled(u, alignments[u.name]) for u in validation[::step]]
     conditions = _conditions(recordings, scale, plan.delays)
-    return train_network(
+    learned = train_network(
         arrays,
         scale,
         plan,
@@ -91,6 +111,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
         check=lambda _step, weights: figures(weights, conditions),
         progress=lambda n: advance("learning", n, plan.n_steps),
     )
+    return learned if run.start is None else averaged(learned, run.start, run.start_share)
 
 
 def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) -> dict[str, float]:
@@ -123,6 +144,8 @@ def _aligned(
         for utterance in without_names(everything, run.left_out)
         if utterance.speaker not in run.held_out
     ]
+    utterances = list(of_speakers(tuple(utterances), frozenset(), run.limit))
+    utterances += _spoken(run, utterances, advance)
     done: list[str] = []
 
     def count(name: str) -> None:
@@ -136,6 +159,31 @@ def _aligned(
         progress=count,
     )
     return utterances, alignments
+
+
+def _spoken(
+    run: TrainingRun, utterances: Sequence[TranscribedUtterance], advance: Advance
+) -> list[TranscribedUtterance]:
+    """What the synthetic voices say: each its own share of the texts that train."""
+    texts = [
+        utterance.text
+        for utterance in utterances
+        if utterance.speaker not in run.validation and len(utterance.text) in _TEXT_CHARACTERS
+    ]
+    spoken: list[TranscribedUtterance] = []
+    n_done = 0
+
+    def count() -> None:
+        nonlocal n_done
+        n_done += 1
+        advance("speaking", n_done, len(run.voices) * run.n_texts_each)
+
+    for number, voice in enumerate(run.voices):
+        share = texts[number :: len(run.voices)][: run.n_texts_each]
+        folder = run.folder / "synthetic"
+        corpus = write_voice(voice, share, folder, seed=run.plan.seed, progress=count)
+        spoken += read_transcribed(corpus)
+    return spoken
 
 
 def _conditions(

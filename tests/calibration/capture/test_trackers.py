@@ -1,4 +1,4 @@
-"""C3D files and coloured dots; skipped without their libraries (extras `mocap` and `video`)."""
+"""C3D files and coloured dots; skipped without their libraries (extras `mocap` and `dots`)."""
 
 import numpy as np
 import pytest
@@ -25,12 +25,13 @@ def write_c3d(path, points, labels=("inner_lip_13", "inner_lip_14"), unit="mm"):
     return path
 
 
-def test_points_of_a_c3d_file_are_averaged_in_millimetres(tmp_path):
+def test_of_the_frames_of_a_c3d_file_the_median_counts_in_millimetres(tmp_path):
     points = np.random.default_rng(0).normal(size=(2, 3, 20)).astype(np.float32)
     points[1, :, 5] = np.nan
     found = read_c3d(write_c3d(tmp_path / "pose_1.c3d", points, unit="m"))
-    assert found["inner_lip_13"] == pytest.approx(1000 * points[0].mean(axis=1), rel=1e-4)
-    assert found["inner_lip_14"] == pytest.approx(1000 * np.nanmean(points[1], axis=1), rel=1e-4)
+    assert found["inner_lip_13"] == pytest.approx(1000 * np.median(points[0], axis=1), rel=1e-4)
+    second = 1000 * np.nanmedian(points[1], axis=1)
+    assert found["inner_lip_14"] == pytest.approx(second, rel=1e-4)
 
 
 def test_a_folder_of_c3d_files_becomes_a_capture(tmp_path):
@@ -68,7 +69,7 @@ def test_a_file_that_is_no_c3d_is_one_clear_line(tmp_path):
 
 def rendered_face(path, dots_px, background=(120, 150, 200)):
     """Blue dots of 5 pixels radius, anti-aliased and noisy, on skin, with red lips between them."""
-    cv2 = pytest.importorskip("cv2", reason="dots need OpenCV, the extra `video`")
+    cv2 = pytest.importorskip("cv2", reason="dots need OpenCV, the extra `dots`")
     picture = np.full((240, 320, 3), background, dtype=np.uint8)
     cv2.ellipse(picture, (160, 120), (60, 25), 0, 0, 360, (60, 60, 190), -1, cv2.LINE_AA)
     for x, y in dots_px:
@@ -101,7 +102,7 @@ def test_dots_keep_their_names_and_a_hidden_one_is_lost():
 
 @pytest.mark.parametrize("apart_px", [6.0, 10.0])
 def test_two_dots_that_touch_are_found_as_two(tmp_path, apart_px):
-    cv2 = pytest.importorskip("cv2", reason="dots need OpenCV, the extra `video`")
+    cv2 = pytest.importorskip("cv2", reason="dots need OpenCV, the extra `dots`")
     middles = np.array([[10.0, 30.0], [30.0, 30], [50.0, 30], [80.0, 30], [80.0, 30 + apart_px]])
     picture = np.full((80, 120, 3), (120, 150, 200), dtype=np.uint8)
     for x, y in middles:
@@ -131,7 +132,7 @@ def test_right_in_the_picture_is_the_robots_left_and_down_is_down():
 
 
 def test_a_file_that_is_no_picture_is_one_clear_line(tmp_path):
-    pytest.importorskip("cv2", reason="dots need OpenCV, the extra `video`")
+    pytest.importorskip("cv2", reason="dots need OpenCV, the extra `dots`")
     (tmp_path / "p.png").write_bytes(b"not this")
     with pytest.raises(CalibrationError, match="not readable as a picture"):
         find_dots_px(tmp_path / "p.png", DotColour())

@@ -6,6 +6,8 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 from places import ROOT
 from small_model import small_model
 
@@ -13,6 +15,7 @@ from calibration.calibration import Calibration, CalibrationError, check_calibra
 from calibration.files.calibration_file import load_calibration, parse_calibration, save_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.fit.learnt_face import fit_calibration
+from calibration.grade import Grade, LearntLips, VisemeReach
 from calibration.joint_range import JointRange
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from lipsync.face.model import FaceModel
@@ -31,6 +34,30 @@ def model() -> FaceModel:
 @pytest.fixture(scope="module")
 def calibration(model) -> Calibration:
     return fit_calibration(model, JOINTS, FACE)
+
+
+def test_what_was_measured_is_loaded_as_it_was_and_what_nobody_knows_is_not_written(
+    calibration, tmp_path
+):
+    path = tmp_path / "face.calibration.yaml"
+    known = VisemeReach(0.75, 0.5, 0.875, 0.25, 1.0, 0.125, 2, 0.5)
+    graded = dataclasses.replace(
+        calibration,
+        grade=Grade(10, 0.5, 0.25, 0.125, 0.875, 0.5),
+        learnt_lips=LearntLips(0.5, 0.25, 1.5, stop=True),
+        coverage={"P": known, "AA": VisemeReach(1.0, 0.25)},
+        errors=dataclasses.replace(calibration.errors, gap_slope=0.75),
+    )
+    save_calibration(graded, path)
+    loaded = load_calibration(path)
+    for part in ("grade", "learnt_lips", "coverage"):
+        assert getattr(loaded, part) == getattr(graded, part), part
+    assert (loaded.errors.gap_slope, loaded.errors.small_gaps_kept) == (0.75, None)
+    text = path.read_text()
+    assert "AA: {reachable: 1, off_mm: 0.25}  #" in text
+    assert "small_gaps_kept: None" not in text
+    with pytest.raises(CalibrationError, match=r"learnt_lips.stop is 1, expected true or false"):
+        parse_calibration(text.replace("stop: true", "stop: 1"), "c.yaml")
 
 
 def test_a_saved_calibration_is_loaded_as_it_was(calibration, tmp_path):
@@ -74,9 +101,9 @@ def test_a_failed_write_leaves_the_old_file(calibration, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("version: 4", "version: 5", "version 5, this lipservo reads version 4"),
-        ("version: 4\n", "", "version is missing"),
-        ("version: 4", "version: one", "version is 'one', expected a whole number >= 0"),
+        ("version: 5", "version: 6", "version 6, this lipservo reads version 5"),
+        ("version: 5\n", "", "version is missing"),
+        ("version: 5", "version: one", "version is 'one', expected a whole number >= 0"),
         ("  jaw:\n", "  jaw: [\n", "line .*: not readable as YAML"),
         ("servos:", "joints:", "servos is missing"),
         ("weights: [", "weights: [.nan, ", r"servos\.jaw\.weights holds 6 numbers, expected 5"),
@@ -89,7 +116,7 @@ def test_a_failed_write_leaves_the_old_file(calibration, tmp_path):
         ("rest: [", "rest: 1 # [", "rest should be a list of numbers"),
         (f'"{FACE}"', "7", "face_checksum is 7, expected text in quotes"),
         ("hold_out:\n", "hold_out: 3\nmore:\n", "hold_out should hold `key: value` lines"),
-        ("version: 4", "version: 2024-13-01", "not readable as YAML"),
+        ("version: 5", "version: 2024-13-01", "not readable as YAML"),
     ],
 )
 def test_a_damaged_file_says_where_and_what_was_expected(calibration, tmp_path, old, new, message):
@@ -103,6 +130,62 @@ def test_a_damaged_file_says_where_and_what_was_expected(calibration, tmp_path, 
     assert "\n" not in str(caught.value)
 
 
+def without_checksum(text):
+    return "".join(
+        line for line in text.splitlines(keepends=True) if not line.startswith("checksum:")
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("max_deg: 40.0", "max_deg: 41.0"),
+        ("n_closures: ", "n_closures: 1"),
+        ("method: simulated face", "method: measured"),
+        (f'"{FACE}"', '"0123456789abcdee"'),
+    ],
+)
+def test_a_changed_digit_is_told_with_what_to_do(calibration, old, new):
+    text = calibration_text(calibration)
+    assert old in text
+    with pytest.raises(CalibrationError, match="its checksum does not fit") as refused:
+        parse_calibration(text.replace(old, new, 1), "face.calibration.yaml")
+    assert str(refused.value).startswith("face.calibration.yaml: ")
+    assert "`checksum:` is deleted" in str(refused.value)
+    meant = without_checksum(text).replace(old, new, 1)
+    assert "\nchecksum:" not in meant
+    parse_calibration(meant, "x")
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck))
+@given(place=st.integers(0, 10_000), digit=st.sampled_from("0123456789"))
+def test_no_digit_changes_what_is_read_without_being_noticed(calibration, place, digit):
+    text = calibration_text(calibration)
+    digits = [i for i, each in enumerate(text) if each.isdigit()]
+    at = digits[place % len(digits)]
+    changed = text[:at] + digit + text[at + 1 :]
+    try:
+        read = parse_calibration(changed, "x")
+    except CalibrationError:
+        return
+    assert calibration_text(read) == text
+
+
+def test_comments_spaces_and_trims_may_be_written_by_hand(calibration):
+    text = calibration_text(calibration).replace("version: 5", "version:   5  # mine")
+    by_hand = text + "trim:\n  P: {jaw: -1.5}\n"
+    assert parse_calibration(by_hand, "x").trim["P"][0] == -1.5
+
+
+def test_hand_poses_are_read_as_they_were_written(calibration):
+    poses = {"closed": np.arange(10.0), "touched": np.linspace(-3.0, 4.0, 10).round(2)}
+    with_poses = dataclasses.replace(calibration, hand_poses=poses)
+    read = parse_calibration(calibration_text(with_poses), "x").hand_poses
+    assert {name: degrees.tolist() for name, degrees in read.items()} == {
+        name: degrees.tolist() for name, degrees in poses.items()
+    }
+
+
 def test_a_file_that_calls_its_quadratic_weights_bends_is_the_same_calibration(calibration):
     """Version 3, the last with that name."""
     n_servos, n_components = calibration.weights.shape
@@ -113,7 +196,11 @@ def test_a_file_that_calls_its_quadratic_weights_bends_is_the_same_calibration(c
         x_range=np.array([[-9.0], [9.0]]).repeat(n_components, axis=1),
     )
     text = calibration_text(quadratic)
-    old = text.replace("version: 4", "version: 3").replace("    quadratic_weights:", "    bends:")
+    old = (
+        without_checksum(text)
+        .replace("version: 5", "version: 3")
+        .replace("    quadratic_weights:", "    bends:")
+    )
     assert old.count("    bends:") == n_servos
     assert calibration_text(parse_calibration(old, "old")) == text
 
@@ -149,7 +236,7 @@ def test_every_missing_line_is_noticed(calibration):
     """Without any one line, the file is refused, or a calibration with that servo missing."""
     lines = calibration_text(calibration).splitlines()
     for i, line in enumerate(lines):
-        if line.startswith("#"):
+        if line.startswith(("#", "checksum:")):
             continue
         with pytest.raises(CalibrationError):
             check_calibration(
@@ -192,3 +279,14 @@ def test_loading_needs_neither_scipy_nor_sklearn():
     )
     root = ROOT
     assert subprocess.run([sys.executable, "-c", code], cwd=root, check=False).returncode == 0
+
+
+def test_a_calibration_with_no_number_in_it_leaves_the_good_file(calibration, tmp_path):
+    path = tmp_path / "c.yaml"
+    save_calibration(calibration, path)
+    before = path.read_bytes()
+    broken = dataclasses.replace(calibration, weights=calibration.weights * np.nan)
+    with pytest.raises(CalibrationError, match=r"nothing is written.*weights\[0\] is '?nan"):
+        save_calibration(broken, path)
+    assert path.read_bytes() == before
+    assert [each.name for each in tmp_path.iterdir()] == [path.name]

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture_plan import plan_poses
-from calibration.capture.marker_files import read_capture, write_plan
+from calibration.capture.marker_files import read_capture, read_readings, write_plan
 from calibration.files.calibration_file import load_calibration
 from calibration.joint_range import JointRange
 from calibration.simulated.robot import SimulatedRobot, draw_robot
@@ -56,10 +56,12 @@ def test_a_plan_and_its_markers_come_back_as_they_were(plan_path, tmp_path):
     assert np.allclose(read_capture(plan_path, as_json, SERVOS).markers_mm, places)
 
 
-def test_readings_of_one_marker_are_averaged_and_empty_ones_are_lost(plan_path, tmp_path):
-    readings = [(1, "a", 1, 2, 3), (1, "a", 3, 4, 5), (1, "b", "", "", ""), (3, "b", 0, 0, 9)]
+def test_of_several_readings_the_median_counts_and_empty_ones_are_lost(plan_path, tmp_path):
+    """One wild reading among three counts for nothing."""
+    readings = [(1, "a", 1, 2, 3), (1, "a", 9999, 4, 5), (1, "a", 3, -9999, 4)]
+    readings += [(1, "b", "", "", ""), (3, "b", 0, 0, 9)]
     capture = read_capture(plan_path, write_markers(tmp_path / "m.csv", readings), SERVOS)
-    assert capture.markers_mm[0, 0].tolist() == [2.0, 3.0, 4.0]
+    assert capture.markers_mm[0, 0].tolist() == [3.0, 2.0, 4.0]
     assert np.isnan(capture.markers_mm[0, 1]).all()
     assert len(capture) == 2
     assert capture.markers_mm[1, 1, 2] == 9.0
@@ -73,6 +75,9 @@ def test_readings_of_one_marker_are_averaged_and_empty_ones_are_lost(plan_path, 
         ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1.5,a,1,2,3\n", "pose '1.5' is not a whole"),
         ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n99,a,1,2,3\n", r"pose 99 is not in .*plan\.csv"),
         ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1,a,inf,2,3\n", "'inf' is not a number"),
+        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n", r"m\.csv: holds no readings"),
+        ("m.csv", "pose,marker,x_mm,y_mm,z_mm\n1,a,1,5,2,3\n", "line 2: has more values than"),
+        ("m.csv", f"pose,marker,x_mm,y_mm,z_mm\n1,{'a' * 200_000},1,2,3\n", "readable as CSV"),
         ("m.json", "{", "not readable as JSON"),
         ("m.json", "{}", "should be a list of readings"),
         ("m.json", '[{"pose": 1}]', "reading 1: 'marker' is missing"),
@@ -160,3 +165,22 @@ def test_small_models_are_enough_for_a_plan_and_the_simulated_robot():
     model = small_model()
     robot = SimulatedRobot(draw_robot(model.markers_mm(model.rest[None])[0], SERVOS, 3))
     assert robot.measure().shape == (47, 3)
+
+
+@pytest.mark.parametrize("value", ["1e300", "-250000", "9e9"])
+def test_a_number_that_is_no_place_is_refused_with_its_line(tmp_path, value):
+    path = tmp_path / "m.csv"
+    path.write_text(f"pose,marker,x_mm,y_mm,z_mm\n1,a,1,2,3\n1,b,1,{value},3\n")
+    with pytest.raises(CalibrationError, match=r"line 3: y_mm is .*are these millimetres\?"):
+        read_readings(path)
+
+
+def test_poses_without_markers_are_counted_and_named(tmp_path):
+    plan, markers = tmp_path / "plan.csv", tmp_path / "m.csv"
+    write_plan(plan_poses([JointRange("jaw", -2.0, 25.0)], 12), plan)
+    markers.write_text("pose,marker,x_mm,y_mm,z_mm\n1,a,1,2,3\n2,a,1,2,3\n")
+    capture = read_capture(plan, markers, ("jaw",))
+    assert len(capture) == 2
+    assert capture.stalled == (
+        "no markers for 10 of 12 poses, which are left out: 3, 4, 5, 6, 7, 8, 9, 10, ...",
+    )

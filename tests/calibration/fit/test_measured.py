@@ -202,9 +202,7 @@ def test_closed_lips_of_the_speaker_are_closed_lips_of_the_robot(fit):
 
 
 def test_the_robot_is_asked_for_as_much_as_it_can_but_no_caricature(fit):
-    robot_width = np.ptp(DRAW.face.neutral_mm[list(MARKERS_47.lips), 0])
-    size = robot_width / np.ptp(REST_MM[list(MARKERS_47.lips), 0])
-    assert 0.5 * size < fit.retargeting.scale[1] < 1.05 * MOST_EXAGGERATION * size
+    assert 0.5 < fit.retargeting.scale <= MOST_EXAGGERATION
 
 
 def test_touch_is_where_the_lips_just_meet(fit):
@@ -216,7 +214,7 @@ def test_the_calibration_grades_itself_honestly(fit):
     """What the file says of its errors is near what the real robot does, noise set aside."""
     errors = fit.calibration.errors
     assert errors.n_frames == len(fit.held_out) == 5 * 16
-    assert 0.0 < errors.nearest_lip_rms_mm <= errors.lip_rms_mm
+    assert 0.0 <= errors.nearest_lip_rms_mm <= errors.lip_rms_mm
     assert abs(errors.lip_rms_mm - np.sqrt(np.mean(held_out_lips_mm(fit) ** 2))) < 0.5
     known = {viseme[0] for viseme in VISEME_CLASSES if set(viseme) & MODEL.animphos.known_phonemes}
     assert set(fit.calibration.coverage) == known

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from firmware_bridge.health import Feedback, Health
+from firmware_bridge.health import Feedback, Health, ServoState
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.servo_supervision import ServoState, ServoSupervision
+from firmware_bridge.loop.heat import HeatDerating
+from firmware_bridge.loop.servo_supervision import ServoSupervision
 
 
 class SupervisedServos:
@@ -119,19 +120,17 @@ def test_a_hot_servo_moves_less_and_then_not_at_all():
     servos = SupervisedServos()
     feedback = Feedback(0.0, np.zeros(2), np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
     servos.values["room_degc"][:] = [40.0, 5.0]
-    np.testing.assert_allclose(
-        servos.supervision.scale(feedback, Health(**servos.values)), [1.0, 0.5]
-    )
+    np.testing.assert_allclose(HeatDerating(2).scale(feedback, Health(**servos.values)), [1.0, 0.5])
     servos.values["room_degc"][1] = 0.0
     assert servos.look(1.0) == ServoState.COOLING
 
 
 def test_a_joint_that_works_hard_for_minutes_moves_less():
-    servos = SupervisedServos()
+    servos, heat = SupervisedServos(), HeatDerating(2)
     effort = np.array([0.2, 0.8])
     for tick in range(6000):
         feedback = Feedback(tick * 0.03, np.zeros(2), effort, np.zeros(2, np.uint8), np.zeros(2))
-        scale = servos.supervision.scale(feedback, Health(**servos.values))
+        scale = heat.scale(feedback, Health(**servos.values))
 
     assert scale[0] == 1.0
     assert scale[1] == pytest.approx(0.3)
@@ -151,3 +150,42 @@ def test_a_servo_that_does_not_follow_is_let_go_tried_again_and_given_up():
     assert servos.supervision.reasons[0] == ""
     assert "does not follow, 30 deg off for 0.5 s" in servos.supervision.reasons[1]
     assert "it stays limp" in servos.supervision.reasons[1]
+
+
+def test_a_servo_given_up_and_switched_on_by_a_person_has_all_its_tries_again():
+    servos = SupervisedServos()
+
+    def fail_until(end_s, from_s):
+        for round_s in range(from_s, end_s, 10):
+            servos.values["hardware_errors"][1] = 0x20
+            servos.look(*np.arange(round_s, round_s + 9, 0.5))
+        return [act for act, _ in servos.done].count("reboot")
+
+    assert fail_until(100, 0) == 3
+    assert servos.supervision.states[1] == ServoState.FAILED
+    servos.refusals[1] = ""
+    assert servos.supervision.switch_on(1, 100.0)
+    assert fail_until(300, 100) == 6
+    assert servos.supervision.states[1] == ServoState.FAILED
+    assert not servos.supervision.switch_on(0, 300.0)  # it is driven anyway
+
+
+def test_whom_a_person_switched_off_is_let_go_again_and_again_until_it_confirms():
+    servos = SupervisedServos()
+    confirms = [False, False, False, True]
+
+    def disable(index):
+        servos.done.append(("disable", index))
+        servos.values["torque_on"][index] = not confirms[0]
+        return confirms.pop(0)
+
+    servos.disable = disable
+    servos.supervision.switch_off(1, 1.0)
+    states = [servos.look(time_s) for time_s in np.arange(1.0, 5.0, 0.1)]
+
+    assert servos.done == [("disable", 1)] * 4
+    assert states[:15] == [ServoState.SWITCHING_OFF] * 15
+    assert states[-1] == ServoState.OFF
+    assert servos.supervision.reasons[1] == "switched off by a person"
+    servos.values["hardware_errors"][1] = 0x20  # nothing is done about it
+    assert servos.look(*np.arange(6.0, 20.0, 0.5)) == ServoState.OFF

@@ -20,7 +20,7 @@ def test_of_all_that_was_asked_the_furthest_stop_and_the_newest_values_come_out(
         if isinstance(each, StopLevel):
             queue.stop(each, "somebody")
         else:
-            queue.change(*each)
+            queue.change(dict([each]))
 
     levels = [each for each in FURTHEST if each in asked]
     newest = dict(each for each in asked if isinstance(each, tuple))
@@ -56,7 +56,7 @@ def test_a_stop_after_a_weaker_one_that_was_taken_comes_as_well():
 def test_what_cannot_be_set_is_refused_in_one_line_and_changes_nothing(name, value, said):
     queue = CommandQueue(SETTINGS)
     with pytest.raises(CommandError) as refused:
-        queue.change(name, value)
+        queue.change({name: value})
 
     assert str(refused.value).startswith(said)
     assert queue.take_changes() == {}
@@ -64,5 +64,5 @@ def test_what_cannot_be_set_is_refused_in_one_line_and_changes_nothing(name, val
 
 
 def test_a_face_without_settings_says_why():
-    with pytest.raises(CommandError, match="no such setting; nothing here"):
-        CommandQueue(why_none="nothing here").change("strength", 1.0)
+    with pytest.raises(CommandError, match="no such setting; this face has no settings"):
+        CommandQueue().change({"strength": 1.0})

@@ -18,6 +18,7 @@ from firmware_bridge.process.control_client import (
     face_at,
     running_faces,
     stop_and_wait,
+    watch,
 )
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.runtime_folder import ControlError, runtime_folder, socket_path
@@ -66,6 +67,32 @@ def test_a_face_answers_how_it_is_and_who_it_is(tmp_path):
         assert "error" in ask(path, "dance", PATIENCE_S)
 
 
+def test_who_watches_may_read_what_the_face_writes_and_write_nothing(tmp_path):
+    path = tmp_path / "face.sock"
+    written = os.memfd_create("of the face")
+    os.write(written, b"before")
+    with ControlSocket.bind(path, {"name": "tom"}) as control, served(control):
+        control.watched_fd = written
+        handed = watch(path, PATIENCE_S)
+    os.pwrite(written, b"later!", 0)
+
+    assert os.pread(handed, 6, 0) == b"later!"
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.write(handed, b"mine")
+    os.close(handed)
+    os.close(written)
+
+
+def test_a_face_that_cannot_be_watched_says_so(tmp_path):
+    path = tmp_path / "face.sock"
+    with (
+        ControlSocket.bind(path) as control,
+        served(control),
+        pytest.raises(ControlError, match="cannot be watched"),
+    ):
+        watch(path, PATIENCE_S)
+
+
 @pytest.mark.parametrize("level", [StopLevel.SOFT, StopLevel.LIMP])
 def test_who_asks_for_a_stop_hears_that_it_is_accepted_and_how_it_ended(tmp_path, level):
     path = tmp_path / "face.sock"
@@ -85,7 +112,7 @@ def test_who_asks_for_a_stop_hears_that_it_is_accepted_and_how_it_ended(tmp_path
         ("strength", 2.0, {"error": "strength is 2; allowed: 0 to 1.5"}),
         ("x", 1.0, {"error": "'x': no such setting; there are: strength (0 to 1.5)"}),
         ("two words", 1.0, {"error": "'two words': no such setting"}),
-        ("x" * 500, 1.0, {"error": f"'{'x' * 40}': no such setting"}),
+        ("x" * 5000, 1.0, {"error": f"'{'x' * 40}': no such setting"}),
     ],
 )
 def test_who_sets_something_hears_what_became_of_it(tmp_path, name, value, answer):

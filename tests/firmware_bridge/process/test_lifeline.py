@@ -6,7 +6,15 @@ import time
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_bridge.process.lifeline import Began, Failed, Lifeline, Ready, Stopped, lifeline_pair
+from firmware_bridge.process.lifeline import (
+    Began,
+    Failed,
+    Lifeline,
+    Ready,
+    Stopped,
+    Switched,
+    lifeline_pair,
+)
 from firmware_bridge.process.log_lines import LogLines
 from firmware_bridge.stopping import StopLevel
 
@@ -24,12 +32,21 @@ def test_beats_are_counted_by_their_time_and_the_rest_is_heard_in_its_order():
     line.began(1.5)
     line.ready()
     line.failed(3, "überlastet")
+    line.switched(7, on=False)
+    line.switched(300, on=True)
     line.stopped(StopLevel.FREEZE)
     said = []
     while new := watch.read():
         said += new
 
-    assert said == [Began(1.5), Ready(), Failed(3, "überlastet"), Stopped(StopLevel.FREEZE)]
+    assert said == [
+        Began(1.5),
+        Ready(),
+        Failed(3, "überlastet"),
+        Switched(7, on=False),
+        Switched(300, on=True),
+        Stopped(StopLevel.FREEZE),
+    ]
     assert 20.0 - 0.05 <= watch.beat_s <= 20.0
     line.close()
     watch.close()

@@ -6,7 +6,7 @@ import signal
 import pytest
 from simulated_supervisor import ROUND_S
 
-from firmware_bridge.process.lifeline import Began, Failed, Stopped
+from firmware_bridge.process.lifeline import Began, Failed, Stopped, Switched
 from firmware_bridge.process.restarted_child import RestartDelay
 from firmware_bridge.stopping import StopLevel, StopReport
 
@@ -120,6 +120,21 @@ def test_a_stop_while_the_bridge_starts_kills_it_before_it_arms(starting_face):
     client.close()
 
 
+def test_who_was_let_in_before_the_bridge_served_is_sent_to_the_bridge(starting_face):
+    """Found by CI: a question fell between the two, and its asker waited as long as he could."""
+    face = starting_face
+    face.bridge.beats = False
+    face.play()
+    client = face.connect()
+    face.play()
+    face.bridge.beats = True
+    face.play()
+
+    client.settimeout(1.0)
+    assert client.recv(10_000) == b""
+    client.close()
+
+
 def test_a_frozen_face_stays_held_when_its_bridge_dies_and_the_next_one_knows(face):
     face.bridge.said.append(Stopped(StopLevel.FREEZE))
     face.bridge.status = -9
@@ -146,6 +161,21 @@ def test_servos_given_up_for_good_are_told_to_the_next_bridge(face):
     face.play(1.0)
 
     assert face.bridge.starts[-1] == ["--failed", "2=does not follow: jammed = stuck"]
+
+
+def test_servos_that_a_person_switched_off_are_told_to_every_bridge_until_they_are_on_again(face):
+    face.bridge.said += [Switched(2, on=False), Switched(0, on=False), Failed(1, "jammed")]
+    face.bridge.status = -9
+    face.play(1.0)
+    face.bridge.status = -9
+    face.play(1.0)
+    assert face.bridge.starts[-2] == face.bridge.starts[-1]
+    assert face.bridge.starts[-1][-4:] == ["--switched-off", "0", "--switched-off", "2"]
+
+    face.bridge.said += [Switched(2, on=True), Switched(1, on=True)]
+    face.bridge.status = -9
+    face.play(2.0)
+    assert face.bridge.starts[-1] == ["--switched-off", "0"]
 
 
 def test_speech_that_dies_goes_on_where_its_sound_is_and_one_that_hangs_is_killed(face):

@@ -206,6 +206,7 @@ def test_pictures_are_drawn(folder, model, tmp_path):
     assert sorted(os.listdir(tmp_path / "p")) == [
         "errors.png",
         "lookahead.png",
+        "mouths.png",
         "recovery.png",
         "trajectory.png",
     ]

@@ -1,10 +1,14 @@
 """What `lipservo calibrate` refuses before anything moves."""
 
 import json
+import re
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from calibration.capture.capture_plan import PosePlan
+from calibration.capture.marker_files import write_plan
 from lipservo.cli import app
 
 
@@ -54,4 +58,28 @@ def test_bad_wishes_are_one_clear_line_and_write_nothing(tmp_path, arguments, sa
     done = calibrate(*arguments, "--config", "face_jaw", "-o", out)
     assert done.exit_code == 1
     assert said in str(done.exception)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("goals_deg", "message"),
+    [
+        (np.zeros(8), "jaw moves in no pose, so nothing can be learnt of it"),
+        (np.linspace(0.0, 60.0, 8), r"is outside -2\.\.25; is it a plan of this face"),
+    ],
+)
+def test_a_plan_that_teaches_nothing_or_is_of_another_face_is_refused(tmp_path, goals_deg, message):
+    plan, markers = tmp_path / "plan.csv", tmp_path / "m.csv"
+    goals, below = goals_deg[:, None], np.ones((8, 1))
+    write_plan(PosePlan(("jaw",), goals, below, goals - 3.0), plan)
+    rows = [f"{pose},chin_199,0,{pose},0" for pose in range(1, 9)]
+    markers.write_text("\n".join(["pose,marker,x_mm,y_mm,z_mm", *rows]) + "\n")
+    out = tmp_path / "jaw.calibration.yaml"
+    done = CliRunner().invoke(
+        app,
+        ["calibrate", "fit", "--config", "face_jaw", "--plan", str(plan), "--markers",
+         str(markers), "-o", str(out)],
+    )  # fmt: skip
+    assert done.exit_code == 1
+    assert re.search(message, str(done.exception))
     assert not out.exists()

@@ -18,7 +18,9 @@ def calibrate(*arguments):
 def path(tmp_path):
     shipped = resources.files("lipservo.config") / "face_four.calibration.yaml"
     file = tmp_path / "c.yaml"
-    file.write_text(shipped.read_text())
+    lines = shipped.read_text().splitlines(keepends=True)
+    # Without its checksum, as after a change that is meant: the tests here change it.
+    file.write_text("".join(line for line in lines if not line.startswith("checksum: ")))
     return file
 
 

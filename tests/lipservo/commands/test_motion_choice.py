@@ -25,16 +25,23 @@ from lipservo.street.motion_options import (
 )
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LONGEST_LOOKAHEAD_S, STRONGEST, Style
+from lipsync.motion.live_synthesizer import (
+    LIVE_STRATEGY,
+    LONGEST_LOOKAHEAD_S,
+    STRONGEST,
+    UNIT_STRATEGY,
+    Style,
+)
 
 FACE = yaml.safe_load((ROOT / "config" / "face_sim.yaml").read_text())
 TYPED = {
     "engine": "pocketsphinx",
     "weights": "grid",
-    "strategy": "expected",
+    "strategy": "animpho",
     "lookahead_ms": 50.0,
     "strength": 0.5,
     "smoothness": 0.25,
+    "unit_share": 0.75,
 }
 
 
@@ -62,7 +69,7 @@ def test_every_option_reaches_the_command_that_takes_them(name):
 def test_the_yaml_is_used_where_nothing_is_typed():
     options = motion_options(ChosenMotion(), face_with(TYPED), None)
 
-    assert options == MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 0.5, 0.25))
+    assert options == MotionOptions("pocketsphinx", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
 
 
 def test_what_is_typed_goes_before_the_yaml():
@@ -76,19 +83,27 @@ def test_what_is_typed_goes_before_the_yaml():
 
     options = motion_options(ChosenMotion(**TYPED), face_with(other), None)
 
-    assert options == MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 0.5, 0.25))
+    assert options == MotionOptions("pocketsphinx", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
 
 
-def test_another_strategy_than_the_yamls_leaves_the_yamls_style_aside():
-    options = motion_options(ChosenMotion(strategy="naive"), face_with({"strength": 0.5}), None)
+def test_another_strategy_than_the_yamls_leaves_aside_what_it_has_not():
+    written = face_with({"strength": 0.5, "smoothness": 0.5})
+    options = motion_options(ChosenMotion(strategy="naive"), written, None)
 
-    assert options == MotionOptions(strategy="naive")
-    assert options.style_settings == {}
-    assert options.live_settings() == {}
+    assert options == MotionOptions(strategy="naive", style=Style(strength=0.5))
+    assert options.style_settings == {"strength": 0.5}
+    assert list(options.live_settings()) == ["strength"]
 
 
-@pytest.mark.parametrize("strategy", ["naive", "priority"])
-@pytest.mark.parametrize("name", STYLE_NAMES)
+@pytest.mark.parametrize(
+    ("strategy", "name"),
+    [
+        (strategy, name)
+        for strategy in NAMES
+        for name in STYLE_NAMES
+        if name not in names.STYLES_OF[strategy]
+    ],
+)
 def test_what_a_strategy_ignores_is_refused_typed_or_written(strategy, name):
     option = f"--{name.replace('_', '-')}"
 
@@ -157,7 +172,7 @@ def test_a_wrong_motion_section_is_refused_with_the_path_of_its_key(motion, said
 
 
 def test_the_names_and_limits_that_load_at_once_are_those_of_what_they_name():
-    assert set(NAMES) == {LIVE_STRATEGY, *STRATEGIES}
+    assert set(NAMES) == {LIVE_STRATEGY, UNIT_STRATEGY, *STRATEGIES}
     for engine in get_args(Engine):
         assert make_recognizer(engine).level == engine
     MotionSettings(lookahead_ms=LONGEST_LOOKAHEAD_S * 1e3, strength=STRONGEST, smoothness=1.0)

@@ -68,6 +68,8 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
         (before,) = json.loads(invoke("status", "--json").stdout)["faces"]
         done = invoke("set", "strength", "0.25")
         in_json = invoke("set", "smoothness", "1", "--json")
+        gap = invoke("set", "lip_gap_offset_mm", "-0.5")
+        too_far = invoke("set", "lip_gap_offset_mm", "4")
         shown = invoke("status").stdout
     (after,) = outcomes
 
@@ -76,24 +78,30 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
         "silence",
         "network",
     )
-    assert before["settings"] == {"lookahead_ms": 50.0, "strength": 1.2, "smoothness": 0.0}
+    assert before["settings"] == {
+        "lookahead_ms": 50.0, "strength": 1.2, "smoothness": 0.0, "lip_gap_offset_mm": 0.0,
+    }  # fmt: skip
     assert (done.exit_code, in_json.exit_code) == (0, 0)
     assert "strength is 0.25 from now on" in done.stdout
     (answer,) = json.loads(in_json.stdout)["faces"]
     assert (answer["set"], answer["value"]) == ("smoothness", 1.0)
     assert "expected, lookahead_ms 50, strength 0.25, smoothness 1" in shown
-    assert after.status.settings == {"lookahead_ms": 50.0, "strength": 0.25, "smoothness": 1.0}
+    assert after.status.settings == {
+        "lookahead_ms": 50.0, "strength": 0.25, "smoothness": 1.0, "lip_gap_offset_mm": -0.5,
+    }  # fmt: skip
+    assert (gap.exit_code, too_far.exit_code) == (0, 1)
+    assert "lip_gap_offset_mm is 4; allowed: -3 to 3" in too_far.stderr
     assert after.summary.strategy == "expected"
     assert after.summary.recognizer == after.status.recognizer
 
 
-def test_a_strategy_without_settings_refuses_them_in_one_line():
+def test_a_setting_that_a_strategy_has_not_is_refused_in_one_line():
     with playing(MotionOptions(strategy="naive")):
-        done = invoke("set", "strength", "0.5")
+        done = invoke("set", "smoothness", "0.5")
 
     assert done.exit_code == 1
     assert done.stderr.count("\n") == 1
-    assert "'strength': no such setting; strategy naive has none that change" in done.stderr
+    assert "'smoothness': no such setting; there are: " in done.stderr
 
 
 @contextmanager
@@ -147,7 +155,7 @@ class _ShortSilence(SilentSource):
         (MotionOptions(), "strategy expected (lookahead_ms 100, strength 1, smoothness 0)"),
         (
             MotionOptions("pocketsphinx", strategy="naive"),
-            "strategy naive; recogniser pocket",
+            "strategy naive (strength 1); recogniser pocket",
         ),
     ],
 )

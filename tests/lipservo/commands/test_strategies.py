@@ -18,10 +18,12 @@ from firmware_bridge.process.lifeline import Began, lifeline_pair
 from firmware_bridge.process.socket_channel import SocketTargetChannel, channel_pair
 from lipservo.cli import app
 from lipservo.face.assembly import assemble_face
+from lipservo.status.live_board import LiveBoard
 from lipservo.status.status_board import StatusBoard
 from lipservo.street.motion_options import MotionOptions
 from lipservo.street.run_request import RunRequest, request_json
 from lipservo.street.sources import Sound
+from lipservo.street.watched import board_layout
 from lipsync.animpho.synthesizer import LONGEST_PHONE_S
 
 JAW = [joint.name for joint in assemble_face("face_sim", None).joints].index("jaw")
@@ -49,7 +51,7 @@ def played(command: str, sound: Path, strategy: str, trace: Path) -> tuple[dict,
 def test_each_strategy_moves_the_mouth_in_its_own_way(sound, tmp_path):
     traces = {
         strategy: played("replay", sound, strategy, tmp_path / strategy)
-        for strategy in ("expected", "priority", "naive")
+        for strategy in ("expected", "animpho", "priority", "naive")
     }
     for strategy, (_, jaw_deg) in traces.items():
         assert np.ptp(jaw_deg) > 3.0, strategy
@@ -57,10 +59,12 @@ def test_each_strategy_moves_the_mouth_in_its_own_way(sound, tmp_path):
     for strategy, (header, _) in traces.items():
         assert (header["strategy"], header["weights"]) == (strategy, "default")
         assert header["recognizer"] in ("network", "pocketsphinx", "energy")
-        assert bool(header["settings"]) is (strategy == "expected")
+        assert "strength" in header["settings"]
+        assert ("unit_share" in header["settings"]) is (strategy == "animpho")
     delays_s = {strategy: header["delay_s"] for strategy, (header, _) in traces.items()}
     # The paper's play a phoneme once it is over: 350 ms of look-ahead in place of 100.
     later_s = LONGEST_PHONE_S - 0.1
+    assert delays_s["animpho"] == delays_s["expected"]
     for strategy in ("priority", "naive"):
         assert delays_s[strategy] == pytest.approx(delays_s["expected"] + later_s, abs=1e-6)
     assert not np.array_equal(traces["priority"][1], traces["naive"][1])
@@ -82,6 +86,8 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
     """How far the mouth moves is not judged: a busy machine does not hear in time."""
     ours, its = channel_pair()
     board = StatusBoard.create()
+    layout = board_layout(assemble_face("face_sim", None), "face_sim", 30.0)
+    live = LiveBoard.create(layout)
     line, watch = lifeline_pair()
     command = [sys.executable, "-m", "lipservo", "speech-process"]
     command += ["--channel", str(its.fileno()), "--lifeline", str(line.fileno())]
@@ -91,10 +97,11 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
     process = subprocess.Popen(
         [
             *command,
-            *("--board", str(board.fileno()), "--request", request_json(request)),
+            *("--board", str(board.fileno()), "--live", str(live.fileno())),
+            *("--request", request_json(request)),
             *("--control-path", "/nowhere.sock"),
         ],
-        pass_fds=[its.fileno(), line.fileno(), board.fileno()],
+        pass_fds=[its.fileno(), line.fileno(), board.fileno(), live.fileno()],
         stderr=subprocess.PIPE,
         text=True,
     )
@@ -111,9 +118,15 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
     watch.close()
     line.close()
     ours.close()
-    with board:
+    with board, live:
         told = board.speech()
-    assert (told.strategy, told.settings, told.sound) == (strategy, {}, sound.name)
+        shown = live.speech_since(0)
+    assert (told.strategy, told.settings, told.sound) == (
+        strategy,
+        {"strength": 1.0, "lip_gap_offset_mm": 0.0},
+        sound.name,
+    )
     assert len(jaw_deg) >= 180, said
+    assert len(shown) > 1
     assert process.returncode == 0, said
     assert np.isfinite(jaw_deg).all()

@@ -91,7 +91,9 @@ def test_the_children_receive_all_that_was_typed(typed):
     assert received(typed, "bridge") == typed.wanted
     assert received(typed, "speech") == typed.wanted
     assert (status["engine"], status["weights"]) == ("pocketsphinx", "grid")
-    assert status["settings"] == {"lookahead_ms": 50.0, "strength": 1.25, "smoothness": 0.25}
+    assert status["settings"] == {
+        "lookahead_ms": 50.0, "strength": 1.25, "smoothness": 0.25, "lip_gap_offset_mm": 0.0,
+    }  # fmt: skip
     assert status["sound"] == CLIP_PATH.name
 
 

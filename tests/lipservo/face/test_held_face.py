@@ -76,6 +76,16 @@ def test_a_servo_that_is_held_up_shows_in_what_it_reached():
         face.chain.motors.jammed[0] = False
 
 
+def test_a_servo_that_says_nothing_is_not_taken_for_one_that_stands():
+    settings = settings_of("face_jaw")
+    mute = Fault("answers_stop", at_s=(2.2,), lasts_s=1.0)
+    face = MemoryFace(servos=mounted_servos(settings), faults=(mute,))
+    with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
+        robot.hold(2.0 - face.clock.now())
+        assert robot.move(np.array([15.0])) == pytest.approx(15.0, abs=1.0)
+        assert face.clock.now() > 3.2
+
+
 def test_lag_speed_and_bandwidth_are_found_over_the_wire():
     """The simulated servo closes its error with 40 / s, and follows the gate's 300 deg/s."""
     settings = settings_of("face_jaw")

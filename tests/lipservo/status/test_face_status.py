@@ -24,7 +24,8 @@ def of_bridge():
 
 
 def test_bridge_and_speech_fill_in_every_field_but_what_only_a_supervisor_knows(of_bridge):
-    status = whole_status({**of_bridge, "name": "tom", "port": "/dev/x"}, SPEECH)
+    about = {"name": "tom", "port": "/dev/x", "config": "face_jaw", "sounds": "."}
+    status = whole_status({**of_bridge, **about}, SPEECH)
 
     unknown = [name for name, value in status.as_dict().items() if value is None]
     assert unknown == ["stopped"]

@@ -25,6 +25,7 @@ styles = st.builds(
     Style,
     lookahead_s=st.floats(0.0, LONGEST_LOOKAHEAD_S),
     strength=st.floats(0.0, STRONGEST),
+    unit_share=st.floats(0.0, 1.0),
     smoothness=st.floats(0.0, 1.0),
 )
 motions = st.builds(

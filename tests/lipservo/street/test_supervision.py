@@ -20,6 +20,7 @@ from running_daemon import (
 )
 from typer.testing import CliRunner
 
+from firmware_bridge.process.control_client import ask
 from lipservo.cli import app
 from lipservo.face.sim_process import simulated_port
 from lipsync.errors import UserError
@@ -73,6 +74,25 @@ def test_a_bridge_that_is_shot_or_hangs_leaves_a_limp_face_and_is_replaced(endur
     assert said in log(enduring)
     assert "torque off confirmed by all 10 servos" in log(enduring)
     assert not alive(first)
+
+
+def test_a_servo_switched_off_by_a_person_stays_off_when_its_bridge_is_shot(enduring):
+    def state(name):
+        with contextlib.suppress(OSError):
+            return ask(enduring.control, "status", PATIENCE_S)["servos"].get(name)
+
+    off = run("servo", "jaw", "off")
+    first = child(enduring, "bridge")
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: child(enduring, "bridge") != first)
+    wait_for(lambda: state("upper_lip_left") == "driven")
+    wait_for(lambda: state("jaw") == "off")
+    on = run("servo", "jaw", "on")
+
+    assert (off.returncode, on.returncode) == (0, 0), (off, on)
+    assert "servo jaw is off" in off.stdout
+    assert "servo jaw is driven" in on.stdout
+    assert all_driven(enduring)
 
 
 def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(enduring):

@@ -127,3 +127,35 @@ def test_what_is_left_out_must_be_there(labelled):
     assert [u.name for u in of_names(utterances, frozenset({"one"}))] == ["one"]
     with pytest.raises(TranscriptError, match="1 of 2 listed utterances are not there, 'three'"):
         without_names(utterances, frozenset({"one", "three"}))
+
+
+@pytest.fixture
+def pairs(tmp_path):
+    """The simplest layout: a text beside each sound."""
+    folder = tmp_path / "robot"
+    folder.mkdir()
+    for name, text in (("one", "Bin blue.\n"), ("two", "at\n  two now")):
+        soundfile.write(folder / f"{name}.wav", np.zeros(9_600), 16_000)
+        (folder / f"{name}.txt").write_text(text)
+    return folder
+
+
+def test_texts_beside_sounds_are_one_speaker(pairs):
+    one, two = read_transcribed(pairs)
+
+    assert (one.name, one.speaker, one.text) == ("one", "robot", "Bin blue.")
+    assert (two.text, two.sound, two.labels) == ("at two now", pairs / "two.wav", None)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("three.txt", b"hello", "three.txt: no sound three"),
+        ("two.txt", b" \n", "two.txt: holds no words"),
+        ("two.txt", b"\xff\xfe", "two.txt: cannot be read as text"),
+    ],
+)
+def test_a_text_without_sound_or_words_is_named(pairs, name, content, told):
+    (pairs / name).write_bytes(content)
+    with pytest.raises(TranscriptError, match=told):
+        read_transcribed(pairs)

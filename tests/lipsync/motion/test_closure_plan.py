@@ -4,9 +4,9 @@ from spoken_phonemes import spoken
 
 from lipsync.expectation.context import track_of
 from lipsync.motion.closure_plan import OPEN, planned
-from lipsync.phonemes import PHONEMES
+from lipsync.phonemes import PHONEMES, PhonemeEvent
 
-M = {PHONEMES.index("M"): 0.03}
+MOMENTS = {PHONEMES.index("M"): 0.03, PHONEMES.index("P"): 0.03}
 TICK_S = 0.01
 
 
@@ -15,7 +15,7 @@ def amounts(events, lookahead_s: float, until_s: float) -> dict[float, float]:
     track, now, found = track_of(events), OPEN, {}
     for tick in range(round(until_s / TICK_S)):
         time_s = tick * TICK_S
-        now = planned(now, M, track, time_s, time_s + lookahead_s)
+        now = planned(now, MOMENTS, track, time_s, time_s + lookahead_s)
         found[round(time_s, 3)] = now.smooth(time_s)
     return found
 
@@ -39,9 +39,24 @@ def test_a_closure_once_begun_is_completed_even_when_the_phone_is_over():
 
 
 def test_the_second_of_two_labials_is_not_held_to_its_end_as_if_told_late():
-    found = amounts(spoken(("AA", 0.5), ("M", 0.05), ("M", 0.2), ("AA", 0.5)), 0.1, 1.0)
+    found = amounts(spoken(("AA", 0.5), ("M", 0.05), ("P", 0.2), ("AA", 0.5)), 0.1, 1.0)
     assert found[0.58] == 1.0  # its own tightest moment
     assert found[0.70] == 0.0
+
+
+def test_lips_stay_shut_as_long_as_an_m_sounds():
+    found = amounts(spoken(("AA", 0.5), ("M", 0.3), ("AA", 0.5)), 0.1, 1.0)
+    shut_s = [time_s for time_s, amount in found.items() if amount == 1.0]
+    assert (min(shut_s), max(shut_s)) == (0.52, 0.77)
+    assert len(shut_s) == 26  # without a gap
+    assert found[0.48] == 0.0
+    assert found[0.82] == 0.0
+
+
+def test_an_m_whose_end_nobody_knows_is_held_as_far_as_it_is_known_to_go_on():
+    going_on = [*spoken(("AA", 0.5)), PhonemeEvent("M", 0.5, None)]
+    assert amounts(going_on, 0.1, 2.0)[1.99] == 1.0
+    assert amounts(going_on, 0.0, 2.0)[1.99] == 0.0
 
 
 def test_without_a_labial_nothing_closes():

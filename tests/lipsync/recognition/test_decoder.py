@@ -1,13 +1,20 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipsync.phonemes import PHONEMES, VISEME_OF
-from lipsync.recognition.decoder import DecoderSettings, ViterbiDecoder
+from lipsync.recognition.decoder import SMOOTH, DecoderSettings, ViterbiDecoder
 
 PLAIN = DecoderSettings(
-    switch_penalty=0.0, closure_penalty=0.0, closure_bonus=0.0, phone_weight=1.0
+    switch_penalty=0.0,
+    closure_penalty=0.0,
+    closure_bonus=0.0,
+    phone_weight=1.0,
+    waking_penalty=0.0,
+    waking_frames=1,
 )
 
 
@@ -38,13 +45,13 @@ def test_a_penalty_removes_a_flicker_of_one_frame():
     frames = posteriors(*[{"AA": 0.6, "S": 0.4}] * 3, {"AA": 0.4, "S": 0.6}, *[{"AA": 0.6}] * 3)
 
     assert "S" in decode(frames, (0,), 0, PLAIN)
-    assert set(decode(frames, (0,), 0, DecoderSettings(switch_penalty=1.0))) == {"AA"}
+    assert set(decode(frames, (0,), 0, replace(PLAIN, switch_penalty=1.0))) == {"AA"}
 
 
 def test_a_closure_changes_at_its_own_smaller_penalty():
     frames = posteriors(*[{"AA": 0.9}] * 3, {"AA": 0.3, "M": 0.7}, *[{"AA": 0.9}] * 3)
-    hard = DecoderSettings(switch_penalty=3.0, closure_penalty=3.0)
-    quick = DecoderSettings(switch_penalty=3.0, closure_penalty=0.3)
+    hard = replace(PLAIN, switch_penalty=3.0, closure_penalty=3.0)
+    quick = replace(PLAIN, switch_penalty=3.0, closure_penalty=0.3)
 
     assert "M" not in decode(frames, (0,), 0, hard)
     assert "M" in decode(frames, (0,), 0, quick)
@@ -53,7 +60,7 @@ def test_a_closure_changes_at_its_own_smaller_penalty():
 def test_the_class_is_chosen_by_the_sum_of_its_phones():
     """T D S together .54 against AA .40, though AA is the best single phone."""
     frames = posteriors({"AA": 0.40, "T": 0.18, "D": 0.18, "S": 0.18})
-    by_class = DecoderSettings(switch_penalty=0.0, phone_weight=0.1)
+    by_class = replace(PLAIN, phone_weight=0.1)
 
     (answer,) = decode(frames, (0,), 0, by_class)
     assert VISEME_OF[answer] == VISEME_OF["T"]
@@ -86,3 +93,48 @@ def test_a_quick_head_tells_a_closure_before_it_is_settled():
 
     assert PHONEMES[settled] == "AA"
     assert PHONEMES[provisional[-1]] == "M"
+
+
+def hearing(share_of_speech, n_frames, before=40):
+    """Two heads that are sure of silence for a while, and then hear AA by a share."""
+    said = [{"SIL": 1.0}] * before
+    said += [{"AA": share_of_speech, "SIL": 1.0 - share_of_speech}] * n_frames
+    said += [{"SIL": 1.0}] * 30
+    one = posteriors(*said)
+    frames = np.repeat(one, 2, axis=1)
+    # The quick head speaks of a frame after 2, the late one after 7.
+    for head, delay in enumerate((2, 7)):
+        frames[delay:, head] = one[:-delay, 0]
+        frames[:delay, head] = one[0, 0]
+    return frames
+
+
+def frames_of_speech(frames, settings_=SMOOTH):
+    answers = decode(frames, (2, 7), 7, settings_)
+    return [index for index, answer in enumerate(answers) if answer != "SIL"]
+
+
+def test_after_a_pause_a_sure_voice_is_settled_at_its_onset():
+    assert frames_of_speech(hearing(0.999, 30))[0] == 40
+
+
+def test_after_a_pause_a_blip_of_50_ms_wakes_nobody():
+    assert frames_of_speech(hearing(0.999, 5)) == []
+    asleep_never = replace(DecoderSettings(), waking_penalty=0.0, waking_frames=1)
+    assert len(frames_of_speech(hearing(0.999, 5), asleep_never)) == 5
+
+
+def test_what_is_hardly_likelier_than_silence_has_to_last():
+    """ln(.8 / .2) is 1.4 a frame: eight for switching and waking take six frames."""
+    frames = frames_of_speech(hearing(0.8, 30))
+    assert 40 <= frames[0] <= 46
+    assert frames_of_speech(hearing(0.8, 5)) == []
+    assert frames_of_speech(hearing(0.6, 12)) == []
+
+
+def test_within_speech_a_pause_of_a_stop_costs_nothing():
+    """120 ms of silence between two vowels: the second is settled where it begins."""
+    said = [{"SIL": 1.0}] * 20 + [{"AA": 0.99}] * 20 + [{"SIL": 0.99}] * 12 + [{"IY": 0.9}] * 5
+    one = posteriors(*said, *[{"SIL": 0.99}] * 30)
+    settled = decode(one, (0,), 0, DecoderSettings())
+    assert "IY" in settled[52:57]

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from lipservo.bench.sync.performed_texts import performances_of
 from lipservo.bench.sync.speech_timing import speech_timing
 from lipsync.text_to_speech.spoken_text import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
@@ -11,12 +12,19 @@ from lipsync.text_to_speech.synthesizers import synthesizer_for
 NOTICED_S = 0.045
 
 
-def test_lips_close_and_part_with_the_sound_of_two_short_sentences():
+@pytest.fixture(scope="module")
+def texts():
     try:
         voice = synthesizer_for()
     except SynthesisError as missing:
         pytest.skip(str(missing))
-    timing = speech_timing([voice.speak(text) for text in ("Happy Bob.", "Maybe.")], knows=True)
+    return [voice.speak(text) for text in ("Happy Bob.", "Maybe.")]
+
+
+@pytest.mark.parametrize("is_rendered", [False, True], ids=["said", "performed"])
+def test_lips_close_and_part_with_the_sound_of_two_short_sentences(texts, is_rendered):
+    performances = performances_of(texts) if is_rendered else None
+    timing = speech_timing(texts, knows=True, performances=performances)
     assert timing.n_asked >= 4
     assert timing.n_unmatched == 0
     assert np.abs(timing.errors_s).max() <= NOTICED_S

@@ -9,7 +9,10 @@ from lipservo.cli import app
 from lipservo.commands.calibrate.app import app as calibrate
 from lipservo.commands.calibrate.old_spelling import new_spelling
 
-SUB_COMMANDS = ("plan", "fit", "measure", "guided", "practise", "pose", "lags", "trim", "show")
+SUB_COMMANDS = (
+    "plan", "fit", "grade", "measure", "guided", "practise", "by-hand", "pose", "lags", "trim",
+    "show",
+)  # fmt: skip
 
 
 def lipservo(*arguments):

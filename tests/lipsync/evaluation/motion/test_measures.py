@@ -1,20 +1,17 @@
-"""The measures, the splits: checked against worked examples and other libraries."""
+"""The measures: checked against worked examples and other libraries."""
 
-import json
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from recorded_phrase import recorded
-from small_corpus import write_corpus
 from small_model import small_model
 from spoken_phonemes import spoken
 
-from lipsync.corpus.grid import read_grid
 from lipsync.corpus.recorded_closures import observe_closures
 from lipsync.corpus.speech_frames import speech_frames
-from lipsync.corpus.utterance import CorpusError, Utterance, Word
+from lipsync.corpus.utterance import Utterance, Word
 from lipsync.evaluation.motion.measures import (
     SUMS,
     Motion,
@@ -29,11 +26,9 @@ from lipsync.evaluation.motion.minimal_pairs import (
     recorded_persistence,
 )
 from lipsync.evaluation.motion.mishearing import KINDS, misheard
-from lipsync.evaluation.motion.motion_scores import Scores, add_scores, check_scorable
+from lipsync.evaluation.motion.motion_scores import Scores, add_scores
 from lipsync.evaluation.motion.recovery import NEVER_S, wrong_phoneme_persistence
-from lipsync.evaluation.motion.splits import read_parts, words_part
 from lipsync.evaluation.motion.wrong_phonemes import error_rows
-from lipsync.markers import MARKERS_39
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.network import LATENCY_S
@@ -41,14 +36,16 @@ from lipsync.training.trained_model import load_trained_model
 
 
 def measured(utterance: Utterance, faces: np.ndarray) -> dict[str, float]:
+    return figures(sums_of(utterance, faces))
+
+
+def sums_of(utterance: Utterance, faces: np.ndarray) -> np.ndarray:
     model = small_model()
     motion = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))
     made = Motion(model.markers_mm(faces), faces)
     rest = np.repeat(model.rest[None], len(faces), axis=0)
     reference = Motion(model.markers_mm(rest), rest)
-    return figures(
-        sentence_sums(model, utterance, speech_frames(utterance), motion, made, reference)
-    )
+    return sentence_sums(model, utterance, speech_frames(utterance), motion, made, reference)
 
 
 def test_the_recording_itself_scores_perfectly():
@@ -78,6 +75,67 @@ def test_figures_are_those_computed_directly():
     assert found["ratio"] == pytest.approx(np.sqrt((distance**2).sum() / (still**2).sum()))
     assert found["gap_r"] == pytest.approx(np.corrcoef(*gaps)[0, 1])
     assert found["gap_rmse_mm"] == pytest.approx(np.sqrt(((gaps[0] - gaps[1]) ** 2).mean()))
+
+
+def test_an_offset_is_in_the_errors_and_not_in_those_without_the_sentences_mean():
+    """The recorded face, always 2 more on the component of width."""
+    utterance, model = recorded(), small_model()
+    faces = model.coefficients(utterance.markers_mm)
+    faces[:, 1] += 2.0
+    found = measured(utterance, faces)
+    speech = speech_frames(utterance)
+    made_mm, recorded_mm = model.markers_mm(faces)[speech], utterance.markers_mm[speech]
+    width_mm = [np.ptp(x[:, list(model.layout.lips), 0], axis=1) for x in (made_mm, recorded_mm)]
+    assert found["rmse_mm"] > 0.2
+    assert found["width_rmse_mm"] == pytest.approx((width_mm[0] - width_mm[1]).mean(), rel=1e-4)
+    assert found["width_rmse_mm"] > 1.0
+    for name in ("rmse_free_mm", "rmse_lips_free_mm", "gap_free_rmse_mm", "width_free_rmse_mm"):
+        assert found[name] < 1e-4
+    assert found["protrusion_free_rmse_mm"] < 1e-4
+
+
+def test_errors_without_the_mean_are_standard_deviations():
+    utterance, model = recorded(), small_model()
+    rng = np.random.default_rng(6)
+    faces = model.coefficients(utterance.markers_mm) + rng.normal(1.0, 2.0, (36, 5))
+    found = measured(utterance, faces)
+    speech = speech_frames(utterance)
+    away_mm = (model.markers_mm(faces) - utterance.markers_mm)[speech]
+    assert found["rmse_free_mm"] == pytest.approx(np.sqrt((away_mm.std(axis=0) ** 2).sum(1).mean()))
+    middle = [model.layout.upper_lip, model.layout.lower_lip]
+    forward_mm = away_mm[:, middle, 2].mean(axis=1)
+    assert found["protrusion_free_rmse_mm"] == pytest.approx(forward_mm.std(), rel=1e-5)
+    assert found["protrusion_rmse_mm"] == pytest.approx(np.sqrt((forward_mm**2).mean()), rel=1e-5)
+
+
+def test_half_the_motion_of_the_finer_components_has_half_their_deviation():
+    """The small model has one of them, the fifth."""
+    utterance, model = recorded(), small_model()
+    faces = model.coefficients(utterance.markers_mm)
+    faces[:, 4] += np.random.default_rng(7).normal(0.0, 3.0, len(faces))
+    moving = Utterance("u", model.markers_mm(faces), 25.0, Path(), utterance.phones, ())
+    halved = faces.copy()
+    halved[:, 4] = 5.0 + 0.5 * faces[:, 4]
+    assert measured(moving, halved)["fine_deviation"] == pytest.approx(0.5)
+    assert measured(moving, faces)["fine_deviation"] == pytest.approx(1.0)
+
+
+def test_a_sentence_s_own_place_is_no_deviation_of_its_own():
+    """Two sentences far apart, each moved by half: half in each, nearly all of it in both."""
+    utterance, model = recorded(), small_model()
+    faces = model.coefficients(utterance.markers_mm)
+    faces[:, 4] = np.random.default_rng(7).normal(0.0, 1.0, len(faces))
+    totals = 0.0
+    for place in (-50.0, 50.0):
+        recorded_faces, made = faces.copy(), faces.copy()
+        recorded_faces[:, 4] += place
+        made[:, 4] = place + 0.5 * faces[:, 4]
+        markers_mm = model.markers_mm(recorded_faces)
+        moving = Utterance("u", markers_mm, 25.0, Path(), utterance.phones, ())
+        totals = totals + sums_of(moving, made)
+    found = figures(totals)
+    assert found["fine_deviation_free"] == pytest.approx(0.5)
+    assert found["fine_deviation"] > 0.95
 
 
 def test_a_mouth_glued_shut_hits_every_closure_and_is_found_out():
@@ -229,43 +287,3 @@ def test_every_method_scores_at_every_frame_rate(rate_hz):
             assert row["sentences"] == 1
             assert np.isfinite(row["ratio"])
     assert scores.row(REFERENCE, 0)["ratio"] == pytest.approx(1.0)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    path = write_corpus(tmp_path_factory.mktemp("corpus") / "c", 6)
-    splits = {"folds": [["s0", "s1"], ["s2", "s3"]], "new_words": {"A": ["word"]}}
-    (path / "splits.json").write_text(json.dumps(splits))
-    return path
-
-
-def test_folds_and_words_train_on_the_rest(folder):
-    corpus = read_grid(folder)
-    with pytest.raises(CorpusError, match="split A leaves no sentence to train on"):
-        read_parts(folder, corpus)
-    (folder / "splits.json").write_text(json.dumps({"folds": [["s0"], ["s1"]], "new_words": {}}))
-    parts = read_parts(folder, corpus)
-    assert [sorted(p.test) for p in parts] == [["s0"], ["s1"]]
-    assert all(not p.test & p.train and len(p.train) == 5 for p in parts)
-
-
-def test_a_word_that_nobody_says_is_named(folder):
-    with pytest.raises(CorpusError, match="no sentence holds 'xylophone'"):
-        words_part("words", read_grid(folder), frozenset({"xylophone"}))
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [("{", "not a usable list"), ('{"folds": [["x"]], "new_words": {}}', "none of its folds")],
-)
-def test_a_bad_list_of_splits_says_so(folder, content, message):
-    (folder / "splits.json").write_text(content)
-    with pytest.raises(CorpusError, match=message):
-        read_parts(folder, read_grid(folder))
-
-
-def test_a_model_of_other_markers_is_refused(folder):
-    corpus = read_grid(folder)
-    other = type(corpus)(corpus.name, MARKERS_39, corpus.utterances, corpus.head_reference_mm)
-    with pytest.raises(CorpusError, match="its markers are not the model's"):
-        check_scorable(small_model(), other)

@@ -45,3 +45,5 @@ def test_the_closures_of_the_bundled_clip_are_those_that_were_spoken():
     )  # fmt: skip
     assert figures["closure_hits"] == pytest.approx(figures["closures_met"] / figures["closures"])
     assert figures["closure_hits"] > 0.6
+    assert 100.0 < figures["fastest_lip_mm_s"] < 500.0
+    assert figures["fast_steps_per_s"] < 0.2  # one in 8 s; there were four in ten

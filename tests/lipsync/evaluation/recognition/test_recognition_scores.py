@@ -51,6 +51,17 @@ def test_a_worked_example():
     assert figures["per"] == pytest.approx(2 / 4)
 
 
+def test_vowels_for_which_the_jaw_comes_down_are_openings():
+    """AA and AW are one opening, EH another; UW is none. One of two is heard, and one too many."""
+    score = Score()
+    score.add(
+        labels("SIL AA AA SIL SIL SIL SIL UW UW SIL SIL SIL OW"),
+        labels("SIL AA AW SIL SIL UW UW EH EH SIL SIL SIL SIL"),
+    )
+    figures = score.figures()
+    assert (figures["opening_recall"], figures["opening_precision"]) == (1 / 2, 1 / 2)
+
+
 def test_a_closure_three_frames_beside_is_missed_and_false():
     score = Score()
     score.add(labels("M AA AA AA AA"), labels("AA AA AA M M"))

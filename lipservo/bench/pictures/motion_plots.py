@@ -7,11 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from lipservo.bench.pictures.mouth_sheet import draw_mouths
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipsync.arrays import Array
 from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.corpus.utterance import Utterance
-from lipsync.evaluation.motion.methods import REFERENCE, Heard, all_methods
+from lipsync.evaluation.motion.lip_shape import lip_shapes_mm
+from lipsync.evaluation.motion.methods import CATMULL_ROM, REFERENCE, Heard, all_methods
 from lipsync.evaluation.motion.minimal_pairs import AFTER
 from lipsync.evaluation.motion.wrong_phonemes import ErrorRow, error_rows
 from lipsync.motion.closure_plan import BILABIALS
@@ -26,14 +28,16 @@ Row = Mapping[str, object]
 #: Look-ahead of the trajectories drawn.
 _DRAWN_LOOKAHEAD_S = 0.1
 _DRAWN_RATE_HZ = 100.0
+#: One that opens the mouth, and one of the finer ones.
+_DRAWN_COMPONENTS = (1, 6)
 #: Shown before and after speech, s.
 _MARGIN_S = 0.2
 _WITH_ERRORS = ("mean-face", "naive", "priority", LIVE_STRATEGY)
 _SENTENCES_WITH_ERRORS = 30
-_RECORDED = "recorded"
+RECORDED = "recorded"
 #: The same colour in every picture.
-_COLOURS = {
-    _RECORDED: "black",
+COLOURS = {
+    RECORDED: "black",
     LIVE_STRATEGY: "tab:red",
     REFERENCE: "tab:orange",
     "cohen-massaro-tuned": "tab:olive",
@@ -41,11 +45,14 @@ _COLOURS = {
     "priority": "tab:green",
     "naive": "tab:purple",
     "mean-face": "tab:gray",
+    CATMULL_ROM: "tab:brown",
+    "model-based": "darkcyan",
+    "heard": "mediumvioletred",
 }
 
 
 #: What is drawn into the folder.
-PICTURES = ("trajectory.png", "lookahead.png", "recovery.png", "errors.png")
+PICTURES = ("trajectory.png", "lookahead.png", "recovery.png", "errors.png", "mouths.png")
 
 
 def draw(
@@ -55,11 +62,12 @@ def draw(
     rows: Sequence[Row],
     recovery: Sequence[Row],
 ) -> list[dict[str, object]]:
-    """Trajectory, error against look-ahead, error against wrong phonemes, and what is left of one.
+    """Mouths, trajectory, error by look-ahead, what is left of a phoneme, error by wrong ones.
 
-    utterances: not the model's. Returns what the third picture shows.
+    utterances: not the model's. Returns what the last picture shows.
     """
     without_screen()
+    draw_mouths(folder / "mouths.png", model)
     draw_trajectory(folder, model, utterances[0])
     draw_lookahead(folder, rows)
     draw_recovery(folder, recovery)
@@ -71,7 +79,7 @@ def draw(
 
 
 def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> None:
-    """The lip gap and the first two components of one sentence, recorded and synthesised."""
+    """Lip gap and width, and two components of one sentence, recorded and synthesised."""
     from matplotlib import pyplot as plt
 
     recorded_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
@@ -80,30 +88,35 @@ def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> 
     for name in (REFERENCE, "priority", LIVE_STRATEGY):
         method = all_methods()[name]
         faces = method.faces(model, Heard(utterance.phones), times_s, _DRAWN_LOOKAHEAD_S)
-        curves[name] = times_s, _curves(model, faces)
-    curves[_RECORDED] = recorded_s, _curves(model, model.coefficients(utterance.markers_mm))
+        curves[name] = times_s, motion_curves(model, faces)
+    curves[RECORDED] = recorded_s, motion_curves(model, model.coefficients(utterance.markers_mm))
     figure, axes = plt.subplots(
-        3, 1, sharex=True, figsize=(9, 8), layout="constrained", height_ratios=(2, 1, 1)
+        4, 1, sharex=True, figsize=(9, 9), layout="constrained", height_ratios=(2, 1, 1, 1)
     )
-    labels = ("inner lip gap, mm", "component 1, mm", "component 2, mm")
-    for axis, label, number in zip(axes, labels, range(3), strict=True):
+    first, fine = _DRAWN_COMPONENTS[0], min(_DRAWN_COMPONENTS[1], model.n_components)
+    labels = ("inner lip gap, mm", "width, mm", f"component {first}, mm", f"component {fine}, mm")
+    for axis, label, number in zip(axes, labels, range(4), strict=True):
         for name, (at_s, values) in curves.items():
-            thick = 2.0 if name in (_RECORDED, LIVE_STRATEGY) else 0.9
-            axis.plot(at_s, values[number], label=name, linewidth=thick, color=_COLOURS[name])
+            thick = 2.0 if name in (RECORDED, LIVE_STRATEGY) else 0.9
+            axis.plot(at_s, values[number], label=name, linewidth=thick, color=COLOURS[name])
         axis.set_ylabel(label)
-    _mark_phones(axes[0], utterance)
+    mark_phones(axes[0], utterance)
     axes[0].legend(fontsize=8)
-    axes[2].set_xlabel("s")
+    axes[-1].set_xlabel("s")
     save_picture(figure, folder / "trajectory.png")
     plt.close(figure)
 
 
-def _mark_phones(axis: "Axes", utterance: Utterance) -> None:
-    """Names above the axis, their beginnings as lines; closures of P B M shaded."""
+def mark_phones(
+    axis: "Axes", utterance: Utterance, heights: Sequence[float] = (1.02, 1.07)
+) -> None:
+    """Names above the axis, their beginnings as lines; closures of P B M shaded.
+
+    heights: names stand at these in turn, so that those of short phones do not overlap.
+    """
     spoken = [p for p in utterance.phones if p.phoneme != SILENCE] or list(utterance.phones)
     for number, phone in enumerate(spoken):
-        # On two lines in turn, so that short phones do not overlap.
-        height = 1.02 + 0.05 * (number % 2)
+        height = heights[number % len(heights)]
         place = axis.get_xaxis_transform()
         axis.text(phone.start_s, height, phone.phoneme, fontsize=8, transform=place)
         axis.axvline(phone.start_s, color="0.85", linewidth=0.6, zorder=0)
@@ -125,17 +138,17 @@ def draw_lookahead(folder: Path, rows: Sequence[Row]) -> None:
     )  # fmt: skip
     drawn = ("cohen-massaro-tuned", "plain-regression", LIVE_STRATEGY)
     for axis, split in zip(axes[0], splits, strict=True):
-        axis.axhline(1.0, color=_COLOURS[REFERENCE], label=REFERENCE)
+        axis.axhline(1.0, color=COLOURS[REFERENCE], label=REFERENCE)
         for name in drawn:
             mine = [r for r in rows if r["strategy"] == name and r["split"] == split]
             if not mine:
                 continue
-            ratios = np.array([_float(r["ratio"]) for r in mine])
+            ratios = np.array([float_or_nan(r["ratio"]) for r in mine])
             ends = np.array([r["ratio_95"] or (np.nan, np.nan) for r in mine], dtype=np.float64)
             axis.errorbar(
-                [_float(r["lookahead_ms"]) for r in mine], ratios,
+                [float_or_nan(r["lookahead_ms"]) for r in mine], ratios,
                 np.abs(ends.reshape(-1, 2).T - ratios),
-                marker="o", capsize=3, label=name, color=_COLOURS[name],
+                marker="o", capsize=3, label=name, color=COLOURS[name],
             )  # fmt: skip
         axis.set_title(split)
         axis.set_xlabel("look-ahead, ms")
@@ -155,12 +168,12 @@ def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
     for row in rows:
         name, case = str(row["strategy"]), str(row["case"])
         ours = name == LIVE_STRATEGY and row["lookahead_ms"] == drawn_ms
-        if not isinstance(row["left"], list) or not (ours or name == _RECORDED):
+        if not isinstance(row["left"], list) or not (ours or name == RECORDED):
             continue
-        left = np.array([_float(share) for share in row["left"]])
+        left = np.array([float_or_nan(share) for share in row["left"]])
         label = f"{name}, {case}"
-        axis.plot(left, linestyle=styles[case], marker="o", label=label, color=_COLOURS[name])
-        if name == _RECORDED:
+        axis.plot(left, linestyle=styles[case], marker="o", label=label, color=COLOURS[name])
+        if name == RECORDED:
             low, high = np.array(row["left_95"], dtype=np.float64).T
             axis.fill_between(range(len(left)), low, high, color="0.9", zorder=0)
     axis.set_xticks(range(1 + AFTER), ["the phoneme", *(f"+{k}" for k in range(1, 1 + AFTER))])
@@ -183,7 +196,7 @@ def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
         for name in dict.fromkeys(row.strategy for row in rows):
             mine = [row for row in rows if row.kind == kind and row.strategy == name]
             rates, rmse_mm = [r.rate for r in mine], [r.rmse_mm for r in mine]
-            axis.plot(rates, rmse_mm, marker="o", label=name, color=_COLOURS[name])
+            axis.plot(rates, rmse_mm, marker="o", label=name, color=COLOURS[name])
         axis.set_title(kind)
         axis.set_xlabel("share of wrong phonemes")
     axes[0][0].set_ylim(bottom=0.0)
@@ -193,10 +206,13 @@ def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
     plt.close(figure)
 
 
-def _curves(model: TrainedModel, faces: Array) -> tuple[Array, Array, Array]:
-    return model.lip_gaps_mm(model.markers_mm(faces)), faces[:, 0], faces[:, 1]
+def motion_curves(model: TrainedModel, faces: Array) -> tuple[Array, ...]:
+    """Lip gap and width in mm, the first component, and one of the finer ones: (n,) each."""
+    gap_mm, width_mm, _ = lip_shapes_mm(model, model.markers_mm(faces)).T
+    first, fine = (min(number, model.n_components) - 1 for number in _DRAWN_COMPONENTS)
+    return gap_mm, width_mm, faces[:, first], faces[:, fine]
 
 
-def _float(value: object) -> float:
+def float_or_nan(value: object) -> float:
     """NaN for what a row leaves out."""
     return float(value) if isinstance(value, int | float) else float("nan")

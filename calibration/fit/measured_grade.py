@@ -1,0 +1,218 @@
+"""What a calibration is worth, measured: poses of speech that nothing was fitted to.
+
+The learnt face asked about itself knows nothing of what it got wrong. So the robot goes to where
+the fresh map sends it for frames that were left out, is measured there, and compared with the
+shapes asked for; what the tracker's own noise adds is taken off. Where the poses go and what should
+be seen there is all that this needs, so a second visit to the robot can be weeks later.
+Loads scikit-learn; the live path never does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import KMeans
+
+from calibration.calibration import Calibration, CalibrationError
+from calibration.capture.capture import Capture
+from calibration.capture.capture_plan import PosePlan, plan_around
+from calibration.capture.head_frame import on_head
+from calibration.fit.correspondence import correspond
+from calibration.fit.gap_figures import gap_figures, is_small
+from calibration.fit.lip_contact import gap_heights_mm
+from calibration.fit.measured import MeasuredFit
+from calibration.grade import Grade
+from calibration.hold_out import CLOSED_GAP_MM
+from calibration.mouth_servos import MouthServos
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF
+
+N_GRADED = 10
+#: Of these with closed lips, and with lips a little open, as far as speech has them.
+_N_CLOSED, _N_SMALL = 3, 2
+#: A grade worse than one of these is refused: lips off by a third of what they move in speech, or
+#: openings of which less than half is left.
+_WORST_LIPS_MM, _WORST_SLOPE = 2.0, 0.5
+#: Closed lips may be so far apart by what the tracker sees of them.
+_TOUCH_MM = 1.0
+#: A reading this far from where it should be, and so many times as far as its pose's other lips,
+#: is none.
+_FAR_MM, _TIMES = 8.0, 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class GradedPoses:
+    """Where a map sends a robot for speech that was left out of its fit, and what should be seen.
+
+    targets_mm: (n, n_markers, 3); asked_open_mm: (n,), beyond the robot's own closed gap
+    own_gap_mm; visemes: the first phoneme of each pose's class; human_gap_mm: (n,), the speaker's;
+    shares: (n,), of the speech that each stands for, 1 in all; noise_mm: of the tracker.
+    """
+
+    plan: PosePlan
+    marker_names: tuple[str, ...]
+    targets_mm: Array
+    asked_open_mm: Array
+    visemes: tuple[str, ...]
+    human_gap_mm: Array
+    shares: Array
+    own_gap_mm: float
+    noise_mm: float
+
+    def __len__(self) -> int:
+        return len(self.targets_mm)
+
+
+def graded_poses(fit: MeasuredFit, servos: MouthServos, seed: int = 0) -> GradedPoses:
+    """Poses to which the map sends the servos for these frames, play made up for as live."""
+    rows, shares = _chosen(fit, seed)
+    frames = fit.held_out[rows]
+    positions_deg = np.array([fit.calibration.positions_deg(frame) for frame in frames])
+    plan = plan_around(positions_deg, servos.joints, rules=servos.rules, seed=seed + 1)
+    led_deg = positions_deg + plan.from_below * fit.face.backlash_deg / 2
+    model, retargeting = fit.retargeting.model, fit.retargeting
+    assert isinstance(model, FaceWithAnimPhos)  # what was fitted has them
+    from_rest = frames - model.rest
+    return GradedPoses(
+        plan=replace(plan, goals_deg=np.clip(led_deg, *servos.limits_deg)),
+        marker_names=fit.names.marker_names,
+        targets_mm=retargeting.targets_mm(from_rest),
+        asked_open_mm=retargeting.asked_open_mm(from_rest).mean(axis=1),
+        visemes=tuple(_viseme(model.animphos, frame) for frame in frames),
+        human_gap_mm=model.lip_gaps_mm(model.markers_mm(frames)),
+        shares=shares,
+        own_gap_mm=float(retargeting.closed_mm.mean()),
+        noise_mm=fit.face.noise_mm,
+    )
+
+
+def graded(
+    calibration: Calibration, poses: GradedPoses, seen: Capture, rows: NDArray[np.int64]
+) -> tuple[Calibration, tuple[str, ...]]:
+    """The same with the grade that `seen` gives it, and what there is to say about it.
+
+    rows: which of the poses `seen` shows. Raises CalibrationError for fewer than half of them.
+    """
+    if len(seen) < len(poses) // 2 or len(rows) != len(seen):
+        raise CalibrationError(
+            f"{len(seen)} of {len(poses)} poses to grade by were captured; capture them all"
+        )
+    targets_mm, human_mm = poses.targets_mm[rows], poses.human_gap_mm[rows]
+    shares = poses.shares[rows] / poses.shares[rows].sum()
+    of = correspond(poses.marker_names).shape_features
+    seen_mm, moved = on_head(seen.markers_mm, targets_mm, poses.marker_names)
+    lines = ("the tracker was moved since the fit: markers are counted from the nose",) * moved
+    seen_mm, left_out = _without_far(seen_mm, targets_mm, list(of.lips), poses.marker_names)
+    lines += left_out
+    lips_mm2 = np.sum((seen_mm - targets_mm)[:, list(of.lips)] ** 2, axis=2)
+    known = np.isfinite(lips_mm2).any(axis=1)
+    if known.sum() < len(poses) // 2:
+        raise CalibrationError("lips were seen in too few poses to grade by; capture them again")
+    each_mm2 = np.full(len(lips_mm2), np.nan)
+    each_mm2[known] = np.nanmean(lips_mm2[known], axis=1) - 3 * poses.noise_mm**2
+    open_mm = gap_heights_mm(seen_mm, of.gaps).mean(axis=1) - poses.own_gap_mm
+    target_mm = gap_heights_mm(targets_mm, of.gaps).mean(axis=1) - poses.own_gap_mm
+    gaps = gap_figures(poses.asked_open_mm[rows], open_mm, human_mm, shares)
+    closed = (human_mm <= CLOSED_GAP_MM) & np.isfinite(open_mm)
+    grade = Grade(
+        n_poses=len(seen),
+        lip_rms_mm=_root(each_mm2, shares),
+        gap_rms_mm=_root((open_mm - target_mm) ** 2, shares),
+        closed_gap_mm=float(np.mean(open_mm[closed])) if closed.any() else 0.0,
+        gap_slope=0.0 if gaps.slope is None else gaps.slope,
+        small_gaps_kept=gaps.small_kept,
+    )
+    visemes = np.array(poses.visemes)[rows]
+    coverage = dict(calibration.coverage)
+    for viseme in sorted(set(visemes) & set(coverage)):
+        own = (visemes == viseme) & known
+        coverage[viseme] = replace(
+            coverage[viseme],
+            n_measured=int(own.sum()),
+            measured_mm=_root(each_mm2[own], shares[own]) if own.any() else None,
+        )
+    return replace(calibration, grade=grade, coverage=coverage), lines
+
+
+def too_bad(calibration: Calibration) -> str | None:
+    """Why a grade is too bad to be used, or None; by the estimate where nothing was measured."""
+    grade, errors = calibration.grade, calibration.errors
+    if grade is not None:
+        lips_mm, slope, closed_mm = grade.lip_rms_mm, grade.gap_slope, grade.closed_gap_mm
+        how = ""
+    elif calibration.origin.method == "measured" and errors.gap_slope is not None:
+        lips_mm, slope, closed_mm = errors.lip_rms_mm, errors.gap_slope, errors.closed_gap_mm
+        how = " (estimated)"
+    else:
+        return None
+    if lips_mm > _WORST_LIPS_MM:
+        return f"the lips are {lips_mm:.1f} mm from where they should be{how}"
+    if slope < _WORST_SLOPE:
+        return f"only {max(slope, 0.0):.0%} of an opening is made{how}"
+    if closed_mm > _TOUCH_MM:
+        return f"closed lips stay {closed_mm:.1f} mm apart{how}"
+    return None
+
+
+def _chosen(fit: MeasuredFit, seed: int) -> tuple[NDArray[np.int64], Array]:
+    """(N_GRADED,): rows of the frames left out, spread over speech, and the share of each.
+
+    A frame is drawn from each part of speech, not taken from its middle: middles are the easy ones.
+    """
+    rng = np.random.default_rng([seed, 10])
+    from_rest = fit.held_out - fit.retargeting.model.rest
+    model = fit.retargeting.model
+    closes = fit.retargeting.closing(from_rest) >= 1.0
+    small = ~closes & is_small(model.lip_gaps_mm(model.markers_mm(fit.held_out)))
+    n_closed, n_small = min(_N_CLOSED, int(closes.sum())), min(_N_SMALL, int(small.sum()))
+    wanted = ((closes, n_closed), (small, n_small), (~closes & ~small, N_GRADED))
+    rows: list[int] = []
+    counts: list[int] = []
+    for which, n in wanted:
+        for part in _parts(fit.held_out, np.flatnonzero(which), min(n, N_GRADED - len(rows))):
+            rows.append(int(rng.choice(part)))
+            counts.append(len(part))
+    return np.array(rows), np.array(counts) / sum(counts)
+
+
+def _parts(frames: Array, rows: NDArray[np.int64], n: int) -> list[NDArray[np.int64]]:
+    """The rows in so many parts of frames that are alike."""
+    if len(rows) <= n or n == 0:
+        return [rows[i : i + 1] for i in range(min(n, len(rows)))]
+    labels = KMeans(n, n_init=2, random_state=0).fit(frames[rows]).labels_
+    return [rows[labels == label] for label in range(n) if (labels == label).any()]
+
+
+def _viseme(units: AnimPhoUnits, frame: Array) -> str:
+    """The first phoneme of the class that is spoken there."""
+    at = int(np.flatnonzero((units.frames == frame).all(axis=1))[0]) // SAMPLES_PER_ANIMPHO
+    phoneme = next(p for i, p in enumerate(PHONEMES) if at in units.phoneme_table[i])
+    return VISEME_CLASSES[VISEME_OF[phoneme]][0]
+
+
+def _without_far(
+    seen_mm: Array, targets_mm: Array, lips: Sequence[int], names: tuple[str, ...]
+) -> tuple[Array, tuple[str, ...]]:
+    """Single readings of lips that nobody can believe, left out and counted by marker."""
+    far = np.zeros(seen_mm.shape[:2], dtype=bool)
+    off_mm = np.linalg.norm((seen_mm - targets_mm)[:, lips], axis=2)
+    for pose, own_mm in enumerate(off_mm):
+        known = own_mm[np.isfinite(own_mm)]
+        if len(known):
+            far[pose, lips] = own_mm > max(_FAR_MM, _TIMES * float(np.median(known)))
+    if not far.any():
+        return seen_mm, ()
+    counts = far.sum(axis=0)
+    told = ", ".join(f"{names[i]} {counts[i]}" for i in np.argsort(-counts)[:5] if counts[i])
+    return (
+        np.where(far[..., None], np.nan, seen_mm),
+        (f"{far.sum()} readings were far off and left out: {told}",),
+    )
+
+
+def _root(squares: Array, shares: Array) -> float:
+    """Of the mean by shares over what is known; noise may have taken more than there was."""
+    known = np.isfinite(squares)
+    return float(np.sqrt(max(np.average(squares[known], weights=shares[known]), 0.0)))

@@ -1,0 +1,89 @@
+"""What a joint of a mouth moves, read from its name and from the word for a positive angle."""
+
+import re
+from dataclasses import dataclass
+from typing import Final, Literal
+
+#: What a joint can move. Its forward direction, which `JointMotion.sign` refers to: jaw opens;
+#: upper_lip raises; lower_lip lowers; corner_out widens; corner_up raises; protrusion protrudes.
+Channel = Literal["jaw", "upper_lip", "lower_lip", "corner_out", "corner_up", "protrusion"]
+Side = Literal["left", "right", "middle", "both"]
+
+UP: Final = frozenset({"raises", "raise", "lifts", "up", "upwards"})
+DOWN: Final = frozenset({"lowers", "lower", "drops", "down", "downwards"})
+OPEN: Final = frozenset({"opens", "open", "wider"})
+CLOSE: Final = frozenset({"closes", "close", "closed", "shuts", "shut"})
+_OUT: Final = frozenset({"widens", "spreads", "stretches", "out"})
+_IN: Final = frozenset({"narrows", "purses", "in"})
+_FORWARD: Final = frozenset({"protrudes", "pouts", "forward"})
+_BACK: Final = frozenset({"retracts", "back"})
+
+_LIP: Final = frozenset({"lip", "lips"})
+_CORNER: Final = frozenset({"corner", "corners", "cheek", "cheeks", "smile"})
+_LEFT: Final = frozenset({"left", "l"})
+_RIGHT: Final = frozenset({"right", "r"})
+_MIDDLE: Final = frozenset({"middle", "mid"})
+
+
+@dataclass(frozen=True, slots=True)
+class JointMotion:
+    """What a joint moves. sign: -1 where a positive angle is the channel's backward direction."""
+
+    channel: Channel
+    side: Side
+    sign: Literal[1, -1]
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """A joint with a word of each of `named` in its name, and a word of one direction."""
+
+    channel: Channel
+    named: tuple[frozenset[str], ...]
+    forward: frozenset[str]
+    backward: frozenset[str]
+
+
+#: The first that fits. What only one part of a mouth does needs no name: a jaw opens and corners
+#: widen whatever they are called.
+_RULES: Final = (
+    _Rule("jaw", (frozenset({"jaw", "chin", "mandible"}),), OPEN | DOWN, CLOSE | UP),
+    _Rule("upper_lip", (_LIP, frozenset({"upper", "top"})), UP | OPEN, DOWN | CLOSE),
+    _Rule("lower_lip", (_LIP, frozenset({"lower", "bottom"})), DOWN | OPEN, UP | CLOSE),
+    _Rule("corner_out", (_CORNER,), _OUT, _IN),
+    _Rule("corner_up", (_CORNER,), UP | frozenset({"smiles"}), DOWN),
+    _Rule(
+        "protrusion",
+        (_LIP | frozenset({"protrusion", "pout", "pucker", "kiss"}),),
+        _FORWARD,
+        _BACK,
+    ),
+    _Rule("jaw", (), frozenset({"opens"}), frozenset({"closes"})),
+    _Rule("corner_out", (), frozenset({"widens"}), frozenset({"narrows"})),
+)
+
+
+def joint_motion(name: str, positive: str) -> JointMotion | None:
+    """None where name and word do not say what moves, or where."""
+    named, told = words(name), words(positive)
+    for rule in _RULES:
+        if not all(named & each for each in rule.named):
+            continue
+        forward, backward = bool(told & rule.forward), bool(told & rule.backward)
+        if forward != backward:
+            return JointMotion(rule.channel, side_of(name), 1 if forward else -1)
+    return None
+
+
+def side_of(name: str) -> Side:
+    """The robot's own."""
+    named = words(name)
+    left, right = bool(named & _LEFT), bool(named & _RIGHT)
+    if left != right:
+        return "left" if left else "right"
+    return "middle" if named & _MIDDLE and not left else "both"
+
+
+def words(text: str) -> frozenset[str]:
+    """Of `m2_upper_lip`: m, upper and lip."""
+    return frozenset(re.findall(r"[a-z]+", text.lower()))

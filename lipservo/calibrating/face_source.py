@@ -1,0 +1,194 @@
+"""Who sees the markers: files, keys, photographs or a camera with a face mesh."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from calibration.calibration import CalibrationError
+from calibration.capture.camera_tracker import CameraTracker
+from calibration.capture.coloured_dots import PROTRUSION_IS_UNSEEN
+from calibration.capture.dots_folder import DotsFolder, is_dots_folder
+from calibration.capture.mesh_folder import MeshFolder
+from calibration.capture.mesh_markers import PROTRUSION_IS_GUESSED, one_face
+from calibration.capture.pose_pictures import holds_pictures
+from calibration.capture.trackers import FileTracker, ReadPose, Tracker
+from firmware_bridge.clock import Clock, MonotonicClock
+from lipservo.calibrating.calibration_setup import CalibrationSetup
+from lipservo.calibrating.measured_calibration import tracker_of
+from lipservo.face.held_face import HeldFace
+from lipservo.terminal.output import MESSAGES
+from lipsync.arrays import Array
+from lipsync.errors import UserError
+from lipsync.video.tracking.face_tracker import FaceTracker, Picture
+
+if TYPE_CHECKING:
+    from lipservo.recording.camera_feed import CameraFeed
+
+CAMERA: Final = "camera"
+_SECOND: Final = 2
+_LOOK_EVERY_S: Final = 0.01
+_PATIENCE_S: Final = 10.0
+#: Pictures that a device keeps for whoever is late.
+_MOST_HELD_BACK: Final = 4
+MakeTracker = Callable[[HeldFace], Tracker]
+#: The readings of all poses: pose, marker, place (3,) in mm.
+ReadAll = Callable[[], list[tuple[int, str, Array]]]
+
+
+@dataclass(frozen=True, slots=True)
+class MeshOptions:
+    """What a face mesh needs. tracker: opens the networks; None of the others: not typed."""
+
+    open_tracker: Callable[[], FaceTracker]
+    eye_distance_mm: float | None = None
+    camera: str = "0"
+    landmarker_given: bool = False
+
+
+def is_mesh_folder(folder: Path, mesh: MeshOptions) -> bool:
+    """Whether a folder holds, or is to hold, photographs without dots.
+
+    An empty one is to hold them where an eye distance or a landmarker was typed.
+    """
+    if not folder.is_dir() or is_dots_folder(folder):
+        return False
+    if any(path.suffix.lower() == ".c3d" for path in folder.iterdir()):
+        return False
+    asked = mesh.landmarker_given or mesh.eye_distance_mm is not None
+    return asked or holds_pictures(folder)
+
+
+def is_seen_from_the_front(source: Path, mesh: MeshOptions) -> bool:
+    """Whether depth is not measured there: a camera, photographs, or pictures of dots."""
+    is_camera = str(source) == CAMERA
+    return is_camera or is_mesh_folder(source, mesh) or (source.is_dir() and is_dots_folder(source))
+
+
+def mesh_folder(folder: Path, setup: CalibrationSetup, mesh: MeshOptions) -> MeshFolder:
+    """Photographs of this robot. Raises UserError where the scale or a tracker is missing."""
+    eye_distance_mm = _eye_distance_mm(setup, mesh)
+    say(PROTRUSION_IS_GUESSED)
+    return MeshFolder(folder, mesh.open_tracker(), eye_distance_mm, say)
+
+
+def reader_of(markers: Path, setup: CalibrationSetup, mesh: MeshOptions) -> ReadAll | None:
+    """What reads pictures of all poses; None for markers in files. Raises UserError."""
+    if is_mesh_folder(markers, mesh):
+        return mesh_folder(markers, setup, mesh).all_readings
+    if markers.is_dir() and is_dots_folder(markers):
+        return dots_folder(markers).all_readings
+    return None
+
+
+@contextmanager
+def tracker_source(
+    setup: CalibrationSetup, source: str, axes: str, mesh: MeshOptions
+) -> Iterator[MakeTracker]:
+    """What makes the tracker once the servos are held. All that can be missing is missed before.
+
+    source: `camera`, or as `tracker_of` takes it. Raises UserError.
+    """
+    folder = Path(source)
+    if source == CAMERA:
+        eye_distance_mm = _eye_distance_mm(setup, mesh)
+        tracker = mesh.open_tracker()
+        with ExitStack() as stack:
+            feed = stack.enter_context(_feed(mesh.camera))
+            say(PROTRUSION_IS_GUESSED)
+            clock = MonotonicClock()
+
+            def camera(face: HeldFace) -> Tracker:
+                def see() -> np.ndarray:
+                    return one_face(tracker, next_picture(feed, clock))
+
+                return CameraTracker(lambda: face.hold_while(see), eye_distance_mm, say)
+
+            yield camera
+        return
+    if is_mesh_folder(folder, mesh):
+        yield _pictures(folder, setup.servos.names, mesh_folder(folder, setup, mesh).readings)
+    elif folder.is_dir() and is_dots_folder(folder):
+        yield _pictures(folder, setup.servos.names, _told_once(dots_folder(folder).readings))
+    else:
+        yield tracker_of(setup, source, axes)
+
+
+def dots_folder(folder: Path) -> DotsFolder:
+    """Pictures of dots on this robot. Raises CalibrationError."""
+    say(PROTRUSION_IS_UNSEEN)
+    return DotsFolder(folder, say)
+
+
+def _pictures(folder: Path, names: tuple[str, ...], read: ReadPose) -> MakeTracker:
+    def tracker(face: HeldFace) -> Tracker:
+        # Looking at a picture takes longer than servos may be without a word.
+        return FileTracker(
+            folder, names, face.hold, say, read=lambda pose: face.hold_while(lambda: read(pose))
+        )
+
+    return tracker
+
+
+def _told_once(read: ReadPose) -> ReadPose:
+    """What is wrong with a picture is told, and the picture waited for anew.
+
+    At the second look: somebody may have been writing it.
+    """
+    seen: Counter[str] = Counter()
+
+    def readings(pose: int) -> list[tuple[int, str, Array]]:
+        try:
+            return read(pose)
+        except CalibrationError as error:
+            seen[str(error)] += 1
+            if seen[str(error)] == _SECOND:
+                say(str(error))
+            return []
+
+    return readings
+
+
+def next_picture(feed: "CameraFeed", clock: Clock) -> Picture:
+    """The first picture that is taken from now on. Raises CameraError.
+
+    A device may hold a few older ones back; after so many the next one counts, whatever its time
+    stamp says. One that gives nothing has failed.
+    """
+    feed.take_frames()
+    asked_s = clock.now()
+    n_arrived = 0
+    while clock.now() < asked_s + _PATIENCE_S:
+        for time_s, frame in feed.take_frames():
+            n_arrived += 1
+            if time_s >= asked_s or n_arrived > _MOST_HELD_BACK:
+                picture: Picture = frame.to_ndarray(format="rgb24")
+                return picture
+        clock.sleep_until(clock.now() + _LOOK_EVERY_S)
+    raise UserError(f"camera {feed.camera.name!r} gives no pictures; plug it in again")
+
+
+def say(line: str) -> None:
+    """A line for a person, on stderr."""
+    MESSAGES.print(line, soft_wrap=True, highlight=False)
+
+
+def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:
+    found = mesh.eye_distance_mm or setup.settings.eye_distance_mm
+    if found is None:
+        raise UserError(
+            "how large is the face? Give --eye-distance-mm, from outer corner to outer corner of "
+            "the robot's eyes, or write `eye_distance_mm:` into the face's YAML"
+        )
+    return found
+
+
+def _feed(camera: str) -> "CameraFeed":
+    from lipservo.recording.camera import AvCamera
+    from lipservo.recording.camera_feed import CameraFeed
+
+    return CameraFeed(AvCamera(camera))

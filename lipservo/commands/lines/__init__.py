@@ -1,0 +1,1 @@
+"""Commands for scripted lines: the model they are rendered with, and rendering."""

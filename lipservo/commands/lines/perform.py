@@ -1,0 +1,140 @@
+"""`perform`: a rendered line, its sound and its motion together."""
+
+from contextlib import ExitStack, closing
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from firmware_bridge.clock import MonotonicClock
+from lipservo.agents.listener import bind_listener
+from lipservo.commands.options import (
+    DEFAULT_FACE,
+    Config,
+    Dashboard,
+    DashboardListen,
+    DryRun,
+    Json,
+    LiveLink,
+    Model,
+    OpenPage,
+    Osc,
+    Output,
+    Port,
+    Quiet,
+    Rate,
+    Sim,
+    Through,
+    TokenFile,
+    Trace,
+)
+from lipservo.commands.run.dashboard_beside import (
+    check_page_options,
+    dashboard_beside,
+    with_sounds,
+)
+from lipservo.commands.run.run import ANY_PORT, finish, motion_of
+from lipservo.commands.run.say import told_through
+from lipservo.commands.run.voice_choice import text_of
+from lipservo.face.assembly import assemble_face
+from lipservo.face.sim_process import servo_port
+from lipservo.speech.performed_line import performed_line
+from lipservo.street.avatar_targets import AvatarTargets
+from lipservo.street.motion_options import ChosenMotion, MotionOptions
+from lipservo.street.run_face import run_face
+from lipservo.street.run_request import RunRequest
+from lipservo.street.sources import SILENCE, warn
+from lipservo.street.spoken_file import SpokenChunks
+from lipservo.street.spoken_sound import entered_sound
+from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
+from lipservo.terminal.output import MESSAGES, print_json
+from lipsync.audio.playout import Playout
+from lipsync.motion.still_motion import StillMotion
+from lipsync.offline.performance_file import read_performance
+
+
+def perform(
+    *,
+    performance: Annotated[
+        Path, typer.Argument(help="What `render` wrote (.perf); with --through, its name there.")
+    ],
+    mute: Annotated[bool, typer.Option("--mute", help="Move the mouth without sound.")] = False,
+    through: Through = None,
+    output: Output = None,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    osc: Osc = None,
+    live_link: LiveLink = None,
+    trace: Trace = None,
+    rate_hz: Rate = None,
+    port: Port = None,
+    sim: Sim = None,
+    dashboard: Dashboard = False,
+    dashboard_listen: DashboardListen = None,
+    token_file: TokenFile = None,
+    open_page: OpenPage = False,
+    dry_run: DryRun = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Play a performance: the sound, and the motion that was rendered for it.
+
+    Nobody listens and nothing is planned any more; strength was chosen when it was rendered.
+    With --dashboard, in a terminal, the face goes on afterwards until Ctrl-C, and hears and speaks
+    as any other.
+    """
+    if mute and output is not None:
+        raise typer.BadParameter("give --mute or --output, not both")
+    if through is not None:
+        answer = told_through(through, token_file, lambda face: face.play(str(performance)))
+        if as_json:
+            print_json(answer)
+        return
+    check_page_options(
+        dashboard_listen, is_shown=dashboard, open_page=open_page, token_file=token_file
+    )
+    # All that can be wrong with the file is told before a device is opened.
+    performed = read_performance(performance)
+    face = assemble_face(config, model)
+    performed.check_face(face.model, str(performance))
+    line = performed_line(performed, performance, warn)
+    voice = VoiceOptions(None if mute else output or DEFAULT_OUTPUT)
+    if dashboard:
+        voice = replace(with_sounds(voice), token_file=text_of(token_file))
+    request = RunRequest(
+        config,
+        SILENCE,
+        motion_of(ChosenMotion(), config)
+        if dashboard
+        else MotionOptions(performed=performed.method),
+        model=model,
+        port=port,
+        rate_hz=rate_hz,
+        trace=trace,
+        as_json=as_json,
+        quiet=quiet or as_json,
+        dry_run=dry_run,
+        voice=voice,
+        avatars=AvatarTargets(osc, live_link),
+    )
+    with ExitStack() as stack:
+        agents = None
+        if dashboard:
+            agents = stack.enter_context(bind_listener(ANY_PORT, None))
+            page = dashboard_beside(request, dashboard_listen, token_file, open_page=open_page)
+            stack.enter_context(page)
+        request = replace(request, port=stack.enter_context(servo_port(port, sim, config)))
+        playout = stack.enter_context(entered_sound(request))
+        assert isinstance(playout, Playout)
+        stack.enter_context(closing(SpokenChunks(line.chunks(), line.stream(playout), playout)))
+        outcome = run_face(
+            request,
+            playout,
+            MonotonicClock(),
+            live=not request.quiet,
+            endless=dashboard and MESSAGES.is_terminal,
+            listener=agents,
+            synthesizer=None if dashboard else StillMotion(face.model.rest),
+        )
+    finish(request, outcome)

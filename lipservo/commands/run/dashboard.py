@@ -1,0 +1,105 @@
+"""`dashboard`: the page of a running face."""
+
+import os
+import socket
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from lipservo.commands.options import (
+    Control,
+    DashboardListen,
+    FaceName,
+    Model,
+    OpenPage,
+    Quiet,
+    TokenFile,
+)
+from lipservo.commands.run.running import chosen_faces
+from lipservo.terminal.output import MESSAGES
+from lipsync.errors import UserError
+from lipsync.extras import check_extra
+
+
+def dashboard(
+    *,
+    face: FaceName = None,
+    control: Control = None,
+    listen: DashboardListen = None,
+    token_file: TokenFile = None,
+    open_page: OpenPage = False,
+    model: Model = None,
+    listener: Annotated[int | None, typer.Option(hidden=True)] = None,
+    parent: Annotated[int | None, typer.Option(hidden=True)] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Show a running face in a browser: see it, set it up, stop it. Also an API, at /docs.
+
+    It is a process of its own: whatever becomes of it, the face goes on.
+    """
+    check_dashboard()
+    if parent is not None:
+        _serve_beside(parent)
+    from lipservo.agents.listener import read_token
+    from lipservo.dashboard.address import address_of, bound_dashboard
+
+    token = read_token(None if token_file is None else str(token_file))
+    with socket.socket(fileno=listener) if listener else bound_dashboard(listen, token) as bound:
+        from lipservo.dashboard.web.serving import serve
+
+        address = address_of(bound)
+
+        def ready() -> None:
+            if not quiet:
+                MESSAGES.print(f"dashboard: {address}", soft_wrap=True, highlight=False)
+            if open_page and _has_a_screen():
+                import webbrowser
+
+                webbrowser.open(address)
+
+        serve(bound, found_face(face, control), token, ready, model)
+
+
+def check_dashboard() -> None:
+    """Raises MissingExtraError unless what the dashboard needs is installed."""
+    for library in ("nicegui", "prometheus_client", "ruamel"):
+        check_extra(library, "the dashboard")
+
+
+def _has_a_screen() -> bool:
+    """A browser that draws in the terminal would draw over the face."""
+    return sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+
+
+def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
+    """Finds the socket of the face that is meant, now and after it was started again.
+
+    Where no face is named and one runs, that is meant from then on. Raises UserError, ControlError.
+    """
+    meant = [face]
+
+    def find() -> Path:
+        faces = chosen_faces(meant[0], control)
+        if not faces:
+            raise UserError("no face runs; `lipservo daemon` starts one")
+        if len({each.name for each in faces}) > 1:
+            names = ", ".join(sorted(each.name for each in faces))
+            raise UserError(f"several faces run: {names}; choose one with --face")
+        meant[0] = faces[0].name
+        return faces[0].path
+
+    return find
+
+
+def _serve_beside(parent: int) -> None:
+    """As a child of a face: behind it in everything, and gone with it."""
+    from firmware_bridge.process.scheduling import die_with_parent, write_from_background
+
+    die_with_parent()
+    write_from_background()
+    os.nice(5)
+    if os.getppid() != parent:  # it was gone before we asked
+        raise typer.Exit(1)

@@ -1,0 +1,73 @@
+"""`--dashboard`: the page of a face that is being started, beside it."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import typer
+
+from firmware_bridge.process.runtime_folder import socket_path
+from lipservo.agents.listener import read_token
+from lipservo.commands.run.dashboard import check_dashboard
+from lipservo.face.assembly import load_settings
+from lipservo.street.run_request import RunRequest
+from lipservo.street.voice_options import VoiceOptions
+from lipservo.terminal.output import MESSAGES
+
+#: Sound files that the page uploads and plays, where no folder was named.
+_SOUNDS: Final = Path("lipservo") / "sounds"
+
+
+def with_sounds(voice: VoiceOptions | None) -> VoiceOptions:
+    """A voice whose sound files lie somewhere: what a page may say and play."""
+    voice = voice or VoiceOptions()
+    if voice.sounds is not None:
+        return voice
+    folder = _data_folder() / _SOUNDS
+    folder.mkdir(parents=True, exist_ok=True)
+    return replace(voice, sounds=str(folder))
+
+
+@contextmanager
+def dashboard_beside(
+    request: RunRequest, listen: str | None, token_file: Path | None, *, open_page: bool
+) -> Iterator[None]:
+    """The page of the face that the block runs. Raises UserError before anything moves."""
+    check_dashboard()
+    from lipservo.dashboard.address import address_of, bound_dashboard
+    from lipservo.dashboard.child import dashboard_child
+
+    file = None if token_file is None else str(token_file)
+    token = read_token(file)
+    path = request.control or socket_path(load_settings(request.config)[0].name)
+
+    def say(line: str) -> None:
+        if not request.quiet:
+            MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+
+    with bound_dashboard(listen, token) as listener:
+        say(f"dashboard: {address_of(listener)}")
+        with dashboard_child(path, listener, file, say, model=request.model, open_page=open_page):
+            yield
+
+
+def check_page_options(
+    listen: str | None, *, is_shown: bool, open_page: bool, token_file: Path | None = None
+) -> None:
+    """Options of a page that nobody asked for are a mistake. Raises typer.BadParameter."""
+    for name, given in (
+        ("--dashboard-listen", listen is not None),
+        ("--open", open_page),
+        ("--token-file", token_file is not None),
+    ):
+        if given and not is_shown:
+            raise typer.BadParameter(f"{name} goes with --dashboard")
+
+
+def _data_folder() -> Path:
+    """Where the user's programs keep their data (XDG base directory specification)."""
+    given = os.environ.get("XDG_DATA_HOME", "")
+    return Path(given) if given.startswith("/") else Path.home() / ".local" / "share"

@@ -1,0 +1,60 @@
+"""`servo`: one servo of a running face off, on again, or restarted.
+
+Somebody waits for it: it loads nothing that it does not use.
+"""
+
+import time
+from typing import Annotated, Any, Final
+
+import typer
+
+from firmware_bridge.orders import ServoSwitch
+from firmware_bridge.process.control_client import RunningFace, ask, switch_servo
+from lipservo.commands.options import Control, FaceName, Json
+from lipservo.commands.run.running import ask_faces
+
+#: What the servo is once it has done what was asked; a restarted one may be either.
+_DONE: Final = {
+    ServoSwitch.OFF: ("off",),
+    ServoSwitch.ON: ("driven",),
+    ServoSwitch.REBOOT: ("driven", "off", "failed"),
+}
+#: A restart takes a second, coming on again half of one, and a servo may miss a question or two.
+_PATIENCE_S: Final = 5.0
+_LOOK_EVERY_S: Final = 0.1
+
+
+def servo(
+    name: Annotated[str, typer.Argument(help="Which: the name of its joint.")],
+    switch: Annotated[ServoSwitch, typer.Argument(help="What is asked of it.")],
+    face: FaceName = None,
+    control: Control = None,
+    as_json: Json = False,
+) -> None:
+    """Switch one servo of a running face off, on again, or restart it; the others go on.
+
+    Exit status 1 unless it has confirmed.
+    """
+
+    def asked(each: RunningFace) -> dict[str, Any]:
+        answer = switch_servo(each.path, name, switch)
+        return answer if "error" in answer else {**answer, **_confirmed(each, name, switch)}
+
+    def told(answer: dict[str, Any]) -> str:
+        return f"servo {name} is {answer['state']}"
+
+    ask_faces(face, control, asked, told, as_json=as_json)
+
+
+def _confirmed(face: RunningFace, name: str, switch: ServoSwitch) -> dict[str, Any]:
+    """Ask until the servo has done it, or it has taken too long."""
+    give_up_s = time.monotonic() + _PATIENCE_S
+    while True:
+        status = ask(face.path, "status")
+        state = dict(status.get("servos") or {}).get(name, "unknown")
+        if state in _DONE[switch]:
+            return {"state": state}
+        if time.monotonic() > give_up_s:
+            why = [line for line in status.get("troubles", ()) if f"'{name}'" in line]
+            return {"state": state, "error": "; ".join(why) or f"servo {name} is {state}"}
+        time.sleep(_LOOK_EVERY_S)

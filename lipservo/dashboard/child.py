@@ -1,0 +1,100 @@
+"""The dashboard beside a face that starts it: a process that comes, goes and comes again.
+
+The face waits for nothing of it: one thread looks after it, and whatever becomes of it is a line.
+"""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+#: Between two looks whether the face listens, or the dashboard lives.
+_LOOK_S: Final = 0.2
+#: A dashboard that has died is started again after this, and after twice as long each time, unless
+#: it had served for a while.
+_RESTART_S: Final = 5.0
+_LONGEST_RESTART_S: Final = 60.0
+_WELL_S: Final = 60.0
+_END_S: Final = 2.0
+
+
+@contextlib.contextmanager
+def dashboard_child(
+    control_path: Path,
+    listener: socket.socket,
+    token_file: str | None = None,
+    say: Callable[[str], None] = lambda _line: None,
+    *,
+    model: Path | None = None,
+    open_page: bool = False,
+) -> Iterator[None]:
+    """Serve the face at `control_path` in a browser, until the block ends.
+
+    listener: from `bound_dashboard`; stays the caller's and must outlive the block. say: takes
+    lines; called in a thread. model: that the face runs with.
+    """
+    arguments = ["--control", str(control_path), "--listener", str(listener.fileno()), "--quiet"]
+    arguments += ["--parent", str(os.getpid())]
+    if token_file is not None:
+        arguments += ["--token-file", token_file]
+    if model is not None:
+        arguments += ["--model", str(model)]
+    command = [sys.executable, "-m", "lipservo", "dashboard", *arguments]
+    over = threading.Event()
+
+    def look_after() -> None:
+        opens = ["--open"] if open_page else []
+        wait_s = _RESTART_S
+        while not over.wait(_LOOK_S):
+            if not control_path.exists():
+                continue
+            try:
+                # The thread lives as long as the process it starts: the kernel ends a child when
+                # the thread that started it ends.
+                process = subprocess.Popen(
+                    [*command, *opens],
+                    pass_fds=[listener.fileno()],
+                    stdin=subprocess.DEVNULL,
+                    process_group=0,
+                )
+            except OSError as error:
+                say(f"dashboard: cannot be started: {error.strerror}")
+                over.wait(wait_s)
+                wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
+                continue
+            began_s = time.monotonic()
+            while process.poll() is None and not over.wait(_LOOK_S):
+                pass
+            if over.is_set():
+                _end(process)
+                return
+            opens = []
+            if time.monotonic() - began_s > _WELL_S:
+                wait_s = _RESTART_S
+            status = process.returncode
+            say(f"dashboard: ended ({status}); it is started again in {wait_s:g} s")
+            over.wait(wait_s)
+            wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
+
+    thread = threading.Thread(target=look_after, name="dashboard", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join(2.0 * _END_S)
+
+
+def _end(process: "subprocess.Popen[bytes]") -> None:
+    process.terminate()
+    try:
+        process.wait(_END_S)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

@@ -1,0 +1,189 @@
+"""The page of the calibration: how good the present one is, and the way to a better one."""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any, Final
+
+from lipservo.client.face_answers import FaceError
+from lipservo.dashboard.pages.page_frame import STATIC_URL, card, command, grid, html
+from lipservo.dashboard.told_calibration import told_calibration
+from lipsync.phonemes import VISEME_CLASSES
+
+#: Full length of a bar: errors beyond are drawn as that, and read as a number.
+_WORST_DEG: Final = 3.0
+#: Bars are amber above a third of that, red above two thirds. Ours: 1 degree of a horn of 8 mm is
+#: 0.14 mm of lip.
+_AMBER, _RED = 1 / 3, 2 / 3
+#: Fewer of a class's shapes within reach are warned of, as `lipservo calibrate show` does.
+_WELL_REACHED: Final = 0.9
+
+
+Told = Mapping[str, Any]
+
+
+def read_calibration(config: str | None) -> tuple[Told | None, str | None]:
+    """What the face's calibration file says, as the API tells it, or why there is none."""
+    try:
+        return told_calibration(config), None
+    except FaceError as error:
+        return None, str(error)
+
+
+def calibrate_page(config: str | None, told: Told | None, trouble: str | None) -> None:
+    """Its content. told, trouble: what `read_calibration` found."""
+    if told is not None and not told["fits_the_face"]:
+        trouble = "the face has changed since it was calibrated: calibrate it again"
+    with card("Present calibration", _origin(told)):
+        if trouble is not None:
+            html(f'<p class="note warn">{escape(_sentence(trouble))}</p>')
+        if told is not None:
+            html(_summary(told["hold_out"]), "facts-row")
+    if told is not None:
+        with grid("two-columns"):
+            with card("Joints", "error on motion left out of the fit"):
+                html(_joint_bars(told["servos"]))
+            with card("Mouth shapes", "how much of each is within reach", "coverage"):
+                html(_shape_bars(told))
+    with card("A new calibration", "in a terminal at the face's computer; stop the face first"):
+        html(_steps(config or "FACE"), "steps")
+
+
+def _sentence(text: str) -> str:
+    return text[:1].upper() + text[1:].rstrip(".") + "."
+
+
+def _origin(told: Told | None) -> str:
+    if told is None:
+        return "none"
+    made = f", {told['poses']} poses" if told["poses"] else ""
+    dated = f", {told['date']}" if told["date"] else ""
+    return f"{told['file']}: {told['method']}{made}{dated}"
+
+
+def _summary(errors: Told) -> str:
+    is_measured = errors["n_frames"] > 0
+    has_closures = is_measured and errors["n_closures"] > 0
+    facts = (
+        ("lips", "off the shape wanted, rms", errors["lip_rms_mm"] if is_measured else None),
+        (
+            "closed lips",
+            "at most this far apart in 95 % of closures",
+            errors["closed_gap_mm"] if has_closures else None,
+        ),
+    )
+    return "".join(
+        f'<div class="fact"><b>{_shown(value, 2, "mm")}</b><span>{word}</span>'
+        f"<small>{hint}</small></div>"
+        for word, hint, value in facts
+    )
+
+
+def _joint_bars(servos: Mapping[str, Told]) -> str:
+    return "".join(_joint_bar(name, values) for name, values in servos.items())
+
+
+def _joint_bar(name: str, values: Told) -> str:
+    error_deg = values["hold_out_rms_deg"]
+    share = 0.0 if error_deg is None else min(1.0, error_deg / _WORST_DEG)
+    tone = "bad" if share > _RED else "warn" if share > _AMBER else "good"
+    least, most = values["range_deg"]
+    more = [f"{least:g} to {most:g}°"]
+    for key, told in _FOLLOWING:
+        if values[key]:
+            more.append(told.format(values[key]))
+    return _bar(name.replace("_", " "), share, tone, _shown(error_deg, 2, "°"), more)
+
+
+def _shape_bars(told: Told) -> str:
+    shown = [one for one in VISEME_CLASSES if one[0] in told["coverage"] or one[0] in told["trim"]]
+    rows = [_shape_bar(viseme, told) for viseme in shown]
+    if not told["coverage"]:
+        rows.append('<p class="hint">This way of calibrating does not measure reach.</p>')
+    if not told["trim"]:
+        rows.append("<p>No shape is trimmed.</p>")
+    line = f"lipservo calibrate trim {told['file']} P jaw -1"
+    rows.append(
+        "<p>A shape that looks wrong is trimmed: degrees that are added while its sounds are "
+        f"spoken.</p>{command(line)}"
+    )
+    return "".join(rows)
+
+
+def _shape_bar(phonemes: tuple[str, ...], told: Told) -> str:
+    reach = told["coverage"].get(phonemes[0])
+    trims = told["trim"].get(phonemes[0], {})
+    more = [] if reach is None else [f"{reach['off_mm']:.2f} mm off"]
+    if trims:
+        added = (f"{name.replace('_', ' ')} {deg:+g}°" for name, deg in trims.items())
+        more.append(f"trim: {', '.join(added)}")
+    share = None if reach is None else reach["reachable"]
+    tone = "good" if share is None or share >= _WELL_REACHED else "warn"
+    value = "?" if share is None else f"{share:.0%}"
+    return _bar(" ".join(phonemes), share or 0.0, tone, value, more)
+
+
+def _bar(name: str, share: float, tone: str, value: str, more: list[str]) -> str:
+    return (
+        f'<div class="bar-row {tone}"><span class="name">{escape(name)}</span>'
+        f'<span class="track"><i style="width:{100 * share:.1f}%"></i></span>'
+        f'<b class="value">{value}</b><small>{escape(" · ".join(more))}</small></div>'
+    )
+
+
+def _shown(value: float | None, places: int, unit: str) -> str:
+    gap = "" if unit == "°" else " "
+    return "?" if value is None else f"{value:.{places}f}{gap}{unit}"
+
+
+#: How a servo follows its goal, in words, where that is known and not 0.
+_FOLLOWING: Final = (
+    ("lag_ms", "{:.0f} ms late"),
+    ("bandwidth_hz", "up to {:.0f} Hz"),
+    ("backlash_deg", "{:.1f}° of play"),
+)
+#: Picture, heading, what happens, command.
+STEPS: Final = (
+    (
+        "rehearse", "Rehearse", "On a simulated robot of which nothing is known: the whole path in "
+        "minutes, and nothing can break.",
+        "lipservo calibrate practise 3 -o /tmp/practice.yaml",
+    ),
+    (
+        "limits", "Find the limits", "With the servos limp, move every joint by hand to its ends. "
+        "Write min_deg and max_deg into the YAML, a few degrees inside.",
+        "lipservo doctor --config {face} --port DEV",
+    ),
+    (
+        "look", "By eye, without a camera", "The speaker's mouth is shown; with keys you bring the "
+        "robot's mouth into 14 shapes. Usable, but coarse.",
+        "lipservo calibrate guided --config {face} --port DEV -o mine.yaml",
+    ),
+    (
+        "dots", "Or measured, with dots on the face", "A tracker sees dots on the lips while the "
+        "robot goes through 60 poses, slowly and within its limits.",
+        "lipservo calibrate measure --config {face} --port DEV --tracker markers.csv -o mine.yaml",
+    ),
+    (
+        "late", "How late each servo is", "Each joint chirps for 14 seconds; from then on it is "
+        "asked that much earlier.",
+        "lipservo calibrate lags mine.yaml --config {face} --port DEV",
+    ),
+    (
+        "check", "Look at the result", "Errors, reach and trims, as above. Name the file in the "
+        "face's YAML under calibration, and start the face again.",
+        "lipservo calibrate show mine.yaml --config {face}",
+    ),
+)  # fmt: skip
+
+
+def _steps(face: str) -> str:
+    return "<ol>" + "".join(_step(face, *step) for step in STEPS) + "</ol>"
+
+
+def _step(face: str, picture: str, title: str, text: str, line: str) -> str:
+    told = line.format(face=face)
+    return (
+        f'<li><svg viewBox="0 0 120 80" aria-hidden="true"><use '
+        f'href="{STATIC_URL}/steps.svg#{picture}"/></svg><h3>{escape(title)}</h3>'
+        f"<p>{escape(text)}</p>{command(told)}</li>"
+    )

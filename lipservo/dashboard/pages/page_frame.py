@@ -1,0 +1,106 @@
+"""What every page has: its head with state and STOP, the ways to the others, styles and facts.
+
+The head is plain HTML before the element that the page's framework draws into, and STOP's script
+is loaded first and imports nothing: it works while the rest of the page does not.
+"""
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from html import escape
+from typing import Any, Final
+
+from nicegui import ui
+
+#: Where `lipservo/dashboard/static/` is served.
+STATIC_URL: Final = "/static"
+#: Of each page: where it is, and what it is called.
+PLACES: Final = {
+    "/": "Live",
+    "/servos": "Servos",
+    "/calibrate": "Calibrate",
+    "/lines": "Lines",
+    "/settings": "Settings",
+}
+#: On all pages, in this order; STOP first.
+_ALWAYS: Final = ("stop.js", "link.js", "watchdog.js")
+#: What those import: asked for at once, not one after the other.
+_IMPORTED: Final = ("frame.js", "calls.js", "words.js")
+
+
+@contextmanager
+def page_frame(
+    here: str, status: Mapping[str, Any] | None, facts: Mapping[str, object], scripts: Sequence[str]
+) -> Iterator[None]:
+    """The page at `here`; its content is made within. scripts: files of static/ that it needs.
+
+    status: the face's newest, None: it has not answered; only its name and port are used, for the
+    rest the page asks by itself.
+    """
+    ui.page_title(f"{PLACES[here]} · {(status or {}).get('name') or 'lipservo'}")
+    ui.add_head_html(f'<link rel="stylesheet" href="{STATIC_URL}/dashboard.css">')
+    ui.add_body_html(_head(here, status or {}))
+    ui.add_body_html(
+        f'<script type="application/json" id="face-facts">{_for_script(facts)}</script>'
+    )
+    for module in _IMPORTED:
+        ui.add_head_html(f'<link rel="modulepreload" href="{STATIC_URL}/{module}">')
+    # Not `async`, they would wait for the framework's.
+    for script in (*_ALWAYS, *scripts):
+        ui.add_body_html(f'<script type="module" async src="{STATIC_URL}/{script}"></script>')
+    with ui.element("main").classes("face-page").mark(f"page {PLACES[here]}"):
+        yield
+
+
+@contextmanager
+def card(title: str, hint: str = "", classes: str = "") -> Iterator[None]:
+    """A white field with a heading. hint: a sentence beside it."""
+    with ui.element("section").classes(f"card {classes}".strip()):
+        aside = f"<small>{escape(hint)}</small>" if hint else ""
+        html(f"<h2>{escape(title)}</h2>{aside}", "card-head")
+        yield
+
+
+def grid(classes: str) -> ui.element:
+    """A part of the page whose children lie as the stylesheet says."""
+    return ui.element("div").classes(classes)
+
+
+def html(text: str, classes: str = "", tag: str = "div") -> None:
+    """Markup of our own, never of a person or a file."""
+    ui.html(text, sanitize=False, tag=tag).classes(classes)
+
+
+def command(text: str) -> str:
+    """A command line as markup; it is broken between words alone, never after a hyphen."""
+    words = (f'<span class="word">{escape(word)}</span>' for word in text.split(" "))
+    return f"<pre><code>{' '.join(words)}</code></pre>"
+
+
+def _head(here: str, status: Mapping[str, Any]) -> str:
+    name = escape(str(status.get("name") or "no face yet"))
+    port = status.get("port")
+    where = '<span class="port sim">SIMULATED</span>'
+    if port:
+        where = f'<span class="port">{escape(str(port))}</span>'
+    elif not status:
+        where = ""
+    ways = "".join(
+        f'<a href="{path}"{" aria-current=page" if path == here else ""}>{title}</a>'
+        for path, title in PLACES.items()
+    )
+    return (
+        '<div id="face-head"><header>'
+        f'<div class="who"><strong id="face-name">{name}</strong>{where}'
+        '<span id="face-state" role="status">…</span></div>'
+        f"<nav>{ways}</nav>"
+        '<button id="face-stop" type="button" title="Stops the face. Pressed again: limp at once.">'
+        "<b>STOP</b><small>Esc</small></button></header>"
+        '<p id="face-stop-report" role="alert" hidden></p>'
+        '<p id="face-banner" role="alert" hidden></p></div>'
+    )
+
+
+def _for_script(value: Mapping[str, object]) -> str:
+    """JSON that can end no script element, whatever stands in a YAML."""
+    return json.dumps(value).replace("<", "\\u003c")

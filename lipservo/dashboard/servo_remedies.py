@@ -1,0 +1,101 @@
+"""What ails a servo, in plain words, and what a person can do about it."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from firmware_bridge.health import HardwareError
+
+#: Each bit: what it is, and what to do.
+_OF_ERROR: Final = {
+    HardwareError.INPUT_VOLTAGE: (
+        "its supply is outside what it may have",
+        "measure the voltage at its plug while the face moves; a long chain needs power at both "
+        "ends",
+    ),
+    HardwareError.OVERHEATING: (
+        "it is too hot",
+        "let it cool; then feel whether its joint binds, and give it air",
+    ),
+    HardwareError.ENCODER: (
+        "its encoder gives no sense",
+        "reboot it; if that comes back, the servo has to be replaced",
+    ),
+    HardwareError.ELECTRICAL_SHOCK: (
+        "its circuit was shocked, or its motor gets too little power",
+        "look for a cable that is pinched or loose, then reboot it",
+    ),
+    HardwareError.OVERLOAD: (
+        "it was loaded for longer than it may be",
+        "move its joint by hand while it is limp, find what binds, then reboot it",
+    ),
+}
+#: Of servos that are not driven, by state.
+_OF_STATE: Final = {
+    "waiting": ("does not answer or waits to be spoken to", "look at its plug, cable and power"),
+    "cooling": ("limp for a moment, then tried again", "find what its joint binds on"),
+    "rebooting": ("being restarted", "wait a second"),
+    "failed": (
+        "given up after several failures",
+        "find what binds or what is loose; then switch its torque on again",
+    ),
+}  # fmt: skip
+
+
+def error_words(bits: int | None) -> list[dict[str, str]]:
+    """Each hardware error that is set: {error, meaning, remedy}."""
+    known = [
+        {"error": _named(error), "meaning": meaning, "remedy": remedy}
+        for error, (meaning, remedy) in _OF_ERROR.items()
+        if (bits or 0) & error
+    ]
+    rest = (bits or 0) & ~sum(int(each) for each in _OF_ERROR)
+    if rest:
+        hint = "look it up in the e-manual of this model, then reboot it"
+        known.append({"error": f"{rest:#04x}", "meaning": "not known here", "remedy": hint})
+    return known
+
+
+def state_words(state: str) -> dict[str, str] | None:
+    """{meaning, remedy} of a servo that is not driven; None for one that is."""
+    words = _OF_STATE.get(state)
+    return None if words is None else {"meaning": words[0], "remedy": words[1]}
+
+
+def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
+    """Every servo of a status, with remedies. is_fresh: whether the face says it now.
+
+    Nothing is reported better than it is: what was never heard is null, and of a face that does not
+    answer nothing is known but what its servos are called.
+    """
+    status = status or {}
+    health = {str(each["name"]): each for each in status.get("health") or ()}
+    states: Mapping[str, str] = status.get("servos") or {}
+    return [
+        _told(name, states.get(name, ""), health.get(name, {}), is_fresh)
+        for name in dict.fromkeys([*states, *health])
+    ]
+
+
+_FIGURES: Final = (
+    "temperature_degc", "load", "voltage_v", "current_ma", "n_reboots", "n_unanswered", "torque_on",
+)  # fmt: skip
+
+
+def _told(name: str, state: str, health: Mapping[str, Any], is_fresh: bool) -> dict[str, Any]:
+    state = str(health.get("state") or state) if is_fresh else "unknown"
+    heard = health if is_fresh else {}
+    bits = heard.get("hardware_errors")
+    return {
+        "name": name,
+        "servo_id": health.get("servo_id"),
+        "state": state,
+        "answers": heard.get("temperature_degc") is not None and state != "waiting",
+        **{figure: heard.get(figure) for figure in _FIGURES},
+        "hardware_errors": bits,
+        "errors": error_words(bits),
+        "trouble": state_words(state),
+    }
+
+
+def _named(error: HardwareError) -> str:
+    return str(error.name).lower().replace("_", " ")

@@ -1,0 +1,60 @@
+// Calls of the API. What comes back is JSON, or an Error whose message is a sentence for people.
+
+const PATIENCE_MS = 5000;
+
+/** The answer to GET. */
+export function getJson(path, patienceMs = PATIENCE_MS) {
+  return call("GET", path, undefined, patienceMs);
+}
+
+/** The answer to POST of a JSON body. keepalive: the call outlives the page. */
+export function postJson(path, body = {}, { patienceMs = PATIENCE_MS, keepalive = false } = {}) {
+  return call("POST", path, body, patienceMs, keepalive);
+}
+
+/** The answer to PATCH of a JSON body. */
+export function patchJson(path, body) {
+  return call("PATCH", path, body, PATIENCE_MS);
+}
+
+/** The answer to DELETE. */
+export function remove(path) {
+  return call("DELETE", path, undefined, PATIENCE_MS);
+}
+
+async function call(method, path, body, patienceMs, keepalive = false) {
+  const request = { method, cache: "no-store", keepalive, signal: AbortSignal.timeout(patienceMs) };
+  if (body !== undefined) {
+    request.headers = { "Content-Type": "application/json" };
+    request.body = JSON.stringify(body);
+  }
+  let response;
+  try {
+    response = await fetch(path, request);
+  } catch {
+    throw new Error("The dashboard does not answer.");
+  }
+  const text = await response.text();
+  const answer = parsed(text);
+  if (!response.ok) throw new Error(sentence(answer) ?? `It was refused (${response.status}).`);
+  return answer;
+}
+
+/** What went wrong, out of the forms that an answer may have; null: it does not say. */
+export function sentence(answer) {
+  if (typeof answer === "string") return answer || null;
+  const told = answer?.error ?? answer?.detail ?? answer?.message;
+  if (typeof told === "string") return told;
+  if (Array.isArray(told) && told[0]?.msg) {
+    return told.map((each) => `${each.loc?.at(-1) ?? ""}: ${each.msg}`).join("; ");
+  }
+  return null;
+}
+
+function parsed(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    return text.length < 200 ? text : null;
+  }
+}

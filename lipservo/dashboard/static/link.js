@@ -1,0 +1,153 @@
+// One connection for the whole page: frames as they come, the status twice a second.
+import { connect, history } from "./frame.js";
+import { getJson } from "./calls.js";
+
+const STATUS_PERIOD_MS = 500;
+const SHOWN_BEFORE = 130; // frames of the seconds before the page was opened
+const PAINT_MS = 30;
+/** A browser that takes so long for a picture draws in software: the twin first, and all of it less often. */
+const SLOW_PICTURE_MS = 60;
+const SLOW_SHARE = 4;
+const TWIN_FIRST_MS = 8000;
+const RELOAD_MS = 20000;
+
+/** What the page knows of the face. Times are `performance.now()`; -Infinity: never. */
+export const face = {
+  hello: null,
+  frame: null,
+  status: null,
+  frameAtMs: -Infinity,
+  trouble: null, // why there is no status
+  last: null, // what it said last, however long ago
+  nFrames: 0,
+  nLost: 0, // frames that the server sent or skipped and this page never saw
+};
+
+/** What the server wrote into the page: limits, models, words. It never changes. */
+export const facts = JSON.parse(document.getElementById("face-facts")?.textContent ?? "{}");
+
+let reloads = false;
+let drawn = null;
+let paintedMs = -Infinity;
+let lookedMs = performance.now();
+let pictureMs = 2 * SLOW_PICTURE_MS; // a running mean; slow until it has shown that it is not
+const listeners = { hello: new Set(), frame: new Set(), status: new Set(), draw: new Set(), paint: new Set() };
+
+/** Called once for each connection, and at once where one is there. */
+export function onHello(listener) {
+  listeners.hello.add(listener);
+  if (face.hello) listener(face.hello);
+  return () => listeners.hello.delete(listener);
+}
+
+/** Called with every frame: for whoever keeps a history. */
+export function onFrame(listener) {
+  listeners.frame.add(listener);
+  return () => listeners.frame.delete(listener);
+}
+
+/** Called with each new frame before the browser paints: for whoever draws it as it is. */
+export function onDraw(listener) {
+  listeners.draw.add(listener);
+  return () => listeners.draw.delete(listener);
+}
+
+/** Called each time before the browser paints: for what moves on between two frames. */
+export function onPaint(listener) {
+  listeners.paint.add(listener);
+  return () => listeners.paint.delete(listener);
+}
+
+/** Called with every status; null: nobody answered. */
+export function onStatus(listener) {
+  listeners.status.add(listener);
+  if (face.status) listener(face.status);
+  return () => listeners.status.delete(listener);
+}
+
+/** How long ago the last frame came. */
+export function frameAgeMs() {
+  return performance.now() - face.frameAtMs;
+}
+
+function tell(kind, value) {
+  for (const listener of listeners[kind]) {
+    try {
+      listener(value);
+    } catch (error) {
+      console.error(error); // one picture that fails takes no other with it
+    }
+  }
+}
+
+function takeFrame(frame) {
+  if (reloads) return;
+  const before = face.frame;
+  if (before && frame.n > before.n + 1) face.nLost += frame.n - before.n - 1;
+  face.frame = frame;
+  face.frameAtMs = performance.now();
+  face.nFrames += 1;
+  tell("frame", frame);
+}
+
+async function takeHello(hello) {
+  face.hello = hello;
+  face.frame = null; // numbers begin anew where the dashboard was started again
+  reloads = isAnotherFace(hello);
+  if (reloads) return;
+  tell("hello", hello);
+  for (const frame of (await history(hello).catch(() => [])).slice(-SHOWN_BEFORE)) {
+    if (face.frame === null) tell("frame", frame);
+  }
+}
+
+/** The limits and names of this page are those of a face that has been replaced: load it anew. */
+function isAnotherFace(hello) {
+  const known = Object.keys(facts.servos ?? {}).join();
+  const isNew = hello.servos.length > 0 && known !== hello.servos.join();
+  const reloadedMs = Number(sessionStorage.getItem("reloaded") ?? 0);
+  if (!isNew || Date.now() - reloadedMs < RELOAD_MS) return false;
+  sessionStorage.setItem("reloaded", Date.now());
+  location.reload();
+  return true;
+}
+
+function drawAll() {
+  requestAnimationFrame(drawAll);
+  const nowMs = performance.now();
+  pictureMs += 0.1 * (Math.min(nowMs - lookedMs, 1000) - pictureMs);
+  lookedMs = nowMs;
+  const everyMs = pictureMs > SLOW_PICTURE_MS ? SLOW_SHARE * pictureMs : PAINT_MS;
+  if (!face.frame || nowMs - paintedMs < everyMs || waitsForTwin(nowMs)) return;
+  paintedMs = nowMs;
+  if (face.frame !== drawn) tell("draw", face.frame);
+  drawn = face.frame;
+  tell("paint", face.frame);
+}
+
+/** Where drawing is slow, the twin is there before anything else moves. */
+function waitsForTwin(nowMs) {
+  const isSlow = pictureMs > SLOW_PICTURE_MS && nowMs < TWIN_FIRST_MS;
+  return isSlow && document.querySelector(".twin") !== null && !window.twin?.ready;
+}
+
+async function pollStatus() {
+  const beganMs = performance.now();
+  try {
+    const told = await getJson("/api/status", 2000);
+    // What it said last is not how it is.
+    face.status = told.face_answers === false ? null : told;
+    face.trouble = told.trouble ?? null;
+    face.last = told;
+  } catch {
+    face.status = null;
+  }
+  tell("status", face.status);
+  const tookMs = performance.now() - beganMs;
+  setTimeout(pollStatus, Math.max(50, STATUS_PERIOD_MS - tookMs));
+}
+
+connect(() => {}, takeHello, () => {}, takeFrame);
+requestAnimationFrame(drawAll);
+pollStatus();
+window.dashboard = face; // for tests, and for whoever looks with the browser's tools

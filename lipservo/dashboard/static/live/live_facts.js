@@ -1,0 +1,88 @@
+// How the face does in numbers and plain sentences: delay, late ticks, who listens, troubles.
+import { facts, onDraw, onStatus } from "../link.js";
+import { counted, escaped, shown } from "../words.js";
+
+const MOST_LINES = 4;
+
+class FaceFacts extends HTMLElement {
+  connectedCallback() {
+    this.innerHTML =
+      '<div class="phoneme"><b></b><span></span></div>' +
+      '<div class="arousal"><span>calm</span><i><u></u></i><span>excited</span></div>' +
+      '<dl></dl><ul class="troubles"></ul>';
+    this.letters = this.querySelector(".phoneme b");
+    this.saying = this.querySelector(".phoneme span");
+    this.needle = this.querySelector(".arousal u");
+    this.list = this.querySelector("dl");
+    this.troubles = this.querySelector(".troubles");
+    this.undo = [onDraw((frame) => this.draw(frame)), onStatus((status) => this.tell(status))];
+  }
+
+  disconnectedCallback() {
+    this.undo.forEach((each) => each());
+  }
+
+  draw(frame) {
+    const name = frame.phoneme ?? "";
+    const text = name === "SIL" ? "" : name;
+    if (this.letters.textContent !== text) this.letters.textContent = text;
+    const colours = facts.groupColours?.[facts.phonemeGroups?.[text]] ?? ["#eef2f5", "#15202b"];
+    [this.letters.style.background, this.letters.style.color] = text ? colours : ["", ""];
+    const place = Math.round(50 + 50 * Math.min(1, Math.max(-1, frame.arousal)));
+    this.needle.style.left = `${place}%`;
+    const says = frame.cutOff ? "cut off: mouth shut" : frame.speaking ? "speaking" : "silent";
+    if (this.saying.textContent !== says) this.saying.textContent = says;
+  }
+
+  tell(status) {
+    this.list.innerHTML = rows(status)
+      .map(([word, value]) => `<dt>${escaped(word)}</dt><dd>${escaped(value)}</dd>`)
+      .join("");
+    const all = troubleLines(status);
+    const lines = all.slice(0, MOST_LINES);
+    if (all.length > lines.length) lines.push(`And ${all.length - lines.length} more: see Servos.`);
+    this.troubles.innerHTML = lines.map((line) => `<li>${escaped(line)}</li>`).join("");
+    this.troubles.classList.toggle("none", lines.length === 0);
+    if (!lines.length) this.troubles.innerHTML = "<li>No troubles.</li>";
+  }
+}
+
+/** [word, value] for each line. Pure. */
+export function rows(status) {
+  if (status === null) return [["face", "does not answer"]];
+  const said = [];
+  if (status.speaking) said.push(["says", status.speaking]);
+  else if (status.sound) said.push(["hears", status.sound]);
+  if (status.delay_ms !== null) said.push(["face after sound", shown(status.delay_ms, 0, "ms")]);
+  if (status.n_ticks !== null) said.push(["late ticks", lateWords(status.n_late, status.n_ticks)]);
+  if (status.recognizer) said.push(["listener", status.recognizer]);
+  if (status.output) said.push(["loudspeaker", status.output + (status.output_lost ? ": lost" : "")]);
+  return said;
+}
+
+/** `3 of 12,400`; a late tick is one that was skipped. Pure. */
+export function lateWords(nLate, nTicks) {
+  const late = nLate ?? 0;
+  return `${late.toLocaleString("en")} of ${(late + (nTicks ?? 0)).toLocaleString("en")}`;
+}
+
+/** What is not as it should be, a sentence each. Pure. */
+export function troubleLines(status) {
+  if (status === null) return ["The face does not answer."];
+  const lines = [...(status.troubles ?? [])];
+  if (status.plugged === false) lines.unshift("The port is gone: look at the plug.");
+  if (status.fallback_level > 0) {
+    const why = status.fallback_reasons?.at(-1);
+    lines.push(`A simpler listener is at work${why ? `: ${why}` : ""}.`);
+  }
+  if (status.output_lost) lines.push("The loudspeaker is gone; the mouth waits for it.");
+  if (status.n_lost_sound_blocks > 0) {
+    lines.push(`${counted(status.n_lost_sound_blocks, "block")} of sound of 10 ms not heard.`);
+  }
+  if (status.n_playout_underruns > 0) {
+    lines.push(`Speech came too late ${counted(status.n_playout_underruns, "time")}.`);
+  }
+  return lines;
+}
+
+customElements.define("face-facts", FaceFacts);

@@ -1,0 +1,98 @@
+// The robot from the front, moved by its servos' encoders: what it does, not what it was told.
+// Robot's left is the viewer's right. A servo that does not answer is hatched, never drawn as well.
+import { face, facts, onDraw, onHello } from "../link.js";
+import { drawFigure, figure, HATCH } from "./robot_figure.js";
+import { servoTrouble, shown, spoken } from "../words.js";
+
+const SIDES = ["left", "right"];
+
+/**
+ * Angles in the drawing's directions: {channel: {left, right}: {deg, well, isThere}}. Pure.
+ * rig: {servo: {channel, side, sign}}; encodersDeg: null where a servo never answered.
+ */
+export function pose(names, rig, encodersDeg, troubleOf) {
+  const moved = {};
+  names.forEach((name, i) => {
+    const { channel, side, sign } = rig[name] ?? {};
+    if (!channel) return;
+    const encoder = encodersDeg[i];
+    const one = { deg: sign * (encoder ?? 0), well: troubleOf(name, encoder) === null };
+    moved[channel] ??= {};
+    for (const each of side === "both" ? SIDES : [side]) moved[channel][each] = one;
+  });
+  return moved;
+}
+
+class FaceRobot extends HTMLElement {
+  connectedCallback() {
+    this.undo = [onHello((hello) => this.build(hello)), onDraw((frame) => this.draw(frame))];
+    window.robotView = this;
+  }
+
+  disconnectedCallback() {
+    this.undo.forEach((each) => each());
+  }
+
+  build(hello) {
+    const rig = facts.rig ?? {};
+    const channels = new Set(Object.values(rig).map((each) => each.channel));
+    const dials = hello.servos.filter((name) => !rig[name]?.channel);
+    this.innerHTML =
+      `<svg role="img" aria-label="the robot, as its encoders say">${HATCH}${figure(channels)}</svg>` +
+      `<div class="dials">${dials.map(dial).join("")}</div><p class="lost" hidden></p>`;
+    this.svg = this.querySelector("svg");
+    this.lost = this.querySelector(".lost");
+    this.dials = new Map([...this.querySelectorAll(".dial")].map((one) => [one.dataset.servo, one]));
+    this.channels = channels;
+    // The mouth fills the picture where there is nothing else.
+    this.svg.setAttribute("viewBox", hasHead(channels) ? "60 16 280 414" : "84 186 232 210");
+  }
+
+  draw(frame) {
+    if (!this.svg) return;
+    const names = face.hello.servos;
+    const trouble = (name, encoder) => servoTrouble(face.status, name, encoder);
+    this.pose = pose(names, facts.rig ?? {}, frame.encodersDeg, trouble);
+    this.drawn = drawFigure(this.svg, this.pose); // numbers of the drawing, for tests
+    this.svg.classList.toggle("gone", frame.servosGone);
+    const lost = [];
+    names.forEach((name, i) => {
+      const why = trouble(name, frame.encodersDeg[i]);
+      if (why) lost.push(spoken(name));
+      if (this.dials.has(name)) turn(this.dials.get(name), name, frame.encodersDeg[i], why);
+    });
+    const text = frame.servosGone ? "Nobody says where the servos are." : lostWords(lost);
+    this.lost.hidden = text === "";
+    if (this.lost.textContent !== text) this.lost.textContent = text;
+  }
+}
+
+/** Which parts are hatched, in a sentence. Pure. */
+export function lostWords(names) {
+  if (!names.length) return "";
+  const listed = names.slice(0, 4).join(", ") + (names.length > 4 ? ` and ${names.length - 4} more` : "");
+  return `Hatched: not driven or not answering: ${listed}.`;
+}
+
+function hasHead(channels) {
+  return [...channels].some((each) => /^(neck|eye|lid|brow)/.test(each ?? ""));
+}
+
+function dial(name) {
+  return (
+    `<div class="dial" data-servo="${name}"><svg viewBox="-32 -32 64 40">` +
+    '<path d="M-26 0A26 26 0 0 1 26 0" fill="none"/><line x1="0" y1="0" x2="0" y2="-24"/></svg>' +
+    `<span>${spoken(name)}</span><b></b></div>`
+  );
+}
+
+function turn(one, name, encoder, why) {
+  const { least_deg: least = -90, most_deg: most = 90 } = facts.servos?.[name] ?? {};
+  const share = encoder === null ? 0.5 : (encoder - least) / (most - least || 1);
+  const turned = -90 + 180 * Math.min(1, Math.max(0, share));
+  one.querySelector("line").setAttribute("transform", `rotate(${turned.toFixed(1)})`);
+  one.querySelector("b").textContent = encoder === null ? "no answer" : shown(encoder, 1, "°");
+  one.classList.toggle("unwell", why !== null);
+}
+
+customElements.define("face-robot", FaceRobot);

@@ -1,0 +1,54 @@
+// What states are called in plain words, and how numbers and texts are shown.
+
+const STATES = {
+  stopped: ["stopped: limp until it is started", "quiet"],
+  driven: ["driven", "good"],
+  silent: ["resting: limp until somebody speaks", "quiet"],
+  easing: ["stopping: easing to rest", "warn"],
+  frozen: ["stopped: frozen where it is", "warn"],
+  "letting go": ["letting go: torque goes off", "warn"],
+  ended: ["ended: limp", "quiet"],
+};
+
+/** [words, tone] of a face's state; tone: good, quiet, warn or bad. */
+export function stateWords(state) {
+  if (!state) return ["state unknown", "bad"];
+  return STATES[state] ?? [state, "warn"];
+}
+
+/** The state that a status tells, with the stop that a supervisor holds to. */
+export function statusWords(status) {
+  if (status === null) return ["no answer", "bad"];
+  if (status.stopped === "freeze") return STATES.frozen;
+  return stateWords(status.state);
+}
+
+/** Whether a servo is to be drawn as working. status: may be null; encoderDeg: null: never. */
+export function servoTrouble(status, name, encoderDeg) {
+  const state = status?.servos?.[name];
+  if (encoderDeg === null || encoderDeg === undefined) return "does not answer";
+  if (!state || state === "driven") return null;
+  const line = (status.troubles ?? []).find((each) => each.startsWith(`${name}:`));
+  return line ? line.slice(name.length + 1).trim() : state;
+}
+
+/** `upper_lip_left` as people say it. */
+export function spoken(name) {
+  return name.replaceAll("_", " ");
+}
+
+/** A number with so many places, or a dash where nobody knows. */
+export function shown(value, places = 0, unit = "") {
+  if (value === null || value === undefined || Number.isNaN(value)) return "–";
+  return `${value.toFixed(places)}${unit ? `\u202f${unit}` : ""}`;
+}
+
+/** Text as text: nothing in it is markup. */
+export function escaped(text) {
+  return String(text).replace(/[&<>"']/g, (sign) => `&#${sign.charCodeAt(0)};`);
+}
+
+/** A count in its grammatical number. */
+export function counted(n, one, many = `${one}s`) {
+  return `${n} ${n === 1 ? one : many}`;
+}

@@ -1,0 +1,34 @@
+// Reads what lipsync/twin/packed.py writes: a header in JSON, then arrays.
+
+const ARRAYS = { "<f4": Float32Array, "<u2": Uint16Array, u1: Uint8Array };
+const SCALED = { "<i2": Int16Array, i1: Int8Array };
+
+/** The header, with arrays in the place of what says where they lie; lengths in mm. */
+export function readAsset(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  const body = 4 + length;
+
+  function array({ at, count, type, step }) {
+    if (type in ARRAYS) return new ARRAYS[type](buffer, body + at, count);
+    const scaled = Float32Array.from(new SCALED[type](buffer, body + at, count));
+    // A loop: `from` with a function takes ten times as long.
+    for (let i = 0; i < count; i += 1) scaled[i] *= step;
+    return scaled;
+  }
+
+  for (const part of header.parts) {
+    for (const name of ["places", "triangles", "normals", "colours"]) part[name] = array(part[name]);
+    for (const morph of part.morphs) {
+      morph.moves = array(morph.moves);
+      morph.turns = array(morph.turns);
+    }
+  }
+  return header;
+}
+
+export async function loadAsset(url) {
+  const answer = await fetch(url);
+  if (!answer.ok) throw new Error(`${url}: ${answer.status}`);
+  return readAsset(await answer.arrayBuffer());
+}

@@ -1,0 +1,189 @@
+// The head in three.js, of NiceGUI's scene module. Draws only when something has changed.
+
+import { OrbitControls, THREE } from "nicegui-scene";
+import { eyeTexture } from "./eye_texture.js";
+import { lipGapMm } from "./pose.js";
+
+const BACKGROUND = 0xe9eef3;
+const LOOK_AT_MM = [0, -52, -45];
+const DISTANCE_MM = 640;
+const FIELD_OF_VIEW_DEG = 27;
+/** Light reaches the teeth when the lips are open: least, and from which gap to which. */
+const MOUTH_LIGHT = { least: 0.12, fromMm: 0.9, toMm: 5 };
+const IN_MOUTH = ["teeth_upper", "teeth_lower", "mouth"];
+const MATERIALS = {
+  skin: { roughness: 0.62 },
+  teeth_upper: { roughness: 0.35 },
+  teeth_lower: { roughness: 0.35 },
+  mouth: { roughness: 0.8, side: THREE.DoubleSide },
+  lids_left: { roughness: 0.7, side: THREE.DoubleSide },
+  lids_right: { roughness: 0.7, side: THREE.DoubleSide },
+  neck: { roughness: 0.6 },
+};
+
+/**
+ * Needs WebGL. Returns {show(pose), stop(), triangles, element}; onDrawn is called after every
+ * redraw. What a processor draws alone it draws without smoothing edges: that takes most of the time.
+ */
+export function makeHead(container, asset, onDrawn, { inSoftware }) {
+  const renderer = new THREE.WebGLRenderer({ antialias: !inSoftware });
+  renderer.setPixelRatio(inSoftware ? 1 : Math.min(window.devicePixelRatio, 2));
+  // Asking after errors waits for every shader to be compiled, one after the other.
+  renderer.debug.checkShaderErrors = false;
+  container.append(renderer.domElement);
+  const scene = new THREE.Scene();
+  scene.background = new THREE.Color(BACKGROUND);
+  light(scene);
+
+  const pivot = new THREE.Vector3(...asset.pivot_mm);
+  const head = new THREE.Group();
+  head.position.copy(pivot);
+  scene.add(head);
+  const meshes = asset.parts.map((part) => {
+    const mesh = meshOf(part, inSoftware);
+    if (part.stays) {
+      scene.add(mesh);
+    } else {
+      mesh.position.copy(pivot).negate();
+      head.add(mesh);
+    }
+    return mesh;
+  });
+  const inMouth = meshes.filter((mesh) => IN_MOUTH.includes(mesh.name));
+  const eyes = asset.eyes.map((eye) => {
+    const ball = eyeball(eye, inSoftware);
+    ball.position.set(...eye.centre_mm).sub(pivot);
+    head.add(ball);
+    return ball;
+  });
+
+  const camera = new THREE.PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 50, 4000);
+  camera.position.set(LOOK_AT_MM[0], LOOK_AT_MM[1] + 10, LOOK_AT_MM[2] + DISTANCE_MM);
+  const controls = new OrbitControls(camera, renderer.domElement);
+  controls.target.set(...LOOK_AT_MM);
+  controls.enablePan = false;
+  controls.minDistance = 250;
+  controls.maxDistance = 1500;
+  controls.update();
+
+  let waiting = null;
+  const draw = () => {
+    waiting = null;
+    if (!container.clientWidth) return; // it has no place yet: `fit` draws it once it has
+    renderer.render(scene, camera);
+    onDrawn();
+  };
+  const drawSoon = () => {
+    waiting ??= requestAnimationFrame(draw);
+  };
+  controls.addEventListener("change", drawSoon);
+  const size = new THREE.Vector2();
+  const fit = () => {
+    const { clientWidth, clientHeight } = container;
+    renderer.getSize(size);
+    const isAsBefore = size.x === clientWidth && size.y === clientHeight;
+    if (!clientWidth || !clientHeight || isAsBefore) return;
+    renderer.setSize(clientWidth, clientHeight);
+    camera.aspect = clientWidth / clientHeight;
+    camera.updateProjectionMatrix();
+    drawSoon();
+  };
+  renderer.compile(scene, camera);
+  const sizes = new ResizeObserver(fit);
+  sizes.observe(container);
+  fit();
+
+  return {
+    triangles: asset.parts[0].triangles.length / 3,
+    element: renderer.domElement,
+    show(pose) {
+      turn(head, pose.neckDeg);
+      for (const eye of eyes) turn(eye, pose.eyesDeg);
+      for (const mesh of meshes) {
+        mesh.userData.targets.forEach((name, k) => {
+          mesh.morphTargetInfluences[k] = pose.targets[name];
+        });
+      }
+      const light = mouthLight(lipGapMm(asset, pose.targets));
+      for (const mesh of inMouth) mesh.material.color.setScalar(light);
+      drawSoon();
+    },
+    stop() {
+      cancelAnimationFrame(waiting);
+      sizes.disconnect();
+      controls.dispose();
+      scene.traverse((each) => {
+        each.geometry?.dispose();
+        each.material?.map?.dispose();
+        each.material?.dispose();
+      });
+      renderer.dispose();
+      renderer.domElement.remove();
+    },
+  };
+}
+
+function mouthLight(gapMm) {
+  const { least, fromMm, toMm } = MOUTH_LIGHT;
+  return least + (1 - least) * THREE.MathUtils.smoothstep(gapMm, fromMm, toMm);
+}
+
+/** Pitch up, yaw to the face's own left, roll to its left shoulder; the face looks along +z. */
+function turn(object, { pitch, yaw, roll }) {
+  const angles = [-pitch, yaw, -roll].map((each) => THREE.MathUtils.degToRad(each));
+  object.rotation.set(...angles, "YXZ");
+}
+
+function meshOf(part, inSoftware) {
+  const geometry = new THREE.BufferGeometry();
+  const floats = (values) => new THREE.BufferAttribute(values, 3);
+  geometry.setAttribute("position", floats(part.places));
+  geometry.setAttribute("normal", floats(part.normals));
+  geometry.setAttribute("color", floats(linear(part.colours)));
+  geometry.setIndex(new THREE.BufferAttribute(part.triangles, 1));
+  geometry.morphTargetsRelative = true;
+  if (part.morphs.length) {
+    geometry.morphAttributes.position = part.morphs.map((morph) => floats(morph.moves));
+    // A processor alone would spend half of each picture on them.
+    if (!inSoftware) geometry.morphAttributes.normal = part.morphs.map((morph) => floats(morph.turns));
+  }
+  const material = materialOf({ vertexColors: true, ...MATERIALS[part.name] }, inSoftware);
+  const mesh = new THREE.Mesh(geometry, material);
+  mesh.name = part.name;
+  mesh.frustumCulled = false;
+  mesh.userData.targets = part.morphs.map((morph) => morph.name);
+  return mesh;
+}
+
+/** A surface that shines; a processor alone takes seconds for that, and draws a matt one. */
+function materialOf({ roughness, ...look }, inSoftware) {
+  if (inSoftware) return new THREE.MeshLambertMaterial(look);
+  return new THREE.MeshStandardMaterial({ ...look, roughness });
+}
+
+function eyeball(eye, inSoftware) {
+  const geometry = new THREE.SphereGeometry(eye.radius_mm, 48, 40).rotateX(Math.PI / 2);
+  const map = new THREE.CanvasTexture(eyeTexture(eye.iris_radius_mm, eye.radius_mm));
+  map.colorSpace = THREE.SRGBColorSpace;
+  return new THREE.Mesh(geometry, materialOf({ map, roughness: 0.18 }, inSoftware));
+}
+
+/** sRGB bytes to linear shares. */
+function linear(bytes) {
+  const shares = Float32Array.from({ length: 256 }, (_, byte) => ((byte / 255 + 0.055) / 1.055) ** 2.4);
+  const found = new Float32Array(bytes.length);
+  for (let i = 0; i < bytes.length; i += 1) found[i] = shares[bytes[i]];
+  return found;
+}
+
+function light(scene) {
+  scene.add(new THREE.HemisphereLight(0xffffff, 0xb59a8c, 1.5));
+  const from = (x, y, z, strength, colour) => {
+    const lamp = new THREE.DirectionalLight(colour, strength);
+    lamp.position.set(x, y, z);
+    scene.add(lamp);
+  };
+  from(-350, 420, 600, 1.7, 0xfff4e8);
+  from(500, 120, 400, 0.6, 0xe8f0ff);
+  from(200, 300, -500, 0.9, 0xffffff);
+}

@@ -1,0 +1,105 @@
+"""The mouth's servos with torque off, for somebody who turns them with the fingers.
+
+Torque is only ever switched off here, so that whatever ends the program leaves it off.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.clock import Clock
+from firmware_bridge.errors import PortError
+from firmware_bridge.stopping import StopReport
+from lipservo.settings.settings import FaceSettings
+from lipsync.arrays import Array
+
+#: Torque off is asked for so often before a servo counts as not having confirmed it.
+_TRIES: Final = 3
+#: How often encoders are read, and for how long a pose must have stood: fingers tremble faster.
+LOOK_EVERY_S: Final = 0.05
+_STEADY_LOOKS: Final = 7
+#: Held joints wander by less, play included; more is a hand that is still moving.
+_STEADY_DEG: Final = 1.0
+_HOLDS: Final = "holds: its torque is on; who else drives it?"
+_MOVES: Final = "still moves; hold it still"
+_SILENT: Final = "does not answer; check its power and cable"
+
+
+@dataclass(frozen=True, slots=True)
+class LimpPose:
+    """Where the fingers hold the joints. positions_deg: (n_servos,), NaN for one never heard.
+
+    obstacles: by the name of a servo, why the pose cannot be kept; none: it can.
+    """
+
+    positions_deg: Array
+    obstacles: dict[str, str]
+
+
+class LimpServos:
+    """The mouth's servos of an open bus, in the order of the YAML. Others stay as they are."""
+
+    def __init__(self, settings: FaceSettings, bus: ServoBus, clock: Clock) -> None:
+        """settings: of the face that the bus was made for."""
+        self.names = tuple(settings.mouth_servos)
+        self._bus, self._clock = bus, clock
+        self._indices = [list(settings.servos).index(name) for name in self.names]
+
+    def let_go(self) -> StopReport:
+        """Torque off in each, read back; who did not confirm is named. Never raises PortError."""
+        confirmed, unconfirmed = [], {}
+        for name, index in zip(self.names, self._indices, strict=True):
+            try:
+                limp = any(self._bus.disable_torque(index) for _ in range(_TRIES))
+            except PortError as error:
+                unconfirmed[name] = str(error)
+                continue
+            if limp:
+                confirmed.append(name)
+            else:
+                unconfirmed[name] = _SILENT
+        return StopReport(tuple(confirmed), unconfirmed)
+
+    def look(self) -> LimpPose:
+        """Where the joints are now, and who cannot be believed. Raises PortGone."""
+        said = self._bus.read()
+        positions_deg = said.positions_deg[self._indices]
+        silent, held = said.missing[self._indices], said.torque_on[self._indices]
+        obstacles: dict[str, str] = {}
+        for n, name in enumerate(self.names):
+            if silent[n]:
+                obstacles[name] = _SILENT
+            elif held[n]:
+                obstacles[name] = _HOLDS
+        return LimpPose(positions_deg, obstacles)
+
+    def steady_pose(self) -> LimpPose:
+        """The median of the next 0.3 s; who moves meanwhile is in the way too. Raises PortGone.
+
+        A lost sample or two are no silence.
+        """
+        looks = []
+        for n in range(_STEADY_LOOKS):
+            if n:
+                self._clock.sleep_until(self._clock.now() + LOOK_EVERY_S)
+            looks.append(self.look())
+        places_deg: list[float] = []
+        obstacles: dict[str, str] = {}
+        for n, name in enumerate(self.names):
+            told = [look.obstacles.get(name, "") for look in looks]
+            heard_deg = [
+                float(look.positions_deg[n])
+                for look in looks
+                if look.obstacles.get(name) != _SILENT
+            ]
+            places_deg.append(float(np.median(heard_deg)) if heard_deg else math.nan)
+            if _HOLDS in told:
+                obstacles[name] = _HOLDS
+            elif 2 * len(heard_deg) < len(looks):
+                obstacles[name] = _SILENT
+            elif np.ptp(heard_deg) > _STEADY_DEG:
+                obstacles[name] = _MOVES
+        return LimpPose(np.array(places_deg), obstacles)

@@ -1,0 +1,165 @@
+"""Pictures of a camera, by PyAV, each with the time on the monotonic clock at which it was taken.
+
+What FFmpeg's v4l2 input says is the kernel's own time stamp, on the same clock. What counts
+otherwise is brought there by the frames that came soonest. A file or FFmpeg's lavfi generators may
+stand in for a camera; their pictures are handed out at the pace of their time stamps.
+"""
+
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from lipsync.errors import UserError
+from lipsync.extras import check_extra
+
+#: FFmpeg's picture (av.VideoFrame) and the monotonic time at which it was taken.
+Frame = tuple[float, Any]
+
+GENERATED = "lavfi:"
+#: A time stamp that is older than this when its picture arrives is of another clock.
+_OLDEST_S = 2.0
+#: The least delay of so many frames tells where another clock's zero lies: five seconds.
+_REMEMBERED = 150
+#: A camera that has given nothing for so long has failed, in microseconds for FFmpeg.
+_PATIENCE_S = 5.0
+
+
+class CameraError(UserError):
+    """A camera that cannot be had or has failed; one line: which, why, what to do."""
+
+
+class Camera(Protocol):
+    """Pictures as they come. Use it as a context manager: it holds the device."""
+
+    @property
+    def name(self) -> str:
+        """What was asked for."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Pictures a second that it promises."""
+
+    def frames(self) -> Iterator[Frame]:
+        """(monotonic seconds, picture) until the camera fails (CameraError) or a file ends."""
+
+    def __enter__(self) -> "Camera": ...
+
+    def __exit__(self, *exc: object) -> None: ...
+
+
+@dataclass(frozen=True, slots=True)
+class CameraMode:
+    """width, height in pixels; rate_hz: pictures a second."""
+
+    width: int = 1280
+    height: int = 720
+    rate_hz: float = 30.0
+
+
+class AvCamera:
+    """A camera, or what stands in for one.
+
+    wanted: a number or the path of a device; `lavfi:GRAPH` or a video file to try without one.
+    Raises CameraError from `__enter__` where it cannot be opened.
+    """
+
+    def __init__(
+        self,
+        wanted: str,
+        mode: CameraMode | None = None,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        check_extra("av", "recording a camera")
+        self._wanted, self._mode = wanted, mode or CameraMode()
+        self._clock, self._sleep = clock, sleep
+        self._stands_in = wanted.startswith(GENERATED) or Path(wanted).is_file()
+
+    @property
+    def name(self) -> str:
+        """What was asked for."""
+        return self._wanted
+
+    @property
+    def rate_hz(self) -> float:
+        """Pictures a second, as the camera says."""
+        return float(self._stream.average_rate or self._mode.rate_hz)
+
+    def __enter__(self) -> "AvCamera":
+        import av
+
+        reason = ""
+        for source, settings in self._ways():
+            try:
+                self._container = av.open(source, timeout=_PATIENCE_S, **settings)
+                self._stream = self._container.streams.video[0]
+            except (av.FFmpegError, ValueError, IndexError) as error:
+                reason = reason or getattr(error, "strerror", None) or str(error)
+            else:
+                return self
+        raise CameraError(
+            f"camera {self.name!r} cannot be opened ({reason}); close what else uses it, or name "
+            "another with --camera"
+        )
+
+    def __exit__(self, *exc: object) -> None:
+        self._container.close()
+
+    def frames(self) -> Iterator[Frame]:
+        """(monotonic seconds, picture); CameraError when the camera fails."""
+        import av
+
+        place = self._at_its_pace if self._stands_in else StampClock().time_s
+        try:
+            for frame in self._container.decode(self._stream):
+                if frame.time is not None:
+                    yield place(float(frame.time), self._clock()), frame
+        except av.FFmpegError as error:
+            raise CameraError(
+                f"camera {self.name!r} has failed ({error.strerror}); plug it in again"
+            ) from error
+
+    def _at_its_pace(self, stamp_s: float, now_s: float) -> float:
+        """A file's pictures come when they are due; the first one is now."""
+        self._begun_s = getattr(self, "_begun_s", now_s - stamp_s)
+        due_s = self._begun_s + stamp_s
+        self._sleep(max(0.0, due_s - now_s))
+        return due_s
+
+    def _ways(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """What to open, the best way first."""
+        if self._wanted.startswith(GENERATED):
+            yield self._wanted.removeprefix(GENERATED), {"format": "lavfi"}
+            return
+        if self._stands_in:
+            yield self._wanted, {}
+            return
+        size = {"video_size": f"{self._mode.width}x{self._mode.height}"}
+        rate = {"framerate": f"{self._mode.rate_hz:g}"}
+        if sys.platform == "darwin":
+            yield self._wanted, {"format": "avfoundation", "options": size | rate}
+            return
+        device = f"/dev/video{self._wanted}" if self._wanted.isdecimal() else self._wanted
+        # Uncompressed pictures of this size are too much for USB 2 at 30 a second.
+        for options in ({"input_format": "mjpeg"} | size | rate, size | rate, {}):
+            yield device, {"format": "v4l2", "options": options}
+
+
+class StampClock:
+    """Time stamps of a camera, on the monotonic clock."""
+
+    def __init__(self) -> None:
+        self._ahead_s: deque[float] = deque(maxlen=_REMEMBERED)
+
+    def time_s(self, stamp_s: float, now_s: float) -> float:
+        """When a picture was taken that has arrived at `now_s`."""
+        if 0.0 <= now_s - stamp_s < _OLDEST_S:
+            return stamp_s
+        self._ahead_s.append(now_s - stamp_s)
+        return stamp_s + min(self._ahead_s, default=math.nan)

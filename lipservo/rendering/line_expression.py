@@ -1,0 +1,94 @@
+"""Head, eyes, lids and brows of a line that is known to its end, as its face moves them live.
+
+What knowing the end changes: the voice is judged by the whole line's own loudness and pitch, not
+by what was said so far; a turn is over when its last phone is, not 0.3 s later; and the head is no
+later than a human one.
+"""
+
+from collections.abc import Iterator, Sequence
+from hashlib import sha256
+from itertools import chain, repeat
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo.face.assembly import load_settings
+from lipservo.speech.face_expression import expression_source
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
+from lipsync.offline.line_methods import Line
+from lipsync.offline.performance import EXPRESSION_NAMES, RATE_HZ
+from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
+from lipsync.prosody.voice_tracker import VoiceTracker
+
+#: A live head's velocity follows loudness 50 ms late, with this 20 ms (eight lines of LibriSpeech);
+#: a human one's 30 ms (docs/expression.md).
+_LEAD_S: Final = 0.03
+#: Before its line the face listens so long: it begins in the middle of a conversation.
+_BEFORE_S: Final = 3.0
+#: A shorter pause is one within a sentence.
+_PAUSE_S: Final = 0.3
+
+
+def line_expression(face: str, line: Line, n_frames: int) -> dict[str, NDArray[np.float32]]:
+    """Of every name of `EXPRESSION_NAMES` the values (n_frames,) at i / 100 s of sound time.
+
+    face: whose expression, by the name of a shipped face or its YAML. The same line always moves
+    the same, another one otherwise. Raises SettingsError, ExpressionModelError.
+    """
+    settings, folder = load_settings(face)
+    seed = settings.expression.seed ^ int.from_bytes(sha256(line.samples.tobytes()).digest()[:4])
+    source = expression_source(settings, folder, seed)
+    n_before = round(_BEFORE_S * RATE_HZ)
+    voices = voice_frames(line.samples)[round(_LEAD_S * RATE_HZ) :]
+    heard = chain(repeat(SILENT_VOICE, n_before), voices, repeat(SILENT_VOICE))
+    silences_s = chain(repeat(_PAUSE_S, n_before), silent_s(line.events, n_frames))
+    shown = np.empty((n_frames, len(EXPRESSION_NAMES)), dtype=np.float32)
+    for n, quiet_s in enumerate(silences_s):
+        voice = next(heard)
+        cue = ExpressionCue(
+            time_s=n * CUE_PERIOD_S,
+            voice=voice,
+            is_speaking=quiet_s == 0.0,
+            silent_s=quiet_s,
+            arousal=voice.arousal,
+        )
+        expression = source.step(cue)
+        if n >= n_before:
+            shown[n - n_before] = [getattr(expression, name) or 0.0 for name in EXPRESSION_NAMES]
+    return dict(zip(EXPRESSION_NAMES, shown.T.copy(), strict=True))
+
+
+def voice_frames(samples: NDArray[np.float32]) -> list[VoiceFrame]:
+    """One for each 10 ms of 16 kHz samples, against the baselines of all of them."""
+    tracker = VoiceTracker()
+    for _ in range(2):  # once to learn what is usual in this line
+        frames = [tracker.feed(block) for block in _blocks(samples)]
+    return frames
+
+
+def silent_s(events: Sequence[PhonemeEvent], n_frames: int) -> Iterator[float]:
+    """For each 10 ms how long nobody has spoken, as the face counts it: 0 in a sentence."""
+    spoken = [event for event in events if event.phoneme != SILENCE]
+    end_s = -np.inf  # of what was said so far
+    ahead = iter(spoken)
+    coming = next(ahead, None)
+    for n in range(n_frames):
+        time_s = n / RATE_HZ
+        while coming is not None and coming.start_s <= time_s:
+            end_s = max(end_s, time_s if coming.end_s is None else coming.end_s)
+            coming = next(ahead, None)
+        begins_s = np.inf if coming is None else coming.start_s
+        if time_s < end_s or begins_s - end_s < _PAUSE_S:
+            yield 0.0
+        else:
+            # As long as a hearer needs to take a silence for an end.
+            yield _PAUSE_S + (time_s - end_s if np.isfinite(end_s) else time_s)
+
+
+def _blocks(samples: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
+    n_block = round(SAMPLE_RATE_HZ * CUE_PERIOD_S)
+    for start in range(0, len(samples), n_block):
+        yield samples[start : start + n_block]

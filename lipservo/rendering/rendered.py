@@ -1,0 +1,108 @@
+"""One sound file becomes one performance file."""
+
+import time
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from lipservo.face.assembly import load_settings
+from lipservo.rendering.line_expression import line_expression
+from lipservo.rendering.spoken_line import Script, spoken_line
+from lipservo.speech.face_expression import check_expression
+from lipsync.arrays import Array
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.expectation.expectation_file import read_expectation
+from lipsync.face.model import read_face
+from lipsync.face.model_file import open_model
+from lipsync.offline.line_methods import Line, LineMethod, Speaker, line_synthesizer
+from lipsync.offline.offline_model_file import load_offline_model
+from lipsync.offline.performance import RATE_HZ, Performance, performed_sound
+from lipsync.offline.performance_file import write_performance
+from lipsync.offline.wrapped_line import shown_faces
+
+
+@dataclass(frozen=True, slots=True)
+class Rendering:
+    """How lines are rendered. model, offline: files; None: the shipped ones.
+
+    includes_sound: whether the sound goes into the file, or is named in it with its checksum.
+    expression: the face, by name or YAML, whose head and eyes are stored too; None: none are.
+    """
+
+    method: LineMethod
+    strength: float = 1.0
+    model: Path | None = None
+    offline: Path | None = None
+    includes_sound: bool = True
+    expression: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """What became of a line: duration_s of sound, seconds it took, and notes for a person."""
+
+    output: Path
+    duration_s: float
+    n_phonemes: int
+    seconds: float
+    notes: tuple[str, ...]
+
+
+def render(sound: Path, script: Script, output: Path, how: Rendering) -> Rendered:
+    """Render a sound to a performance file, whole or not at all.
+
+    Raises UserError: in one line what is wrong with the sound, what is known of it, or a model.
+    """
+    performance, done = rendered_line(sound, script, how)
+    write_performance(performance, output)
+    return replace(done, output=output)
+
+
+def rendered_line(sound: Path, script: Script, how: Rendering) -> tuple[Performance, Rendered]:
+    """The same, not yet written: `output` is the sound still. Raises UserError."""
+    speaker = load_speaker(how.model, how.offline)
+    line, heard_notes = spoken_line(sound, script)
+    began_s = time.perf_counter()
+    faces, notes = rendered_faces(speaker, line, how.method, how.strength)
+    performance = Performance(
+        speaker.face.checksum,
+        faces.astype(np.float32),
+        line.events,
+        performed_sound(sound, included=how.includes_sound),
+        how.method,
+        {} if how.expression is None else line_expression(how.expression, line, len(faces)),
+    )
+    seconds = time.perf_counter() - began_s
+    duration_s = len(line.samples) / SAMPLE_RATE_HZ
+    told = (*heard_notes, *notes)
+    return performance, Rendered(sound, duration_s, len(line.events), seconds, told)
+
+
+def rendered_faces(
+    speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
+) -> tuple[Array, tuple[str, ...]]:
+    """Faces (n, n_components), 100 a second from 0 to the end of the sound, and notes."""
+    synthesizer, notes = line_synthesizer(speaker, line, method, strength)
+    n_frames = int(np.ceil(len(line.samples) / SAMPLE_RATE_HZ * RATE_HZ)) + 1
+    return shown_faces(synthesizer, np.arange(n_frames) / RATE_HZ), tuple(notes)
+
+
+def check_expression_of(face: str) -> None:
+    """Refuse now what every line would refuse. Raises SettingsError, ExpressionModelError."""
+    check_expression(*load_settings(face))
+
+
+@cache
+def load_speaker(model: Path | None, offline: Path | None) -> Speaker:
+    """Face, expectation and offline model, once a process.
+
+    Raises ModelError, and OfflineModelError for one that was made for another face.
+    """
+    with open_model(model) as file:
+        face = read_face(file)
+        expectation = read_expectation(file, face.n_components)
+    found = load_offline_model(offline)
+    found.check_face(face, str(offline or "the shipped offline model"))
+    return Speaker(face, expectation, found)

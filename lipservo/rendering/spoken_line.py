@@ -1,0 +1,79 @@
+"""What is said in a sound file: by a file of phones, by its text, or by the recogniser."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from lipservo.street.settled_phonemes import settled_events
+from lipsync.audio.file import FileSource
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
+from lipsync.offline.line_methods import Line
+from lipsync.offline.stored_units import joined_phones
+from lipsync.phoneme_files.reader import read_known_phonemes
+from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.recognition.alignment.forced_alignment import AlignmentError, align
+from lipsync.recognition.alignment.goodness_of_pronunciation import (
+    DOUBTFUL_SCORE,
+    LEAST_SCORE,
+    goodness_of_pronunciation,
+)
+from lipsync.recognition.speech_file import read_speech
+
+#: A line is heard whole: a longer sound is cut into lines by whoever knows where they end.
+LONGEST_LINE_S = 300.0
+
+
+class LineError(UserError):
+    """A sound that cannot be rendered as a line; one line: which, why, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """What is known of a sound. phones: a file of phones with times. text: what is said.
+
+    With neither the recogniser listens.
+    """
+
+    phones: Path | None = None
+    text: str | None = None
+
+
+def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
+    """The line, its phones end to end, and notes for a person.
+
+    Raises SoundError, LabelError, AlignmentError, PronunciationError, and LineError for a sound
+    longer than `LONGEST_LINE_S` and for labels of another sound.
+    """
+    duration_s = FileSource(sound).duration_s
+    if duration_s > LONGEST_LINE_S:
+        raise LineError(
+            f"{sound}: {duration_s:.0f} s long; a line is at most {LONGEST_LINE_S:.0f} s, cut it "
+            "into lines"
+        )
+    notes: list[str] = []
+    samples = read_speech(sound, notes.append)
+    duration_s = len(samples) / SAMPLE_RATE_HZ
+    events: tuple[PhonemeEvent, ...]
+    if script.phones is not None:
+        events = read_known_phonemes(script.phones)
+        if events and events[-1].start_s > duration_s:
+            raise LineError(
+                f"{script.phones}: its last phoneme begins at {events[-1].start_s:.2f} s, {sound} "
+                f"is {duration_s:.2f} s long; give the labels of this sound"
+            )
+    elif script.text is not None:
+        events = align(samples, script.text).phones
+        score = goodness_of_pronunciation(samples, events)
+        if score < LEAST_SCORE:
+            raise AlignmentError(
+                f"{sound}: this text is not what is said there: it scores {score:.2f}, what is "
+                f"said scores above {LEAST_SCORE}; check the text"
+            )
+        if score < DOUBTFUL_SCORE:
+            notes.append(f"the text fits badly (score {score:.2f})")
+    else:
+        events = tuple(settled_events(FileSource(sound), "network", warn=notes.append))
+    phones = joined_phones(events, duration_s)
+    if all(event.phoneme == SILENCE for event in phones):
+        notes.append("nobody speaks: the mouth stays at rest")
+    return Line(phones, samples), tuple(notes)

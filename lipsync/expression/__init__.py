@@ -1,0 +1,1 @@
+"""Head, gaze, lids and brows, live: what a face does besides its mouth."""

@@ -1,0 +1,113 @@
+"""Head, gaze, lids, brows and smile of a face, live: all generators together."""
+
+from random import Random
+from typing import Final
+
+from lipsync.expression import affect
+from lipsync.expression.alertness import Alertness
+from lipsync.expression.blinks import Blinks
+from lipsync.expression.bounded import bounded, toward
+from lipsync.expression.brow_flashes import BrowFlashes
+from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
+from lipsync.expression.damped_follower import DampedFollower
+from lipsync.expression.eye_head import eyes_deg
+from lipsync.expression.gaze import Gaze, listening_habit, talking_habit
+from lipsync.expression.head_pose import HeadPose
+from lipsync.expression.lid_position import lid_position
+from lipsync.face.frame import Expression
+
+_BROW_HZ, _BROW_PER_S = 4.0, 12.0
+_MOOD_HZ, _MOOD_PER_S = 0.6, 4.0
+#: Blinks of their own accord; with those at saccades and ends of speech there are 24 a minute
+#: in talk and 15 in silence (docs/expression.md).
+_TALKING_BLINKS, _SILENT_BLINKS, _IDLE_BLINKS = 21.0, 13.0, 11.0
+#: Fixations last so much longer where nobody speaks.
+_IDLE_PACE = 0.4
+_MOST_AMOUNT = 1.5
+#: A changed amount is there after as long a time for each 1 of change; so is rest.
+_AMOUNT_S = 1.0
+_NEUTRAL: Final = Expression(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class LiveExpression:
+    """Parametric generators of everything but the mouth; an `ExpressionSource`.
+
+    Causal; state and a seeded generator only, so that the same cues give the same motion. What a
+    cue says beyond its bounds counts as the bound, and what is not a number as 0.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        *,
+        talking_mutual_share: float = 0.41,
+        listening_mutual_share: float = 0.75,
+        idle_after_s: float = 4.0,
+        rest_after_s: float = 600.0,
+    ) -> None:
+        """Shares: of the time, 0.05 to 1, for which gaze is on the partner.
+
+        idle_after_s, rest_after_s: how long nobody has spoken when conversation motion gives way
+        to idle motion, and when the face goes to neutral and stays there. Raises ValueError for a
+        share that is not allowed.
+        """
+        self._alertness = Alertness(idle_after_s, rest_after_s)
+        self._head = HeadPose(seed)
+        talking = talking_habit(talking_mutual_share)
+        self._gaze = Gaze(Random(f"{seed} gaze"), talking, listening_habit(listening_mutual_share))
+        self._blinks = Blinks(Random(f"{seed} blinks"))
+        self._flashes = BrowFlashes(Random(f"{seed} brows"))
+        self._brow = DampedFollower(_BROW_HZ, _BROW_PER_S)
+        self._lid_offset = DampedFollower(_MOOD_HZ, _MOOD_PER_S)
+        self._smile = DampedFollower(_MOOD_HZ, _MOOD_PER_S)
+        self._rests = False
+        self._amount = 0.0
+        self.is_resting = False
+
+    def step(self, cue: ExpressionCue) -> Expression:
+        """The expression of the cue's moment; call it once for each, every CUE_PERIOD_S.
+
+        `is_resting` says afterwards whether the face is at neutral and stays there until somebody
+        speaks or moves: then torque may be released without a jump.
+        """
+        alertness = self._alertness
+        alertness.hear(cue)
+        rests, rested = alertness.wants_rest, self._rests
+        self._rests = rests
+        if rests and not rested:
+            self._head.settle()
+            self._gaze.look()
+        wanted = 0.0 if rests else bounded(cue.amount, 0.0, _MOST_AMOUNT)
+        self._amount = amount = toward(self._amount, wanted, CUE_PERIOD_S / _AMOUNT_S)
+        arousal = 0.0 if rests else bounded(cue.arousal, -1.0, 1.0)
+        size = min(1.0, amount)
+        blink = self._look(arousal, wanted)
+        pitch_deg, yaw_deg, roll_deg = self._head.step(
+            cue, alertness, self._gaze, amount, affect.head_gain(arousal)
+        )
+        eye_yaw_deg, eye_pitch_deg = eyes_deg(self._gaze.direction_deg, yaw_deg, pitch_deg)
+        offset = self._lid_offset.follow(size * affect.lid_offset(arousal))
+        lid = lid_position(eye_pitch_deg, offset, size, blink)
+        brow = self._flashes.step(cue.voice, cue.is_speaking, alertness.is_idle)
+        brow = self._brow.follow(bounded(amount * (brow + affect.brow_raise(arousal)), 0.0, 1.0))
+        smile = self._smile.follow(size * bounded(cue.valence, -1.0, 1.0))
+        expression = Expression(
+            pitch_deg, yaw_deg, roll_deg, eye_pitch_deg, eye_yaw_deg, lid, lid, brow, smile
+        )
+        self.is_resting = rests and expression == _NEUTRAL
+        return expression
+
+    def _look(self, arousal: float, amount: float) -> float:
+        """Moves gaze; how far the lids are shut by blinking."""
+        alertness, gaze = self._alertness, self._gaze
+        gaze.turn(alertness.is_speaking)
+        if alertness.has_turned:
+            gaze.look()
+        pace = _IDLE_PACE if alertness.is_idle else affect.gaze_pace(arousal)
+        gaze.step(alertness.partner_deg, pace, amount)
+        rate_per_min = 0.0
+        if amount > 0.0:
+            silent = _SILENT_BLINKS + (_IDLE_BLINKS - _SILENT_BLINKS) * (1.0 - alertness.awake)
+            rate_per_min = silent + (_TALKING_BLINKS - silent) * alertness.talking
+            rate_per_min *= affect.blink_gain(arousal)
+        return self._blinks.step(rate_per_min, alertness.turn_ended, gaze.saccade_deg)

@@ -1,0 +1,149 @@
+"""AnimPhos near the expectation, joined as the paper joins, over a revisable stream of phonemes.
+
+An AnimPho is chosen at its phone's onset and again whenever more becomes known of the phonemes
+around; what is left of the phone then begins where the mouth is, at the speed that it has. Two
+departures from the paper's equations, both for the sake of the expectation: an AnimPho is moved, as
+a whole, to where the mouth is expected, and it is joined sooner than at the phone's end
+(decisions/0028).
+"""
+
+import math
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+import numpy as np
+
+from lipsync.animpho.blending import (
+    blend,
+    choose_connected,
+    remaining,
+    sample_derivatives,
+    translate,
+)
+from lipsync.animpho.guided_selection import GuidedSelection, Joint, SelectionCosts
+from lipsync.animpho.trajectory import Trajectory, ease
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
+from lipsync.arrays import Array
+from lipsync.expectation.context import PhonemeTrack, context_at, track_of
+from lipsync.expectation.expectation import Expectation
+from lipsync.motion.phone_span import PhoneSpan, span_at
+from lipsync.motion.rest_plan import RESTING_S
+from lipsync.motion.tick_plan import TICK_S, TickPlan
+
+#: Of what is left of a phone it takes this long to become its AnimPho, s, or all of it where it is
+#: shorter. A shorter rest of a phone than `_SHORTEST_S` is begun as if it were as long.
+JOINED_S = 0.02
+_SHORTEST_S = 0.04
+#: The expectation at a phone's end is asked for so much before: there it is still that phone's.
+_BEFORE_THE_END_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    """What is played until more becomes known.
+
+    known: all that it was planned from. phoneme: None at rest; begun_s: when the first stretch of
+    its phone began. animpho: a_t; previous: a_{t-1}; None at rest.
+    """
+
+    trajectory: Trajectory
+    known: Hashable
+    phoneme: str | None
+    begun_s: float
+    animpho: int | None
+    previous: int | None
+
+
+class UnitMotion:
+    """Faces out of AnimPhos, at any time; who asks says what the phonemes are."""
+
+    def __init__(
+        self,
+        units: AnimPhoUnits,
+        expectation: Expectation,
+        known_s: float,
+        costs: SelectionCosts | None = None,
+    ) -> None:
+        """known_s: how far beyond its tick a decision may look, s."""
+        self._units = units
+        self._known_phonemes = units.known_phonemes
+        self._selection = GuidedSelection(units, costs)
+        self._expectation = expectation
+        self._known_s = known_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        rest = self._units.rest
+        closed = ease(0.0, RESTING_S, rest, np.zeros_like(rest), rest)
+        self._ticks = TickPlan(_Stretch(closed, None, None, -math.inf, None, None))
+        self._track = track_of(())
+
+    def at(self, time_s: float, track: PhonemeTrack) -> Array | None:
+        """The face (n_components,) with the phonemes as they are believed now.
+
+        None for a time that is too long ago.
+        """
+        self._track = track
+        stretch = self._ticks.at(time_s, self._decide)
+        return None if stretch is None else stretch.trajectory.at(time_s)[0]
+
+    def _decide(self, time_s: float, last: _Stretch) -> _Stretch:
+        """What plays in the tick that ends at `time_s`, from what is known then.
+
+        The whole tick belongs to the phone that goes on at its end.
+        """
+        context = context_at(self._track, time_s, time_s + self._known_s)
+        span = span_at(context, time_s, self._known_s, self._known_phonemes)
+        # A guess of the end moves on with the time and is no news.
+        end_s = round(span.end_s, 6) if span.is_known else None
+        known = (span.phoneme, end_s, *context[0])
+        if known == last.known and (
+            span.phoneme is None
+            or (span.onset_s <= last.begun_s and time_s <= last.trajectory.end_s)
+        ):
+            return last
+        begin_s = time_s - TICK_S
+        position, speed = last.trajectory.at(begin_s)
+        if span.phoneme is None:
+            rest = ease(begin_s, RESTING_S, position, speed, self._units.rest)
+            return _Stretch(rest, known, None, begin_s, None, None)
+        previous, begun_s = last.animpho, time_s
+        if span.phoneme == last.phoneme and span.onset_s <= last.begun_s:
+            previous, begun_s = last.previous, last.begun_s
+        end_s = max(span.end_s, begin_s + _SHORTEST_S)
+        phone_s = end_s - span.start_s
+        share = max(0.0, (begin_s - span.start_s) / phone_s)
+        joint = Joint(share, position, speed, phone_s, previous)
+        target = self._target(span, joint, time_s + self._known_s)
+        chosen = self._selection.choose(span.phoneme, target, joint)
+        trajectory = self._joined(chosen, target, joint, begin_s)
+        return _Stretch(trajectory, known, span.phoneme, begun_s, chosen, previous)
+
+    def _target(self, span: PhoneSpan, joint: Joint, known_until_s: float) -> Array:
+        """(r, n_components): what is expected at the sample times to come, as far as known."""
+        shares = np.arange(joint.n_passed, SAMPLES_PER_ANIMPHO) / (SAMPLES_PER_ANIMPHO - 1)
+        times_s = np.minimum(span.start_s + shares * joint.phone_s, span.end_s - _BEFORE_THE_END_S)
+        found = [context_at(self._track, float(t), known_until_s) for t in times_s]
+        return self._expectation.faces(
+            np.array([phonemes for phonemes, _ in found]),
+            np.array([since_s for _, since_s in found]),
+            np.maximum(0.0, known_until_s - times_s),
+        )
+
+    def _joined(self, chosen: int, target: Array, joint: Joint, begin_s: float) -> Trajectory:
+        """From the mouth as it is to the end of the chosen AnimPho, moved to its target."""
+        units = self._units
+        connected = chosen
+        if joint.previous is not None:
+            connected = choose_connected(units, joint.previous, chosen)
+        samples = units.samples[chosen]
+        moved = samples + (target - samples[joint.n_passed :]).mean(axis=0)
+        left_s = (1.0 - joint.share) * joint.phone_s
+        joined = blend(
+            translate(remaining(units.samples[connected], joint.share), joint.position),
+            remaining(moved, joint.share),
+            min(1.0, JOINED_S / left_s),
+        )
+        first = joint.speed * (left_s / (SAMPLES_PER_ANIMPHO - 1))
+        return Trajectory(begin_s, left_s, joined, sample_derivatives(joined, first))

@@ -1,0 +1,167 @@
+"""Offline model files: one `.npz` without pickle, versioned, written whole or not at all."""
+
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import fields
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.damaged_archive import UNREADABLE
+from lipsync.offline.array_archive import opened
+from lipsync.offline.offline_model import OfflineModel, OfflineModelError
+from lipsync.offline.sound_expectation import SoundExpectation
+from lipsync.offline.state_model import StateModel, Units
+from lipsync.offline.voice_likeness import VoiceLikeness
+from lipsync.output_file import write_whole
+from lipsync.phonemes import PHONEMES
+
+#: Raised whenever the meaning of a stored field changes.
+OFFLINE_VERSION = 1
+SHIPPED = "grid_s1_offline"
+_KIND = "lipservo offline model"
+_ABOUT = "about"
+#: What of a state model is kept as it is; units and the rate are kept under names of their own.
+_STATES = tuple(f.name for f in fields(StateModel) if f.name not in ("units", "frame_rate_hz"))
+_AS: Mapping[str, type] = {"cepstra": np.float16, "states": np.int16, "borders": np.int32}
+_UNITS = tuple(f.name for f in fields(Units))
+
+
+def save_offline_model(model: OfflineModel, path: Path) -> None:
+    """Write a model file. Raises OutputError."""
+    about = {
+        "kind": _KIND,
+        "version": OFFLINE_VERSION,
+        "face": model.face_checksum,
+        "phonemes": PHONEMES,
+        "frame_rate_hz": model.states.frame_rate_hz,
+        "voice_limit": model.voice.limit,
+        "training_sentences": model.training_sentences,
+        "provenance": dict(model.provenance),
+    }
+    arrays: dict[str, NDArray[Any]] = {
+        _ABOUT: np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
+        **{f"states/{n}": _narrow(n, getattr(model.states, n)) for n in _STATES},
+        **{f"units/{n}": np.asarray(getattr(model.states.units, n), np.int32) for n in _UNITS},
+        "sound/articulation": model.sound.articulation,
+        "sound/mean": model.sound.mean,
+        "sound/spread": model.sound.spread,
+        **{f"sound/layer{i}": layer for i, layer in enumerate(model.sound.layers)},
+        "voice/mean": model.voice.mean,
+        "voice/precision": model.voice.precision,
+    }
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    write_whole(path, buffer.getvalue())
+
+
+def _narrow(name: str, values: NDArray[Any]) -> NDArray[Any]:
+    if values.dtype == np.bool_:
+        return values
+    return values.astype(_AS.get(name, np.float32))
+
+
+def is_offline_model(head: bytes) -> bool:
+    """Whether a file that begins so looks like an offline model: what a replaced file must be."""
+    return head.startswith(b"PK") and b"about.npy" in head
+
+
+def load_offline_model(path: Path | None = None) -> OfflineModel:
+    """A model file; None: the shipped one. Raises OfflineModelError in one line."""
+    name = f"shipped model {SHIPPED}" if path is None else str(path)
+    place = resources.files("lipsync.models") / f"{SHIPPED}.npz" if path is None else path
+    try:
+        content = place.read_bytes()
+    except FileNotFoundError:
+        remedy = "reinstall lipservo" if path is None else "make one with `lipservo train-offline`"
+        raise OfflineModelError(f"{name}: no such file; {remedy}") from None
+    except OSError as error:
+        raise OfflineModelError(f"{name}: cannot be read: {error.strerror}") from error
+    try:
+        with opened(content) as archive:
+            about = json.loads(archive[_ABOUT].tobytes())
+            if not isinstance(about, dict) or about.get("kind") != _KIND:
+                raise OfflineModelError(
+                    f"{name}: no offline model; make one with `lipservo train-offline`"
+                )
+            if about["version"] != OFFLINE_VERSION:
+                raise OfflineModelError(
+                    f"{name}: offline model version {about['version']}, this lipservo reads "
+                    f"version {OFFLINE_VERSION}; make it again with `lipservo train-offline`"
+                )
+            model = _assembled({key: archive[key] for key in archive.files}, about)
+        _check(model)
+        return model
+    except OfflineModelError:
+        raise
+    except (KeyError, TypeError, IndexError, AttributeError, *UNREADABLE) as error:
+        raise OfflineModelError(
+            f"{name}: damaged or no offline model; get a fresh copy or make one again ({error})"
+        ) from error
+
+
+def _assembled(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> OfflineModel:
+    if about["phonemes"] != list(PHONEMES):
+        raise ValueError("its phoneme inventory differs")
+    wide: dict[str, Any] = {n: _wide(arrays[f"states/{n}"]) for n in _STATES}
+    wide["cepstra"] = arrays["states/cepstra"].astype(np.float32)
+    units = Units(**{n: arrays[f"units/{n}"].astype(np.int64) for n in _UNITS})
+    n_layers = sum(key.startswith("sound/layer") for key in arrays)
+    return OfflineModel(
+        face_checksum=str(about["face"]),
+        states=StateModel(frame_rate_hz=float(about["frame_rate_hz"]), units=units, **wide),
+        sound=SoundExpectation(
+            arrays["sound/articulation"],
+            arrays["sound/mean"],
+            arrays["sound/spread"],
+            tuple(arrays[f"sound/layer{i}"] for i in range(n_layers)),
+        ),
+        voice=VoiceLikeness(
+            arrays["voice/mean"],
+            arrays["voice/precision"],
+            float(about["voice_limit"]),
+        ),
+        training_sentences=tuple(about["training_sentences"]),
+        provenance=dict(about["provenance"]),
+    )
+
+
+def _wide(values: NDArray[Any]) -> NDArray[Any]:
+    if values.dtype == np.bool_:
+        return values
+    return values.astype(np.int64 if values.dtype.kind in "iu" else np.float64)
+
+
+def _check(model: OfflineModel) -> None:
+    """Shapes agree and numbers are finite; raises ValueError naming the field that is wrong."""
+    states, sound = model.states, model.sound
+    n, p, n_frames = states.n_states, states.n_components, len(states.states)
+    widths = [sound.mean.shape[0], *(layer.shape[-1] for layer in sound.layers[::2])]
+    shapes = {
+        "states/cepstra": (states.cepstra.shape[:1], (n_frames,)),
+        "states/follows": (states.follows.shape, (n, n)),
+        "states/means": (states.means.shape, (n, 2 * p)),
+        "states/covariances": (states.covariances.shape, (n, 2 * p, 2 * p)),
+        "states/basis": (states.basis.shape, (p, len(states.mean_mm))),
+        "units/first": (states.units.first.shape, states.units.phonemes.shape),
+        "units/end": (states.units.end.shape, states.units.phonemes.shape),
+        "sound/spread": (sound.spread.shape, sound.mean.shape),
+        "voice/precision": (model.voice.precision.shape, 2 * model.voice.mean.shape),
+        "sound/layers": (tuple(layer.shape[1] for layer in sound.layers[::2]), tuple(widths[:-1])),
+    }
+    for field, (found, expected) in shapes.items():
+        if found != expected:
+            raise ValueError(f"{field} has shape {found}, expected {expected}")
+    if states.borders[0] != 0 or states.borders[-1] != n_frames:
+        raise ValueError("states/borders do not span the frames")
+    if not ((states.states >= 0) & (states.states < n)).all():
+        raise ValueError("states/states names a state that is not there")
+    for field in ("cepstra", "means", "covariances", "mean_mm", "basis"):
+        if not np.isfinite(getattr(states, field)).all():
+            raise ValueError(f"states/{field} holds values that are not finite")
+    if not all(np.isfinite(layer).all() for layer in (sound.mean, sound.spread, *sound.layers)):
+        raise ValueError("sound holds values that are not finite")

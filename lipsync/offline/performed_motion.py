@@ -1,0 +1,121 @@
+"""Performances on a face that does something else before, between and after them.
+
+What plays a face loads this: NumPy only.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from lipsync.arrays import Array
+from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
+from lipsync.face.synthesizer import Synthesizer
+from lipsync.offline.performance import RATE_HZ, Performance
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+
+#: From what the mouth does otherwise to the first face, and from the last one back.
+EASING_S = 0.2
+
+
+class StoredMotion:
+    """What a performance shows at any time of it, linear between neighbouring frames.
+
+    So lips that are stored closed stay closed.
+    """
+
+    def __init__(self, performance: Performance) -> None:
+        self._faces = performance.coefficients.astype(np.float64)
+        self._names = tuple(performance.expression)
+        columns = [performance.expression[name] for name in self._names]
+        self._expressions = np.array(columns, dtype=np.float64).T
+        self._last_s = performance.duration_s
+
+    def face_at(self, at_s: float, otherwise: Array) -> Array:
+        """The face (n_components,); beyond its ends eased to what the mouth does otherwise."""
+        outside_s = max(-at_s, at_s - self._last_s)
+        if outside_s <= 0.0:
+            return self._between(self._faces, at_s)
+        return _eased(self._faces[0 if at_s < 0.0 else -1], otherwise, outside_s)
+
+    def expression_at(self, at_s: float) -> Expression:
+        """What is stored of head, eyes, lids and brows; beyond its ends, its ends."""
+        if not self._names:
+            return NO_EXPRESSION
+        values = self._between(self._expressions, min(max(0.0, at_s), self._last_s))
+        return Expression(**dict(zip(self._names, values.tolist(), strict=True)))
+
+    def _between(self, rows: Array, at_s: float) -> Array:
+        frames = at_s * RATE_HZ
+        before = min(math.floor(frames), len(rows) - 1)
+        after = min(before + 1, len(rows) - 1)
+        share = frames - before
+        return np.asarray((1.0 - share) * rows[before] + share * rows[after])
+
+
+class PerformedMotion:
+    """A synthesiser around another one: a performance where one is said, else what is inside.
+
+    The one inside goes on meanwhile, and so is where it belongs when the performance is over.
+    """
+
+    def __init__(
+        self,
+        inner: Synthesizer,
+        performed_at: Callable[[float], tuple[StoredMotion, float] | None],
+    ) -> None:
+        """performed_at: what is performed at a sound time, and the time in it; None: nothing.
+
+        The time runs from -`EASING_S` to `EASING_S` behind the last face.
+        """
+        self._inner = inner
+        self._performed_at = performed_at
+        # What was performed last; it goes on from there.
+        self._newest_s = -math.inf
+        self._newest: Array = np.zeros(0)
+
+    @property
+    def phonemes_planned(self) -> int:
+        """How many phonemes have moved the mouth."""
+        return self._inner.phonemes_planned
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its frame is asked for."""
+        return self._inner.lookahead_s
+
+    def reset(self) -> None:
+        """Forget what was said; performances stay."""
+        self._inner.reset()
+        self._newest_s = -math.inf
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Take a revision of the phonemes."""
+        self._inner.push(update)
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at a sound time."""
+        frame = self._inner.frame_at(time_s)
+        performed = self._performed_at(time_s)
+        if performed is None:
+            # It may have been dropped in the middle: the mouth goes on from there.
+            since_s = time_s - self._newest_s
+            face = frame.coefficients
+            return Frame(time_s, _eased(self._newest, face, since_s)) if since_s >= 0.0 else frame
+        motion, at_s = performed
+        face = motion.face_at(at_s, frame.coefficients)
+        if time_s >= self._newest_s:
+            self._newest_s, self._newest = time_s, face
+        return Frame(time_s, face, motion.expression_at(at_s))
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme of a sound time."""
+        return self._inner.event_at(time_s)
+
+
+def _eased(start: Array, end: Array, after_s: float) -> Array:
+    """From one face to the other in `EASING_S`, by a cubic without speed at both ends."""
+    if after_s >= EASING_S:
+        return end
+    share = after_s / EASING_S
+    return np.asarray(start + share * share * (3.0 - 2.0 * share) * (end - start))

@@ -1,0 +1,32 @@
+"""What one block of sound says of the voice in it, besides its phonemes."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class VoiceFrame:
+    """10 ms of sound, told when its end was heard; nothing later has a part in it.
+
+    time_s: sound time of the end. peak: greatest amplitude, 0 to 1. loudness_db: root mean square,
+    dB re full scale. pitch_hz: NaN where unvoiced. tilt_db: energy of 500 to 4,000 Hz over that of
+    80 to 500 Hz. is_speech: somebody speaks. loudness_z, pitch_z, tilt_z: in standard deviations of
+    the speaker's own baseline; pitch_z is 0 where unvoiced. arousal: -1 (sleepy) to 1 (excited),
+    0 before anything is known.
+    """
+
+    time_s: float
+    peak: float
+    loudness_db: float
+    pitch_hz: float
+    tilt_db: float
+    is_speech: bool
+    loudness_z: float
+    pitch_z: float
+    tilt_z: float
+    arousal: float
+
+
+#: Before anything was heard.
+SILENT_VOICE: Final = VoiceFrame(0.0, 0.0, -120.0, math.nan, 0.0, False, 0.0, 0.0, 0.0, 0.0)

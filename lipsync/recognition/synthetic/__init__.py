@@ -1,0 +1,1 @@
+"""Speech of synthesisers with their own phone times, to train on and to score on. Offline."""

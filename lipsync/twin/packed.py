@@ -1,0 +1,149 @@
+"""A twin as bytes for a page: a header in JSON, then arrays, little-endian.
+
+The first four bytes are the length of the header (u32); arrays begin after it, at multiples of four
+bytes, and the header says of each at which byte it lies, counted from the first one. Places are
+float32 in mm; morph targets int16 times a step in mm, and their turn of the normals int8 times a
+step; colours and triangles are u8 and u16.
+"""
+
+import json
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array, Array32, Indices
+from lipsync.face_mesh import INNER_LIP, OUTER_LIP
+from lipsync.twin.landmarks import FACE_RIM, LEFT_BROW, LEFT_EYE, RIGHT_BROW, RIGHT_EYE
+from lipsync.twin.part import Part
+from lipsync.twin.twin import Twin
+
+PACKED_VERSION = 1
+#: Vertices of the skin along which a simple drawing draws.
+_LINES = {
+    "rim": FACE_RIM,
+    "outer_lip": OUTER_LIP,
+    "inner_lip": INNER_LIP,
+    "eye_left": LEFT_EYE,
+    "eye_right": RIGHT_EYE,
+    "brow_left": (*LEFT_BROW[0], *LEFT_BROW[1][::-1]),
+    "brow_right": (*RIGHT_BROW[0], *RIGHT_BROW[1][::-1]),
+    "nose": (168, 6, 197, 195, 5, 4, 1, 2),
+}
+_MOST = {np.dtype(np.int16): 32767, np.dtype(np.int8): 127}
+
+
+def pack(twin: Twin) -> bytes:
+    """The whole twin; the header's fields are those of `Twin`, `Part` and `Eyeball`."""
+    body = _Body()
+    amounts = dict(zip(twin.components, twin.deviations.tolist(), strict=True))
+    header = {
+        "version": PACKED_VERSION,
+        "components": twin.components,
+        "rest": twin.rest.tolist(),
+        "pivot_mm": twin.pivot_mm.tolist(),
+        "lines": _LINES,
+        "lip_gap": [INNER_LIP[5], INNER_LIP[15]],
+        "eyes": [
+            {
+                "side": eye.side,
+                "centre_mm": eye.centre_mm.tolist(),
+                "radius_mm": eye.radius_mm,
+                "iris_radius_mm": eye.iris_radius_mm,
+            }
+            for eye in twin.eyes
+        ],
+        "parts": [_part(part, amounts, body) for part in twin.parts],
+    }
+    said = json.dumps(header).encode()
+    said += b" " * (-(4 + len(said)) % 4)
+    return struct.pack("<I", len(said)) + said + b"".join(body.pieces)
+
+
+def unpack(packed: bytes) -> dict[str, dict[str, Any]]:
+    """Parts by name, each with `places_mm` (n, 3), `triangles` and `morphs` as a page reads them.
+
+    float32, in mm.
+    """
+    (length,) = struct.unpack_from("<I", packed)
+    header = json.loads(packed[4 : 4 + length])
+    body = packed[4 + length :]
+
+    def array(at: Mapping[str, Any]) -> Array32:
+        values = np.frombuffer(body, dtype=at["type"], count=at["count"], offset=at["at"])
+        return (values.astype(np.float32) * np.float32(at.get("step", 1.0))).reshape(-1, 3)
+
+    return {
+        part["name"]: {
+            "places_mm": array(part["places"]),
+            "triangles": array(part["triangles"]).astype(np.int64),
+            "morphs": {each["name"]: array(each["moves"]) for each in part["morphs"]},
+        }
+        for part in header["parts"]
+    }
+
+
+class _Body:
+    """The arrays, one after another."""
+
+    def __init__(self) -> None:
+        self.pieces: list[bytes] = []
+        self._length = 0
+
+    def add(self, values: NDArray[Any], kind: str) -> dict[str, object]:
+        """Where the array lies and how it is read."""
+        data = np.ascontiguousarray(values, dtype=kind).tobytes()
+        place = {"at": self._length, "count": int(values.size), "type": kind}
+        padded = data + b"\0" * (-len(data) % 4)
+        self.pieces.append(padded)
+        self._length += len(padded)
+        return place
+
+    def add_scaled(self, values: Array, kind: str) -> dict[str, object]:
+        """The same, as whole numbers times a step."""
+        most = _MOST[np.dtype(kind)]
+        step = max(float(np.abs(values).max()), 1e-9) / most
+        return {**self.add(np.rint(values / step), kind), "step": step}
+
+
+def _part(part: Part, amounts: Mapping[str, float], body: _Body) -> dict[str, object]:
+    normals = vertex_normals(part.places_mm, part.triangles)
+    return {
+        "name": part.name,
+        "stays": part.stays,
+        "places": body.add(part.places_mm, "<f4"),
+        "triangles": body.add(part.triangles, "<u2"),
+        "normals": body.add_scaled(normals, "<i2"),
+        "colours": body.add(np.rint(part.colours * 255), "u1"),
+        "morphs": [
+            {
+                "name": name,
+                "moves": body.add_scaled(moves, "<i2"),
+                "turns": body.add_scaled(_turns(part, moves, amounts.get(name, 1.0)), "i1"),
+            }
+            for name, moves in part.morphs.items()
+        ],
+    }
+
+
+def _turns(part: Part, moves: Array, amount: float) -> Array:
+    """How the normals turn with 1 of a target; taken over as much of it as occurs."""
+    there = vertex_normals(part.places_mm + amount * moves, part.triangles)
+    back = vertex_normals(part.places_mm - amount * moves, part.triangles)
+    return np.asarray((there - back) / (2 * amount), dtype=np.float64)
+
+
+def vertex_normals(places: Array, triangles: Indices) -> Array:
+    """(n, 3), of length 1: the mean of the triangles round each vertex, by their area."""
+    corner = places[triangles]
+    faces = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    summed = np.column_stack(
+        [
+            np.bincount(triangles.ravel(), np.repeat(faces[:, axis], 3), minlength=len(places))
+            for axis in range(3)
+        ]
+    )
+    length = np.linalg.norm(summed, axis=1, keepdims=True)
+    return np.asarray(summed / np.maximum(length, 1e-12), dtype=np.float64)

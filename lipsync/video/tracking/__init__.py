@@ -1,0 +1,1 @@
+"""Faces in pictures: trackers behind one protocol, and how well they did."""

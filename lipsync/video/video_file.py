@@ -1,0 +1,134 @@
+"""Video files by PyAV: pictures with their times, and the sound on the same axis of time.
+
+Whatever FFmpeg decodes. Pictures come upright and with square pixels, one at a time: a minute of
+them would fill a gigabyte.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import soxr
+from numpy.typing import NDArray
+
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
+from lipsync.extras import check_extra
+from lipsync.recognition.speech_file import read_speech
+from lipsync.video.tracking.face_tracker import Picture
+
+#: What is looked for in a folder.
+VIDEO_ENDINGS = (
+    ".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".ts", ".webm", ".wmv",
+)  # fmt: skip
+#: Sound whose time stamps leave a hole longer than this is filled up with silence there, s.
+_HOLE_S = 0.02
+
+
+class VideoError(UserError):
+    """A video that cannot be used; one line: which, why, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class VideoSound:
+    """samples: (n,) in [-1, 1] at 16 kHz, mono; begins_s: when, on the pictures' axis of time."""
+
+    samples: NDArray[np.float32]
+    begins_s: float
+
+
+def video_pictures(path: Path) -> Iterator[tuple[float, Picture]]:
+    """Every picture with its time stamp in seconds, in order. Raises VideoError."""
+    with _opened(path) as video:
+        if not video.streams.video:
+            raise VideoError(f"{path}: holds no pictures; give a video")
+        stream = video.streams.video[0]
+        stream.thread_type = "AUTO"
+        aspect = float(stream.sample_aspect_ratio or 1)
+        for frame in video.decode(stream):
+            if frame.time is not None:
+                yield float(frame.time), _upright(frame, aspect)
+
+
+def video_sound(path: Path) -> VideoSound:
+    """The sound of a video, or of NAME.wav beside it, which begins with the first picture.
+
+    Raises VideoError for a video without any, or with nothing in it but digital silence.
+    """
+    separate = path.with_suffix(".wav")
+    if separate.is_file():
+        sound = VideoSound(read_speech(separate), _first_picture_s(path))
+    else:
+        sound = _own_sound(path)
+    if not sound.samples.any():
+        raise VideoError(f"{path}: its sound is nothing but digital silence")
+    return sound
+
+
+def video_duration_s(path: Path) -> float:
+    """How long a video says it is; 0 where it does not. Raises VideoError."""
+    with _opened(path) as video:
+        duration: float = (video.duration or 0) / _av().time_base
+        return duration
+
+
+def _own_sound(path: Path) -> VideoSound:
+    pieces: list[NDArray[np.float32]] = []
+    begins_s, n_samples, rate_hz = 0.0, 0, 0
+    with _opened(path) as video:
+        if not video.streams.audio:
+            raise VideoError(f"{path}: without sound; put {path.stem}.wav beside it, or film anew")
+        resampler = _av().AudioResampler(format="fltp")
+        for frame in video.decode(video.streams.audio[0]):
+            if not pieces:
+                begins_s, rate_hz = float(frame.time or 0.0), frame.sample_rate
+            n_lost = 0
+            if frame.time is not None:
+                n_lost = round((frame.time - begins_s) * rate_hz) - n_samples
+            if n_lost > _HOLE_S * rate_hz:
+                pieces.append(np.zeros(n_lost, np.float32))
+                n_samples += n_lost
+            for plain in resampler.resample(frame):
+                pieces.append(plain.to_ndarray().mean(axis=0, dtype=np.float32))
+                n_samples += len(pieces[-1])
+    if not pieces:
+        raise VideoError(f"{path}: its sound track is empty; film anew")
+    samples = np.clip(np.nan_to_num(np.concatenate(pieces)), -1.0, 1.0)
+    if rate_hz != SAMPLE_RATE_HZ:
+        samples = np.clip(soxr.resample(samples, rate_hz, SAMPLE_RATE_HZ), -1.0, 1.0)
+    return VideoSound(samples.astype(np.float32), begins_s)
+
+
+def _first_picture_s(path: Path) -> float:
+    return next((time_s for time_s, _ in video_pictures(path)), 0.0)
+
+
+def _upright(frame: Any, aspect: float) -> Picture:
+    """Turned as the camera was held, and widened where its pixels are not square."""
+    width = round(frame.width * aspect)
+    picture: Picture = frame.to_ndarray(format="rgb24", width=width, height=frame.height)
+    quarter_turns = round(frame.rotation / 90) % 4
+    return np.ascontiguousarray(np.rot90(picture, quarter_turns)) if quarter_turns else picture
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """A video; what FFmpeg says against it, then or while it is read, becomes a VideoError."""
+    av = _av()
+    try:
+        with av.open(str(path)) as video:
+            yield video
+    except FileNotFoundError:
+        raise VideoError(f"{path}: no such file") from None
+    except av.FFmpegError as error:
+        raise VideoError(f"{path}: cannot be read as video ({error.strerror})") from error
+
+
+def _av() -> Any:
+    check_extra("av", "reading video")
+    import av
+
+    return av

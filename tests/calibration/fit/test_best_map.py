@@ -1,0 +1,105 @@
+"""The chosen map: bends where the robot bends, and presses until closures close."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from small_model import small_model
+
+from calibration.fit.best_map import ChosenMap, choose_map
+from calibration.fit.correspondence import RobotMouth, correspond
+from calibration.fit.lip_contact import gap_heights_mm
+from calibration.fit.retargeting import Retargeting, fit_retargeting
+from lipsync.markers import MARKERS_47
+
+MODEL = small_model()
+REST_MM = MODEL.markers_mm(MODEL.rest[None])[0]
+LIPS = ("outer_lip_61", "outer_lip_291", "inner_lip_13", "inner_lip_14", "outer_lip_0")
+NAMES = correspond(LIPS)
+NEUTRAL_MM = REST_MM[[MARKERS_47.names.index(name) for name in LIPS]]
+N_DIRECT = MODEL.rest.shape[0]
+
+
+def spoken(n: int) -> np.ndarray:
+    """(n, n_components) off rest: from open to closed and back, otherwise at random."""
+    rng = np.random.default_rng(5)
+    samples = MODEL.animphos.samples.reshape(-1, N_DIRECT) - MODEL.rest
+    return samples[rng.integers(0, len(samples), n)] * rng.uniform(0.0, 1.2, (n, 1))
+
+
+def lowers(poses_deg: np.ndarray) -> np.ndarray:
+    """(n, 2): a jaw that lowers the lower lip and a servo that widens."""
+    markers_mm = np.repeat(NEUTRAL_MM[None], len(poses_deg), axis=0)
+    markers_mm[:, 3, 1] -= 0.8 * poses_deg[:, 0]
+    markers_mm[:, 0, 0] -= 0.2 * poses_deg[:, 1]
+    markers_mm[:, 1, 0] += 0.2 * poses_deg[:, 1]
+    return markers_mm
+
+
+def wanted(frames: np.ndarray, press_mm: float = 0.4) -> Retargeting:
+    limits_deg = (np.array([-8.0, -30.0]), np.array([25.0, 30.0]))
+    mouth = RobotMouth(lowers, NAMES, limits_deg)
+    return fit_retargeting(MODEL, frames + MODEL.rest, mouth, np.zeros(1), press_mm)
+
+
+def heights_mm(chosen: ChosenMap, frames: np.ndarray) -> np.ndarray:
+    """(n,): of the middle gap, as the map runs; below 0 where lips press."""
+    mouth = chosen.retargeting.mouth
+    shown_mm = mouth.markers_of(mouth.kept_deg(chosen.run.free_deg(frames)))
+    return gap_heights_mm(shown_mm, NAMES.shape_features.gaps)[:, 0]
+
+
+@pytest.fixture(scope="module")
+def frames() -> np.ndarray:
+    return spoken(200)
+
+
+@pytest.fixture(scope="module")
+def chosen(frames: np.ndarray) -> ChosenMap:
+    return choose_map(wanted(frames), frames)
+
+
+def test_nearly_all_closures_are_pressed_past_contact_and_no_open_mouth_is_shut(frames, chosen):
+    closing = chosen.retargeting.closing(frames)
+    closes, opens = closing >= 1.0, closing <= 0.0
+    assert closes.sum() > 50
+    assert opens.sum() > 50
+    assert np.quantile(heights_mm(chosen, frames)[closes], 0.98) <= -0.35
+    assert (heights_mm(chosen, frames)[opens] > 0.8).all()
+
+
+def test_pressing_grows_by_what_the_map_misses_and_by_no_more_than_it_may(frames, chosen):
+    """A jaw that cannot close to where it should is asked for 1.2 mm more, and then left alone."""
+    assert 0.4 < chosen.retargeting.press_mm < 1.6
+    unable = wanted(frames)
+    unable = replace(unable, closed_mm=np.full(1, -8.0))
+    most = choose_map(unable, frames)
+    assert most.retargeting.press_mm == pytest.approx(1.6)
+
+
+def test_a_map_that_presses_enough_is_asked_for_no_more(frames):
+    enough = wanted(frames, press_mm=2.0)
+    assert choose_map(enough, frames).retargeting.press_mm == 2.0
+
+
+def test_speech_of_few_mouths_gets_a_map_without_centres(frames):
+    """Four times as many mouths as centres are needed; sixty are said over and over here."""
+    few = np.tile(frames[:60], (4, 1))
+    assert choose_map(wanted(few), few).run.centres.shape == (0, N_DIRECT)
+
+
+def test_bends_are_taken_only_where_they_help_on_frames_that_were_not_learnt(frames):
+    """Lips that press ask for bends; where poses are noise, bends only learn the noise."""
+    assert choose_map(wanted(frames), frames).run.centres.shape == (40, N_DIRECT)
+
+    @dataclass(frozen=True, slots=True)
+    class Noisy(Retargeting):
+        """Asks for straight poses and three degrees of noise."""
+
+        def poses_deg(self, from_rest: np.ndarray) -> np.ndarray:
+            noise_deg = np.random.default_rng(8).normal(0.0, 3.0, (len(from_rest), 2))
+            return 0.2 * from_rest[:, :2] + noise_deg
+
+    plain = wanted(frames, press_mm=2.0)
+    noisy = Noisy(plain.model, plain.mouth, plain.scale, plain.closed_mm, plain.press_mm)
+    assert choose_map(noisy, frames).run.centres.shape == (0, N_DIRECT)

@@ -1,0 +1,247 @@
+"""`train-offline` and `render`, from the command line, on a made-up corpus."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import soundfile
+from small_corpus import write_corpus
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+from lipsync.face.model import load_face
+from lipsync.offline.offline_model_file import load_offline_model
+from lipsync.offline.performance_file import read_performance
+
+
+def invoke(*arguments):
+    return CliRunner().invoke(app, [str(each) for each in arguments])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A corpus, the face model of it, and the offline model of both."""
+    folder = tmp_path_factory.mktemp("lines")
+    corpus, face, offline = folder / "corpus", folder / "face.npz", folder / "offline.npz"
+    write_corpus(corpus, 12)
+    trained = invoke("train", corpus, "-o", face, "--phonemes", "true", "--components", 4, "-q")
+    assert trained.exit_code == 0, trained.output
+    done = invoke(
+        "train-offline", corpus, "-o", offline, "--model", face,
+        "--states", 20, "--components", 4, "--json", "-q",
+    )  # fmt: skip
+    assert done.exit_code == 0, done.output
+    return corpus, face, offline, json.loads(done.stdout)
+
+
+def of(made):
+    _, face, offline, _ = made
+    return ["--model", face, "--offline", offline]
+
+
+def one(made, number=0):
+    corpus = made[0]
+    return corpus / "audio" / f"s{number}.flac", corpus / "labels" / f"s{number}.TextGrid"
+
+
+def test_what_was_learned_is_told_and_read_back(made):
+    _, face, offline, figures = made
+    model = load_offline_model(offline)
+
+    assert figures["states"] == model.states.n_states == 20
+    assert figures["units"] == len(model.states.units.phonemes) == 12 * 6
+    assert figures["face"] == model.face_checksum == load_face(face).checksum
+    assert len(model.states.cepstra) == 12 * 30
+
+
+def test_the_same_corpus_gives_the_same_file(made, tmp_path):
+    corpus, face, offline, _ = made
+    again = tmp_path / "again.npz"
+    invoke(
+        "train-offline", corpus, "-o", again, "--model", face,
+        "--states", 20, "--components", 4, "-q",
+    )  # fmt: skip
+
+    assert again.read_bytes() == offline.read_bytes()
+
+
+def test_a_corpus_may_have_more_points_than_the_face_but_not_fewer(made, tmp_path):
+    corpus, face, _, _ = made
+    smaller, output = tmp_path / "face_39.npz", tmp_path / "offline.npz"
+    recipe = ["--components", 4, "-q"]
+    invoke("train", corpus, "-o", smaller, "--phonemes", "true", "--markers", 39, *recipe)
+    recipe += ["--states", 20, "-o", output]
+
+    fewer = invoke("train-offline", corpus, "--model", face, "--markers", 39, *recipe)
+    assert fewer.exit_code != 0
+    assert "its points are not those of the face model" in str(fewer.exception)
+    assert not output.exists()
+
+    dense = invoke("train-offline", corpus, "--model", smaller, "--markers", 47, "--json", *recipe)
+    assert dense.exit_code == 0, dense.output
+    assert json.loads(dense.stdout)["points"] == 47
+    assert len(load_offline_model(output).states.mean_mm) == 39 * 3
+
+
+@pytest.mark.parametrize("method", ["heard", "model-based", "live"])
+def test_a_line_becomes_a_performance(made, tmp_path, method):
+    sound, labels = one(made)
+    output = tmp_path / "line.perf"
+    done = invoke(
+        "render", sound, "--textgrid", labels, "-o", output, "--method", method, "--json", *of(made)
+    )
+    said = json.loads(done.stdout)
+    found = read_performance(output)
+
+    assert done.exit_code == 0
+    assert said["duration_s"] == pytest.approx(1.2)
+    assert found.method == method
+    assert found.coefficients.shape == (121, 4)
+    assert found.sound.content == sound.read_bytes()
+    assert found.phonemes[0].phoneme == "SIL"
+    assert np.ptp(found.coefficients[:, 0]) > 1.0
+
+
+def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
+    lines = tmp_path / "lines"
+    lines.mkdir()
+    for number in range(3):
+        for path in one(made, number):
+            shutil.copy(path, lines / path.name)
+    both = [tmp_path / "serial", tmp_path / "parallel"]
+    for folder, jobs in zip(both, (1, 2), strict=True):
+        done = invoke("render", lines, "-o", folder, "--jobs", jobs, "--json", "-q", *of(made))
+        assert json.loads(done.stdout)["rendered"] == 3
+
+    for number in range(3):
+        name = f"s{number}.perf"
+        assert (both[0] / name).read_bytes() == (both[1] / name).read_bytes()
+
+
+@pytest.mark.campaign
+@pytest.mark.filterwarnings("default")  # what Dask's event loops leave is not ours
+def test_a_folder_on_a_cluster_of_two_workers_is_the_same_as_one_by_one(
+    made, tmp_path, monkeypatch
+):
+    distributed = pytest.importorskip("distributed", reason="pip install 'lipservo[cluster]'")
+    lines = tmp_path / "lines"
+    lines.mkdir()
+    for number in range(5):
+        for path in one(made, number):
+            shutil.copy(path, lines / path.name)
+    (lines / "broken.wav").write_bytes(b"no sound")
+    monkeypatch.chdir(tmp_path)  # where no worker is
+    asked = ["render", "lines", "--json", "-q", "--expression", "face_head", *of(made)]
+    invoke(*asked, "-o", "serial", "--jobs", 1)
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address.removeprefix("tcp://")
+        done = invoke(*asked, "-o", "dask", "--dask", address)
+
+    assert "broken.wav" in str(done.exception)
+    assert json.loads(done.stdout)["rendered"] == 5
+    serial, dask = (sorted((tmp_path / name).iterdir()) for name in ("serial", "dask"))
+    assert [path.name for path in dask] == [path.name for path in serial]
+    for one_by_one, on_cluster in zip(serial, dask, strict=True):
+        assert on_cluster.read_bytes() == one_by_one.read_bytes()
+
+
+def test_head_and_eyes_are_stored_when_a_face_is_named(made, tmp_path):
+    sound, labels = one(made)
+    plain, whole = tmp_path / "plain.perf", tmp_path / "whole.perf"
+    asked = ["render", sound, "--textgrid", labels, *of(made)]
+    invoke(*asked, "-o", plain)
+    invoke(*asked, "-o", whole, "--expression", "face_head")
+    found = read_performance(whole)
+
+    assert read_performance(plain).expression == {}
+    assert {len(values) for values in found.expression.values()} == {121}
+    np.testing.assert_array_equal(found.coefficients, read_performance(plain).coefficients)
+
+
+def test_a_cluster_that_is_not_there_leaves_no_folder(made, tmp_path):
+    lines, output = tmp_path / "lines", tmp_path / "out"
+    lines.mkdir()
+    shutil.copy(one(made)[0], lines)
+
+    assert "is no HOST:PORT" in refusal("render", lines, "-o", output, "--dask", "nowhere")
+    assert not output.exists()
+
+
+def test_a_bad_line_is_told_and_leaves_the_others(made, tmp_path):
+    lines = tmp_path / "lines"
+    lines.mkdir()
+    for path in one(made):
+        shutil.copy(path, lines / path.name)
+    (lines / "broken.wav").write_bytes(b"no sound")
+    done = invoke("render", lines, "-o", tmp_path / "out", "--jobs", 1, "--json", "-q", *of(made))
+
+    assert done.exit_code != 0
+    assert "broken.wav" in str(done.exception)
+    assert json.loads(done.stdout)["rendered"] == 1
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["s0.perf"]
+
+
+def refusal(*arguments):
+    done = invoke(*arguments)
+    assert done.exit_code != 0
+    text = str(done.exception)
+    assert "\n" not in text
+    return text
+
+
+def test_mistakes_are_told_in_one_line_and_leave_no_file(made, tmp_path):
+    sound, labels = one(made)
+    output = tmp_path / "line.perf"
+    long, silent = tmp_path / "long.wav", tmp_path / "silent.wav"
+    soundfile.write(long, np.full(310 * 8_000, 0.1, np.float32), 8_000)
+    soundfile.write(silent, np.zeros(16_000, np.float32), 16_000)
+    short = tmp_path / "short.wav"
+    soundfile.write(short, np.full(1600, 0.1, np.float32), 16_000)
+
+    assert "at most 300 s" in refusal("render", long, "-o", output, *of(made))
+    assert "no words" in refusal("render", sound, "--text", " ", "-o", output, *of(made))
+    assert "silen" in refusal("render", silent, "-o", output, *of(made))
+    both = ["--text", "hello", "--textgrid", labels]
+    assert "give one of them" in refusal("render", sound, *both, "-o", output, *of(made))
+    assert "give the labels of this sound" in refusal(
+        "render", short, "--textgrid", labels, "-o", output, *of(made)
+    )
+    assert "made for face model" in refusal(
+        "render", sound, "-o", output, "--textgrid", labels, "--offline", made[2]
+    )
+    assert not output.exists()
+
+
+def test_a_text_that_was_not_said_is_refused(made, tmp_path):
+    sound, _ = one(made)
+    output = tmp_path / "line.perf"
+
+    refusal("render", sound, "--text", "the quick brown fox jumps over it", "-o", output, *of(made))
+
+    assert not output.exists()
+
+
+def test_a_corpus_too_small_for_the_states_asked_is_refused(made, tmp_path):
+    corpus, face, _, _ = made
+    output = tmp_path / "offline.npz"
+
+    text = refusal("train-offline", corpus, "-o", output, "--model", face, "--states", 300, "-q")
+
+    assert "too few for 300 states" in text
+    assert not output.exists()
+
+
+def test_an_offline_model_of_another_kind_or_damaged_is_refused(made, tmp_path):
+    sound, labels = one(made)
+    face, offline = made[1], made[2]
+    damaged = tmp_path / "damaged.npz"
+    damaged.write_bytes(offline.read_bytes()[:-2000])
+    for wrong in (face, damaged, labels, tmp_path / "none.npz"):
+        text = refusal(
+            "render", sound, "--textgrid", labels, "-o", tmp_path / "x.perf",
+            "--model", face, "--offline", wrong,
+        )  # fmt: skip
+        assert str(wrong) in text

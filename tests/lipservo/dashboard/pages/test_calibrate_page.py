@@ -1,0 +1,40 @@
+"""What the page says of a calibration, and whether the commands that it names exist."""
+
+import shlex
+
+import pytest
+import typer
+
+from lipservo.cli import app
+from lipservo.dashboard.pages.calibrate_page import STEPS, read_calibration
+from lipservo.dashboard.pages.lines_page import COMMAND
+
+
+def test_the_calibration_of_a_shipped_face_is_read():
+    told, trouble = read_calibration("face_head")
+
+    assert trouble is None
+    assert told["fits_the_face"] is True
+    assert told["file"] == "face_sim.calibration.yaml"
+
+
+@pytest.mark.parametrize(
+    ("config", "why"), [(None, "does not say where its YAML is"), ("nobody", "no face 'nobody'")]
+)
+def test_why_there_is_none_is_said(config, why):
+    told, trouble = read_calibration(config)
+
+    assert told is None
+    assert why in trouble
+
+
+@pytest.mark.parametrize("line", [step[3] for step in STEPS] + [COMMAND])
+def test_a_command_that_a_page_names_exists_with_its_options(line):
+    program, *words = shlex.split(line.format(face="face_sim"))
+    command = typer.main.get_command(app)
+    while hasattr(command, "commands"):
+        command = command.commands[words.pop(0)]
+
+    known = {flag for parameter in command.params for flag in parameter.opts}
+    assert program == "lipservo"
+    assert {word for word in words if word.startswith("-")} <= known

@@ -1,0 +1,168 @@
+"""What a person moves on the pages, and what the face is asked for then."""
+
+import json
+
+import pytest
+from places import ROOT
+
+#: A minute of a real browser; CI runs it once.
+pytestmark = pytest.mark.campaign
+
+
+def asked_of(page, path):
+    """Bodies that the page sends to a path of the API from now on, each answered with {}."""
+    bodies = []
+
+    def answer(route):
+        bodies.append(json.loads(route.request.post_data or "null"))
+        route.fulfill(json={})
+
+    page.route(f"**{path}", answer)
+    return bodies
+
+
+def wait_for(page, is_so):
+    """Until something asked of the page has come here; a failing assertion says what has not."""
+    for _ in range(100):
+        if is_so():
+            return
+        page.wait_for_timeout(50)
+
+
+def arm_and(page, script):
+    """Arm the sliders, then run a script in the same moment.
+
+    They disarm by themselves after 3 s, which a busy computer may need between two calls.
+    """
+    page.locator(".slider").first.wait_for()
+    armed = "while (arm.ariaChecked !== 'true') await new Promise((done) => setTimeout(done, 5));"
+    page.evaluate(
+        "async () => { const arm = document.querySelector('face-jog .switch'); arm.click(); "
+        + armed
+        + script
+        + " }"
+    )
+
+
+def slide(page, servo, deg):
+    """As a hand does: the browser keeps a slider within its ends."""
+    page.locator(f'.slider[data-servo="{servo}"] input').evaluate(
+        "(input, deg) => { input.value = deg; input.dispatchEvent(new Event('input')); }", deg
+    )
+
+
+def test_sliders_move_nothing_until_they_are_armed(opened):
+    page = opened("/servos")
+    bodies = asked_of(page, "/api/jog")
+
+    slide(page, "jaw", 5)
+    page.wait_for_timeout(300)
+
+    assert bodies == []
+    assert page.evaluate("document.querySelector('face-jog .sliders').inert") is True
+
+
+def test_an_armed_slider_moves_its_servo_within_its_limits_until_it_is_let_alone(opened):
+    page = opened("/servos")
+    bodies = asked_of(page, "/api/jog")
+
+    arm_and(
+        page,
+        """
+        const input = document.querySelector('.slider[data-servo="jaw"] input');
+        input.value = 400;
+        input.dispatchEvent(new Event('input'));
+    """,
+    )
+    wait_for(page, lambda: len(bodies) == 2)
+    assert bodies == [{"action": "arm"}, {"action": "move", "servo": "jaw", "deg": 25}]
+
+    page.locator("face-jog .switch", has_text="Arm the sliders").wait_for(timeout=5000)
+    slide(page, "jaw", 3)
+    page.wait_for_timeout(300)
+    assert len(bodies) == 2
+
+
+def test_leaving_the_page_disarms(opened):
+    page = opened("/servos")
+    bodies = asked_of(page, "/api/jog")
+
+    # As the browser says it when another page takes the place of this one.
+    arm_and(page, "dispatchEvent(new PageTransitionEvent('pagehide'));")
+
+    page.wait_for_function("document.querySelector('face-jog .sliders').inert")
+    wait_for(page, lambda: len(bodies) == 2)
+    assert bodies == [{"action": "arm"}, {"action": "end"}]
+
+
+def test_a_reboot_is_asked_for_twice(opened):
+    page = opened("/servos")
+    bodies = asked_of(page, "/api/servos/jaw")
+    button = page.locator('tr[data-servo="jaw"] .reboot')
+
+    button.click()
+    assert bodies == []
+    page.locator("face-servo-table .said", has_text="Press again").wait_for()
+    button.click()
+    page.locator("face-servo-table .said", has_text="jaw restarts").wait_for()
+
+    assert bodies == [{"action": "reboot"}]
+
+
+def test_a_setting_changes_while_it_is_dragged_and_a_shipped_face_cannot_be_saved(opened, face):
+    page = opened("/settings")
+    slider = page.locator("input[name=strength]")
+    slider.wait_for()
+
+    slider.evaluate("(i) => { i.value = 0.5; i.dispatchEvent(new Event('input')); }")
+
+    page.wait_for_function("dashboard.status.settings.strength === 0.5")
+    assert face.commands.values["strength"] == 0.5
+    assert page.locator("face-settings .save").is_disabled()
+    assert "is shipped with lipservo" in page.inner_text("face-settings .where")
+
+
+def test_dragging_makes_it_look_there_and_letting_go_sets_it_free(opened):
+    page = opened()
+    bodies = asked_of(page, "/api/look-at")
+    pad = page.locator("face-look .pad")
+    pad.scroll_into_view_if_needed()
+    box = pad.bounding_box()
+
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(box["x"] + box["width"] * 0.75, box["y"] + box["height"] * 0.25)
+    wait_for(page, lambda: bodies and bodies[-1]["yaw_deg"] > 29)
+    # The pad is seen from the front: its right is the robot's own left.
+    assert bodies[-1] == pytest.approx({"yaw_deg": 30.0, "pitch_deg": 20.0}, abs=1)
+    page.mouse.up()
+    wait_for(page, lambda: bodies[-1] == {"yaw_deg": None})
+
+    assert bodies[-1] == {"yaw_deg": None}
+
+
+def test_a_face_without_a_voice_says_how_it_gets_one(opened):
+    page = opened()
+
+    page.locator("face-say .how", has_text="started without a voice").wait_for()
+    assert page.locator("face-say form").is_hidden()
+
+
+def test_lines_come_are_refused_and_go(opened, sounds):
+    page = opened("/lines")
+    clip = ROOT / "lipservo" / "clips" / "welcome.flac"
+
+    page.set_input_files("face-lines input", str(clip))
+    page.locator("li[data-file='welcome.flac']").wait_for()
+    assert (sounds / "welcome.flac").read_bytes() == clip.read_bytes()
+
+    bad = {"name": "noise.wav", "mimeType": "audio/wav", "buffer": b"this is no sound"}
+    page.set_input_files("face-lines input", [bad])
+    page.locator("face-lines .said[data-tone=bad]", has_text="noise.wav").wait_for()
+
+    button = page.locator("li[data-file='welcome.flac'] .delete")
+    button.click()
+    assert (sounds / "welcome.flac").exists()
+    button.click()
+    page.locator("face-lines .files", has_text="No sound files").wait_for()
+    assert not (sounds / "welcome.flac").exists()

@@ -1,0 +1,84 @@
+"""The dashboard beside a face: started once the face listens, again when it dies, and ended."""
+
+import os
+import signal
+import sys
+import time
+
+import pytest
+from places import short_folder
+
+from lipservo.dashboard import child
+from lipservo.dashboard.address import bound_dashboard
+from lipservo.dashboard.child import dashboard_child
+
+
+@pytest.fixture
+def program(tmp_path, monkeypatch):
+    """In place of Python with the dashboard: writes down how it was called, and lives on."""
+    started = tmp_path / "started"
+    script = tmp_path / "program"
+    script.write_text(f'#!/bin/sh\necho "$$ $@" >> {started}\nexec sleep 60\n')
+    script.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(script))
+    monkeypatch.setattr(child, "_RESTART_S", 0.1)
+    return started
+
+
+def starts(started):
+    return started.read_text().splitlines() if started.exists() else []
+
+
+def is_alive(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as file:
+            return file.read().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def wait_for(condition):
+    give_up_s = time.monotonic() + 20.0
+    while not condition():
+        assert time.monotonic() < give_up_s, "nothing happened"
+        time.sleep(0.02)
+
+
+def test_it_comes_with_the_face_comes_again_and_goes_with_it(program):
+    control, said = short_folder() / "tom.sock", []
+    with bound_dashboard("127.0.0.1:0", None) as listener:
+        with dashboard_child(control, listener, "token.txt", said.append, open_page=True):
+            time.sleep(0.5)
+            assert starts(program) == []  # nobody listens yet
+            control.touch()
+            wait_for(lambda: len(starts(program)) == 1)
+            pid, told = starts(program)[0].split(" ", 1)
+            assert told.startswith(f"-m lipservo dashboard --control {control}")
+            assert f"--listener {listener.fileno()}" in told
+            assert "--token-file token.txt" in told
+            assert told.endswith("--open")
+
+            kill(pid)
+            wait_for(lambda: len(starts(program)) == 2)
+            assert "--open" not in starts(program)[1]
+            assert len(said) == 1
+            last = starts(program)[1].split()[0]
+            assert is_alive(last)
+        wait_for(lambda: not is_alive(last))
+
+
+def test_one_that_cannot_be_started_disturbs_nobody(monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/no/such/program")
+    control, said = short_folder() / "tom.sock", []
+    control.touch()
+    with (
+        bound_dashboard("127.0.0.1:0", None) as listener,
+        dashboard_child(control, listener, say=said.append),
+    ):
+        wait_for(lambda: said)
+    assert "cannot be started" in said[0]
+
+
+def kill(pid):
+
+    os.kill(int(pid), signal.SIGKILL)

@@ -1,0 +1,143 @@
+"""Sound files of a face: stored whole and known to be sound, by names that lead nowhere else."""
+
+import asyncio
+
+import numpy as np
+import pytest
+import soundfile
+from hypothesis import given
+from hypothesis import strategies as st
+from written_performance import written_performance
+
+from lipservo.client.face_answers import FaceError
+from lipservo.dashboard import sound_lines
+from lipservo.dashboard.sound_lines import SoundLines, checked_name
+
+
+@pytest.fixture
+def sound(tmp_path):
+    path = tmp_path / "sound.wav"
+    soundfile.write(path, 0.1 * np.sin(np.arange(16_000)), 16_000)
+    return path.read_bytes()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    made = tmp_path / "sounds"
+    made.mkdir()
+    return made
+
+
+def stored(folder, name, content, **options):
+    async def chunks():
+        for first in range(0, len(content), 4096):
+            yield content[first : first + 4096]
+
+    return asyncio.run(SoundLines(folder).store(name, chunks(), **options))
+
+
+def refused(code, do, *arguments, **options):
+    with pytest.raises(FaceError) as raised:
+        do(*arguments, **options)
+    assert raised.value.code == code
+    assert len(str(raised.value).splitlines()) == 1
+    return str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["a.wav", "Hello there.flac", "größe 2.ogg", "日本.WAV"])
+def test_plain_names_will_do(name):
+    assert checked_name(name) == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "", ".wav", "..", "../a.wav", "/a.wav", "a/b.wav", "a\\b.wav", "a\0.wav", ".hidden.wav",
+        "a.wav\n", "a\tb.wav", "C:a.wav", "a.wav ", " a.wav", "-rf.wav", "a.wav.", "a", "a.txt",
+        "a.wav.exe", "a" * 300 + ".wav", "é" * 150 + ".wav", "a\u202egnp.wav", "a\u200b.wav",
+        "\ud800.wav", "%2e%2e/a.wav", "a?.wav", "..\\a.wav", ".coming-a.wav", "~/a.wav",
+    ],
+)  # fmt: skip
+def test_tricks_with_names_are_refused(name):
+    refused("refused", checked_name, name)
+
+
+@given(st.text(max_size=60).map(lambda text: text + ".wav"))
+def test_whatever_is_let_through_is_a_file_of_the_folder_itself(tmp_path_factory, name):
+    try:
+        checked_name(name)
+    except FaceError:
+        return
+    folder = tmp_path_factory.getbasetemp()
+    assert (folder / name).resolve().parent == folder.resolve()
+
+
+def test_a_file_is_stored_listed_and_removed(folder, sound):
+    assert stored(folder, "hello.wav", sound) == {"name": "hello.wav", "n_bytes": len(sound)}
+    (line,) = SoundLines(folder).listed()
+    assert (line["name"], line["n_bytes"]) == ("hello.wav", len(sound))
+    assert (folder / "hello.wav").read_bytes() == sound
+
+    SoundLines(folder).remove("hello.wav")
+    assert SoundLines(folder).listed() == []
+    refused("not_found", SoundLines(folder).remove, "hello.wav")
+
+
+def test_what_is_there_stays_unless_it_is_to_be_replaced(folder, sound):
+    (folder / "hello.wav").write_bytes(b"mine")
+    refused("exists", stored, folder, "hello.wav", sound)
+    assert (folder / "hello.wav").read_bytes() == b"mine"
+    stored(folder, "hello.wav", sound, replace=True)
+    assert (folder / "hello.wav").read_bytes() == sound
+
+
+@pytest.mark.parametrize("content", [b"", b"no sound at all", b"RIFF\0\0\0\0WAVE"])
+def test_what_is_no_sound_is_not_kept(folder, content):
+    assert "hello.wav" in refused("not_sound", stored, folder, "hello.wav", content)
+    assert list(folder.iterdir()) == []
+
+
+def test_what_is_too_large_is_not_kept(folder, sound, monkeypatch):
+    monkeypatch.setattr(sound_lines, "MOST_BYTES", len(sound) - 1)
+    refused("too_large", stored, folder, "hello.wav", sound)
+    assert list(folder.iterdir()) == []
+
+
+def test_an_upload_that_breaks_off_leaves_nothing(folder, sound):
+    async def broken():
+        yield sound[:1000]
+        raise ConnectionError("gone")
+
+    with pytest.raises((ConnectionError, FaceError)):
+        asyncio.run(SoundLines(folder).store("hello.wav", broken()))
+    assert list(folder.iterdir()) == []
+
+
+def test_links_and_folders_are_no_lines(folder, tmp_path):
+    (tmp_path / "secret.wav").write_bytes(b"secret")
+    (folder / "link.wav").symlink_to(tmp_path / "secret.wav")
+    (folder / "folder.wav").mkdir()
+
+    lines = SoundLines(folder)
+    assert lines.listed() == []
+    for name in ("link.wav", "folder.wav"):
+        refused("not_found", lines.path_of, name)
+        refused("not_found", lines.remove, name)
+    assert (tmp_path / "secret.wav").exists()
+
+
+def test_a_face_without_a_folder_plays_no_files(tmp_path, sound):
+    for do in (SoundLines(None).listed, lambda: stored(None, "a.wav", sound)):
+        assert "--sounds" in refused("not_available", do)
+    refused("not_available", stored, tmp_path / "nowhere", "a.wav", sound)
+
+
+def test_a_performance_is_a_line_like_a_sound_and_a_damaged_one_is_refused(folder, tmp_path):
+    content = written_performance(tmp_path / "hello.perf", 0.2).read_bytes()
+    stored(folder, "hello.perf", content)
+
+    assert [line["name"] for line in SoundLines(folder).listed()] == ["hello.perf"]
+    assert SoundLines(folder).path_of("hello.perf").read_bytes() == content
+    told = refused("not_sound", stored, folder, "cut.perf", content[:-300])
+    assert told.startswith("cut.perf: damaged")
+    assert [path.name for path in folder.iterdir()] == ["hello.perf"]

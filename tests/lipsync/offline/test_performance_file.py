@@ -1,0 +1,165 @@
+"""Performances: kept and read back, and refused in one line where they cannot be played."""
+
+import json
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_model import small_model
+
+from lipsync.offline import performance_file
+from lipsync.offline.performance import (
+    Performance,
+    PerformanceError,
+    PerformedSound,
+    performed_sound,
+)
+from lipsync.offline.performance_file import read_performance, write_performance
+from lipsync.phonemes import PhonemeEvent
+
+MODEL = small_model()
+
+
+@pytest.fixture
+def sound(tmp_path):
+    path = tmp_path / "line.wav"
+    path.write_bytes(b"RIFF and so on")
+    return path
+
+
+def performance(sound):
+    return Performance(
+        MODEL.checksum,
+        np.arange(10, dtype=np.float32).reshape(2, 5),
+        (PhonemeEvent("AA", 0.0, 0.5), PhonemeEvent("SIL", 0.5, 1.0)),
+        sound,
+        "heard",
+    )
+
+
+def test_what_is_written_is_read_with_its_sound(sound, tmp_path):
+    path = tmp_path / "line.perf"
+    write_performance(performance(performed_sound(sound, included=True)), path)
+    sound.unlink()
+
+    found = read_performance(path)
+
+    assert found.phonemes == performance(None).phonemes
+    assert found.coefficients.tolist() == performance(None).coefficients.tolist()
+    assert found.sound.bytes_beside(path) == b"RIFF and so on"
+    assert found.duration_s == pytest.approx(0.01)
+    found.check_face(MODEL, str(path))
+
+
+def test_head_and_eyes_are_read_back_and_a_file_without_them_has_none(sound, tmp_path):
+    path = tmp_path / "line.perf"
+    moved = {"neck_yaw_deg": np.float32([1.5, -2.5]), "brow": np.float32([0.0, 0.25])}
+    plain = performance(performed_sound(sound, included=True))
+    write_performance(replace(plain, expression=moved), path)
+
+    found = read_performance(path)
+    assert {name: values.tolist() for name, values in found.expression.items()} == {
+        "neck_yaw_deg": [1.5, -2.5],
+        "brow": [0.0, 0.25],
+    }
+    write_performance(plain, path)
+    assert read_performance(path).expression == {}
+
+
+def test_of_head_and_eyes_what_a_later_lipservo_stores_is_left_alone(sound, tmp_path):
+    path = tmp_path / "line.perf"
+    moved = {"brow": np.float32([0.0, 0.25]), "ears": np.float32([1.0, 1.0])}
+    plain = performance(performed_sound(sound, included=True))
+    write_performance(replace(plain, expression=moved), path)
+
+    assert list(read_performance(path).expression) == ["brow"]
+
+
+def test_a_pipe_or_a_folder_in_its_place_is_refused_at_once(tmp_path):
+    pipe = tmp_path / "pipe.perf"
+    os.mkfifo(pipe)
+    for path in (pipe, tmp_path):
+        with pytest.raises(PerformanceError, match="is no file"):
+            read_performance(path)
+
+
+def test_an_archive_that_unpacks_to_gigabytes_is_refused(sound, tmp_path, monkeypatch):
+    monkeypatch.setattr(performance_file, "_MOST_BYTES", 100_000)
+    path = tmp_path / "line.perf"
+    plain = performance(performed_sound(sound, included=True))
+    write_performance(replace(plain, coefficients=np.zeros((10_000, 5), np.float32)), path)
+
+    with pytest.raises(PerformanceError, match="more than 0 MB"):
+        read_performance(path)
+    assert path.stat().st_size < 100_000
+
+
+def test_a_sound_that_is_named_is_found_beside_and_known_again(sound, tmp_path):
+    path = tmp_path / "line.perf"
+    write_performance(performance(performed_sound(sound, included=False)), path)
+
+    assert read_performance(path).sound.bytes_beside(path) == b"RIFF and so on"
+    sound.write_bytes(b"another")
+    with pytest.raises(PerformanceError, match="is not the one it was rendered from"):
+        read_performance(path).sound.bytes_beside(path)
+    sound.unlink()
+    with pytest.raises(PerformanceError, match="cannot be read"):
+        read_performance(path).sound.bytes_beside(path)
+
+
+def test_another_face_is_refused(sound):
+    made = performance(performed_sound(sound, included=True))
+    other = Performance("0" * 16, made.coefficients, made.phonemes, made.sound, made.method)
+
+    with pytest.raises(PerformanceError, match="rendered for face model 0000000000000000"):
+        other.check_face(MODEL, "line.perf")
+
+
+def rewritten(path, **changes):
+    """The file with some of what it says of itself changed, or some arrays."""
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    about = json.loads(arrays["about"].tobytes())
+    for key, value in changes.items():
+        if key in arrays:
+            arrays[key] = value
+        else:
+            about[key] = value
+    arrays["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+    with path.open("wb") as file:
+        np.savez(file, **arrays)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"version": 2}, "performance version 2"),
+        ({"kind": "else"}, "no performance"),
+        ({"phonemes": [["XX", 0.0, 1.0]]}, "phoneme 'XX'"),
+        ({"phonemes": [["AA", 1.0, 0.5]]}, "from 1.0 to 0.5 s"),
+        ({"coefficients": np.full((2, 5), np.nan)}, "not all finite"),
+        ({"expression": ["brow"]}, "damaged"),
+        ({"sound": {"name": "../x.wav", "sha256": "0", "included": False}}, "sound name"),
+    ],
+)
+def test_what_cannot_be_played_is_told_in_one_line(tmp_path, changes, message):
+    path = tmp_path / "line.perf"
+    write_performance(performance(PerformedSound("line.wav", "0", None)), path)
+    rewritten(path, **changes)
+
+    with pytest.raises(PerformanceError) as raised:
+        read_performance(path)
+
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no zip at all", b"\x93NUMPY\x01\x00"])
+def test_a_damaged_file_is_refused(tmp_path, content):
+    path = tmp_path / "line.perf"
+    path.write_bytes(content)
+
+    with pytest.raises(PerformanceError, match="damaged or no performance") as raised:
+        read_performance(path)
+    assert "pickle" not in str(raised.value)

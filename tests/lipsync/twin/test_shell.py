@@ -1,0 +1,169 @@
+import numpy as np
+import pytest
+
+from lipsync.twin.shell import cotangent_laplacian, influence, shell_stiffness, spread
+
+SIDE = 41
+
+
+def grid(width=1.0, curved=(0.0, 0.0)):
+    """A square of (SIDE x SIDE) vertices, its diagonals alternating so that it has no direction."""
+    line = np.linspace(-width, width, SIDE)
+    x, y = (each.ravel() for each in np.meshgrid(line, line))
+    corner = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    triangles = []
+    for row in range(SIDE - 1):
+        for column in range(SIDE - 1):
+            a, b = corner[row, column], corner[row, column + 1]
+            c, d = corner[row + 1, column], corner[row + 1, column + 1]
+            if (row + column) % 2:
+                triangles += [(a, b, d), (a, d, c)]
+            else:
+                triangles += [(a, b, c), (b, d, c)]
+    return np.column_stack([x, y, -curved[0] * x**2 - curved[1] * y**2]), np.array(triangles)
+
+
+@pytest.fixture(scope="module")
+def head():
+    """Half an ellipsoid with a slit for a mouth: the same left and right of x = 0.
+
+    Vertices, triangles, mirror image of each vertex, handles round the mouth, anchors at the rim.
+    """
+    vertices, triangles = grid(70.0, curved=(0.006, 0.004))
+    at = np.arange(SIDE * SIDE).reshape(SIDE, SIDE)
+    row, slit = SIDE // 3, range(SIDE // 2 - 7, SIDE // 2 + 8)
+    lower = np.arange(len(slit)) + len(vertices)
+    vertices = np.vstack([vertices, vertices[at[row, slit]]])
+    below = vertices[triangles].mean(axis=1)[:, 1] < vertices[at[row, 0], 1]
+    inner = dict(zip(at[row, slit][1:-1].tolist(), lower[1:-1].tolist(), strict=True))
+    triangles[below] = [[inner.get(v, v) for v in t] for t in triangles[below].tolist()]
+    used, triangles = np.unique(triangles, return_inverse=True)
+    triangles = triangles.reshape(-1, 3)
+    vertices = vertices[used]
+    mirrored = vertices * (-1.0, 1.0, 1.0)
+    # Both lips lie on one another: above stays above.
+    first_lower = int((used < SIDE * SIDE).sum())
+    mirror = np.array(
+        [
+            candidates[-1] if i >= first_lower else candidates[0]
+            for i, place in enumerate(mirrored)
+            for candidates in [np.flatnonzero(np.linalg.norm(vertices - place, axis=1) < 1e-9)]
+        ]
+    )
+    upper_lip = at[row, [slit[3], slit[7], slit[11]]]
+    lower_lip = first_lower + np.array([2, 6, 10])
+    chin, cheeks = at[row - 6, [16, 20, 24]], at[row + 5, [10, 30]]
+    handles = np.concatenate([upper_lip, lower_lip, chin, cheeks])
+    anchors = np.flatnonzero(np.abs(vertices[:, :2]).max(axis=1) > 62.0)
+    return vertices, triangles, mirror, handles, anchors
+
+
+def test_the_laplacian_of_a_paraboloid_is_four():
+    vertices, triangles = grid()
+    laplacian, areas = cotangent_laplacian(vertices, triangles)
+
+    curved = laplacian @ (vertices[:, 0] ** 2 + vertices[:, 1] ** 2)
+
+    inside = np.abs(vertices[:, :2]).max(axis=1) < 0.9
+    assert curved[inside].sum() / areas[inside].sum() == pytest.approx(4.0, rel=2e-3)
+    assert areas.sum() == pytest.approx(4.0)
+
+
+def test_a_clamped_disc_bends_as_plate_theory_says():
+    """Lifted by 1 in its middle: 1 - s^2 + 2 s^2 ln s (Timoshenko, Plates, article 19)."""
+    vertices, triangles = grid()
+    radius = np.linalg.norm(vertices[:, :2], axis=1)
+    anchors = np.flatnonzero(radius > 0.925)
+    stiffness = shell_stiffness(vertices, triangles, membrane_per_mm2=0.0)
+
+    bent = influence(stiffness, [int(radius.argmin())], anchors)[:, 0]
+
+    share = np.clip(radius / 0.95, 1e-12, 1.0)
+    expected = 1 - share**2 + 2 * share**2 * np.log(share)
+    assert np.abs(bent - expected).max() < 0.03
+
+
+def test_handles_go_where_they_are_told_and_anchors_stay(head):
+    vertices, triangles, _, handles, anchors = head
+
+    weights = influence(shell_stiffness(vertices, triangles), handles, anchors)
+
+    np.testing.assert_array_equal(weights[handles], np.eye(len(handles)))
+    np.testing.assert_array_equal(weights[anchors], 0.0)
+    assert weights.min() > -0.5
+    assert weights.max() < 1.6
+
+
+def test_what_is_solved_leaves_no_force_where_nothing_holds(head):
+    vertices, triangles, _, handles, anchors = head
+    stiffness = shell_stiffness(vertices, triangles)
+
+    weights = influence(stiffness, handles, anchors)
+
+    free = np.setdiff1d(np.arange(len(vertices)), np.concatenate([handles, anchors]))
+    force = np.abs((stiffness @ weights)[free]).max()
+    assert force < 1e-9 * np.abs(stiffness @ weights).max()
+
+
+def test_moving_all_that_holds_moves_all(head):
+    vertices, triangles, _, handles, anchors = head
+    held = np.concatenate([handles, anchors])
+    shift = np.tile([3.0, -2.0, 1.0], (len(held), 1))
+
+    moved = spread(shell_stiffness(vertices, triangles), held, shift)
+
+    np.testing.assert_allclose(moved, np.tile(shift[0], (len(vertices), 1)), atol=1e-6)
+
+
+def test_displacements_are_linear_and_nothing_moves_when_nothing_is_moved(head):
+    vertices, triangles, _, handles, anchors = head
+    stiffness = shell_stiffness(vertices, triangles)
+    weights = influence(stiffness, handles, anchors)
+    random = np.random.default_rng(0)
+    moves = random.normal(size=(len(handles), 3))
+    held = np.concatenate([handles, anchors])
+    given = np.vstack([moves, np.zeros((len(anchors), 3))])
+
+    np.testing.assert_allclose(weights @ moves, spread(stiffness, held, given), atol=1e-9)
+    np.testing.assert_array_equal(spread(stiffness, held, 0 * given), 0.0)
+
+
+def test_a_face_that_moves_alike_on_both_sides_stays_alike(head):
+    vertices, triangles, mirror, handles, anchors = head
+    weights = influence(shell_stiffness(vertices, triangles), handles, anchors)
+    moves = np.random.default_rng(1).normal(size=(len(handles), 3))
+    position = {int(vertex): at for at, vertex in enumerate(handles)}
+    partner = [position[int(mirror[vertex])] for vertex in handles]
+    moves = (moves + moves[partner] * (-1.0, 1.0, 1.0)) / 2
+
+    moved = weights @ moves
+
+    # The diagonals of the triangles are not mirrored, so neither is the last digit.
+    np.testing.assert_allclose(moved[mirror] * (-1.0, 1.0, 1.0), moved, atol=0.02)
+
+
+def test_lips_on_one_another_move_apart(head):
+    vertices, triangles, _, handles, anchors = head
+    weights = influence(shell_stiffness(vertices, triangles), handles, anchors)
+    lower_lip_down = np.zeros((len(handles), 3))
+    lower_lip_down[3:9, 1] = -10.0
+
+    moved = weights @ lower_lip_down
+
+    middle_of_upper, middle_of_lower = handles[1], handles[4]
+    np.testing.assert_allclose(vertices[middle_of_upper], vertices[middle_of_lower])
+    assert moved[middle_of_upper, 1] - moved[middle_of_lower, 1] == 10.0
+
+
+def test_a_handle_that_stands_twice_is_refused(head):
+    vertices, triangles, _, handles, anchors = head
+    with pytest.raises(ValueError, match="twice"):
+        influence(shell_stiffness(vertices, triangles), [*handles, handles[0]], anchors)
+
+
+def test_a_part_that_hangs_on_nothing_is_refused():
+    vertices, triangles = grid()
+    two = np.vstack([vertices, vertices + np.array([5.0, 0.0, 0.0])])
+    stiffness = shell_stiffness(two, np.vstack([triangles, triangles + len(vertices)]))
+    with pytest.raises(ValueError, match="hangs on nothing"):
+        influence(stiffness, [0], [1, 2, 3])
