@@ -35,7 +35,7 @@ class Capture:
 
     goals_deg, from_below: (n, n_servos); markers_mm: (n, n_markers, 3), NaN where lost. stalled: a
     line for each pose that was left out because a joint did not get there, or for those that were
-    not recorded.
+    not recorded. n_planned: poses of the plan, those left out among them.
     """
 
     servo_names: tuple[str, ...]
@@ -44,6 +44,7 @@ class Capture:
     from_below: Array
     markers_mm: Array
     stalled: tuple[str, ...] = ()
+    n_planned: int = 0
 
     def __len__(self) -> int:
         return len(self.goals_deg)
@@ -151,6 +152,7 @@ def gather(plan: PosePlan, marker_names: tuple[str, ...], poses: list[CapturedPo
         from_below=plan.from_below[rows],
         markers_mm=np.array([pose.markers_mm for pose in good]).reshape(-1, len(marker_names), 3),
         stalled=tuple(stalled),
+        n_planned=len(plan),
     )
 
 

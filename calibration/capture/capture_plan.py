@@ -95,6 +95,13 @@ def plan_around(
     return _reached_from(joints, goals_deg, side, rules)
 
 
+def ends_alone(joints: Sequence[JointRange], joint: int) -> Array:
+    """(2, n_servos): one joint at either end of its range, with room for the last step."""
+    ends_deg = np.zeros((2, len(joints)))
+    ends_deg[:, joint] = [end[joint] for end in _inside(joints)]
+    return ends_deg
+
+
 def joined(first: PosePlan, second: PosePlan) -> PosePlan:
     """One plan after the other."""
     return PosePlan(

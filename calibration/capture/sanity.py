@@ -14,6 +14,7 @@ from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture
 from calibration.capture.head_frame import in_head_frame
 from calibration.capture.joint_faults import joint_fault
+from calibration.capture.joint_life import WEAK, alive, is_dead, moved_alone_mm
 from calibration.capture.marker_frame import check_frame
 from calibration.capture.straight_lines import (
     StraightLines,
@@ -24,9 +25,6 @@ from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
 
-#: What a joint does to the three markers that it moves most, in square standard errors: noise alone
-#: gives 8 to 13. Up to the first it is dead, up to the second nobody can be sure.
-_DEAD, _WEAK = 12.0, 40.0
 #: A joint is reversed where most of what it does goes the wrong way, by so many standard errors.
 _REVERSED_SHARE, _REVERSED_ERRORS = 0.5, 5.0
 _MOVED_MOST = 5
@@ -125,8 +123,7 @@ def _judged_joints(
     # Where something happened on the way, what joints seem to do is not what they do.
     judged = capture.servo_names if fault is None else ()
     for joint, name in enumerate(judged):
-        alive = _alive(lines, joint)
-        if alive < _DEAD:
+        if is_dead(capture, lines, joint):
             certain.append(
                 f"servo {name!r} moves no marker by more than chance; "
                 "check its horn, its linkage and its limits"
@@ -136,7 +133,7 @@ def _judged_joints(
                 f"servo {name!r} is reversed: a positive angle should {_bare(positive[joint])}, "
                 "and does the opposite; change its `sign` in the face YAML"
             )
-        elif alive < _WEAK:
+        elif alive(lines, joint) < WEAK:
             doubtful.append(
                 f"servo {name!r} is weak or dead: it moves the markers little above chance"
             )
@@ -145,15 +142,12 @@ def _judged_joints(
     return (*certain, *doubtful)
 
 
-def _alive(lines: StraightLines, joint: int) -> float:
-    """Mean square effect on the three markers it moves most, in square standard errors."""
-    chance_mm = lines.chance_mm[joint] * lines.own_noise_mm / max(lines.noise_mm, 1e-9)
-    effects = np.sum(lines.slopes_mm[joint] ** 2, axis=1) / np.maximum(chance_mm, 1e-9) ** 2
-    return float(np.sort(effects)[-3:].mean())
-
-
 def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) -> bool:
-    """By the markers that it moves most, where the word speaks of them."""
+    """By the markers that it moves most, where the word speaks of them.
+
+    The lines must say so and, where it was seen alone, what it did then: lines of many joints are
+    not quite straight.
+    """
     slope_mm = lines.slopes_mm[joint]
     wanted = _wanted_direction(capture.marker_names, slope_mm, word)
     if wanted is None:
@@ -165,6 +159,8 @@ def _is_reversed(capture: Capture, lines: StraightLines, joint: int, word: str) 
     most = spoken_of[np.argsort(sizes)[-_MOVED_MOST:]]
     along_mm = float((slope_mm[most] * wanted[most]).sum())
     all_mm = float(np.linalg.norm(slope_mm[most], axis=1).sum())
+    if np.nansum(moved_alone_mm(capture, joint)[most] * wanted[most]) > 0.0:
+        return False
     error_mm = float(lines.chance_mm[joint] * np.sqrt(len(most)))
     return along_mm < -_REVERSED_SHARE * all_mm and along_mm < -_REVERSED_ERRORS * error_mm
 

@@ -17,6 +17,7 @@ from calibration.capture.capture import (
     STALL_DEG,
     Arrived,
     Capture,
+    CapturedPose,
     Measure,
     Move,
     Robot,
@@ -25,13 +26,15 @@ from calibration.capture.capture import (
     take_poses,
 )
 from calibration.capture.capture_plan import PosePlan, joined, least_poses, plan_around, plan_poses
+from calibration.capture.joint_life import doubtful_joints, second_look
 from calibration.capture.sanity import check_capture
+from calibration.capture.straight_lines import straight_lines
 from calibration.coupling_rule import CouplingRule
 from calibration.fit.correspondence import correspond
 from calibration.fit.lip_contact import gap_heights_mm
 from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
 from calibration.fit.measured_grade import graded, graded_poses
-from calibration.fit.retargeting import Retargeting
+from calibration.fit.retargeting import Retargeting, widest_pose_deg
 from calibration.fit.robot_face import fit_robot_face
 from calibration.joint_range import JointRange
 from calibration.mouth_servos import MouthServos
@@ -98,10 +101,15 @@ class Procedure:
         n_closed = self._n_closed(n_poses) if closed.any() else 0
         usual = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]
         levels_mm = _levels_mm(retargeting, face.contact is not None, n_closed)
+        # How far lips part at most is the robot's scale: learnt from seeing it, not from guessing
+        # beyond what was seen.
+        n_widest = int(n_poses > n_closed)
+        n_others = n_poses - n_closed - n_widest
         goals_deg = np.concatenate(
             [
                 *(retargeting.at_gap(usual, level) for level in levels_mm),
-                _middles(retargeting.poses_deg(from_rest[~closed]), n_poses - n_closed),
+                np.repeat(widest_pose_deg(mouth)[None], n_widest, axis=0),
+                _middles(retargeting.poses_deg(from_rest[~closed]), n_others),
             ]
         )
         return plan_around(np.rint(goals_deg), self.joints, rules=self.rules, seed=self.seed)
@@ -120,24 +128,36 @@ class Procedure:
         arrived: Arrived = lambda *_: None,
         progress: Callable[[int], None] = lambda _: None,
         strained: Callable[[], str | None] = lambda: None,
+        told: Callable[[str], None] = lambda _: None,
     ) -> Capture:
         """Both parts, one after the other; arguments as of `capture_poses` and `Robot`.
 
-        Lips are closed no farther once a servo is strained.
+        A joint that may be dead is looked at again in between, in poses beyond `n_poses`; told
+        hears which. Lips are closed no farther once a servo is strained.
         """
-        first = self.range_plan()
         on = Robot(move, measure, arrived, progress, strained)
-        kept = [] if keep is None else read_kept(keep, first, marker_names, goes_on=True)
-        poses = take_poses(first, marker_names, on, kept, keep)
-        captured = gather(first, marker_names, poses)
+        poses: list[CapturedPose] = []
+
+        def take(plan: PosePlan, pressing: Sequence[int] = (), *, goes_on: bool) -> Capture:
+            kept = poses if keep is None else read_kept(keep, plan, marker_names, goes_on=goes_on)
+            poses[:] = take_poses(plan, marker_names, on, kept, keep, pressing)
+            return gather(plan, marker_names, poses)
+
+        plan = self.range_plan()
+        captured = take(plan, goes_on=True)
+        doubtful = doubtful_joints(captured, straight_lines(captured))
+        if doubtful:
+            names = ", ".join(repr(self.joints[joint].name) for joint in doubtful)
+            looks = second_look(self.joints, doubtful, rules=self.rules, seed=self.seed)
+            told(f"the markers hardly tell yet what {names} does: {len(looks)} more poses, alone")
+            plan = joined(plan, looks)
+            captured = take(plan, goes_on=True)
         if not self.n_of_speech:
             return captured
         checked = check_capture(captured, self.model, self.positive, accept=self.accept)
-        whole = joined(first, self.speech_plan(checked.capture, self.n_of_speech))
-        kept = poses if keep is None else read_kept(keep, whole, marker_names)
-        pressing = range(len(first), len(first) + self._n_closed(self.n_of_speech))
-        taken = take_poses(whole, marker_names, on, kept, keep, pressing)
-        return gather(whole, marker_names, taken)
+        pressing = range(len(plan), len(plan) + self._n_closed(self.n_of_speech))
+        plan = joined(plan, self.speech_plan(checked.capture, self.n_of_speech))
+        return take(plan, pressing, goes_on=False)
 
 
 def take_grade(

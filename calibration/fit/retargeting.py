@@ -133,7 +133,8 @@ def _check_a_mouth(mouth: RobotMouth, closed_mm: Array) -> float:
             f"the corners {names[right]} and {names[left]} are {width_mm:.1f} mm apart from right "
             "to left; are they the right points, in millimetres, x to the robot's left?"
         )
-    opening_mm = _widest_mm(mouth) - float(closed_mm[0])
+    widest_mm = mouth.markers_of(widest_pose_deg(mouth)[None])
+    opening_mm = float(_middle_heights_mm(mouth, widest_mm)[0] - closed_mm[0])
     if opening_mm < LEAST_OPENING_MM:
         raise no_opening(mouth, opening_mm)
     return opening_mm
@@ -149,14 +150,19 @@ def no_opening(mouth: RobotMouth, opening_mm: float) -> CalibrationError:
     )
 
 
-def _widest_mm(mouth: RobotMouth) -> float:
-    """Height of the middle gap, each joint in turn at its better end, twice round."""
-    limits_deg, gaps = mouth.limits_deg, mouth.names.shape_features.gaps[:1]
+def widest_pose_deg(mouth: RobotMouth) -> Array:
+    """(n_servos,): middle gap as high as it goes, each joint in turn at its better end, twice."""
+    limits_deg = mouth.limits_deg
     n_servos = len(limits_deg[0])
     pose_deg = np.zeros((1, n_servos))
     for joint in (*range(n_servos), *range(n_servos)):
         tries = np.repeat(pose_deg, 3, axis=0)
         tries[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
-        heights_mm = gap_heights_mm(mouth.markers_of(mouth.kept_deg(tries)), gaps)[:, 0]
+        heights_mm = _middle_heights_mm(mouth, mouth.markers_of(mouth.kept_deg(tries)))
         pose_deg = tries[heights_mm.argmax()][None]
-    return float(gap_heights_mm(mouth.markers_of(mouth.kept_deg(pose_deg)), gaps)[0, 0])
+    return np.asarray(mouth.kept_deg(pose_deg)[0])
+
+
+def _middle_heights_mm(mouth: RobotMouth, markers_mm: Array) -> Array:
+    """(n, n_markers, 3) -> (n,)."""
+    return gap_heights_mm(markers_mm, mouth.names.shape_features.gaps[:1])[:, 0]

@@ -16,7 +16,7 @@ MarkersOf = Callable[[Array], Array]
 _LIP_WEIGHT, _SKIN_WEIGHT, _GAP_WEIGHT = 1.0, 0.3, 4.0
 #: Millimetres a degree away from neutral is worth: decides between poses that look the same. From
 #: 0.005 to 0.05 no error on grid_s1 changes by 0.005 mm.
-_NEUTRAL_WEIGHT_MM_PER_DEG = 0.02
+NEUTRAL_WEIGHT_MM_PER_DEG = 0.02
 #: A millimetre for each degree by which a coupling rule is broken: more than the lips weigh.
 _RULE_WEIGHT_MM_PER_DEG = 5.0
 #: Enough for angles within 0.001 degree of where they would end, measured on grid_s1.
@@ -68,10 +68,10 @@ def nearest_poses_deg(
     angles_deg = np.zeros((len(wanted), n_servos))
     for _ in range(_ROUNDS):
         reached = shape_features.of(markers_of(angles_deg))
-        slopes = _slopes(markers_of, shape_features, angles_deg, reached)
+        slopes = shape_slopes(markers_of, shape_features, angles_deg, reached)
         missing = wanted - reached + np.einsum("nks,ns->nk", slopes, angles_deg)
         cost = np.einsum("nks,nkt->nst", slopes, slopes)
-        cost += _NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos)
+        cost += NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos)
         pull = np.einsum("nks,nk->ns", slopes, missing)
         for rule in rules:
             broken = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
@@ -85,7 +85,7 @@ def nearest_poses_deg(
     return angles_deg
 
 
-def _slopes(
+def shape_slopes(
     markers_of: MarkersOf, shape_features: ShapeFeatures, angles_deg: Array, reached: Array
 ) -> Array:
     """(n, n_features, n_servos): change of the features by degree, as forward differences."""

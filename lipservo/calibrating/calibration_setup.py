@@ -93,7 +93,10 @@ def held_servos(setup: CalibrationSetup) -> Iterator[HeldFace]:
 
 @contextmanager
 def progress_bar(setup: CalibrationSetup, what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar with the time left; what it yields is called with the number done."""
+    """A progress bar with the time left; what it yields is called with the number done.
+
+    More than `total` may be done: a joint may need a second look.
+    """
     with Progress(
         TextColumn("{task.description}"),
         BarColumn(),
@@ -104,4 +107,4 @@ def progress_bar(setup: CalibrationSetup, what: str, total: int) -> Iterator[Cal
         disable=setup.quiet,
     ) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda done: bar.update(task, completed=done)
+        yield lambda done: bar.update(task, completed=done, total=max(total, done))

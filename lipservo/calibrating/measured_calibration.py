@@ -62,12 +62,13 @@ def calibrate_on_servos(
             )
             result = fit_capture(setup, capture).with_memories(memories)
             # Poses to grade by go on where the numbers of the others end.
+            n_taken = capture.n_planned
             result = result.graded_by(
                 setup,
                 Robot(
                     move,
                     tracker.measure,
-                    lambda pose, reached_deg: tracker.arrived(setup.n_poses + pose, reached_deg),
+                    lambda pose, reached_deg: tracker.arrived(n_taken + pose, reached_deg),
                 ),
             )
         finally:
@@ -116,6 +117,7 @@ def capture_face(
             arrived=on.arrived,
             progress=done,
             strained=on.strained,
+            told=_say,
         )
 
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from calibration.fit.correspondence import correspond
 from calibration.mouth_servos import MouthServos
-from calibration.run.inverse import nearest_poses_deg
 from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.elastic_skin import N_PAIRS
+from lipservo.bench.calibration.nearest_poses import converged_poses_deg
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
@@ -58,7 +58,7 @@ def wanted_shapes(
     opened_mm = np.maximum(scale * of.gaps_mm(moved_mm)[..., 1], 0.0)
     gaps_mm[..., 1] = own_closed_mm + opened_mm
     features = of.of(neutral_mm + scale * moved_mm, gaps_mm)
-    nearest_deg = nearest_poses_deg(face.markers_mm, features, of, servos.limits_deg)
+    nearest_deg = converged_poses_deg(face.markers_mm, features, of, servos.limits_deg)
     return WantedShapes(
         scale=scale,
         features=features,

@@ -1,0 +1,93 @@
+"""Whether a joint moves the skin at all; one in doubt is looked at again, alone, end to end.
+
+A weak joint among many moves the skin by as little as a tracker's noise among so few poses. What
+tells it from a dead one is more poses in which nothing else moves.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.capture.capture import Capture
+from calibration.capture.capture_plan import PosePlan, ends_alone, plan_around
+from calibration.capture.straight_lines import StraightLines
+from calibration.coupling_rule import CouplingRule
+from calibration.joint_range import JointRange
+from lipsync.arrays import Array
+
+#: What a joint does to the three markers that it moves most, in square standard errors: noise alone
+#: gives 8 to 13, seldom 17. Below the first it is dead, below the second nobody can be sure.
+DEAD, WEAK = 12.0, 40.0
+#: The same seen alone. Elastic robots of seeds 100 to 139: dead joints 13 at most, the weakest
+#: healthy ones 31.
+DEAD_ALONE = 17.0
+#: A second look is taken up to here: dead joints come as far because the others are not straight.
+_DOUBT = 20.0
+#: Each end so many times in a second look; so many are needed to judge by.
+_TIMES, _LEAST_TIMES = 6, 4
+#: Another joint this near to 0 does not move; so much of its range is at its end.
+_STILL_DEG, _END_SHARE, _LEAST_RANGE_DEG = 0.1, 0.05, 1.0
+
+
+def doubtful_joints(capture: Capture, lines: StraightLines) -> list[int]:
+    """Joints that may be dead as well as weak, as far as the capture tells."""
+    joints = range(len(capture.servo_names))
+    return [j for j in joints if alive(lines, j) < _DOUBT]
+
+
+def second_look(
+    joints: Sequence[JointRange],
+    doubtful: Sequence[int],
+    *,
+    rules: Sequence[CouplingRule] = (),
+    seed: int = 0,
+) -> PosePlan:
+    """Each of these alone, from one end of its range to the other, several times over."""
+    goals_deg = [np.tile(ends_alone(joints, joint), (_TIMES, 1)) for joint in doubtful]
+    return plan_around(np.concatenate(goals_deg), joints, rules=rules, seed=seed)
+
+
+def alive(lines: StraightLines, joint: int) -> float:
+    """Mean square effect on the three markers it moves most, in square standard errors."""
+    chance_mm = lines.chance_mm[joint] * lines.own_noise_mm / max(lines.noise_mm, 1e-9)
+    return _mean_of_most(lines.slopes_mm[joint], chance_mm)
+
+
+def is_dead(capture: Capture, lines: StraightLines, joint: int) -> bool:
+    """Whether it moves no marker by more than chance; by a second look where there was one."""
+    ends = _ends_alone(capture, joint)
+    if min(map(len, ends)) < _LEAST_TIMES:
+        return alive(lines, joint) < DEAD
+    seen_mm = [np.ma.masked_invalid(capture.markers_mm[rows]) for rows in ends]
+    spread_mm2 = np.mean([each.var(axis=0, ddof=1).mean() for each in seen_mm])
+    error_mm = np.sqrt(spread_mm2 * sum(1.0 / len(each) for each in seen_mm))
+    return _mean_of_most(_apart_mm(*seen_mm), np.full(seen_mm[0].shape[1], error_mm)) < DEAD_ALONE
+
+
+def moved_alone_mm(capture: Capture, joint: int) -> Array:
+    """(n_markers, 3): from its lower to its upper end with all others at 0; NaN where not seen."""
+    upper, lower = (capture.markers_mm[rows] for rows in _ends_alone(capture, joint))
+    return _apart_mm(np.ma.masked_invalid(upper), np.ma.masked_invalid(lower))
+
+
+def _apart_mm(upper_mm: Array, lower_mm: Array) -> Array:
+    """(n, n_markers, 3) each, masked where not seen -> (n_markers, 3), the means apart."""
+    apart_mm = np.ma.mean(upper_mm, axis=0) - np.ma.mean(lower_mm, axis=0)
+    return np.asarray(np.ma.filled(apart_mm, np.nan))
+
+
+def _mean_of_most(effects_mm: Array, errors_mm: Array) -> float:
+    squares = np.sum(effects_mm**2, axis=1) / np.maximum(errors_mm, 1e-9) ** 2
+    return float(np.sort(squares[np.isfinite(squares)])[-3:].mean())
+
+
+def _ends_alone(capture: Capture, joint: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Poses in which no other joint is off 0, and this one at either end of where it is then."""
+    still = (np.abs(np.delete(capture.goals_deg, joint, axis=1)) < _STILL_DEG).all(axis=1)
+    rows = np.flatnonzero(still)
+    own_deg = capture.goals_deg[rows, joint]
+    if not len(rows) or np.ptp(own_deg) < _LEAST_RANGE_DEG:
+        return rows[:0], rows[:0]
+    near_deg = _END_SHARE * np.ptp(own_deg)
+    return rows[own_deg > own_deg.max() - near_deg], rows[own_deg < own_deg.min() + near_deg]

@@ -1,0 +1,80 @@
+"""What is captured of a robot: a joint in doubt is looked at again, and lips as wide as they go."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calibration.calibration import CalibrationError
+from calibration.capture.capture_plan import least_poses
+from calibration.capture.sanity import check_capture
+from calibration.fit.correspondence import RobotMouth, correspond
+from calibration.fit.procedure import Procedure
+from calibration.fit.retargeting import widest_pose_deg
+from calibration.simulated.elastic_family import draw_elastic_robot
+from calibration.simulated.elastic_robot import ElasticFace, ElasticRobot
+from lipsync.animpho.units import load_face_with_animphos
+from lipsync.markers import MARKERS_47
+
+MODEL = load_face_with_animphos()
+REST_MM = MODEL.markers_mm(MODEL.rest[None])[0]
+
+
+def drawn(seed, n_servos):
+    draw, servos = draw_elastic_robot(REST_MM, seed, n_servos)
+    return ElasticFace(draw), servos
+
+
+def shortest(servos, seed):
+    """No poses of speech: nothing is fitted on the way."""
+    n_poses = least_poses(len(servos.joints))
+    return Procedure(MODEL, servos.joints, n_poses, seed=seed, positive=servos.positive)
+
+
+@pytest.mark.parametrize("seed", [104, 116])
+def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed, tmp_path):
+    face, servos = drawn(seed, 10)
+    robot, told = ElasticRobot(face, noise_seed=seed), []
+    procedure, keep = shortest(servos, seed), tmp_path / "poses.jsonl"
+
+    capture = procedure.capture(
+        MARKERS_47.names, robot.move, robot.measure, keep=keep, told=told.append
+    )
+
+    assert len(told) == 1
+    n_doubtful = sum(f"'{name}'" in told[0] for name in servos.names)
+    assert n_doubtful > 0
+    assert capture.n_planned == len(capture) == procedure.n_poses + 12 * n_doubtful
+    check_capture(capture, MODEL, servos.positive)
+
+    def measured_again():
+        raise AssertionError("everything was kept")
+
+    again = procedure.capture(MARKERS_47.names, robot.move, measured_again, keep=keep)
+    assert np.array_equal(again.markers_mm, capture.markers_mm)
+
+
+def test_a_dead_joint_is_named_after_the_second_look():
+    face, servos = drawn(104, 10)
+    dead = servos.names.index("cheek_l")
+    robot = ElasticRobot(face, noise_seed=1)
+
+    def move(goal_deg):
+        robot.move(np.where(np.arange(10) == dead, 0.0, goal_deg))
+        return goal_deg
+
+    capture = shortest(servos, 104).capture(MARKERS_47.names, move, robot.measure)
+    with pytest.raises(CalibrationError, match="'cheek_l' moves no marker"):
+        check_capture(capture, MODEL, servos.positive)
+
+
+def test_the_lips_are_seen_as_far_apart_as_they_go():
+    face, servos = drawn(109, 4)
+    names = correspond(MARKERS_47.names)
+    widest_deg = widest_pose_deg(RobotMouth(face.markers_mm, names, servos.limits_deg))
+    robot = ElasticRobot(face, noise_seed=109)
+    procedure = replace(shortest(servos, 109), n_poses=30)
+
+    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+
+    assert np.abs(capture.goals_deg - widest_deg).max(axis=1).min() < 1.0
