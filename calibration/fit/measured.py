@@ -34,7 +34,6 @@ from calibration.grade import LearntLips
 from calibration.mouth_servos import MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
-from lipsync.face.model import FaceModel
 
 HOLD_OUT_SHARE = 0.2
 #: At most so many AnimPhos of 5 frames are fitted to: a map of 45 numbers for each servo needs no
@@ -98,7 +97,7 @@ def _fit(
     limits = servos.limits_deg
     fit, held_out = split_frames(model, seed)
     mouth = mouth_of(face, names, servos)
-    chosen = choose_map(retargeting_of(model, fit, mouth, face, capture), fit - model.rest)
+    chosen = choose_map(retargeting_of(model, mouth, face, capture), fit - model.rest)
     retargeting, run = chosen.retargeting, chosen.run
     errors, coverage = measure_shapes(ShapeErrors(model, mouth, retargeting), run, held_out)
     calibration = Calibration(
@@ -153,9 +152,13 @@ def mouth_of(face: RobotFace, names: Correspondence, servos: MouthServos) -> Rob
 
 
 def retargeting_of(
-    model: FaceModel, frames: Array, mouth: RobotMouth, face: RobotFace, capture: Capture
+    model: FaceWithAnimPhos, mouth: RobotMouth, face: RobotFace, capture: Capture
 ) -> Retargeting:
-    """What is asked of a learnt face: by where its lips stop, where they were seen to."""
+    """What is asked of a learnt face: by where its lips stop, where they were seen to.
+
+    Its scale is by all that the speaker said: a fiftieth of a few hundred frames is chance.
+    """
+    frames = model.animphos.frames
     heights_mm = gap_heights_mm(capture.markers_mm, mouth.names.shape_features.gaps)
     parts_mm = float(np.ptp(np.nanquantile(heights_mm[:, 0], [_NARROWEST, 1.0 - _NARROWEST])))
     if parts_mm < LEAST_OPENING_MM:

@@ -96,7 +96,7 @@ class Procedure:
         frames = split_frames(self.model, self.seed)[0]
         frames = frames[:: max(1, len(frames) // _FRAMES)]
         from_rest = frames - self.model.rest
-        retargeting = retargeting_of(self.model, frames, mouth, face, capture)
+        retargeting = retargeting_of(self.model, mouth, face, capture)
         closed = retargeting.closing(from_rest) >= 1.0
         n_closed = self._n_closed(n_poses) if closed.any() else 0
         usual = np.median(from_rest[closed], axis=0)[None] if n_closed else from_rest[:1]

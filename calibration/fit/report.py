@@ -7,7 +7,7 @@ import numpy as np
 
 from calibration.calibration import Calibration
 from calibration.fit.servo_response import CHIRP_END_HZ, chirp_amplitude_deg
-from calibration.grade import LearntLips
+from calibration.grade import LearntLips, lips_off_mm
 from calibration.joint_range import JointRange
 from lipsync.phonemes import VISEME_CLASSES
 
@@ -78,9 +78,12 @@ def _summary(calibration: Calibration) -> str:
         )
     grade = calibration.grade
     if grade is not None:
+        doubt_mm = 0.0 if calibration.learnt_lips is None else calibration.learnt_lips.doubt_mm
+        off_mm = lips_off_mm(grade, calibration.learnt_lips)
         return (
             f"measured at {grade.n_poses} poses of speech that were never fitted, the lips are "
-            f"{grade.lip_rms_mm:.2f} mm from the shapes asked for, the lip gap "
+            f"{off_mm:.2f} mm from the shapes of speech ({grade.lip_rms_mm:.2f} from those asked "
+            f"for, which may be {doubt_mm:.2f} off themselves), the lip gap "
             f"{grade.gap_rms_mm:.2f} mm (noise included); {max(grade.gap_slope, 0.0):.0%} of an "
             f"opening is made{_kept_text(grade.small_gaps_kept)}, closed lips are "
             f"{max(grade.closed_gap_mm, 0.0):.1f} mm apart; {errors.clipped_share:.0%} of the "

@@ -9,6 +9,7 @@ from rich.table import Table
 
 from calibration.calibration import Calibration
 from calibration.fit.report import report_lines
+from calibration.grade import lips_off_mm
 from lipservo.settings.gate_settings import PreventSettings
 from lipsync.phonemes import VISEME_CLASSES
 
@@ -67,6 +68,12 @@ def servo_values(calibration: Calibration) -> dict[str, dict[str, Value]]:
     }
 
 
+def grade_values(calibration: Calibration) -> dict[str, object] | None:
+    """What was measured, and `lips_off_mm`, which is printed first; None where nothing was."""
+    grade, lips = calibration.grade, calibration.learnt_lips
+    return None if grade is None else {"lips_off_mm": lips_off_mm(grade, lips), **asdict(grade)}
+
+
 def shown_values(
     calibration: Calibration, rules: Sequence[PreventSettings] | None
 ) -> dict[str, object]:
@@ -83,7 +90,7 @@ def shown_values(
         "face_checksum": calibration.face_checksum,
         "servos": servo_values(calibration),
         "hold_out": errors,
-        "grade": None if calibration.grade is None else asdict(calibration.grade),
+        "grade": grade_values(calibration),
         "learnt_lips": None if lips is None else asdict(lips),
         "coverage": coverage_values(calibration),
         "trim": trim_values(calibration),

@@ -14,6 +14,7 @@ from calibration.calibration import CalibrationError
 from calibration.capture.capture import Capture, Robot
 from calibration.fit.measured import fit_measured, split_frames
 from calibration.fit.procedure import Procedure, take_grade
+from calibration.grade import lips_off_mm
 from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_family import draw_elastic_robot
 from calibration.simulated.elastic_robot import ElasticFace, ElasticRobot
@@ -66,7 +67,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
         n_servos=len(servos.joints),
         true_mm=ours.off_mm,
         rival_mm=rival.off_mm,
-        printed_mm=fit.calibration.grade.lip_rms_mm,
+        printed_mm=lips_off_mm(fit.calibration.grade, fit.calibration.learnt_lips),
         gap_r=ours.gap_r,
         gap_slope=ours.gap_slope,
         small_gaps_shut=ours.shut,

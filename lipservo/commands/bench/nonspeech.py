@@ -64,7 +64,7 @@ def nonspeech(
         table.add_row(
             name,
             *(f"{row[key]:.3f}" for key in ("open_share", "speech_share")),
-            *(f"{row[key]:.1f}" for key in ("openings_per_min", "widest_mm")),
+            *(f"{round(row[key], 1) + 0.0:.1f}" for key in ("openings_per_min", "widest_mm")),
             *(f"{row[key]:.0f}" for key in ("files", "seconds")),
         )
     RESULTS.print(table)

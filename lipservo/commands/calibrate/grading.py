@@ -1,6 +1,6 @@
 """`calibrate grade`: what a calibration made by files is worth, measured on a second visit."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -50,7 +50,7 @@ def grade(
     from calibration.fit.report import report_lines
     from lipservo.calibrating.face_source import reader_of
     from lipservo.calibrating.graded_by_files import check_face, grade_by_files
-    from lipservo.calibrating.shown_calibration import coverage_table, coverage_values
+    from lipservo.calibrating.shown_calibration import coverage_table, coverage_values, grade_values
 
     before = load_calibration(file)
     setup = replace(load_setup(config, model), accept=accept)
@@ -68,10 +68,9 @@ def grade(
         )
     save_calibration(found, file)
     if as_json:
-        told = None if found.grade is None else asdict(found.grade)
-        coverage = coverage_values(found)
+        grade, coverage = grade_values(found), coverage_values(found)
         print_json(
-            {"calibration": str(file), "grade": told, "coverage": coverage, "warnings": warnings}
+            {"calibration": str(file), "grade": grade, "coverage": coverage, "warnings": warnings}
         )
         return
     for line in report_lines(found, str(file), None, with_servos=False):

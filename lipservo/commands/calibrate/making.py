@@ -122,7 +122,7 @@ def finish(
         then = write_check_poses(setup, calibration, fit, check_plan, output)
     jaw_r = jaw_check(setup, calibration)
     if as_json:
-        from lipservo.calibrating.shown_calibration import coverage_values
+        from lipservo.calibrating.shown_calibration import coverage_values, grade_values
 
         lips = calibration.learnt_lips
         told = {
@@ -136,7 +136,7 @@ def finish(
             "jaw_correlation": jaw_r,
             "warnings": result.warnings,
             "kept": kept,
-            "grade": None if calibration.grade is None else asdict(calibration.grade),
+            "grade": grade_values(calibration),
         }
         if fit is not None:
             told["left_out_pose_rms_mm"] = fit.face.left_out_rms_mm

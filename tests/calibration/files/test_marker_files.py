@@ -139,7 +139,7 @@ def test_practice_on_a_simulated_robot_tells_errors_play_and_lags(tmp_path):
         "--keep", keep, "-o", out,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
-    assert "mm from the shapes asked for" in done.stdout
+    assert "mm from the shapes of speech" in done.stdout
     assert "ms late" in done.stdout
     assert len(keep.read_text().splitlines()) == 30
     assert load_calibration(out).following.lag_s.min() > 0.02

@@ -18,7 +18,7 @@ from calibration.fit.correspondence import RobotMouth, correspond
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.measured_grade import N_GRADED, graded, graded_poses, too_bad
 from calibration.fit.retargeting import fit_retargeting
-from calibration.grade import Grade, VisemeReach
+from calibration.grade import Grade, LearntLips, VisemeReach, lips_off_mm
 from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors
 from lipsync.markers import MARKERS_47
 
@@ -233,3 +233,12 @@ def test_an_estimate_that_is_bad_says_so_too(fit):
     assert too_bad(bad) == "only 20% of an opening is made (estimated)"
     assert too_bad(fit.calibration) is None
     assert too_bad(replace(bad, origin=Origin("jaw alone"))) is None
+
+
+def test_what_is_printed_counts_what_the_shapes_asked_for_may_be_off_by():
+    """By hand: 0.3 mm in each axis beyond 0.4 of noise is 0.3 sqrt 3 in space."""
+    learnt = LearntLips(left_out_rms_mm=0.5, noise_mm=0.4, own_gap_mm=1.0, stop=True)
+    assert learnt.doubt_mm == pytest.approx(0.3 * np.sqrt(3))
+    assert lips_off_mm(GOOD, learnt) == pytest.approx(np.sqrt(0.25 + 0.27))
+    assert lips_off_mm(GOOD, None) == 0.5
+    assert replace(learnt, left_out_rms_mm=0.39).doubt_mm == 0.0
