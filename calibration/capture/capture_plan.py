@@ -88,10 +88,15 @@ def plan_around(
     joints: Sequence[JointRange],
     *,
     rules: Sequence[CouplingRule] = (),
-    seed: int = 0,
+    seed: int | None = 0,
 ) -> PosePlan:
-    """Given poses (n, n_servos), each joint reached from a side drawn by `seed`."""
-    side = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], goals_deg.shape)
+    """Given poses (n, n_servos), each joint reached from a side drawn by `seed`.
+
+    seed: None for all from below.
+    """
+    side = np.ones_like(goals_deg)
+    if seed is not None:
+        side = np.random.default_rng([seed, 1]).choice([-1.0, 1.0], goals_deg.shape)
     return _reached_from(joints, goals_deg, side, rules)
 
 

@@ -8,10 +8,15 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from calibration.capture.capture import Capture
 from calibration.capture.capture_plan import PosePlan, ends_alone, plan_around
-from calibration.capture.straight_lines import StraightLines
+from calibration.capture.straight_lines import (
+    StraightLines,
+    straight_lines,
+    without_far_points,
+)
 from calibration.coupling_rule import CouplingRule
 from calibration.joint_range import JointRange
 from lipsync.arrays import Array
@@ -19,9 +24,12 @@ from lipsync.arrays import Array
 #: What a joint does to the three markers that it moves most, in square standard errors: noise alone
 #: gives 8 to 13, seldom 17. Below the first it is dead, below the second nobody can be sure.
 DEAD, WEAK = 12.0, 40.0
-#: The same seen alone. Elastic robots of seeds 100 to 139: dead joints 13 at most, the weakest
-#: healthy ones 31.
-DEAD_ALONE = 17.0
+#: Seen alone, a joint is alive if noise would move a marker by so much in so many captures. That is
+#: 17 square standard errors among 47 markers; dead joints of elastic robots (seeds 100 to 139) came
+#: to 13 at most, the weakest healthy ones to 31 in a second look.
+_BY_CHANCE = 0.033
+#: Looks at a joint that seems dead still, beyond the first: a worse tracker needs more.
+MOST_LOOKS = 3
 #: A second look is taken up to here: dead joints come as far because the others are not straight.
 _DOUBT = 20.0
 #: Each end so many times in a second look; so many are needed to judge by.
@@ -30,10 +38,16 @@ _TIMES, _LEAST_TIMES = 6, 4
 _STILL_DEG, _END_SHARE, _LEAST_RANGE_DEG = 0.1, 0.05, 1.0
 
 
-def doubtful_joints(capture: Capture, lines: StraightLines) -> list[int]:
-    """Joints that may be dead as well as weak, as far as the capture tells."""
-    joints = range(len(capture.servo_names))
-    return [j for j in joints if alive(lines, j) < _DOUBT]
+def doubtful_joints(capture: Capture, looked_at: Sequence[int] | None = None) -> list[int]:
+    """Joints that may be dead as well as weak, as far as the capture tells.
+
+    looked_at: those that had a second look; None: there was none yet.
+    """
+    lines = straight_lines(capture)
+    if looked_at is None:
+        return [j for j in range(len(capture.servo_names)) if alive(lines, j) < _DOUBT]
+    believed = without_far_points(capture, lines)[0]
+    return [j for j in looked_at if is_dead(believed, lines, j)]
 
 
 def second_look(
@@ -41,11 +55,13 @@ def second_look(
     doubtful: Sequence[int],
     *,
     rules: Sequence[CouplingRule] = (),
-    seed: int = 0,
 ) -> PosePlan:
-    """Each of these alone, from one end of its range to the other, several times over."""
+    """Each of these alone, from one end of its range to the other, several times over.
+
+    All joints come from below each time, so that the play of the others is the same in all poses.
+    """
     goals_deg = [np.tile(ends_alone(joints, joint), (_TIMES, 1)) for joint in doubtful]
-    return plan_around(np.concatenate(goals_deg), joints, rules=rules, seed=seed)
+    return plan_around(np.concatenate(goals_deg), joints, rules=rules, seed=None)
 
 
 def alive(lines: StraightLines, joint: int) -> float:
@@ -62,7 +78,9 @@ def is_dead(capture: Capture, lines: StraightLines, joint: int) -> bool:
     seen_mm = [np.ma.masked_invalid(capture.markers_mm[rows]) for rows in ends]
     spread_mm2 = np.mean([each.var(axis=0, ddof=1).mean() for each in seen_mm])
     error_mm = np.sqrt(spread_mm2 * sum(1.0 / len(each) for each in seen_mm))
-    return _mean_of_most(_apart_mm(*seen_mm), np.full(seen_mm[0].shape[1], error_mm)) < DEAD_ALONE
+    n_markers = seen_mm[0].shape[1]
+    alone = _mean_of_most(_apart_mm(*seen_mm), np.full(n_markers, error_mm))
+    return alone < float(chi2.isf(_BY_CHANCE / n_markers, df=3))
 
 
 def moved_alone_mm(capture: Capture, joint: int) -> Array:

@@ -268,27 +268,33 @@ def _swapped_in_poses(capture: Capture, expected_mm: Array) -> list[_Swap]:
     for pose, (seen_mm, wanted_mm) in enumerate(zip(capture.markers_mm, expected_mm, strict=True)):
         filled_mm = np.where(np.isfinite(seen_mm), seen_mm, wanted_mm)
         where = f"in pose {pose + 1}"
-        found += _swaps(names, filled_mm - wanted_mm, filled_mm, where)
+        found += _swaps(names, filled_mm - wanted_mm, filled_mm, where, near_mm=_SWAP_MM)
     return found
 
 
-def _swaps(names: Sequence[str], off_mm: Array, points_mm: Array, where: str) -> list[_Swap]:
+def _swaps(
+    names: Sequence[str],
+    off_mm: Array,
+    points_mm: Array,
+    where: str,
+    *,
+    near_mm: float = np.inf,
+) -> list[_Swap]:
     """Pairs of markers that changed places, the clearest first; a marker is in one at most.
 
-    off_mm: (n, 3), how far each point is from where its name belongs.
+    off_mm: (n, 3), how far each point is from where its name belongs; near_mm: how near it must
+    come to where the other's belongs.
     """
-    far = [i for i in range(len(off_mm)) if np.linalg.norm(off_mm[i]) > _SWAP_MM]
+    sizes_mm = np.linalg.norm(off_mm, axis=1)
     pairs = []
-    for a, b in combinations(far, 2):
-        as_named = np.linalg.norm(off_mm[a]) ** 2 + np.linalg.norm(off_mm[b]) ** 2
+    for a, b in combinations(np.flatnonzero(sizes_mm > _SWAP_MM).tolist(), 2):
+        as_named = sizes_mm[a] ** 2 + sizes_mm[b] ** 2
         change_mm = points_mm[b] - points_mm[a]
-        swapped = (
-            np.linalg.norm(off_mm[a] + change_mm) ** 2 + np.linalg.norm(off_mm[b] - change_mm) ** 2
-        )
+        a_mm = np.linalg.norm(off_mm[a] + change_mm)
+        b_mm = np.linalg.norm(off_mm[b] - change_mm)
+        swapped = a_mm**2 + b_mm**2
         # Two wild readings in one pose are no exchange: each must come near the other's place.
-        both = np.linalg.norm(off_mm[a] + change_mm) < 0.6 * np.linalg.norm(off_mm[b]) and (
-            np.linalg.norm(off_mm[b] - change_mm) < 0.6 * np.linalg.norm(off_mm[a])
-        )
+        both = a_mm < 0.6 * sizes_mm[b] and b_mm < 0.6 * sizes_mm[a] and max(a_mm, b_mm) < near_mm
         if both and swapped < (1.0 - _SWAP_SHARE) * as_named:
             pairs.append((swapped / as_named, a, b))
     found: list[_Swap] = []

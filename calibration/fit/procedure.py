@@ -26,9 +26,8 @@ from calibration.capture.capture import (
     take_poses,
 )
 from calibration.capture.capture_plan import PosePlan, joined, least_poses, plan_around, plan_poses
-from calibration.capture.joint_life import doubtful_joints, second_look
+from calibration.capture.joint_life import MOST_LOOKS, doubtful_joints, second_look
 from calibration.capture.sanity import check_capture
-from calibration.capture.straight_lines import straight_lines
 from calibration.coupling_rule import CouplingRule
 from calibration.fit.correspondence import correspond
 from calibration.fit.lip_contact import gap_heights_mm
@@ -145,13 +144,15 @@ class Procedure:
 
         plan = self.range_plan()
         captured = take(plan, goes_on=True)
-        doubtful = doubtful_joints(captured, straight_lines(captured))
-        if doubtful:
-            names = ", ".join(repr(self.joints[joint].name) for joint in doubtful)
-            looks = second_look(self.joints, doubtful, rules=self.rules, seed=self.seed)
-            told(f"the markers hardly tell yet what {names} does: {len(looks)} more poses, alone")
-            plan = joined(plan, looks)
-            captured = take(plan, goes_on=True)
+        doubtful = doubtful_joints(captured)
+        for _ in range(MOST_LOOKS):
+            if doubtful:
+                names = ", ".join(repr(self.joints[joint].name) for joint in doubtful)
+                looks = second_look(self.joints, doubtful, rules=self.rules)
+                told(f"the markers hardly tell yet what {names} does: {len(looks)} poses more")
+                plan = joined(plan, looks)
+                captured = take(plan, goes_on=True)
+                doubtful = doubtful_joints(captured, doubtful)
         if not self.n_of_speech:
             return captured
         checked = check_capture(captured, self.model, self.positive, accept=self.accept)

@@ -19,6 +19,7 @@ from calibration.mouth_servos import MouthServos
 from calibration.simulated.elastic_family import draw_elastic_robot
 from calibration.simulated.elastic_robot import ElasticFace, ElasticRobot
 from lipservo.bench.calibration.capture_faults import count_faults
+from lipservo.bench.calibration.hard_captures import refusals
 from lipservo.bench.calibration.shipped_ways import way_figures
 from lipservo.bench.calibration.shown_motion import Motion, behind_play, played, shown
 from lipservo.bench.calibration.textbook_rival import rival_poses_deg
@@ -89,6 +90,7 @@ def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[
     model = load_face_with_animphos()
     rest_mm = model.markers_mm(model.rest[None])[0]
     scores, refused = {}, {}
+    refused_with: dict[str, dict[str, str]] = {}
     tried = named = misnamed = 0
     for seed in seeds:
         try:
@@ -96,6 +98,8 @@ def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[
         except CalibrationError as error:
             refused[seed] = str(error)
         draw, servos = draw_elastic_robot(rest_mm, seed)
+        for tracker, why in refusals(model, ElasticFace(draw), servos, seed).items():
+            refused_with.setdefault(tracker, {}).update({} if why is None else {str(seed): why})
         for count in count_faults(model, ElasticFace(draw), servos, seed).values():
             tried, named = tried + count.tried, named + count.named
             misnamed += count.misnamed
@@ -103,6 +107,7 @@ def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[
     return {
         **summary(scores, refused),
         **ways,
+        "refused_with": refused_with,
         "faults_named": named / max(tried, 1),
         "faults_misnamed": misnamed / max(tried, 1),
     }

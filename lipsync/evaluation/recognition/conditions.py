@@ -7,11 +7,12 @@ import numpy as np
 
 from lipsync.arrays import Array32
 from lipsync.errors import UserError
+from lipsync.evaluation.recognition.shoebox_room import in_room
 from lipsync.recognition.training import noise
 
-KINDS = ("white", "music", "babble", "level", "telephone", "clipped")
+KINDS = ("white", "music", "babble", "level", "telephone", "clipped", "room")
 #: Those that are made of the speech alone; the number after the colon is a level, or not needed.
-_OPTIONAL_DB = ("telephone", "clipped")
+_OPTIONAL_DB = ("telephone", "clipped", "room")
 
 
 class ConditionError(UserError):
@@ -35,6 +36,8 @@ class Condition:
             return samples * np.float32(10.0 ** (self.db / 20.0))
         if self.kind == "telephone":
             return noise.telephone(samples)
+        if self.kind == "room":
+            return in_room(rng, samples)
         if self.kind == "clipped":
             # Ten times over full scale (design measurement).
             gain = np.float32(10.0 / max(np.abs(samples).max(), 1e-9))

@@ -51,13 +51,15 @@ def test_a_second_look_tells_a_weak_joint_from_a_dead_one(seed):
     weak, dead = both_looks(EFFECT, seed), both_looks(DEAD_LEFT, seed)
     assert not is_dead(weak, straight_lines(weak), 1)
     assert is_dead(dead, straight_lines(dead), 1)
+    assert doubtful_joints(weak, [1]) == []
+    assert doubtful_joints(dead, [1]) == [1]
     assert not is_dead(dead, straight_lines(dead), 0)
 
 
 def test_a_first_look_leaves_both_in_doubt_and_never_the_jaw():
     for effect in (EFFECT, DEAD_LEFT):
         capture = first_look(effect, 0)
-        assert doubtful_joints(capture, straight_lines(capture)) == [1]
+        assert doubtful_joints(capture) == [1]
     capture = first_look(EFFECT, 0)
     assert alive(straight_lines(capture), 0) > 100.0
 
@@ -70,6 +72,7 @@ def test_a_second_look_moves_one_joint_at_a_time_between_its_ends_within_the_rul
     assert plan.goals_deg[:12].tolist() == [[0.0, -27.0], [0.0, 27.0]] * 6
     assert (plan.goals_deg[12:, 1] == 0.0).all()
     assert plan.goals_deg[:, 0].max() == 10.0
+    assert (plan.from_below == 1.0).all()
     limits = np.array([[j.min_deg, j.max_deg] for j in JOINTS]).T
     assert ((limits[0] <= plan.start_deg) & (plan.start_deg <= limits[1])).all()
 

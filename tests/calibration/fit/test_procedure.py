@@ -7,6 +7,7 @@ import pytest
 
 from calibration.calibration import CalibrationError
 from calibration.capture.capture_plan import least_poses
+from calibration.capture.joint_life import MOST_LOOKS
 from calibration.capture.sanity import check_capture
 from calibration.fit.correspondence import RobotMouth, correspond
 from calibration.fit.procedure import Procedure
@@ -63,7 +64,9 @@ def test_a_dead_joint_is_named_after_the_second_look():
         robot.move(np.where(np.arange(10) == dead, 0.0, goal_deg))
         return goal_deg
 
-    capture = shortest(servos, 104).capture(MARKERS_47.names, move, robot.measure)
+    told = []
+    capture = shortest(servos, 104).capture(MARKERS_47.names, move, robot.measure, told=told.append)
+    assert ["'cheek_l'" in line for line in told] == [True] * MOST_LOOKS
     with pytest.raises(CalibrationError, match="'cheek_l' moves no marker"):
         check_capture(capture, MODEL, servos.positive)
 
