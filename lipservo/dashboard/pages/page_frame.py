@@ -28,6 +28,14 @@ _ALWAYS: Final = ("stop.js", "link.js", "watchdog.js")
 _IMPORTED: Final = ("frame.js", "calls.js", "words.js")
 
 
+#: What STOP does until stop.js is there, which then asks again and tells what became of it.
+_EARLY_STOP: Final = (
+    "if(!window.faceStop){this.dataset.pressed=this.dataset.early='';"
+    "fetch('/api/stop',{method:'POST',headers:{'Content-Type':'application/json'},"
+    "body:JSON.stringify({level:'soft',wait_s:0})})}"
+)
+
+
 @contextmanager
 def page_frame(
     here: str, status: Mapping[str, Any] | None, facts: Mapping[str, object], scripts: Sequence[str]
@@ -94,7 +102,8 @@ def _head(here: str, status: Mapping[str, Any]) -> str:
         f'<div class="who"><strong id="face-name">{name}</strong>{where}'
         '<span id="face-state" role="status">…</span></div>'
         f"<nav>{ways}</nav>"
-        '<button id="face-stop" type="button" title="Stops the face. Pressed again: limp at once.">'
+        f'<button id="face-stop" type="button" onclick="{_EARLY_STOP}"'
+        ' title="Stops the face. Pressed again: limp at once.">'
         "<b>STOP</b><small>Esc</small></button></header>"
         '<p id="face-stop-report" role="alert" hidden></p>'
         '<p id="face-banner" role="alert" hidden></p></div>'

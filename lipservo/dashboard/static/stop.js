@@ -105,3 +105,5 @@ window.addEventListener(
 window.faceStop = stop;
 window.faceDriven = driven;
 button.dataset.ready = "";
+// Pressed before this file had come: the button has asked by itself.
+if (button.dataset.early !== undefined) stop();

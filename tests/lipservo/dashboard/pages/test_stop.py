@@ -53,6 +53,26 @@ def test_stop_works_while_the_framework_of_the_page_cannot_be_loaded(browser, ad
     assert face.said[0] == "soft"
 
 
+def test_a_press_before_any_script_has_come_stops_the_face_and_is_told_of_later(
+    browser, address, face
+):
+    held = []
+    with browser.new_context() as context:
+        page = context.new_page()
+        page.route("**/*.js", lambda route: held.append(route))
+        page.goto(address, wait_until="commit")
+
+        with page.expect_response("**/api/stop") as asked:
+            page.click("#face-stop")
+        assert asked.value.ok
+        assert asked.value.request.post_data_json == {"level": "soft", "wait_s": 0}
+
+        for route in held:
+            route.continue_()
+        reported(page, "confirmed by 16 servos")
+    assert set(face.said) == {"soft"}
+
+
 def test_stop_tries_again_and_says_so_while_nobody_answers(opened, face):
     page = opened()
     page.route("**/api/stop", lambda route: route.abort())
