@@ -23,7 +23,7 @@ from lipsync.arrays import Array
 
 #: What a joint does to the three markers that it moves most, in square standard errors: noise alone
 #: gives 8 to 13, seldom 17. Below the first it is dead, below the second nobody can be sure.
-DEAD, WEAK = 12.0, 40.0
+_DEAD, WEAK = 12.0, 40.0
 #: Seen alone, a joint is alive if noise would move a marker by so much in so many captures. That is
 #: 17 square standard errors among 47 markers; dead joints of elastic robots (seeds 100 to 139) came
 #: to 13 at most, the weakest healthy ones to 31 in a second look.
@@ -65,16 +65,22 @@ def second_look(
 
 
 def alive(lines: StraightLines, joint: int) -> float:
-    """Mean square effect on the three markers it moves most, in square standard errors."""
+    """Mean square effect of joint number `joint` on the three markers that it moves most.
+
+    In square standard errors: noise alone gives 8 to 13.
+    """
     chance_mm = lines.chance_mm[joint] * lines.own_noise_mm / max(lines.noise_mm, 1e-9)
     return _mean_of_most(lines.slopes_mm[joint], chance_mm)
 
 
 def is_dead(capture: Capture, lines: StraightLines, joint: int) -> bool:
-    """Whether it moves no marker by more than chance; by a second look where there was one."""
+    """Whether joint number `joint` moves no marker by more than chance.
+
+    By what it did alone where it was seen so several times at both ends, else by the lines.
+    """
     ends = _ends_alone(capture, joint)
     if min(map(len, ends)) < _LEAST_TIMES:
-        return alive(lines, joint) < DEAD
+        return alive(lines, joint) < _DEAD
     seen_mm = [np.ma.masked_invalid(capture.markers_mm[rows]) for rows in ends]
     spread_mm2 = np.mean([each.var(axis=0, ddof=1).mean() for each in seen_mm])
     error_mm = np.sqrt(spread_mm2 * sum(1.0 / len(each) for each in seen_mm))

@@ -146,13 +146,14 @@ class Procedure:
         captured = take(plan, goes_on=True)
         doubtful = doubtful_joints(captured)
         for _ in range(MOST_LOOKS):
-            if doubtful:
-                names = ", ".join(repr(self.joints[joint].name) for joint in doubtful)
-                looks = second_look(self.joints, doubtful, rules=self.rules)
-                told(f"the markers hardly tell yet what {names} does: {len(looks)} poses more")
-                plan = joined(plan, looks)
-                captured = take(plan, goes_on=True)
-                doubtful = doubtful_joints(captured, doubtful)
+            if not doubtful:
+                break
+            names = ", ".join(repr(self.joints[joint].name) for joint in doubtful)
+            looks = second_look(self.joints, doubtful, rules=self.rules)
+            told(f"the markers hardly tell yet what {names} does: {len(looks)} poses more")
+            plan = joined(plan, looks)
+            captured = take(plan, goes_on=True)
+            doubtful = doubtful_joints(captured, doubtful)
         if not self.n_of_speech:
             return captured
         checked = check_capture(captured, self.model, self.positive, accept=self.accept)

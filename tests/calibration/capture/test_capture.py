@@ -208,6 +208,15 @@ def test_swapped_markers_are_named(capture, one, other, poses):
         check_capture(dataclasses.replace(capture, markers_mm=markers_mm), MODEL)
 
 
+def test_two_wild_readings_near_each_others_places_are_no_exchange(capture):
+    """5 mm beside, where a true exchange is within noise; they are left out and counted."""
+    a, b = (MARKERS_47.names.index(name) for name in ("outer_lip_61", "outer_lip_291"))
+    markers_mm = capture.markers_mm.copy()
+    markers_mm[17, [a, b]] = capture.markers_mm[17, [b, a]] + [0.0, 5.0, 0.0]
+    checked = check_capture(dataclasses.replace(capture, markers_mm=markers_mm), MODEL)
+    assert any("2 readings were far off" in line for line in checked.warnings)
+
+
 @pytest.mark.parametrize("poses", [slice(None), slice(17, 18)])
 def test_two_pairs_of_swapped_markers_are_in_one_report(capture, poses):
     markers_mm = capture.markers_mm.copy()
