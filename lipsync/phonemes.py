@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, Protocol, runtime_checkable
 
+from lipsync.arrays import Array
 from lipsync.audio_block import AudioBlock
 
 SILENCE = "SIL"
@@ -141,6 +142,14 @@ class Listener(Protocol):
     @property
     def hears(self) -> Hearing | None:
         """None: nobody listens."""
+
+
+@runtime_checkable
+class ServoListener(Protocol):
+    """Whoever hears the robot's own servos, and takes them for what they are when told of them."""
+
+    def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
+        """The servos (n_servos,) turned so fast at a sound time; NaN: not known."""
 
 
 class LiveRecognizer(Protocol):

@@ -3,8 +3,9 @@
 import math
 
 from lipservo.speech.heard_voice import HeardVoice
+from lipsync.arrays import Array
 from lipsync.audio.source import AudioSource
-from lipsync.phonemes import Hearing, Listener, LiveRecognizer, PhonemeUpdate
+from lipsync.phonemes import Hearing, Listener, LiveRecognizer, PhonemeUpdate, ServoListener
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 
 
@@ -36,6 +37,11 @@ class RecognizedPhonemes:
     def hears(self) -> Hearing | None:
         """What is believed about the sound; None where the recogniser does not say."""
         return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
+
+    def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
+        """The robot's servos turned so fast; only a device can hear them, a file cannot."""
+        if self._source.is_live and isinstance(self._recognizer, ServoListener):
+            self._recognizer.note_servo_speeds(sound_s, speeds_deg_s)
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Hear the sound that is due at sound time `until_s`; what became known by it."""

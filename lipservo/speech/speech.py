@@ -18,7 +18,14 @@ from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
 from lipsync.face.synthesizer import Synthesizer
-from lipsync.phonemes import SILENCE, Hearing, Listener, PhonemeEvent, PhonemeSource
+from lipsync.phonemes import (
+    SILENCE,
+    Hearing,
+    Listener,
+    PhonemeEvent,
+    PhonemeSource,
+    ServoListener,
+)
 
 #: After a stall, targets that would be shown longer ago than this are not computed any more.
 _OLDEST_WORTH_SHOWING_S = 0.100
@@ -99,6 +106,11 @@ class Speech:
     def calibration(self) -> Calibration:
         """How faces become joint angles, for the servos of the mouth."""
         return self._calibration
+
+    def note_servo_speeds(self, now_s: float, speeds_deg_s: Array) -> None:
+        """All servos of the face (n_servos,) turned so fast at monotonic `now_s`."""
+        if isinstance(self._phonemes, ServoListener):
+            self._phonemes.note_servo_speeds(self._clock.sound_s(now_s), speeds_deg_s)
 
     def begin(self, zero_s: float) -> None:
         """The sound begins at monotonic `zero_s`."""

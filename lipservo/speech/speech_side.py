@@ -17,12 +17,14 @@ from lipservo.speech.recognized_phonemes import RecognizedPhonemes
 from lipservo.speech.speech import Speech
 from lipservo.speech.speech_board import SpeechBoard
 from lipservo.speech.spoken_phonemes import SpokenPhonemes
+from lipsync.arrays import Array
 from lipsync.audio.playback_clock import OwnPlaybackClock, clock_for
 from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.synthesizer import Synthesizer
 from lipsync.offline.performed_motion import PerformedMotion
 from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.servo_speeds import ServoSpeeds
 
 #: Full speed is told three times, a tenth of a second apart, since nobody acknowledges it.
 _MARGIN_S: Final = 0.3
@@ -41,6 +43,7 @@ class SpeechSide:
         self.speech = speech
         self.voice = voice
         self._mouth = mouth
+        self._servo_speeds = ServoSpeeds()
         #: Where it tells what it shows; None: nobody watches.
         self.board: SpeechBoard | None = None
 
@@ -59,6 +62,12 @@ class SpeechSide:
             self._mouth.follow(now_s, self.speech.expression.mouth_gain)
         if self.board is not None:
             self.board.tell(now_s, self.speech)
+
+    def note_servos(self, time_s: float, positions_deg: Array) -> None:
+        """All servos of the face (n_servos,) stood there at monotonic `time_s`, by encoders."""
+        found = self._servo_speeds.take(time_s, positions_deg)
+        if found is not None:
+            self.speech.note_servo_speeds(*found)
 
     def change(self, settings: Mapping[str, float]) -> None:
         """Take what was set while the face runs, by name; what nobody here knows is left alone."""

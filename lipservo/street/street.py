@@ -38,6 +38,9 @@ class Street:
         """Everything that happens at monotonic grid time `time_s`."""
         self.side.advance(time_s)
         report = self.bridge.tick(time_s, late)
+        feedback = self.bridge.feedback
+        if feedback is not None:
+            self.side.note_servos(feedback.time_s, feedback.positions_deg)
         sound_s = self.speech.sound_time_s(time_s)
         if self.speech.is_cut_off:
             phoneme, frame = SILENCE, Frame(sound_s, self._rest)

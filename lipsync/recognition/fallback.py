@@ -9,8 +9,9 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+from lipsync.arrays import Array
 from lipsync.audio_block import BLOCK_S, AudioBlock
-from lipsync.phonemes import Hearing, Listener, LiveRecognizer, PhonemeUpdate
+from lipsync.phonemes import Hearing, Listener, LiveRecognizer, PhonemeUpdate, ServoListener
 from lipsync.recognition.energy_recognizer import NeutralRecognizer
 from lipsync.recognition.streaming import PreparingRecognizer
 
@@ -75,6 +76,11 @@ class FallbackRecognizer:
     def hears(self) -> Hearing | None:
         """What the level in use believes about the sound; None where it does not say."""
         return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
+
+    def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
+        """Tell the level in use, where it can do anything with it."""
+        if isinstance(self._recognizer, ServoListener):
+            self._recognizer.note_servo_speeds(sound_s, speeds_deg_s)
 
     def reset(self) -> None:
         """Back to the best level that could be made, ready for a new stream at sound time 0."""

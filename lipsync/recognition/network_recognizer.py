@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lipsync.arrays import Array32
+from lipsync.arrays import Array, Array32
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, Hearing, PhonemeUpdate
 from lipsync.recognition.audio_input import AudioInput
@@ -19,6 +19,7 @@ from lipsync.recognition.decoder import (
 )
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
 from lipsync.recognition.network import LATENCY_S, NetworkWeights
+from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.update_builder import UpdateBuilder
 
@@ -51,6 +52,7 @@ class NetworkRecognizer:
         least_s = _WINDOW_S + weights.delays[0] / FRAMES_PER_S
         if latency_s < least_s - 1e-9:
             raise ValueError(f"latency_s is {latency_s}; the network needs at least {least_s}")
+        self._own_noise: OwnNoise | None = None
         self.reset()
 
     @property
@@ -74,7 +76,9 @@ class NetworkRecognizer:
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
         self._input = AudioInput()
-        self._posteriors = PosteriorStream(self._weights)
+        if self._own_noise is not None:
+            self._own_noise.begin()
+        self._posteriors = PosteriorStream(self._weights, self._own_noise)
         self._n_samples = 0  # at 16 kHz, that the posteriors were computed from
         self._prepared: deque[_PreparedBlock] = deque()
         self._decoder = ViterbiDecoder(self._weights.delays, self._delay, self._settings)
@@ -84,6 +88,16 @@ class NetworkRecognizer:
         self._noticed_at = -(10**9)  # the last frame that a person would have noticed
         self._settled: list[int] = []  # phonemes from the first frame not final on
         self._provisional: list[int] = []  # of the frames after them that a head has spoken about
+
+    def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
+        """The robot's servos (n_servos,) turned so fast at a sound time: their noise is no voice.
+
+        What they sound like is learned on the way, and kept through `reset`.
+        """
+        if self._own_noise is None:
+            self._own_noise = OwnNoise(self._weights.delays[-1] + round(_AHEAD_S * FRAMES_PER_S))
+            self._posteriors.hear_own_noise(self._own_noise)
+        self._own_noise.note_speeds(sound_s, speeds_deg_s)
 
     def prepare(self, blocks: Sequence[AudioBlock]) -> None:
         """Compute the scores of the blocks that will be fed next, all in one go.
@@ -98,7 +112,11 @@ class NetworkRecognizer:
             n_silent = self._n_completed(len(silence))
             n_jumped = round(jump_s * FRAMES_PER_S)
             counts.append((block.start_s, n_silent, n_jumped, self._n_completed(len(sound))))
-        scores = self._decoder.scores(self._posteriors.push(np.concatenate(samples)))
+        until_s = blocks[-1].end_s if blocks else 0.0
+        posteriors = self._posteriors.push(
+            np.concatenate(samples), until_s, is_awake=self._decoder.is_awake
+        )
+        scores = self._decoder.scores(posteriors)
         noticeable = self._posteriors.noticeable
         end = 0
         for start_s, n_silent, n_jumped, n_sound in counts:

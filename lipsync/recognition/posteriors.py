@@ -1,4 +1,6 @@
-"""From samples to the posteriors of phonemes: features, network, digital silence, steady sound.
+"""From samples to the posteriors of phonemes: features, network, and what is surely no voice.
+
+Digital silence, sound that stands still, and the robot's own servos, where it is told of them.
 
 One arithmetic for the live recogniser (a frame at a time), for a file that is worked on ahead of
 its time (many frames in one matrix product), and for whole recordings.
@@ -10,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.arrays import Array32
+from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.recognition.decoder import SILENCE_INDEX
-from lipsync.recognition.features import SPEECH_PEAK, LevelNormalizer, LogMelStream
+from lipsync.recognition.features import HOP, SPEECH_PEAK, WINDOW, LevelNormalizer, LogMelStream
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
+from lipsync.recognition.own_noise import SURE_OF_SILENCE, OwnNoise
 from lipsync.recognition.steady_sound import SteadySoundDetector
 
 #: Where no band reaches this log power there is no sound: digital silence gives -16.1, white noise
@@ -31,7 +35,10 @@ class PosteriorStream:
     from those of single frames by rounding only (1e-5).
     """
 
-    def __init__(self, weights: NetworkWeights) -> None:
+    def __init__(self, weights: NetworkWeights, own_noise: OwnNoise | None = None) -> None:
+        """own_noise: of the robot that listens; None: nobody tells how its servos move."""
+        self._own_noise = own_noise
+        self._n_samples = self._n_frames = 0
         self._delays = weights.delays
         self._log_mel = LogMelStream()
         self._normalizer = LevelNormalizer(weights.scale)
@@ -43,20 +50,32 @@ class PosteriorStream:
         # Whether there may have been a voice in each of the last frames, the newest last.
         self._audible = np.ones(weights.delays[-1], np.bool_)
 
-    def push(self, samples: Array32) -> Array32:
+    def hear_own_noise(self, own_noise: OwnNoise) -> None:
+        """From now on somebody tells how the robot's servos move."""
+        self._own_noise = own_noise
+
+    def push(self, samples: Array32, until_s: float = 0.0, *, is_awake: bool = False) -> Array32:
         """(n, n_heads, n_phonemes) of the frames that samples (m,) at 16 kHz complete.
+
+        until_s: the sound time at which they end; is_awake: speech was believed a moment ago. Only
+        the robot's own noise needs them.
 
         The head that waits d frames gives, at frame k, the posteriors of frame k - d. Where that
         frame holds no sound, or one that stands still, it is silence, whatever the network says.
         """
         frames = self._log_mel.push(samples)
         n = len(frames)
+        self._n_samples += len(samples)
+        self._n_frames += n
         self.noticeable = frames.mean(axis=1) >= NOTICEABLE
         if n == 0:
             return self._none
         posteriors = self._network.push(self._normalizer.push(frames))
         is_steady = np.array([self._steady.push(frame) for frame in frames])
         may_be_voice = (frames.max(axis=1) >= INAUDIBLE) & ~is_steady
+        if self._own_noise is not None:
+            may_be_voice &= ~self._explained(self._own_noise, frames, until_s, is_awake=is_awake)
+            self._learn(self._own_noise, posteriors)
         audible = np.concatenate((self._audible, may_be_voice))
         for head, delay in enumerate(self._delays):
             first = len(self._audible) - delay
@@ -65,3 +84,22 @@ class PosteriorStream:
             posteriors[silent, head, SILENCE_INDEX] = 1.0
         self._audible = audible[n:]
         return posteriors
+
+    def _explained(
+        self, own_noise: OwnNoise, frames: Array32, until_s: float, *, is_awake: bool
+    ) -> NDArray[np.bool_]:
+        """(n,): whether the servos explain each of the newest frames (n, 40)."""
+        first = self._n_frames - len(frames)
+        middles = (first + np.arange(len(frames))) * HOP + WINDOW // 2
+        times_s = until_s - (self._n_samples - middles) / SAMPLE_RATE_HZ
+        found = [
+            own_noise.explains(frame, time_s, is_awake=is_awake)
+            for frame, time_s in zip(frames, times_s.tolist(), strict=True)
+        ]
+        return np.array(found, np.bool_)
+
+    def _learn(self, own_noise: OwnNoise, posteriors: Array32) -> None:
+        """From the frames about which the last head has just spoken; before anything is put in."""
+        newest = len(posteriors) - 1
+        for index in np.flatnonzero(posteriors[:, -1, SILENCE_INDEX] > SURE_OF_SILENCE):
+            own_noise.learn(newest - int(index) + self._delays[-1])

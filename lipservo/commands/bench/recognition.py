@@ -42,8 +42,14 @@ def recognition(
     engine: EngineChoice = "network",
     noise: Annotated[
         str | None,
-        typer.Option(metavar="KIND:DB", help="white, music, babble (signal to noise), level, ..."),
+        typer.Option(metavar="KIND:DB", help="white, music, servos (signal to noise), level, ..."),
     ] = None,
+    servo_speeds: Annotated[
+        bool,
+        typer.Option(
+            "--servo-speeds", help="With --noise servos:DB: the recogniser is told how they move."
+        ),
+    ] = False,
     by: Annotated[
         Literal["speaker", "group"] | None,
         typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
@@ -67,7 +73,9 @@ def recognition(
     from lipsync.evaluation.recognition.benchmark import measure
     from lipsync.evaluation.recognition.conditions import parse_condition
 
-    condition = None if noise is None else parse_condition(noise)
+    condition = None
+    if noise is not None or servo_speeds:
+        condition = parse_condition(noise or "", tells_servos=servo_speeds)
     make = recognizer_maker(engine, latency_ms / 1e3, weights)
     utterances = selected(corpus, speakers, only, limit)
     groups_of = speaker_groups(by, corpus, groups)
@@ -88,6 +96,7 @@ def recognition(
         "weights": weights,
         "latency_ms": latency_ms,
         "noise": noise,
+        "servo_speeds": servo_speeds,
     }
     _print({**figures.as_dict(), **settings, "machine": machine_class()}, as_json=as_json)
 
@@ -116,7 +125,12 @@ def listening(
     """Measure false speech, the time that a block costs, how soon the mouth closes and wakes."""
     import numpy as np
 
-    from lipsync.evaluation.recognition.benchmark import block_costs_s, false_speech, quiet_sounds
+    from lipsync.evaluation.recognition.benchmark import (
+        block_costs_s,
+        false_speech,
+        own_servo_figures,
+        quiet_sounds,
+    )
     from lipsync.recognition.speech_file import read_speech
 
     utterances = None
@@ -129,6 +143,9 @@ def listening(
         f"false_speech_{name}": false_speech(recognizer, sound)
         for name, sound in quiet_sounds(np.random.default_rng(0)).items()
     }
+    figures |= own_servo_figures(
+        recognizer_maker(engine, latency_ms / 1e3, weights)(), np.random.default_rng(0)
+    )
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         speech = read_speech(clip)
     costs_s = block_costs_s(recognizer, speech)

@@ -136,11 +136,15 @@ def train_recognizer(
         ),
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 5_000,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 10_000,
     rate: Annotated[
         float, typer.Option(min=0.0, help="Learning rate at its peak; less to go on from weights.")
     ] = 3e-3,
     copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 10,
+    channels: Annotated[
+        int,
+        typer.Option(min=8, max=1024, help="Width of the network; what it begins as has its own."),
+    ] = 256,
     jobs: Annotated[
         int | None,
         typer.Option(
@@ -164,6 +168,12 @@ def train_recognizer(
     if start_share and start_from is None:
         raise UserError("--start-share is of the weights to go on from; give --start-from")
     n_jobs = jobs or os.cpu_count() or 1
+    start = None if start_from is None else find_weights(start_from)
+    plan = TrainingPlan(
+        seed=seed, n_steps=steps, peak_rate=rate, n_threads=n_jobs, channels=channels
+    )
+    if start is not None:
+        plan = plan.shaped_as(start)
     run = TrainingRun(
         corpora=tuple(corpora),
         folder=folder,
@@ -173,11 +183,11 @@ def train_recognizer(
         limit=limit,
         voices=read_voices(synthetic) if synthetic else (),
         sounds=tuple(noise or ()),
-        start=None if start_from is None else find_weights(start_from),
+        start=start,
         start_share=start_share,
         n_copies=copies,
         n_processes=n_jobs,
-        plan=TrainingPlan(seed=seed, n_steps=steps, peak_rate=rate, n_threads=n_jobs),
+        plan=plan,
     )
     with progress_bar(quiet=quiet) as advance:
         weights = run_training(run, advance)

@@ -154,7 +154,8 @@ def speech_process(
         targets = SocketTargetChannel(end)
         avatars = entered_avatars(asked.avatars, asked.model, stack, say)
         side = make_speech_side(face, source, recognizer, synthesizer, targets, has_soft_start=True)
-        side.board = SpeechBoard(stack.enter_context(LiveBoard.adopt(live)), face.model.rest)
+        watched = stack.enter_context(LiveBoard.adopt(live))
+        side.board = SpeechBoard(watched, face.model.rest)
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:
@@ -165,7 +166,7 @@ def speech_process(
         listener = None if agents is None else socket.socket(fileno=agents)
         serving = voice_agents(listener, side, asked.voice, face.model, control_path, say)
         url = stack.enter_context(serving)
-        n_said = 0
+        n_said = n_servo_ticks = 0
         settings: dict[str, float] = {}
         tell_at_s = float("-inf")
         for time_s, _ in ticks(clock, 1.0 / PUBLISH_PERIOD_S):
@@ -175,6 +176,9 @@ def speech_process(
             if (wanted := shared.settings()) != settings:
                 side.change(wanted)
                 settings, tell_at_s = wanted, time_s
+            for number, servos in watched.servos_since(n_servo_ticks):
+                side.note_servos(float(servos["time_s"]), servos["encoder_deg"])
+                n_servo_ticks = number
             side.advance(time_s)
             if avatars is not None:
                 sound_s = side.speech.sound_time_s(time_s)

@@ -10,6 +10,7 @@ from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.evaluation.recognition.conditions import Condition
 from lipsync.evaluation.recognition.recognition_scores import Score, phone_sequence
+from lipsync.evaluation.recognition.servo_noise import encoder_readings_deg, servo_noise
 from lipsync.evaluation.recognition.stream_observers import label_frames
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.alignment.alignment_cache import LABELLED, AlignedUtterance
@@ -96,9 +97,11 @@ def measure(
     recognizer = make_recognizer()
     for utterance in scored:
         samples = read_speech(utterance.sound)
+        servos_deg = None
         if condition is not None:
             samples = condition.apply(samples, utterance.name, voices)
-        heard, block_costs = label_frames(recognizer, samples)
+            servos_deg = condition.servo_positions_deg(utterance.name, len(samples))
+        heard, block_costs = label_frames(recognizer, samples, servos_deg)
         reference = alignments[utterance.name].labels(len(heard.labels))
         for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
             each.add(heard.labels, reference)
@@ -125,13 +128,33 @@ def measure(
     )
 
 
-def false_speech(recognizer: LiveRecognizer, samples: np.ndarray) -> float:
-    """The share of 10 ms frames called speech in sound (n,) that holds none."""
+def false_speech(
+    recognizer: LiveRecognizer, samples: np.ndarray, servos_deg: np.ndarray | None = None
+) -> float:
+    """The share of 10 ms frames called speech in sound (n,) that holds none.
+
+    servos_deg: as `label_frames` has it.
+    """
     from lipsync.phonemes import SILENCE
     from lipsync.recognition.alignment.alignment_cache import PHONEME_INDEX
 
-    labels = label_frames(recognizer, samples.astype(np.float32))[0].labels
+    labels = label_frames(recognizer, samples.astype(np.float32), servos_deg)[0].labels
     return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
+
+
+def own_servo_figures(recognizer: LiveRecognizer, rng: np.random.Generator) -> dict[str, float]:
+    """The share of frames called speech while the robot's servos move and nobody speaks.
+
+    20 s at -36 dBFS, 10 dB below usual speech; then the same of a robot that tells how its servos
+    move, after half a minute in which it listened to others of its moves.
+    """
+    first, first_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ)
+    sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ)
+    level = np.float32(10.0 ** (-36 / 20))
+    untold = false_speech(recognizer, level * sound)
+    false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
+    told = false_speech(recognizer, level * sound, encoder_readings_deg(speeds))
+    return {"own_servos_speech_share": untold, "own_servos_speech_share_told": told}
 
 
 def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:

@@ -5,12 +5,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lipsync.arrays import Array32
+from lipsync.arrays import Array, Array32
 from lipsync.errors import UserError
+from lipsync.evaluation.recognition.servo_noise import encoder_readings_deg, servo_noise
 from lipsync.evaluation.recognition.shoebox_room import in_room
 from lipsync.recognition.training import noise
 
-KINDS = ("white", "music", "babble", "level", "telephone", "clipped", "room")
+KINDS = ("white", "music", "babble", "servos", "level", "telephone", "clipped", "room")
 #: Those that are made of the speech alone; the number after the colon is a level, or not needed.
 _OPTIONAL_DB = ("telephone", "clipped", "room")
 
@@ -21,17 +22,21 @@ class ConditionError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """How speech is changed. db: signal to noise, or for `level` the change of level."""
+    """How speech is changed. db: signal to noise, or for `level` the change of level.
+
+    tells_servos: the recogniser is told how the servos move whose noise it hears.
+    """
 
     kind: str
     db: float
+    tells_servos: bool = False
 
     def apply(self, samples: Array32, name: str, voices: list[Array32]) -> Array32:
         """The samples (n,) as they are heard; the utterance's name chooses the random numbers.
 
         voices: other recordings, for babble.
         """
-        rng = np.random.default_rng(zlib.crc32(name.encode()))
+        rng = _rng(name)
         if self.kind == "level":
             return samples * np.float32(10.0 ** (self.db / 20.0))
         if self.kind == "telephone":
@@ -43,19 +48,37 @@ class Condition:
             gain = np.float32(10.0 / max(np.abs(samples).max(), 1e-9))
             clipped: Array32 = np.clip(samples * gain, -1.0, 1.0)
             return clipped
+        if self.kind == "servos":
+            return noise.add_noise(samples, servo_noise(rng, len(samples))[0], self.db)
         maker = {"white": noise.white, "music": noise.band, "babble": noise.babble(voices)}
         return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)
 
+    def servo_positions_deg(self, name: str, n_samples: int) -> Array | None:
+        """What the encoders say, a row (n_servos,) each 10 ms; None: nobody tells."""
+        if not self.tells_servos:
+            return None
+        return encoder_readings_deg(servo_noise(_rng(name), n_samples)[1])
 
-def parse_condition(text: str) -> Condition:
-    """`KIND:DB`, as `white:10`; ConditionError for another form."""
+
+def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
+    """`KIND:DB`, as `white:10`; ConditionError for another form, and for servos that are not heard.
+
+    tells_servos: as `Condition` has it.
+    """
+    if tells_servos and not text.startswith("servos:"):
+        raise ConditionError("--servo-speeds is for the noise of servos; give --noise servos:10")
     kind, _, db = text.partition(":")
     try:
-        return Condition(_known(kind), 0.0 if not db and kind in _OPTIONAL_DB else float(db))
+        level_db = 0.0 if not db and kind in _OPTIONAL_DB else float(db)
+        return Condition(_known(kind), level_db, tells_servos)
     except ValueError as error:
         raise ConditionError(
             f"--noise {text!r} is not KIND:DB; kinds: {', '.join(KINDS)}; for example white:10"
         ) from error
+
+
+def _rng(name: str) -> np.random.Generator:
+    return np.random.default_rng(zlib.crc32(name.encode()))
 
 
 def _known(kind: str) -> str:

@@ -1,14 +1,23 @@
 """What is recorded of a recogniser's stream: frame labels, updates, processor time."""
 
 import math
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.arrays import Array32
-from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
-from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF, LiveRecognizer, PhonemeUpdate
+from lipsync.arrays import Array, Array32
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
+from lipsync.phonemes import (
+    PHONEMES,
+    SILENCE,
+    VISEME_OF,
+    LiveRecognizer,
+    PhonemeUpdate,
+    ServoListener,
+)
 from lipsync.recognition.alignment.alignment_cache import PHONEME_INDEX
+from lipsync.recognition.servo_speeds import ServoSpeeds
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 from lipsync.timeline import PhonemeTimeline
 
@@ -69,12 +78,15 @@ class UpdateLog:
             self.updates.append(update)
 
 
-def label_frames(recognizer: LiveRecognizer, samples: Array32) -> tuple[FrameLabels, StepCosts]:
+def label_frames(
+    recognizer: LiveRecognizer, samples: Array32, servos_deg: Array | None = None
+) -> tuple[FrameLabels, StepCosts]:
     """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
 
     The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
     of the frame. So frame t is judged by what was settled when the sound to 10 t ms + latency was
-    heard, and nothing later. The costs are those of the blocks.
+    heard, and nothing later. The costs are those of the blocks. servos_deg: what encoders read of
+    the robot's servos, a row (n_servos,) each 10 ms, which the recogniser is told when it is read.
     """
     recognizer.reset()
     n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
@@ -82,5 +94,22 @@ def label_frames(recognizer: LiveRecognizer, samples: Array32) -> tuple[FrameLab
     n_first = round(recognizer.latency_s * SAMPLE_RATE_HZ) % _HOP or _HOP
     labels, costs = FrameLabels(len(samples) // _HOP), StepCosts()
     whole = padded[: n_first + (len(padded) - n_first - 1) // _HOP * _HOP]
-    RecognizerStream(recognizer, (labels, costs)).run(blocks_of(whole, n_first))
+    blocks = blocks_of(whole, n_first)
+    if servos_deg is not None and isinstance(recognizer, ServoListener):
+        blocks = _with_servos(blocks, recognizer, servos_deg)
+    RecognizerStream(recognizer, (labels, costs)).run(blocks)
     return labels, costs
+
+
+def _with_servos(
+    blocks: Iterable[AudioBlock], recognizer: ServoListener, servos_deg: Array
+) -> Iterator[AudioBlock]:
+    """The blocks; before each, the recogniser is told what was read by then."""
+    speeds, n_told = ServoSpeeds(), 0
+    for block in blocks:
+        while n_told < len(servos_deg) and (n_told + 1) * BLOCK_S <= block.end_s:
+            found = speeds.take((n_told + 1) * BLOCK_S, servos_deg[n_told])
+            if found is not None:
+                recognizer.note_servo_speeds(*found)
+            n_told += 1
+        yield block

@@ -17,12 +17,14 @@ Labels = NDArray[np.int64]
 
 #: The recipe's gain was -25..+5 dB and lost .12 at -30 dB; -40 covers it.
 _GAIN_DB = (-40.0, 5.0)
-_SNR_DB = (3.0, 30.0)
+_SNR_DB = (2.0, 25.0)
 #: Beside somebody who is louder than this nobody could tell which talker is meant.
 _SECOND_TALKER_DB = (8.0, 25.0)
 _SPEED = (0.88, 1.12)
 #: Vocal tracts from a large man's to a small child's; adults who read are between.
 _WARP = (0.85, 1.40)
+#: Of the made sounds. Laughter by real vowels is hardest to tell from speech.
+_LAUGHTER_SHARE = 0.15
 #: Heard before somebody speaks, s.
 _BEFORE_S = (0.2, 1.5)
 _SILENCE_INDEX = PHONEMES.index(SILENCE)
@@ -40,18 +42,23 @@ class LabelledSamples:
 class Surroundings:
     """What is heard beside the voice.
 
-    babble: many others; talker: one other; found: files, or None where there are none.
+    babble: many others; talker: one other; laughter: of those that speak; found: files, or None
+    where there are none.
     """
 
     babble: Noise
     talker: Noise
+    laughter: Noise
     found: Noise | None = None
 
     def sound(self, rng: np.random.Generator, n: int) -> Array32:
         """A sound that is no speech: made, or found."""
         if self.found is not None and rng.random() < 0.45:
             return self.found(rng, n)
-        if rng.random() < 0.6:
+        chance = rng.random()
+        if chance < _LAUGHTER_SHARE:
+            return self.laughter(rng, n)
+        if chance < 0.65:
             return nonspeech_sounds.any_sound(rng, n)
         makers = (noise.white, noise.coloured, noise.chords)
         return makers[int(rng.integers(len(makers)))](rng, n)

@@ -96,12 +96,23 @@ def add_noise(speech: Array32, noise: Array32, snr_db: float) -> Array32:
 
 
 def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
-    """Speech in a room: an exponential tail of noise, reverberation time 0.15 to 0.6 s."""
-    reverberation_s, wet = rng.uniform(0.15, 0.6), rng.uniform(0.1, 0.7)
+    """Speech in a room: reflections of walls, then an exponential tail of noise, 0.15 to 0.7 s.
+
+    What is not direct has .02 to 3 times its power, as from beside the talker to across the room.
+    """
+    reverberation_s, wet = rng.uniform(0.15, 0.7), rng.uniform(0.15, 1.7)
     time_s = np.arange(round(reverberation_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
     # -60 dB after the reverberation time: Sabine's definition.
     tail = rng.standard_normal(len(time_s)) * 10.0 ** (-3.0 * time_s / reverberation_s)
-    tail[0] = 0.0
+    # Diffuse sound comes after the first walls, which send single echoes.
+    tail[: round(rng.uniform(0.0, 0.02) * SAMPLE_RATE_HZ)] = 0.0
+    n_echoes = int(rng.integers(0, 9))
+    at = rng.integers(16, round(0.05 * SAMPLE_RATE_HZ), n_echoes)
+    echo_power = float(np.sum(tail**2)) * rng.uniform(0.0, 1.5)
+    strengths = rng.uniform(0.2, 1.0, n_echoes) * rng.choice((-1.0, 1.0), n_echoes)
+    if n_echoes:
+        strengths *= np.sqrt(echo_power / np.sum(strengths**2))
+        np.add.at(tail, at, strengths)
     tail *= wet / np.sqrt(np.sum(tail**2))
     tail[0] = 1.0
     n_fft = 1 << (len(speech) + len(tail)).bit_length()

@@ -28,6 +28,7 @@ from lipsync.recognition.speech_file import read_speech
 from lipsync.recognition.training import augmentation, noise
 from lipsync.recognition.training.augmentation import LabelledSamples, Surroundings
 from lipsync.recognition.training.found_sounds import found
+from lipsync.recognition.training.laughter import laughter_of
 
 #: Targets of frames that a head cannot know yet; torch's cross entropy passes over them.
 NO_TARGET = -100
@@ -124,9 +125,13 @@ def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingA
 
 
 def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
-    voices = [each.samples for each in clean[:: max(1, len(clean) // 200)]]
+    some = clean[:: max(1, len(clean) // 200)]
+    voices = [each.samples for each in some]
     around = Surroundings(
-        noise.babble(voices), noise.babble(voices, 1), found(_FOUND) if _FOUND else None
+        noise.babble(voices),
+        noise.babble(voices, 1),
+        laughter_of([(each.samples, each.labels) for each in some]),
+        found(_FOUND) if _FOUND else None,
     )
     silence = PHONEMES.index(SILENCE)
     for index, each in enumerate(clean):

@@ -1,13 +1,14 @@
 """How the network is trained: its shape, the schedule, and the windows that a step learns from."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.errors import UserError
 from lipsync.recognition.features import N_BANDS
+from lipsync.recognition.network import NetworkWeights
 from lipsync.recognition.training.training_data import TrainingArray
 
 #: Chance that a window of the lightly changed copy is drawn; the heavily changed share the rest.
@@ -24,28 +25,39 @@ class TrainingPlan:
     """How to learn; the defaults are those of `lipservo train-recognizer`.
 
     closure_weight: of a frame of P B M or F V in the loss of the viseme classes. A closure that is
-    missed is seen by everybody, one too many by few, so missing one costs more.
+    missed is seen by everybody, one too many by few, so missing one costs more. dropout: of what
+    each layer finds; it is there in training alone.
     """
 
     delays: tuple[int, ...] = (2, 7, 12)
     head_weights: tuple[float, ...] = (0.3, 0.5, 0.2)
-    dilations: tuple[int, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
-    channels: int = 192
-    n_steps: int = 5_000
+    dilations: tuple[int, ...] = (1, 2, 4, 8, 16, 1, 2, 4, 8, 16)
+    channels: int = 256
+    n_steps: int = 10_000
     batch: int = 32
     window: int = 400
     peak_rate: float = 3e-3
     weight_decay: float = 0.02
+    dropout: float = 0.1
     closure_weight: float = 2.0
     seed: int = 0
     n_threads: int = 2
     log_every: int = 50
-    check_every: int = 100
+    check_every: int = 500
 
     @property
     def averaging(self) -> float:
         """Share of the running average that stays at each step: it spans a quarter of the run."""
         return 1.0 - 4.0 / max(8, self.n_steps)
+
+    def shaped_as(self, weights: NetworkWeights) -> "TrainingPlan":
+        """The same schedule for a network of this shape."""
+        return replace(
+            self,
+            delays=weights.delays,
+            dilations=tuple(layer.dilation for layer in weights.residuals),
+            channels=len(weights.entry.bias),
+        )
 
 
 def draw_windows(

@@ -15,6 +15,7 @@ from lipsync.corpus.transcribed import (
 )
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.alignment.alignment_cache import AlignedUtterance, align_corpus
+from lipsync.recognition.alignment.goodness_of_pronunciation import LEAST_SCORE
 from lipsync.recognition.features import FeatureScale
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
 from lipsync.recognition.synthetic.synthetic_corpus import SyntheticVoice, write_voice
@@ -82,7 +83,7 @@ def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
     plan = run.plan
     sounds = [sound for folder in run.sounds for sound in read_found_sounds(folder)]
     utterances, alignments = _aligned(run, advance)
-    usable = [u for u in utterances if not alignments[u.name].error]
+    usable = [u for u in utterances if _is_said(alignments[u.name])]
     training = [u for u in usable if u.speaker not in run.validation]
     if not training:
         raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
@@ -159,6 +160,11 @@ def _aligned(
         progress=count,
     )
     return utterances, alignments
+
+
+def _is_said(aligned: AlignedUtterance) -> bool:
+    """Learners and children say other words than their text; labels of those would be wrong."""
+    return not aligned.error and (aligned.score is None or aligned.score >= LEAST_SCORE)
 
 
 def _spoken(

@@ -9,6 +9,7 @@ from firmware_bridge.loop.channel import MemoryTargetChannel
 from lipservo.face.assembly import assemble_face
 from lipservo.speech.recognized_phonemes import RecognizedPhonemes
 from lipservo.speech.speech import Speech
+from lipservo.speech.speech_side import SpeechSide
 from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipsync.audio.playback_clock import SteadyClock, clock_for
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
@@ -74,6 +75,48 @@ def test_the_sound_of_a_drifting_card_is_shown_with_the_declared_delay(drift):
         speech.advance(card.now_s)
     shown_s = speech.sound_time_s(card.now_s)
     assert ears.heard_s - shown_s == pytest.approx(speech.delay.total_s, abs=0.05)
+
+
+class Ears(Deaf):
+    """A recogniser that also remembers what it was told of the servos."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.told: list[tuple[float, np.ndarray]] = []
+
+    def note_servo_speeds(self, sound_s: float, speeds_deg_s: np.ndarray) -> None:
+        self.told.append((sound_s, speeds_deg_s))
+
+
+@pytest.mark.parametrize("is_live", [True, False], ids=["device", "file"])
+def test_a_device_that_hears_the_servos_is_told_of_them_and_a_file_is_not(is_live):
+    """Encoders at 50 Hz; a joint turns at 40 deg/s, and the sound comes 50 ms late."""
+    face = assemble_face("face_sim", None)
+    card, ears = Card(0.0), Ears()
+    card.is_live = is_live
+    if not is_live:
+        card.blocks = lambda _until_s: []
+    names = list(face.settings.servos)
+    synthesizer = make_synthesizer(face.model, MotionOptions())
+    speech = Speech(
+        RecognizedPhonemes(card, ears),
+        clock_for(card),
+        synthesizer,
+        face.calibration,
+        names,
+        MemoryTargetChannel(),
+    )
+    side = SpeechSide(speech)
+    for n in range(100):
+        card.now_s = n * 0.02
+        side.advance(card.now_s)
+        side.note_servos(card.now_s, np.full(len(names), 40.0 * card.now_s))
+    if not is_live:
+        assert ears.told == []
+        return
+    sound_s, speeds = ears.told[-1]
+    assert speeds == pytest.approx(np.full(len(names), 40.0))
+    assert sound_s == pytest.approx(card.now_s - 0.02 - 0.05, abs=0.03)
 
 
 def targets_of(name: str, until_s: float = 2.0) -> tuple[list[str], np.ndarray]:

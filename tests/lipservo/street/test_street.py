@@ -46,3 +46,26 @@ def test_a_label_file_drives_the_servos_in_time_without_any_sound():
             if event.start_s - 0.04 <= sound_s <= event.end_s + 0.04
         ]
         assert min(around) <= 1.0
+
+
+def test_the_bridge_tells_the_speech_side_where_the_servos_stand():
+    events = read_phonemes(CLIP_LABELS_PATH)
+    face, clock = assemble_face("face_sim", None), ManualClock()
+    synthesizer = make_synthesizer(face.model, MotionOptions())
+    with make_bus(face, clock) as bus:
+        street = make_street_of(
+            face, ScriptedPhonemes(events), SteadyClock(), bus, RATE_HZ, synthesizer
+        )
+        told = []
+        street.side.note_servos = lambda time_s, deg: told.append((time_s, deg.copy()))
+        street.bridge.start()
+        street.begin(clock.now())
+        for time_s, late in ticks(clock, RATE_HZ):
+            if time_s > 2.0:
+                break
+            tick = street.tick(time_s, late)
+    assert len(told) >= 95
+    time_s, positions_deg = told[-1]
+    assert time_s == tick.report.time_s
+    assert np.abs(positions_deg - tick.report.sent_deg).max() < 5.0
+    assert np.ptp([deg[0] for _, deg in told]) > 5.0

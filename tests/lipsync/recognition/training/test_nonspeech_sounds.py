@@ -8,6 +8,7 @@ from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.training import augmentation, noise, nonspeech_sounds
 from lipsync.recognition.training.augmentation import LabelledSamples, Surroundings
 from lipsync.recognition.training.found_sounds import FoundSoundsError, found, read_found_sounds
+from lipsync.recognition.training.laughter import laughter_of
 
 KINDS = [
     nonspeech_sounds.impulses,
@@ -72,7 +73,7 @@ def test_what_surrounds_a_voice_moves_no_label():
     samples[16_000:25_600] += 0.3 * np.sin(np.arange(9_600) / 3).astype(np.float32)
     clean = LabelledSamples(samples, labels)
     quiet = noise.babble([samples])
-    around = Surroundings(quiet, quiet)
+    around = Surroundings(quiet, quiet, laughter_of([(samples, labels)]))
     for seed in range(12):
         changed = augmentation.augment_heavily(np.random.default_rng(seed), clean, around)
         assert len(changed.labels) <= len(changed.samples) // 160 + 1

@@ -1,0 +1,126 @@
+"""What the robot's own servos sound like at each speed, learned while it listens.
+
+The power of each mel band that servo j adds at speed v is interpolated between a few speeds, and
+all servos together add up:
+
+    N_b(v_1, ..., v_n) = sum_j sum_s phi_s(v_j) E_jsb
+
+E is learned where the network is sure that nobody speaks, and only there: the mouth moves with the
+voice that it hears, so that whatever is learned beside a voice is partly that voice. Each such
+frame moves log N to where it was heard by a part of the way, shared among the E as they share in N
+(normalised least mean squares, Haykin, Adaptive Filter Theory, in logarithms).
+
+Sound that is no louder than the servos are expected to be is explained by them. Nothing is taken
+off the sound: that made hearing worse (docs/decisions/0036).
+"""
+
+from collections import deque
+
+import numpy as np
+
+from lipsync.arrays import Array, Array32
+from lipsync.recognition.features import N_BANDS
+
+#: Speeds between which the sound of a servo is interpolated; below the first it fades to nothing.
+_KNOTS_DEG_S = np.array([5.0, 15.0, 40.0, 80.0, 150.0, 300.0])
+#: A speed that is told counts so long. Encoders are read 30 times a second at the least.
+_LASTS_S = 0.1
+_MOST_TOLD = 64
+#: The power that a servo is thought to add before anything was learned: nothing that counts.
+_NOTHING = 1e-6
+#: How far towards a frame what is known moves: far at first, then so that seconds are averaged.
+_FIRST_STEP, _LAST_STEP, _SLOWING_FRAMES = 0.5, 0.03, 20.0
+_FURTHEST = 2.0
+#: So sure the network must be that nobody spoke.
+SURE_OF_SILENCE = 0.8
+#: Sound and what is expected are compared over some 80 ms: single frames of noise scatter.
+_SMOOTHING = 0.12
+#: The mean over the bands by which sound may be louder than expected and still be the servos', in
+#: natural logarithms of power: 6 dB before the mouth wakes. While somebody speaks it is 2 dB, and
+#: for so long that the noise alone does not keep a mouth talking (decisions/0036).
+_EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 1.3, 0.5, 30
+
+
+class OwnNoise:
+    """One robot's servos; outlives the streams that it listens to.
+
+    `note_speeds` as they are read, `explains` for each frame in order, `learn` once it is known
+    that nobody spoke. Memory and time of a call are bounded by the number of servos.
+    """
+
+    def __init__(self, most_frames: int) -> None:
+        """most_frames: how many frames after it was heard a frame is learned from at the latest."""
+        self._told: deque[tuple[float, Array]] = deque(maxlen=_MOST_TOLD)
+        self._heard: deque[tuple[Array32, Array | None]] = deque(maxlen=most_frames + 1)
+        self._power = np.zeros((0, N_BANDS))  # (n_servos n_knots, n_bands)
+        self._n_learned = np.zeros(0)
+        self._louder: float | None = None  # None: the servos were at rest until now
+        self._n_explained = 0  # frames on end within the narrower margin
+
+    def begin(self) -> None:
+        """A new stream begins, and sound time with it; what was learned stays."""
+        self._told.clear()
+        self._heard.clear()
+        self._louder, self._n_explained = None, 0
+
+    def note_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
+        """The servos (n_servos,) turned so fast at a sound time; NaN: not known, taken for 0."""
+        n = len(speeds_deg_s) * len(_KNOTS_DEG_S)
+        if n != len(self._power):
+            self._power, self._n_learned = np.full((n, N_BANDS), _NOTHING), np.zeros(n)
+            self.begin()
+        self._told.append((sound_s, knot_shares(speeds_deg_s)))
+
+    def explains(self, frame: Array32, sound_s: float, *, is_awake: bool) -> bool:
+        """Whether the servos explain a log-mel frame (40,) whose middle is at a sound time.
+
+        is_awake: speech was believed a moment ago; then it takes more to be explained.
+        """
+        shares = self._shares_at(sound_s)
+        self._heard.append((frame, shares))
+        if shares is None:
+            self._louder, self._n_explained = None, 0
+            return False
+        louder = float(np.mean(frame - np.log(shares @ self._power)))
+        before = louder if self._louder is None else self._louder
+        self._louder = before + _SMOOTHING * (louder - before)
+        self._n_explained = self._n_explained + 1 if self._louder < _EXPLAINED_AWAKE else 0
+        if is_awake:
+            return self._n_explained >= _AWAKE_FRAMES
+        return self._louder < _EXPLAINED_AT_REST
+
+    def learn(self, n_ago: int) -> None:
+        """Nobody spoke in the frame that was heard `n_ago` frames before the last one."""
+        if n_ago >= len(self._heard):
+            return
+        frame, shares = self._heard[-1 - n_ago]
+        if shares is None:
+            return
+        used = shares > 0.0
+        parts = shares[used, None] * self._power[used]
+        expected = parts.sum(axis=0)
+        off = np.clip(frame - np.log(expected), -_FURTHEST, _FURTHEST)
+        self._n_learned[used] += shares[used]
+        step = np.maximum(_LAST_STEP, _FIRST_STEP / (1.0 + self._n_learned[used] / _SLOWING_FRAMES))
+        share = parts / expected
+        share /= np.square(share).sum(axis=0)
+        self._power[used] *= np.exp(step[:, None] * share * off)
+
+    def expected(self, speeds_deg_s: Array) -> Array:
+        """Log-mel power (40,) of the servos at speeds (n_servos,), as far as it is known."""
+        return np.log(knot_shares(speeds_deg_s) @ self._power + 1e-30)
+
+    def _shares_at(self, sound_s: float) -> Array | None:
+        """How much each E counts then, (n_servos n_knots,); None: not known, or nobody moved."""
+        nearest = min(self._told, key=lambda told: abs(told[0] - sound_s), default=None)
+        if nearest is None or abs(nearest[0] - sound_s) > _LASTS_S or not nearest[1].any():
+            return None
+        return nearest[1]
+
+
+def knot_shares(speeds_deg_s: Array) -> Array:
+    """(n_servos n_knots,): how much each knot counts at speeds (n_servos,), 0 to 1; NaN: 0."""
+    knots = np.concatenate(([0.0], _KNOTS_DEG_S))
+    speeds = np.nan_to_num(np.abs(speeds_deg_s), posinf=knots[-1])
+    place = np.interp(speeds, knots, np.arange(len(knots)))
+    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(1, len(knots)))).ravel()
