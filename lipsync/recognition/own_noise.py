@@ -36,9 +36,9 @@ SURE_OF_SILENCE = 0.8
 #: Sound and what is expected are compared over some 80 ms: single frames of noise scatter.
 _SMOOTHING = 0.12
 #: The mean over the bands by which sound may be louder than expected and still be the servos', in
-#: natural logarithms of power: 6 dB before the mouth wakes. While somebody speaks it is 2 dB, and
-#: for so long that the noise alone does not keep a mouth talking (decisions/0036).
-_EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 1.3, 0.5, 30
+#: natural logarithms of power: 3 dB before the mouth wakes. While somebody speaks it is 1 dB, for
+#: half a second on end, so that its own noise does not keep a mouth talking (decisions/0036).
+_EXPLAINED_AT_REST, _EXPLAINED_AWAKE, _AWAKE_FRAMES = 0.7, 0.25, 50
 
 
 class OwnNoise:
@@ -108,7 +108,7 @@ class OwnNoise:
 
     def expected(self, speeds_deg_s: Array) -> Array:
         """Log-mel power (40,) of the servos at speeds (n_servos,), as far as it is known."""
-        return np.log(knot_shares(speeds_deg_s) @ self._power + 1e-30)
+        return np.asarray(np.log(knot_shares(speeds_deg_s) @ self._power + 1e-30))
 
     def _shares_at(self, sound_s: float) -> Array | None:
         """How much each E counts then, (n_servos n_knots,); None: not known, or nobody moved."""
@@ -123,4 +123,5 @@ def knot_shares(speeds_deg_s: Array) -> Array:
     knots = np.concatenate(([0.0], _KNOTS_DEG_S))
     speeds = np.nan_to_num(np.abs(speeds_deg_s), posinf=knots[-1])
     place = np.interp(speeds, knots, np.arange(len(knots)))
-    return np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(1, len(knots)))).ravel()
+    shares = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(1, len(knots))))
+    return np.asarray(shares.ravel())

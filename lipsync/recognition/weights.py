@@ -1,8 +1,4 @@
-"""The network's weights on disk: one .npz of whole numbers and their steps, never pickle.
-
-A matrix is kept as int8, each column (all that makes one output) in steps of its own: a quarter of
-the size of float32. Files of before hold float16, and are read as well.
-"""
+"""The network's weights on disk: one .npz of float16 arrays, never pickle."""
 
 import json
 from collections.abc import Mapping
@@ -37,8 +33,8 @@ def save_weights(
 ) -> None:
     """Write the weights, whole or not at all. Raises OutputError.
 
-    The steps move no posterior by more than a few hundredths (tested). provenance: where they are
-    from, kept beside them as JSON (`provenance`); nothing that runs reads it.
+    Half precision changes posteriors by less than 0.01 (tested). provenance: where they are from,
+    kept beside them as JSON (`provenance`); nothing that runs reads it.
     """
     layers = (weights.entry, *weights.residuals)
     arrays: dict[str, NDArray[np.generic]] = {
@@ -52,7 +48,7 @@ def save_weights(
         "output_bias": weights.output_bias.astype(np.float32),
     }
     for index, layer in enumerate(layers):
-        arrays[f"kernel_{index}"], arrays[f"step_{index}"] = _in_steps(layer.kernel)
+        arrays[f"kernel_{index}"] = layer.kernel.astype(np.float16)
         arrays[f"bias_{index}"] = layer.bias.astype(np.float32)
     if provenance is not None:
         arrays["provenance"] = np.array(json.dumps(provenance))
@@ -120,7 +116,7 @@ def _check_name(name_or_path: str) -> None:
 def _weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
     dilations = [int(dilation) for dilation in arrays["dilations"]]
     layers = [
-        Layer(_kernel(arrays, i), _float(arrays[f"bias_{i}"]), dilation)
+        Layer(_float(arrays[f"kernel_{i}"]), _float(arrays[f"bias_{i}"]), dilation)
         for i, dilation in enumerate(dilations)
     ]
     return NetworkWeights(
@@ -132,17 +128,6 @@ def _weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
         delays=tuple(int(delay) for delay in arrays["delays"]),
         phonemes=tuple(str(phoneme) for phoneme in arrays["phonemes"]),
     )
-
-
-def _in_steps(kernel: NDArray[np.float32]) -> tuple[NDArray[np.int8], NDArray[np.float32]]:
-    """(n_in, n_out) as whole numbers from -127 to 127, and the step (n_out,) of each column."""
-    steps = np.maximum(np.abs(kernel).max(axis=0), np.float32(1e-12)) / np.float32(127.0)
-    return np.rint(kernel / steps).astype(np.int8), steps.astype(np.float32)
-
-
-def _kernel(arrays: dict[str, NDArray[np.generic]], index: int) -> NDArray[np.float32]:
-    kernel = _float(arrays[f"kernel_{index}"])
-    return kernel if f"step_{index}" not in arrays else kernel * _float(arrays[f"step_{index}"])
 
 
 def _float(array: NDArray[np.generic]) -> NDArray[np.float32]:

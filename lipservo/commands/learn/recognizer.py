@@ -136,7 +136,7 @@ def train_recognizer(
         ),
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
-    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 10_000,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 5_000,
     rate: Annotated[
         float, typer.Option(min=0.0, help="Learning rate at its peak; less to go on from weights.")
     ] = 3e-3,
@@ -144,7 +144,7 @@ def train_recognizer(
     channels: Annotated[
         int,
         typer.Option(min=8, max=1024, help="Width of the network; what it begins as has its own."),
-    ] = 256,
+    ] = 192,
     jobs: Annotated[
         int | None,
         typer.Option(

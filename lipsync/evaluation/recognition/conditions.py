@@ -24,11 +24,12 @@ class ConditionError(UserError):
 class Condition:
     """How speech is changed. db: signal to noise, or for `level` the change of level.
 
-    tells_servos: the recogniser is told how the servos move whose noise it hears.
+    robot: whose servos are heard. tells_servos: the recogniser is told how they move.
     """
 
     kind: str
     db: float
+    robot: int = 0
     tells_servos: bool = False
 
     def apply(self, samples: Array32, name: str, voices: list[Array32]) -> Array32:
@@ -49,7 +50,7 @@ class Condition:
             clipped: Array32 = np.clip(samples * gain, -1.0, 1.0)
             return clipped
         if self.kind == "servos":
-            return noise.add_noise(samples, servo_noise(rng, len(samples))[0], self.db)
+            return noise.add_noise(samples, servo_noise(rng, len(samples), self.robot)[0], self.db)
         maker = {"white": noise.white, "music": noise.band, "babble": noise.babble(voices)}
         return noise.add_noise(samples, maker[self.kind](rng, len(samples)), self.db)
 
@@ -57,20 +58,22 @@ class Condition:
         """What the encoders say, a row (n_servos,) each 10 ms; None: nobody tells."""
         if not self.tells_servos:
             return None
-        return encoder_readings_deg(servo_noise(_rng(name), n_samples)[1])
+        return encoder_readings_deg(servo_noise(_rng(name), n_samples, self.robot)[1])
 
 
 def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
-    """`KIND:DB`, as `white:10`; ConditionError for another form, and for servos that are not heard.
+    """`KIND:DB`, as `white:10`, or `servos:DB:ROBOT`.
 
-    tells_servos: as `Condition` has it.
+    tells_servos: as `Condition` has it. Raises ConditionError for another form, and for servos
+    that are told of and not heard.
     """
     if tells_servos and not text.startswith("servos:"):
         raise ConditionError("--servo-speeds is for the noise of servos; give --noise servos:10")
     kind, _, db = text.partition(":")
+    db, _, robot = db.partition(":") if kind == "servos" else (db, "", "")
     try:
         level_db = 0.0 if not db and kind in _OPTIONAL_DB else float(db)
-        return Condition(_known(kind), level_db, tells_servos)
+        return Condition(_known(kind), level_db, abs(int(robot or 0)), tells_servos)
     except ValueError as error:
         raise ConditionError(
             f"--noise {text!r} is not KIND:DB; kinds: {', '.join(KINDS)}; for example white:10"

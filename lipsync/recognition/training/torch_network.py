@@ -19,19 +19,17 @@ _NORM_WINDOWS = 64
 
 
 class _Residual(nn.Module):
-    """x + dropout(relu(norm(conv(x)))), causal."""
+    """x + relu(norm(conv(x))), causal."""
 
-    def __init__(self, channels: int, dilation: int, dropout: float) -> None:
+    def __init__(self, channels: int, dilation: int) -> None:
         super().__init__()
         self.conv = nn.Conv1d(channels, channels, 3, dilation=dilation, bias=False)
         self.norm = nn.BatchNorm1d(channels)
-        self.dropout = nn.Dropout1d(dropout)
         self.padding = 2 * dilation
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """(b, channels, n) to the same."""
-        found = torch.relu(self.norm(self.conv(nn.functional.pad(x, (self.padding, 0)))))
-        return x + self.dropout(found)
+        return x + torch.relu(self.norm(self.conv(nn.functional.pad(x, (self.padding, 0)))))
 
 
 class TorchNetwork(nn.Module):
@@ -41,9 +39,7 @@ class TorchNetwork(nn.Module):
         super().__init__()
         self.n_heads = len(plan.delays)
         self.entry = nn.Conv1d(N_BANDS, plan.channels, 3)
-        self.body = nn.Sequential(
-            *(_Residual(plan.channels, dilation, plan.dropout) for dilation in plan.dilations)
-        )
+        self.body = nn.Sequential(*(_Residual(plan.channels, d) for d in plan.dilations))
         self.exit = nn.Conv1d(plan.channels, self.n_heads * len(PHONEMES), 1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:

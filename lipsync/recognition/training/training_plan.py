@@ -25,20 +25,18 @@ class TrainingPlan:
     """How to learn; the defaults are those of `lipservo train-recognizer`.
 
     closure_weight: of a frame of P B M or F V in the loss of the viseme classes. A closure that is
-    missed is seen by everybody, one too many by few, so missing one costs more. dropout: of what
-    each layer finds; it is there in training alone.
+    missed is seen by everybody, one too many by few, so missing one costs more.
     """
 
     delays: tuple[int, ...] = (2, 7, 12)
     head_weights: tuple[float, ...] = (0.3, 0.5, 0.2)
-    dilations: tuple[int, ...] = (1, 2, 4, 8, 16, 1, 2, 4, 8, 16)
-    channels: int = 256
-    n_steps: int = 10_000
+    dilations: tuple[int, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
+    channels: int = 192
+    n_steps: int = 5_000
     batch: int = 32
     window: int = 400
     peak_rate: float = 3e-3
     weight_decay: float = 0.02
-    dropout: float = 0.1
     closure_weight: float = 2.0
     seed: int = 0
     n_threads: int = 2

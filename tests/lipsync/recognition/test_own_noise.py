@@ -52,17 +52,17 @@ def test_before_anything_was_learned_nothing_is_explained():
     assert listen(OwnNoise(20), np.random.default_rng(0), 200, learns=False) == 0.0
 
 
-def test_while_somebody_speaks_it_takes_a_third_of_a_second(taught):
+def test_while_somebody_speaks_it_takes_half_a_second(taught):
     """A closure beside servos is as quiet as they are, and is not the end of the voice."""
     rng = np.random.default_rng(2)
     taught.begin()
     found = []
-    for n in range(60):
+    for n in range(90):
         taught.note_speeds(0.01 * n, np.full(N_SERVOS, 100.0))
         frame = noise_of(np.full(N_SERVOS, 100.0), rng)
         found.append(taught.explains(frame, 0.01 * n, is_awake=True))
-    assert not any(found[:29])
-    assert all(found[45:])
+    assert not any(found[:49])
+    assert all(found[75:])
 
 
 @pytest.mark.parametrize(
