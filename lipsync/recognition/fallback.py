@@ -78,9 +78,13 @@ class FallbackRecognizer:
         return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
-        """Tell the level in use, where it can do anything with it."""
-        if isinstance(self._recognizer, ServoListener):
+        """Tell the level in use, where it can do anything with it; never raises for it."""
+        if not isinstance(self._recognizer, ServoListener):
+            return
+        try:
             self._recognizer.note_servo_speeds(sound_s, speeds_deg_s)
+        except Exception as error:  # as in feed
+            self._fall_back(f"{type(error).__name__}: {error}")
 
     def reset(self) -> None:
         """Back to the best level that could be made, ready for a new stream at sound time 0."""

@@ -106,10 +106,6 @@ class OwnNoise:
         share /= np.square(share).sum(axis=0)
         self._power[used] *= np.exp(step[:, None] * share * off)
 
-    def expected(self, speeds_deg_s: Array) -> Array:
-        """Log-mel power (40,) of the servos at speeds (n_servos,), as far as it is known."""
-        return np.asarray(np.log(knot_shares(speeds_deg_s) @ self._power + 1e-30))
-
     def _shares_at(self, sound_s: float) -> Array | None:
         """How much each E counts then, (n_servos n_knots,); None: not known, or nobody moved."""
         nearest = min(self._told, key=lambda told: abs(told[0] - sound_s), default=None)

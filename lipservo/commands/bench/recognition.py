@@ -143,9 +143,7 @@ def listening(
         f"false_speech_{name}": false_speech(recognizer, sound)
         for name, sound in quiet_sounds(np.random.default_rng(0)).items()
     }
-    figures |= own_servo_figures(
-        recognizer_maker(engine, latency_ms / 1e3, weights)(), np.random.default_rng(0)
-    )
+    figures |= own_servo_figures(recognizer_maker(engine, latency_ms / 1e3, weights))
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         speech = read_speech(clip)
     costs_s = block_costs_s(recognizer, speech)

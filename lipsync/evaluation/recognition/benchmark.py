@@ -19,6 +19,8 @@ from lipsync.recognition.training import noise
 
 #: Recordings that speak at once in babble noise.
 _N_VOICES = 20
+#: Whose servos are heard alone.
+_N_ROBOTS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,19 +144,25 @@ def false_speech(
     return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
 
 
-def own_servo_figures(recognizer: LiveRecognizer, rng: np.random.Generator) -> dict[str, float]:
-    """The share of frames called speech while the robot's servos move and nobody speaks.
+def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str, float]:
+    """The share of frames called speech while a robot's servos move and nobody speaks.
 
     20 s at -36 dBFS, 10 dB below usual speech; then the same of a robot that tells how its servos
-    move, after half a minute in which it listened to others of its moves.
+    move, after half a minute in which it listened to others of its moves. Means of four robots.
     """
-    first, first_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ)
-    sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ)
+    untold, told = [], []
     level = np.float32(10.0 ** (-36 / 20))
-    untold = false_speech(recognizer, level * sound)
-    false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
-    told = false_speech(recognizer, level * sound, encoder_readings_deg(speeds))
-    return {"own_servos_speech_share": untold, "own_servos_speech_share_told": told}
+    for robot in range(_N_ROBOTS):
+        rng, recognizer = np.random.default_rng(0), make_recognizer()
+        first, first_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ, robot)
+        sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ, robot)
+        untold.append(false_speech(recognizer, level * sound))
+        false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
+        told.append(false_speech(recognizer, level * sound, encoder_readings_deg(speeds)))
+    return {
+        "own_servos_speech_share": float(np.mean(untold)),
+        "own_servos_speech_share_told": float(np.mean(told)),
+    }
 
 
 def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:

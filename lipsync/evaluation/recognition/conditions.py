@@ -73,7 +73,7 @@ def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
     db, _, robot = db.partition(":") if kind == "servos" else (db, "", "")
     try:
         level_db = 0.0 if not db and kind in _OPTIONAL_DB else float(db)
-        return Condition(_known(kind), level_db, abs(int(robot or 0)), tells_servos)
+        return Condition(_known(kind), level_db, _number(robot or "0"), tells_servos)
     except ValueError as error:
         raise ConditionError(
             f"--noise {text!r} is not KIND:DB; kinds: {', '.join(KINDS)}; for example white:10"
@@ -82,6 +82,12 @@ def parse_condition(text: str, *, tells_servos: bool = False) -> Condition:
 
 def _rng(name: str) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(name.encode()))
+
+
+def _number(text: str) -> int:
+    if not text.isdecimal():
+        raise ValueError(text)
+    return int(text)
 
 
 def _known(kind: str) -> str:

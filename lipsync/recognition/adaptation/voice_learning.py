@@ -46,17 +46,14 @@ class AdaptationPlan:
         n_heads = len(weights.delays)
         is_usual = n_heads == len(usual.head_weights)
         return TrainingPlan(
-            delays=weights.delays,
             head_weights=usual.head_weights if is_usual else (1.0 / n_heads,) * n_heads,
-            dilations=tuple(layer.dilation for layer in weights.residuals),
-            channels=len(weights.entry.bias),
             n_steps=self.n_steps,
             batch=self.batch,
             window=self.window,
             peak_rate=self.peak_rate,
             seed=self.seed,
             n_threads=self.n_threads,
-        )
+        ).shaped_as(weights)
 
 
 def adapt(

@@ -16,7 +16,7 @@ from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.phonemes import PHONEMES
 from lipsync.recognition.features import HOP
-from lipsync.recognition.training.noise import Noise, unit_power
+from lipsync.recognition.training.noise import Noise, add_at, unit_power
 
 Samples = NDArray[np.float64]
 
@@ -66,8 +66,8 @@ def _bout(rng: np.random.Generator, total: Samples, at: int, vowel: Samples) -> 
         burst = np.interp(np.arange(length) * pitch, np.arange(len(vowel)), vowel, right=0.0)
         burst *= np.hanning(length)
         breath = _breath(rng, vowel, int(period_s * SAMPLE_RATE_HZ)) * rng.uniform(0.05, 0.4)
-        _add(total, at, strength * breath)
-        _add(total, at, strength * burst)
+        add_at(total, at, strength * breath)
+        add_at(total, at, strength * burst)
         at += int(period_s * rng.uniform(0.93, 1.07) * SAMPLE_RATE_HZ)
         pitch, strength = pitch * rng.uniform(0.94, 1.0), strength * rng.uniform(0.82, 1.0)
     return at
@@ -79,9 +79,3 @@ def _breath(rng: np.random.Generator, vowel: Samples, n: int) -> Samples:
     smooth = np.convolve(strengths, np.ones(9) / 9.0, "same")
     noise = np.fft.irfft(smooth * np.exp(2j * np.pi * rng.random(len(smooth))), n)
     return np.asarray(noise / max(1e-9, float(np.std(noise))))
-
-
-def _add(total: Samples, start: int, part: Samples) -> None:
-    end = min(len(total), start + len(part))
-    if start < end:
-        total[start:end] += part[: end - start]

@@ -140,6 +140,13 @@ def lossy(rng: np.random.Generator, speech: Array32) -> Array32:
     return np.resize(heard, len(speech)).astype(np.float32)
 
 
+def add_at(total: NDArray[np.float64], start: int, part: NDArray[np.float64]) -> None:
+    """Lay `part` (n,) into `total` (m,) from sample `start` on; what is beyond its end is lost."""
+    end = min(len(total), start + len(part))
+    if start < end:
+        total[start:end] += part[: end - start]
+
+
 def unit_power(samples: NDArray[np.floating]) -> Array32:
     """The same at a mean power of 1; silence stays silence."""
     power = float(np.mean(np.square(samples, dtype=np.float64)))

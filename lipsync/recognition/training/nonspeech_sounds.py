@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
-from lipsync.recognition.training.noise import unit_power
+from lipsync.recognition.training.noise import add_at, unit_power
 
 Samples = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ def impulses(rng: np.random.Generator, n: int) -> Array32:
         strength = rng.uniform(0.2, 1.0)
         # A key goes down and comes up again; a knuckle bounces.
         for delay_s, share in ((0.0, 1.0), (rng.uniform(0.01, 0.12), rng.uniform(0.0, 0.6))):
-            _add(
+            add_at(
                 total,
                 start + round(delay_s * SAMPLE_RATE_HZ),
                 strength * share * _burst(rng, resonances_hz, decay_s, brightness),
@@ -53,7 +53,9 @@ def cough(rng: np.random.Generator, n: int) -> Array32:
             envelope += 0.3 * np.exp(-(((time_s - time_s[-1] * 0.7) / 0.05) ** 2)) * rng.random()
             breath = rng.standard_normal(length)
             rasp = _glottis(rng, length, rng.uniform(80.0, 250.0), roughness=0.3)
-            _add(total, at, _formants((breath + rng.uniform(0, 2) * rasp) * envelope, formants_hz))
+            add_at(
+                total, at, _formants((breath + rng.uniform(0, 2) * rasp) * envelope, formants_hz)
+            )
             at += int(length + rng.uniform(0.02, 0.2) * SAMPLE_RATE_HZ)
         at += int(rng.uniform(0.4, 2.5) * SAMPLE_RATE_HZ)
     return unit_power(total)
@@ -71,9 +73,9 @@ def laughter(rng: np.random.Generator, n: int) -> Array32:
             voiced = int(period_s * rng.uniform(0.35, 0.6) * SAMPLE_RATE_HZ)
             source = _glottis(rng, voiced, pitch_hz, roughness=0.05)
             source = (source + 0.5 * rng.standard_normal(voiced)) * np.hanning(voiced)
-            _add(total, at, strength * _formants(source, vowel_hz))
+            add_at(total, at, strength * _formants(source, vowel_hz))
             breath = 0.15 * rng.standard_normal(int(period_s * SAMPLE_RATE_HZ))
-            _add(total, at, strength * breath)
+            add_at(total, at, strength * breath)
             at += int(period_s * SAMPLE_RATE_HZ)
             pitch_hz, strength = pitch_hz * rng.uniform(0.93, 1.0), strength * 0.9
         at += int(rng.uniform(0.4, 2.5) * SAMPLE_RATE_HZ)
@@ -140,12 +142,6 @@ def any_sound(rng: np.random.Generator, n: int) -> Array32:
     """One of them."""
     chances = [chance for _, chance in _KINDS]
     return _KINDS[int(rng.choice(len(_KINDS), p=chances))][0](rng, n)
-
-
-def _add(total: Samples, start: int, part: Samples) -> None:
-    end = min(len(total), start + len(part))
-    if start < end:
-        total[start:end] += part[: end - start]
 
 
 def _burst(

@@ -41,7 +41,7 @@ class TrainingPlan:
     seed: int = 0
     n_threads: int = 2
     log_every: int = 50
-    check_every: int = 500
+    check_every: int = 100
 
     @property
     def averaging(self) -> float:

@@ -57,12 +57,9 @@ class Deaf:
     def reset(self) -> None: ...
 
 
-@pytest.mark.parametrize("drift", [-2e-4, 0.0, 2e-4])
-def test_the_sound_of_a_drifting_card_is_shown_with_the_declared_delay(drift):
-    face = assemble_face("face_sim", None)
-    card, ears = Card(drift), Deaf()
+def speech_of(face, card, ears) -> Speech:
     synthesizer = make_synthesizer(face.model, MotionOptions())
-    speech = Speech(
+    return Speech(
         RecognizedPhonemes(card, ears),
         clock_for(card),
         synthesizer,
@@ -70,6 +67,13 @@ def test_the_sound_of_a_drifting_card_is_shown_with_the_declared_delay(drift):
         list(face.settings.servos),
         MemoryTargetChannel(),
     )
+
+
+@pytest.mark.parametrize("drift", [-2e-4, 0.0, 2e-4])
+def test_the_sound_of_a_drifting_card_is_shown_with_the_declared_delay(drift):
+    face = assemble_face("face_sim", None)
+    card, ears = Card(drift), Deaf()
+    speech = speech_of(face, card, ears)
     for n in range(60 * 30):  # a minute
         card.now_s = n * TICK_S
         speech.advance(card.now_s)
@@ -97,15 +101,7 @@ def test_a_device_that_hears_the_servos_is_told_of_them_and_a_file_is_not(is_liv
     if not is_live:
         card.blocks = lambda _until_s: []
     names = list(face.settings.servos)
-    synthesizer = make_synthesizer(face.model, MotionOptions())
-    speech = Speech(
-        RecognizedPhonemes(card, ears),
-        clock_for(card),
-        synthesizer,
-        face.calibration,
-        names,
-        MemoryTargetChannel(),
-    )
+    speech = speech_of(face, card, ears)
     side = SpeechSide(speech)
     for n in range(100):
         card.now_s = n * 0.02
