@@ -1,4 +1,4 @@
-"""What a person asks of single servos while a face runs: switch one, or jog it."""
+"""What a person orders of a face besides stops and settings: single servos, jogging, a start."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,11 +14,11 @@ class ServoSwitch(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ServoOrder:
-    """Switch one servo, by name. asked_by: who, for a log."""
+    """Switch one servo, by name. requested_by: who, for a log."""
 
     name: str
     switch: ServoSwitch
-    asked_by: str = ""
+    requested_by: str = ""
 
     def __str__(self) -> str:
         return f"servo {self.name} {self.switch.value}"
@@ -42,4 +42,11 @@ class EndJog:
     """All jogged joints go back to what is wanted of them."""
 
 
-Order = ServoOrder | ArmJog | JogTo | EndJog
+@dataclass(frozen=True, slots=True)
+class StartFace:
+    """A stopped face is to be driven again. requested_by: a process and its user, for a log."""
+
+    requested_by: str = ""
+
+
+Order = ServoOrder | ArmJog | JogTo | EndJog | StartFace

@@ -17,6 +17,19 @@ class StopLevel(StrEnum):
     LIMP = "limp"  # let go now
 
 
+@dataclass(frozen=True, slots=True)
+class StopRequest:
+    """A stop that was requested.
+
+    requested_by: a process and its user, for a log. ends: the process ends with the stop; otherwise
+    a daemon waits, limp, for a start.
+    """
+
+    level: StopLevel
+    requested_by: str = ""
+    ends: bool = False
+
+
 class ExitStatus(IntEnum):
     """How a process that drove servos ends; 1 and 2 are left to errors and wrong usage."""
 

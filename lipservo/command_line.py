@@ -12,7 +12,7 @@ from lipservo.terminal.output import complain
 from lipsync.errors import UserError
 
 #: A person beside the robot waits for these: nothing else is loaded then.
-_AT_ONCE = ("stop", "status", "limp", "set", "servo")
+_AT_ONCE = ("stop", "start", "status", "limp", "set", "servo")
 #: What pydantic says of a value, and what we say.
 _IN_OUR_WORDS = {
     "Input should be a valid number, unable to parse string as a number": "not a number",

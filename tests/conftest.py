@@ -15,7 +15,9 @@ settings.load_profile("lipservo")
 
 # Faces of tests that run side by side, and those of whoever sits at this computer, do not meet.
 os.environ["XDG_RUNTIME_DIR"] = str(short_folder())
-os.environ.pop("RUNTIME_DIRECTORY", None)
+os.environ["LIPSERVO_STATE"] = str(short_folder())
+for variable in ("RUNTIME_DIRECTORY", "LIPSERVO_RUNTIME"):
+    os.environ.pop(variable, None)
 
 # Started behind `nohup` or with `&`, this process and all that it starts would not hear them.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -1,6 +1,7 @@
 """One tick of the bridge: targets in, one safe goal a servo out. The caller owns loop and clock."""
 
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 
@@ -10,9 +11,10 @@ from firmware_bridge.gate.limits import Limited, StaleLevel
 from firmware_bridge.loop.bridge_parts import BridgeParts
 from firmware_bridge.loop.ease_to_neutral import EaseToNeutral
 from firmware_bridge.loop.report import FaceState, TickReport
-from firmware_bridge.orders import Order
+from firmware_bridge.orders import Order, StartFace
 from firmware_bridge.stopping import StopLevel, StopReport
 
+START_WHILE_STOPPING: Final = "the face is stopping: start it once its servos are confirmed limp"
 #: Looking a member up in its enumeration costs as much as comparing ten; a tick does it often.
 _DRIVEN, _SILENT, _FRESH = FaceState.DRIVEN, FaceState.SILENT, StaleLevel.FRESH
 
@@ -44,9 +46,26 @@ class Bridge(BridgeParts):
             if not self._settings.tolerant:
                 self._servos.enable(indices, readings.time_s, may_continue)
                 readings = self._servos.read()
+        if self._state is not FaceState.STOPPED:
+            return  # a stop came in between, and holds
         self._begin(np.nan_to_num(readings.positions_deg), readings.time_s)
         self._state = FaceState.DRIVEN
         self._n_armed += 1
+
+    def resume(self) -> None:
+        """A person takes a freeze back: the face goes on from where its servos stand.
+
+        Those that hold go on holding; those that lost their torque meanwhile are brought up one by
+        one, as after a replug. Raises PortError when the port fails.
+        """
+        self._begin(np.nan_to_num(self._servos.read().positions_deg), self._tick_s)
+        self._servos.gate.open()
+        self._state = FaceState.DRIVEN
+        self._n_armed += 1
+
+    def await_start(self) -> None:
+        """Stay limp after the end of a stop: ticks go on, and `start` brings the face back."""
+        self._state = FaceState.STOPPED
 
     def start_frozen(self) -> None:
         """Take over a face that a person froze: what holds goes on holding, nothing else does."""
@@ -92,8 +111,11 @@ class Bridge(BridgeParts):
     def refusal(self, order: Order) -> str:
         """Why an order of a person to single servos is refused now, in one line; empty: it is not.
 
-        After a stop nothing switches torque on; jogging needs `ArmJog`, and a face that is driven.
+        After a stop nothing but `StartFace` leads to torque again; jogging needs `ArmJog`, and a
+        face that is driven.
         """
+        if isinstance(order, StartFace):
+            return self._start_refusal()
         return self._single.refusal(order, self._state, plugged=self._port.is_open)
 
     def obey(self, order: Order, time_s: float) -> str:
@@ -110,6 +132,15 @@ class Bridge(BridgeParts):
         """What the servos said of the end."""
         at_rest = self._easing is not None and self._easing.arrived
         return self._servos.torque_off.report(at_rest=at_rest, plugged=self._port.is_open)
+
+    def _start_refusal(self) -> str:
+        if self._servos.gate.dry_run:
+            return self._servos.gate.forbidden
+        if self._state in (FaceState.DRIVEN, FaceState.SILENT):
+            return "the face is driven already"
+        if self._state not in (FaceState.STOPPED, FaceState.FROZEN):
+            return START_WHILE_STOPPING
+        return "" if self._port.is_open else "the port of the servos is gone: plug it in first"
 
     def _can_ease(self) -> bool:
         on_its_way = self._state in (FaceState.DRIVEN, FaceState.EASING)
@@ -128,7 +159,7 @@ class Bridge(BridgeParts):
             return self._ease(time_s)
         if self._state is FaceState.FROZEN:
             return self._targets.held_deg, self._servos.stay_on(time_s)
-        if self._state in (FaceState.SILENT, FaceState.LETTING_GO):
+        if self._state in (FaceState.SILENT, FaceState.LETTING_GO, FaceState.STOPPED):
             off = self._servos.torque_off
             off.go_on(time_s)
             if self._state is FaceState.LETTING_GO and off.over(time_s):

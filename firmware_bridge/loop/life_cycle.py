@@ -12,9 +12,9 @@ from firmware_bridge.clock import Clock, ticks
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
 from firmware_bridge.loop.report import FaceState
-from firmware_bridge.orders import ServoOrder, ServoSwitch
+from firmware_bridge.orders import ServoOrder, ServoSwitch, StartFace
 from firmware_bridge.stop_signals import PreviousHandlers, install_handler, restore_handlers
-from firmware_bridge.stopping import PORT_WAIT_S, StopLevel, StopReport
+from firmware_bridge.stopping import PORT_WAIT_S, StopLevel, StopReport, StopRequest
 
 #: The end after a second signal or an error: whoever has not confirmed by then is reported.
 _LAST_TRIES_S: Final = 0.5
@@ -52,11 +52,18 @@ class LifeCycle:
         clock: Clock,
         links: LifeCycleLinks | None = None,
         *,
-        stopped: StopLevel | None = None,
+        stopped: StopRequest | None = None,
+        waits: bool = False,
     ) -> None:
-        """stopped: a person's stop that an earlier process of this face was given.
+        """Make it; nothing is switched on.
 
-        FREEZE: what holds is held, and nothing is armed.
+        Parameters
+        ----------
+        stopped : a person's stop that an earlier process of this face was given. FREEZE: what holds
+            is held, and nothing is armed. With `waits` any other: all are let go, and it waits.
+        waits : whether a soft or limp stop by the control socket leaves a face that waits, limp,
+            for a start; otherwise every stop but FREEZE ends the ticks.
+
         """
         links = links or LifeCycleLinks()
         self._bridge = bridge
@@ -67,7 +74,10 @@ class LifeCycle:
         self._log = links.log
         self._status = links.status
         self._on_health = links.on_health
+        self._on_stopped = links.on_stopped
         self._stopped = stopped
+        self.waits = waits
+        self._ends = False
         self._n_signals = 0
         self._is_disabling = False
         self._asked: StopLevel | None = None
@@ -82,6 +92,7 @@ class LifeCycle:
         self._health_due_s = clock.now() + _HEALTH_EVERY_S
         self._n_remarks = 0
         self._remarks_due_s = clock.now() + _REMARKS_EVERY_S
+        self._stop_report: StopReport | None = None
         #: The first signal that came, if any.
         self.signal_number: int | None = None
         #: Whether a person asked for the end, by a signal or through the control socket.
@@ -95,11 +106,13 @@ class LifeCycle:
         return self._asked is not None
 
     def start(self) -> None:
-        """Arm the face, or take over a frozen one. Raises what `Bridge.start` raises."""
-        if self._stopped is StopLevel.FREEZE:
+        """Arm the face, or take over a stopped one. Raises what `Bridge.start` raises."""
+        if self._stopped is None:
+            self._bridge.start(self._may_continue)
+        elif self._stopped.level is StopLevel.FREEZE:
             self._bridge.start_frozen()
         else:
-            self._bridge.start(self._may_continue)
+            self._stop(self._stopped.level)
 
     def stop(self, level: StopLevel = StopLevel.SOFT) -> None:
         """The program has come to its end: bring the face to rest; `ticks` goes on until it is."""
@@ -110,6 +123,8 @@ class LifeCycle:
         """(time, ticks missed before it) on the grid, until the face is limp after a stop."""
         for time_s, late in self._grid:
             self._do_tick_duties(time_s)
+            if self._bridge.state is FaceState.ENDED and self._may_wait:
+                self._await_start()
             if self._bridge.state is FaceState.ENDED or self._port_is_lost(time_s):
                 return
             yield time_s, late
@@ -202,8 +217,8 @@ class LifeCycle:
             self._by_signal = True
             self._log(f"stopping: {signal.Signals(self.signal_number or 0).name}")
             self.stop()
-        self._poll_control()
-        self._obey_orders(time_s)
+        is_stopped_now = self._poll_control()
+        self._obey_orders(time_s, is_stopped_now=is_stopped_now)
         self._log_changes(time_s)
         if self._on_health is not None and time_s >= self._health_due_s:
             self._health_due_s = time_s + _HEALTH_EVERY_S
@@ -214,22 +229,90 @@ class LifeCycle:
                 self._n_remarks += 1
                 self._log(remark)
 
-    def _poll_control(self) -> None:
-        level = None if self._control is None else self._control.poll(self._status)
-        if level is None:
-            return
-        if self._lifeline is not None:
-            self._lifeline.stopped(level)
-        self.stopped_by_person = True
-        self._log(f"asked to stop: {level.value}")
-        self._stop(level)
+    def _poll_control(self) -> bool:
+        """Act on a stop that has come, and only then answer; whether one came."""
+        if self._control is None:
+            return False
+        request = self._control.poll()
+        if request is not None:
+            self._obey_stop(request)
+        self._control.answer(self._described)
+        return request is not None
 
-    def _obey_orders(self, time_s: float) -> None:
-        """Those of a person to single servos; a stop that came with them goes before."""
+    def _obey_stop(self, request: StopRequest) -> None:
+        """First what lets the stop outlive this process, which costs microseconds; then the servos.
+
+        A face that is limp and waits has nothing to freeze.
+        """
+        if self._lifeline is not None:
+            self._lifeline.stopped(
+                request.level, ends=request.ends, requested_by=request.requested_by
+            )
+        self.stopped_by_person = True
+        self._ends = self._ends or request.ends
+        if request.level is not StopLevel.FREEZE or self._bridge.state is not FaceState.STOPPED:
+            self._stopped = request
+            self._stop(request.level)
+        self._on_stopped(self._stopped)
+        self._log(f"stop requested: {request.level.value}, by {request.requested_by}")
+
+    @property
+    def _may_wait(self) -> bool:
+        """Whether the end of this stop is no end of the ticks."""
+        by_person = self._stopped is not None and not (self._n_signals or self._bounded)
+        return self.waits and by_person and not (self._ends or self._bridge.failure)
+
+    def _await_start(self) -> None:
+        """The face is limp, as far as its servos say so; it stays, until a person starts it."""
+        self._stop_report = self._bridge.stop_report()
+        if self._control is not None:
+            self._control.report_end({"waits": True, **self._stop_report.as_dict()})
+        self._log(f"{self._stop_report.text()}; it waits: `lipservo start` starts it again")
+        self._bridge.await_start()
+
+    def _described(self) -> dict[str, object]:
+        """The status, with what a person has stopped and what the servos said of it."""
+        stopped, report = self._stopped, self._stop_report
+        return {
+            **self._status(),
+            "stopped": None if stopped is None else stopped.level.value,
+            "stopped_by": None if stopped is None else stopped.requested_by,
+            "stop_report": None if report is None else report.as_dict(),
+            "can_start": not self._bridge.refusal(StartFace()),
+        }
+
+    def _obey_start(self) -> str:
+        """Drive the face again; why not, in one line, empty: it is driven or on its way."""
+        if why_not := self._bridge.refusal(StartFace()):
+            return why_not
+        was_stopped, self._stopped = self._stopped, None
+        self._asked = None
+        try:
+            if self._bridge.state is FaceState.FROZEN:
+                self._bridge.resume()
+            else:
+                self._bridge.start(self._may_continue)
+        except BusError as error:
+            self._stopped = was_stopped
+            self._stop(StopLevel.LIMP)
+            return str(error)
+        if self._stopped is None:  # nobody has stopped it in between
+            self.stopped_by_person, self._stop_report = False, None
+            self._on_stopped(None)
+            if self._lifeline is not None:
+                self._lifeline.started()
+        return ""
+
+    def _obey_orders(self, time_s: float, *, is_stopped_now: bool) -> None:
+        """Those of a person; a stop that came with them goes before, and voids a start."""
         for order in () if self._control is None else self._control.take_orders():
+            if isinstance(order, StartFace):
+                why_not = "a stop came with it" if is_stopped_now else self._obey_start()
+                self._log(f"start requested by {order.requested_by}: {why_not or 'driven again'}")
+                continue
             why_not = self._bridge.obey(order, time_s)
             if isinstance(order, ServoOrder):
-                self._log(f"{order}: {why_not or f'asked by {order.asked_by}'}")
+                self._log(f"{order}: {why_not or f'asked by {order.requested_by}'}")
                 if not why_not and self._lifeline is not None and order.switch in _KEPT:
                     index = self._bridge.names.index(order.name)
                     self._lifeline.switched(index, on=order.switch is ServoSwitch.ON)

@@ -6,14 +6,17 @@ from typing import Protocol
 
 from firmware_bridge.health import ServoHealth
 from firmware_bridge.orders import Order
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import StopLevel, StopRequest
 
 
 class Control(Protocol):
     """Where stops are asked for: `ControlSocket`."""
 
-    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
-        """The stop that was asked for, if any; never waits."""
+    def poll(self) -> StopRequest | None:
+        """The stop that was requested, if any; answers nothing and never waits."""
+
+    def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
+        """Answer what has come, after a stop was acted on; never waits."""
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
         """Orders to single servos are obeyed from now on. refusal: why not this one."""
@@ -31,8 +34,11 @@ class Heartbeat(Protocol):
     def beat(self) -> None:
         """The loop is alive."""
 
-    def stopped(self, level: StopLevel) -> None:
-        """A person asked for a stop."""
+    def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
+        """A person stopped the face."""
+
+    def started(self) -> None:
+        """A person took a freeze back."""
 
     def failed(self, index: int, reason: str) -> None:
         """A servo was given up for good."""
@@ -45,11 +51,17 @@ def _no_log(_line: str) -> None:
     """Nobody reads it."""
 
 
+def _no_record(_stop: StopRequest | None) -> None:
+    """A face that ends with its stop needs none."""
+
+
 @dataclass(frozen=True, slots=True)
 class LifeCycleLinks:
-    """All of them optional. status: what the control socket answers.
+    """All of them optional.
 
-    log: one line of what happened; on_health: every 10 s. Both must return at once.
+    status: what the control socket answers. log: one line of what happened; on_health: every 10 s;
+    on_stopped: a person's stop and who requested it, for what must outlive this process, or None
+    once a person has started the face again. All three must return at once.
     """
 
     control: Control | None = None
@@ -57,3 +69,4 @@ class LifeCycleLinks:
     log: Callable[[str], None] = _no_log
     status: Callable[[], Mapping[str, object]] = dict
     on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None
+    on_stopped: Callable[[StopRequest | None], None] = _no_record

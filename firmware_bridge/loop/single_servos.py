@@ -8,7 +8,15 @@ from firmware_bridge.joints import Joint, named
 from firmware_bridge.loop.jog import Jog
 from firmware_bridge.loop.report import FaceState
 from firmware_bridge.loop.servo_group import ServoGroup
-from firmware_bridge.orders import ArmJog, EndJog, JogTo, Order, ServoOrder, ServoSwitch
+from firmware_bridge.orders import (
+    ArmJog,
+    EndJog,
+    JogTo,
+    Order,
+    ServoOrder,
+    ServoSwitch,
+    StartFace,
+)
 
 #: The face has torque, or will have it again by itself.
 _LIVE = (FaceState.DRIVEN, FaceState.SILENT)
@@ -38,7 +46,7 @@ class SingleServos:
                 return self._jog_refusal(state)
             case JogTo():
                 return self._jog_refusal(state) or self._goal_refusal(order)
-            case EndJog():
+            case EndJog() | StartFace():
                 return ""
 
     def note(self, order: Order, time_s: float) -> None:

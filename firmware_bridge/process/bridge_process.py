@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 
-from firmware_bridge.bus import ServoBus, ServoError
+from firmware_bridge.bus import BusError, ServoBus
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.health import ServoHealth
 from firmware_bridge.loop.bridge import Bridge
@@ -14,7 +14,7 @@ from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
 from firmware_bridge.process.scheduling import run_on_time
-from firmware_bridge.stopping import ExitStatus, StopLevel
+from firmware_bridge.stopping import ExitStatus, StopRequest
 
 
 def run_bridge(
@@ -23,7 +23,7 @@ def run_bridge(
     *,
     control: ControlSocket,
     lifeline: Lifeline,
-    stopped: StopLevel | None,
+    stopped: StopRequest | None,
     log: Callable[[str], None],
     on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None,
     on_tick: Callable[[TickReport], None] | None = None,
@@ -50,8 +50,9 @@ def run_bridge(
                 if not began and bridge.settled:
                     began = True
                     lifeline.ready()
-    except ServoError as error:
+    except BusError as error:
         if not bridge.failure:
+            lifeline.not_started(" ".join(str(error).split()))
             raise
         log(str(error))
         return ExitStatus.CRITICAL_SERVO_FAILED

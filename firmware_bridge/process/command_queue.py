@@ -11,11 +11,11 @@ does not interrupt.
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from firmware_bridge.orders import Order
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import StopLevel, StopRequest
 
 #: A stop that goes further replaces the others: freezing gives way to an end, an end to limp.
 _FURTHEST_FIRST: Final = (StopLevel.LIMP, StopLevel.SOFT, StopLevel.FREEZE)
@@ -37,14 +37,6 @@ class Setting:
     high: float
 
 
-@dataclass(frozen=True, slots=True)
-class StopRequest:
-    """A stop that was asked for. asked_by: who, for a log."""
-
-    level: StopLevel
-    asked_by: str = ""
-
-
 class CommandQueue:
     """One face's commands. Any thread may write; one loop takes."""
 
@@ -60,7 +52,7 @@ class CommandQueue:
         """
         self._settings = dict(settings or {})
         self._on_change = on_change
-        self._stops: dict[StopLevel, str] = {}
+        self._stops: dict[StopLevel, StopRequest] = {}
         self._changes: dict[str, float] = {}
         self._orders: deque[Order] = deque()
         self._refusal: Callable[[Order], str] = _nobody_drives
@@ -70,9 +62,11 @@ class CommandQueue:
         """What every setting was last set to."""
         return {name: setting.value for name, setting in self._settings.items()}
 
-    def stop(self, level: StopLevel, asked_by: str = "") -> None:
-        """Ask for a stop."""
-        self._stops[level] = asked_by
+    def stop(self, level: StopLevel, requested_by: str = "", *, ends: bool = False) -> None:
+        """Request a stop."""
+        before = self._stops.get(level)
+        ends = ends or (before is not None and before.ends)
+        self._stops[level] = StopRequest(level, requested_by, ends)
 
     def change(self, values: Mapping[str, float]) -> None:
         """Ask for other values of settings, all of them or none. Raises CommandError."""
@@ -95,14 +89,15 @@ class CommandQueue:
         self._orders.append(order)
 
     def take_stop(self) -> StopRequest | None:
-        """The stop that goes furthest of those asked for since the last call; None: none."""
-        for n, level in enumerate(_FURTHEST_FIRST):
-            asked_by = self._stops.pop(level, None)
-            if asked_by is not None:
-                for weaker in _FURTHEST_FIRST[n + 1 :]:
-                    self._stops.pop(weaker, None)
-                return StopRequest(level, asked_by)
-        return None
+        """The stop that goes furthest of those requested since the last call; None: none.
+
+        The process ends with it if it was to end with any of them.
+        """
+        if not self._stops:
+            return None
+        taken = [self._stops.pop(level, None) for level in _FURTHEST_FIRST]
+        requests = [each for each in taken if each is not None]
+        return replace(requests[0], ends=any(each.ends for each in requests))
 
     def take_changes(self) -> dict[str, float]:
         """The newest value of each setting that was changed since the last call."""

@@ -1,12 +1,19 @@
 """The words of the control socket that change something: into the queue, and what is answered.
 
-set NAME VALUE [NAME VALUE ...]     servo NAME off|on|reboot     jog arm | NAME DEG | end
+set NAME VALUE [NAME VALUE ...]     servo NAME off|on|reboot     jog arm | NAME DEG | end     start
 """
 
 from collections.abc import Callable
 from typing import Final
 
-from firmware_bridge.orders import ArmJog, EndJog, JogTo, ServoOrder, ServoSwitch
+from firmware_bridge.orders import (
+    ArmJog,
+    EndJog,
+    JogTo,
+    ServoOrder,
+    ServoSwitch,
+    StartFace,
+)
 from firmware_bridge.process.command_queue import CommandError, CommandQueue
 
 #: The first words of the commands.
@@ -15,6 +22,7 @@ SERVO_WORD: Final = "servo"
 JOG_WORD: Final = "jog"
 ARM_WORD: Final = "arm"
 END_WORD: Final = "end"
+START_WORD: Final = "start"
 
 _SAY_SET: Final = "say: set NAME VALUE [NAME VALUE ...]"
 _SAY_SERVO: Final = "say: servo NAME off|on|reboot"
@@ -22,20 +30,23 @@ _SAY_JOG: Final = "say: jog arm, jog NAME DEG, or jog end"
 
 
 def command_answer(
-    word: str, commands: CommandQueue, asked_by: Callable[[], str]
+    word: str, commands: CommandQueue, requested_by: Callable[[], str]
 ) -> dict[str, object] | None:
     """What is answered to `word`, which is in `commands` now; None: it is no command of these.
 
-    asked_by: who asks, for a log.
+    requested_by: who asks, for a log.
     """
     first, *rest = word.split()
     try:
         if first == SET_WORD:
             return _set(rest, commands)
         if first == SERVO_WORD:
-            return _switch(rest, commands, asked_by)
+            return _switch(rest, commands, requested_by)
         if first == JOG_WORD:
             return _jog(rest, commands)
+        if word == START_WORD:
+            commands.order(StartFace(requested_by()))
+            return {"accepted": START_WORD}
     except CommandError as error:
         return {"error": str(error)}
     return None
@@ -55,12 +66,12 @@ def _set(words: list[str], commands: CommandQueue) -> dict[str, object]:
 
 
 def _switch(
-    words: list[str], commands: CommandQueue, asked_by: Callable[[], str]
+    words: list[str], commands: CommandQueue, requested_by: Callable[[], str]
 ) -> dict[str, object]:
     if len(words) != 2 or words[1] not in set(ServoSwitch):
         raise CommandError(_SAY_SERVO)
     name, switch = words
-    commands.order(ServoOrder(name, ServoSwitch(switch), asked_by()))
+    commands.order(ServoOrder(name, ServoSwitch(switch), requested_by()))
     return {"servo": name, "asked": switch}
 
 

@@ -18,6 +18,7 @@ from firmware_bridge.process.command_words import (
     JOG_WORD,
     SERVO_WORD,
     SET_WORD,
+    START_WORD,
 )
 from firmware_bridge.process.control_socket import LONGEST_WORD, WATCH_WORD, peer
 from firmware_bridge.process.runtime_folder import (
@@ -83,6 +84,44 @@ def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
         if answer is not None:
             return answer
         _wait_to_retry(give_up_s)
+
+
+def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.socket:
+    """Send a stop without waiting for anything; for an event loop, and for many faces at once.
+
+    Parameters
+    ----------
+    end : whether a daemon ends with it; otherwise it waits, limp, for a start.
+
+    Returns
+    -------
+    The connection, non-blocking, on which the answer comes and, unless FREEZE, the report of the
+    end. Closed by the face without an answer: its process was replaced, send again.
+
+    Raises
+    ------
+    OSError
+        Where no face listens; BlockingIOError where too many clients wait there already.
+
+    """
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        client.setblocking(False)
+        client.connect(str(path))
+        with contextlib.suppress(ConnectionError):  # then the answer is the end of the connection
+            client.send(f"{level.value} {END_WORD}".encode() if end else level.value.encode())
+    except OSError:
+        client.close()
+        raise
+    return client
+
+
+def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
+    """Start a stopped face: {"accepted": "start"}, or {"error"}: one line. Raises as `ask`.
+
+    Whether it came to be driven is in `status`: `state`, `troubles`.
+    """
+    return ask(path, START_WORD, patience_s)
 
 
 def change_setting(path: Path, name: str, value: float) -> Answer:
@@ -173,21 +212,31 @@ def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
 
 
 def stop_and_wait(
-    path: Path, level: StopLevel, patience_s: float, answer_s: float = _PATIENCE_S
+    path: Path,
+    level: StopLevel,
+    patience_s: float,
+    answer_s: float = _PATIENCE_S,
+    *,
+    end: bool = False,
+    sent: socket.socket | None = None,
 ) -> tuple[Answer, Answer | None]:
-    """Ask for a stop and wait for the report of the end: (answer, report).
+    """Request a stop and wait for the report of the end: (answer, report).
+
+    end: as `send_stop`. sent: what that returned, where the stop was sent already.
 
     FREEZE has no end: its report is None. So is that of a face that has gone without one, or has
     not come to its end within `patience_s`. A face whose bridge dies in between is asked again.
     Raises TimeoutError when no answer comes within `answer_s`, OSError when nobody listens.
     """
-    give_up_s = time.monotonic() + patience_s
+    began_s = time.monotonic()
+    give_up_s = began_s + patience_s
     first: Answer | None = None
     while True:
+        answer_by_s = min(give_up_s, (time.monotonic() if first else began_s) + answer_s)
         try:
-            answer_by_s = min(give_up_s, time.monotonic() + answer_s)
-            with _connected(path, answer_by_s) as client:
-                answer = _send_and_receive(client, level.value, answer_by_s)
+            client, sent = sent or send_stop(path, level, end=end), None
+            with client:
+                answer = _receive(client, answer_by_s)
                 first = first or answer
                 if answer is not None and level is StopLevel.FREEZE:
                     return answer, None
@@ -195,6 +244,8 @@ def stop_and_wait(
             if first is not None and report is not None:
                 return first, report
             _wait_to_retry(give_up_s)
+        except BlockingIOError:  # too many wait there, as before a process that hangs
+            _wait_to_retry(answer_by_s)
         except OSError:
             if first is None:
                 raise
@@ -238,12 +289,12 @@ def _connected(path: Path, give_up_s: float) -> Iterator[socket.socket]:
 
 
 def _listens(path: Path) -> bool:
-    """Whether somebody does; a dead socket of ours is removed on the way."""
+    """Whether a face does; a dead socket of ours is removed if that costs no waiting."""
     if knock(path) == 0:
         return True
     if is_dead_socket(path):
         # Left where it is when somebody makes a socket there just now.
-        with contextlib.suppress(ControlError, OSError), held_folder(path.parent):
+        with contextlib.suppress(ControlError, OSError), held_folder(path.parent, patience_s=0.0):
             if is_dead_socket(path):
                 path.unlink(missing_ok=True)
     return False

@@ -1,14 +1,15 @@
-"""How a running face is told to stop, and asked how it is: a socket of its own.
+"""How a running face is stopped, started, commanded and queried: a Unix socket of its own.
 
-The lowest control: it needs nothing of the speech side and works when that is dead. The socket
-listens, so that an answer reaches whoever may connect, and what waits in it outlives the process
-that serves it. `firmware_bridge.process.control_client` is the other end.
+The lowest control: it needs nothing of the speech side and works when that is dead. A stop is acted
+on before anything is answered: `poll` takes all that has come and puts the stops into the command
+queue, the loop acts, and only then `answer` answers, stops first, status last. What waits in the
+listening socket outlives the process that serves it. `firmware_bridge.process.control_client` is
+the other end.
 """
 
 import contextlib
 import json
 import os
-import pwd
 import select
 import socket
 import struct
@@ -19,42 +20,51 @@ from typing import Final, Self
 
 from firmware_bridge.orders import Order
 from firmware_bridge.process.command_queue import CommandQueue
-from firmware_bridge.process.command_words import command_answer
+from firmware_bridge.process.command_words import END_WORD, command_answer
 from firmware_bridge.process.runtime_folder import ControlError
 from firmware_bridge.process.socket_files import held_folder, inode_of, make_room
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import StopLevel, StopRequest
+
+Describe = Callable[[Mapping[str, object]], Mapping[str, object]]
 
 #: `status`, `watch`, a level of stop, or a command; bytes. Fifty settings can be set at once.
 LONGEST_WORD: Final = 2048
-#: Asks for the memory in which the face tells what it does at this moment.
+#: Requests the descriptor of the memory in which the face tells what it does at this moment.
 WATCH_WORD: Final = "watch"
-#: People who wait for a stop, and some who ask; the oldest of these makes room.
+STATUS_WORD: Final = "status"
+#: Clients that wait for the end of a stop, and some others; the oldest of these makes room.
 _MOST_CLIENTS: Final = 16
 _ACCEPTED_AT_ONCE: Final = 4
-#: Who connects while nobody serves waits here.
+#: Clients that connect while no process serves wait here.
 _BACKLOG: Final = 128
 #: The owner, and the group of the folder's face: docs/hardware.md, "As a service".
 _MODE: Final = 0o660
 _CREDENTIALS: Final = struct.Struct("3i")
+#: What is received for a stop: a level alone, or with the end of the process.
+_STOPS: Final = {
+    **{level.value: (level, False) for level in StopLevel},
+    **{f"{level.value} {END_WORD}": (level, True) for level in StopLevel},
+}
 
 
 class _Client:
-    """Somebody connected; asked_to_stop: waits for the report of the end."""
+    """A connection; waits_for_end: it requested a stop and is sent the report of the end."""
 
     def __init__(self, end: socket.socket) -> None:
         self.end = end
-        self.asked_to_stop = False
+        self.waits_for_end = False
 
     def send(self, answer: Mapping[str, object]) -> None:
-        """Without waiting: who does not read gets nothing."""
+        """Without waiting: a client that does not read gets nothing."""
         with contextlib.suppress(OSError):
             self.end.send(json.dumps(answer).encode(), socket.MSG_NOSIGNAL)
 
 
 class ControlSocket:
-    """The face's end. Use it as a context manager; `poll` never waits.
+    """The face's end. Use it as a context manager; no method waits.
 
-    What it hears goes into its `CommandQueue`, where others may write as well.
+    Stops and orders go into its `CommandQueue`, where others may write as well. In each round of
+    the loop: `poll`, act on what it returned, `answer`.
     """
 
     def __init__(
@@ -63,26 +73,30 @@ class ControlSocket:
         path: Path,
         about: Mapping[str, object] | None = None,
         commands: CommandQueue | None = None,
-        describe: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
+        describe: Describe = dict,
+        watched_fd: int | None = None,
     ) -> None:
         """Use `bind` or `adopt`.
 
-        about: what every answer says besides, such as the face's name and port. describe: makes
-        the answer to `status` of what the loop knows and of `about`.
+        Parameters
+        ----------
+        about : part of every answer, such as the face's name and port.
+        describe : makes the answer to `status` of what the loop knows and of `about`.
+        watched_fd : descriptor of shared memory that `watch` hands out, to read only; None: none.
+
         """
-        #: What `watch` hands out, to read only: a descriptor of shared memory; None: nothing.
-        self.watched_fd: int | None = None
         self._listener = listener
         self._listener.setblocking(False)
         self._path = path
         self._about = {} if about is None else dict(about)
         self._commands = CommandQueue() if commands is None else commands
         self._describe = describe
+        self._watched_fd = watched_fd
         self._clients: dict[int, _Client] = {}
+        self._unanswered: list[tuple[_Client, str]] = []
         self._ready = select.poll()
         self._ready.register(listener.fileno(), select.POLLIN)
         self._bound_inode: tuple[int, int] | None = None
-        self.asked_by = ""  # who asked for the last stop, for a log
 
     @classmethod
     def bind(
@@ -90,9 +104,10 @@ class ControlSocket:
         path: Path,
         about: Mapping[str, object] | None = None,
         commands: CommandQueue | None = None,
-        describe: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
+        describe: Describe = dict,
+        watched_fd: int | None = None,
     ) -> Self:
-        """Listen at `path`, and remove it in the end.
+        """Listen at `path`, and remove it in the end. Parameters as those of the class.
 
         Raises ControlError where a face listens already, where something else lies that is no dead
         socket of ours, and where no socket can be.
@@ -113,7 +128,7 @@ class ControlSocket:
         except ControlError:
             listener.close()
             raise
-        control = cls(listener, path, about, commands, describe)
+        control = cls(listener, path, about, commands, describe, watched_fd)
         control._bound_inode = inode_of(path)
         return control
 
@@ -124,10 +139,12 @@ class ControlSocket:
         path: Path,
         about: Mapping[str, object] | None = None,
         commands: CommandQueue | None = None,
-        describe: Callable[[Mapping[str, object]], Mapping[str, object]] = dict,
+        describe: Describe = dict,
+        watched_fd: int | None = None,
     ) -> Self:
         """Serve a listening socket that another process made; its file is left to that process."""
-        return cls(socket.socket(fileno=fd), path, about, commands, describe)
+        listener = socket.socket(fileno=fd)
+        return cls(listener, path, about, commands, describe, watched_fd)
 
     @property
     def path(self) -> Path:
@@ -135,30 +152,35 @@ class ControlSocket:
         return self._path
 
     def fileno(self) -> int:
-        """The listening socket: readable when somebody comes."""
+        """The listening socket: readable when a client connects."""
         return self._listener.fileno()
 
     def filenos(self) -> list[int]:
-        """All that may become readable: the listening socket, and who is connected."""
+        """All that may become readable: the listening socket, and the connections."""
         return [self._listener.fileno(), *self._clients]
 
-    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
-        """Answer what has come; the next stop of the queue, if any. status: made when asked."""
+    def poll(self) -> StopRequest | None:
+        """Receive what has come; the furthest stop of the queue, None: none. Answers nothing."""
         for fd, _ in self._ready.poll(0):
             if fd == self._listener.fileno():
                 self._accept()
                 continue
-            client = self._clients.get(fd)  # it may have made room for somebody just now
+            client = self._clients.get(fd)  # it may have made room for another just now
             if client is not None:
-                self._hear(client, status)
-        request = self._commands.take_stop()
-        if request is None:
-            return None
-        self.asked_by = request.asked_by
-        return request.level
+                self._receive(client)
+        return self._commands.take_stop()
+
+    def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
+        """Answer what `poll` received: stops first, then the rest. status: called when needed."""
+        if not self._unanswered:
+            return
+        waiting, self._unanswered = self._unanswered, []
+        for client, word in sorted(waiting, key=lambda each: each[1] not in _STOPS):
+            if self._clients.get(client.end.fileno()) is client:
+                self._answer(client, word, status)
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
-        """From now on orders to single servos are taken: as `CommandQueue.attend`."""
+        """From now on orders are taken: as `CommandQueue.attend`."""
         self._commands.attend(refusal)
 
     def take_orders(self) -> list[Order]:
@@ -166,14 +188,14 @@ class ControlSocket:
         return self._commands.take_orders()
 
     def send_away(self) -> None:
-        """Let go of everybody who waits for no stop: another process serves, and they ask again."""
-        for client in [each for each in self._clients.values() if not each.asked_to_stop]:
+        """Drop every client that waits for no stop: another process serves, and they ask again."""
+        for client in [each for each in self._clients.values() if not each.waits_for_end]:
             self._drop(client)
 
     def report_end(self, report: Mapping[str, object]) -> None:
-        """Say to everybody who asked for a stop how it ended: who confirmed to be limp."""
+        """Send every client that requested a stop how it ended, and drop all clients."""
         for client in list(self._clients.values()):
-            if client.asked_to_stop:
+            if client.waits_for_end:
                 client.send({"ended": True, **self._about, **report})
             self._drop(client)
 
@@ -195,44 +217,63 @@ class ControlSocket:
                 return
             end.setblocking(False)
             if len(self._clients) == _MOST_CLIENTS:
-                idle = [each for each in self._clients.values() if not each.asked_to_stop]
+                idle = [each for each in self._clients.values() if not each.waits_for_end]
                 self._drop((idle or list(self._clients.values()))[0])
-            self._clients[end.fileno()] = _Client(end)
+            client = self._clients[end.fileno()] = _Client(end)
             self._ready.register(end.fileno(), select.POLLIN)
+            self._receive(client)  # most have sent their word with the connection
 
-    def _hear(self, client: _Client, status: Callable[[], Mapping[str, object]]) -> None:
+    def _receive(self, client: _Client) -> None:
+        """One word: a stop is in the queue at once, whatever else waits."""
         try:
             raw = client.end.recv(LONGEST_WORD + 1)
-            word = raw.decode("utf-8", "replace").strip()
         except BlockingIOError:
             return
         except OSError:
-            raw, word = b"", ""
+            raw = b""
+        word = raw.decode("utf-8", "replace").strip()
+        if word in _STOPS:
+            level, ends = _STOPS[word]
+            client.waits_for_end = True
+            self._commands.stop(level, _peer_words(client.end), ends=ends)
         if not word:
             self._drop(client)
-        elif len(raw) > LONGEST_WORD:  # cut off, so that its last number may be another
+        else:  # one that is too long was cut off, so that its last number may be another
+            too_long = len(raw) > LONGEST_WORD
+            self._unanswered.append((client, "" if too_long else word))
+
+    def _answer(
+        self, client: _Client, word: str, status: Callable[[], Mapping[str, object]]
+    ) -> None:
+        if word in _STOPS:
+            client.send({"accepted": _STOPS[word][0].value, **self._about})
+        elif not word:
             client.send({"error": f"longer than {LONGEST_WORD} bytes"})
-        elif word == "status":
-            client.send(self._describe({**status(), **self._about}))
+        elif word == STATUS_WORD:
+            client.send(self._status(status))
         elif word == WATCH_WORD:
             self._hand_out(client)
-        elif word in set(StopLevel):
-            client.asked_to_stop = True
-            client.send({"accepted": word, **self._describe({**status(), **self._about})})
-            self._commands.stop(StopLevel(word), _named_peer(client.end))
-        elif answer := command_answer(word, self._commands, partial(_numbered_peer, client.end)):
+        elif answer := command_answer(word, self._commands, partial(_peer_words, client.end)):
             client.send(answer if "error" in answer else {**answer, **self._about})
         else:
             client.send({"error": f"{word[:40]!r} is not known here"})
 
+    def _status(self, status: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
+        """A fault in describing the face must not end the loop that drives it."""
+        try:
+            return self._describe({**status(), **self._about})
+        except Exception as error:
+            why = f"the status cannot be made: {type(error).__name__}: {error}"
+            return {**self._about, "state": "unknown", "error": " ".join(why.split())}
+
     def _hand_out(self, client: _Client) -> None:
-        """Let somebody watch: the memory itself, which they cannot write."""
-        if self.watched_fd is None:
+        """Let the client read the memory itself, which it cannot write."""
+        if self._watched_fd is None:
             client.send({"error": "this face cannot be watched"})
             return
         answer = json.dumps({"watching": True, **self._about}).encode()
         with contextlib.suppress(OSError):
-            to_read = os.open(f"/proc/self/fd/{self.watched_fd}", os.O_RDONLY | os.O_CLOEXEC)
+            to_read = os.open(f"/proc/self/fd/{self._watched_fd}", os.O_RDONLY | os.O_CLOEXEC)
             try:
                 socket.send_fds(client.end, [answer], [to_read], socket.MSG_NOSIGNAL)
             finally:
@@ -252,16 +293,7 @@ def peer(end: socket.socket) -> tuple[int, int]:
     return pid, uid
 
 
-def _numbered_peer(end: socket.socket) -> str:
-    """As `_named_peer`, without looking a name up while servos are driven."""
+def _peer_words(end: socket.socket) -> str:
+    """By number: a name service that takes seconds must not delay a stop."""
     pid, uid = peer(end)
     return f"process {pid} of user {uid}"
-
-
-def _named_peer(end: socket.socket) -> str:
-    pid, uid = peer(end)
-    try:
-        user = pwd.getpwuid(uid).pw_name
-    except KeyError:
-        user = str(uid)
-    return f"process {pid} of user {user}"

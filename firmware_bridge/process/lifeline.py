@@ -31,9 +31,23 @@ _MOST_AT_ONCE: Final = 400
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """A person asked this process to stop."""
+    """A person stopped the face. ends: as `StopRequest`; requested_by: by number, for a log."""
 
     level: StopLevel
+    ends: bool = False
+    requested_by: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """A person took a freeze back: the face is driven again."""
+
+
+@dataclass(frozen=True, slots=True)
+class NotStarted:
+    """The servos could not be armed."""
+
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +78,7 @@ class Ready:
     """The servos are driven."""
 
 
-Message = Stopped | Failed | Switched | Began | Ready
+Message = Stopped | Started | NotStarted | Failed | Switched | Began | Ready
 
 
 class Lifeline:
@@ -94,9 +108,18 @@ class Lifeline:
             self._flush()
         self._send(b"B" + _TIME.pack(now_s))
 
-    def stopped(self, level: StopLevel) -> None:
-        """A person asked for a stop: it holds although this process may die the next moment."""
-        self._say(b"S" + level.value.encode())
+    def stopped(self, level: StopLevel, *, ends: bool = False, requested_by: str = "") -> None:
+        """A person stopped the face: it holds although this process may die the next moment."""
+        words = f"{level.value}\0{requested_by}".encode("utf-8", "replace")[:_LONGEST_REASON]
+        self._say((b"E" if ends else b"S") + words)
+
+    def started(self) -> None:
+        """A person took a freeze back."""
+        self._say(b"G")
+
+    def not_started(self, reason: str) -> None:
+        """The servos could not be armed."""
+        self._say(b"N" + reason.encode("utf-8", "replace")[:_LONGEST_REASON])
 
     def failed(self, index: int, reason: str) -> None:
         """A servo, by its place in the face, is given up for good."""
@@ -189,8 +212,13 @@ def inherited_lifeline(fd: int) -> Lifeline:
 def _understood(raw: bytes) -> Message:
     """Raises ValueError or struct.error for what no lifeline says."""
     kind, rest = raw[:1], raw[1:]
-    if kind == b"S":
-        return Stopped(StopLevel(rest.decode()))
+    if kind in (b"S", b"E"):
+        level, _, requested_by = rest.decode("utf-8", "replace").partition("\0")
+        return Stopped(StopLevel(level), kind == b"E", requested_by)
+    if kind == b"G":
+        return Started()
+    if kind == b"N":
+        return NotStarted(rest.decode("utf-8", "replace"))
     if kind == b"F":
         return Failed(_INDEX.unpack_from(rest)[0], rest[_INDEX.size :].decode("utf-8", "replace"))
     if kind == b"W":

@@ -14,6 +14,9 @@ from typing import Final
 
 _PROC: Final = Path("/proc")
 _OF_PROGRAM: Final = "lipservo"
+#: As `lipservo daemon` starts the process that owns the port.
+_BRIDGE_COMMAND: Final = "bridge-process"
+_CONTROL_OPTION: Final = "--control"
 #: Ends what hangs: nobody here handles it, and the unit tells systemd that it is a person's stop,
 #: after which nothing is started again.
 END_OF_HUNG: Final = signal.SIGUSR2
@@ -54,10 +57,23 @@ def is_ours(pid: int) -> bool:
     return os.geteuid() in (0, owner) and _OF_PROGRAM in command.decode("utf-8", "replace")
 
 
-def leader_of(pid: int) -> int:
-    """Who started it and would start it again: the lipservo above it, or itself."""
+def supervisor_of(pid: int) -> int | None:
+    """The process that would start it again; None: it has no supervisor, whatever its parent is.
+
+    Proven by what no shell, terminal or script has: a bridge process is given the listening control
+    socket of its face as `--control FD`, and its supervisor has the same socket open.
+    """
     parent = _parent(pid)
-    return parent if parent is not None and is_ours(parent) else pid
+    if parent is None or not is_ours(parent):
+        return None
+    try:
+        words = (_PROC / str(pid) / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
+        fd = words[words.index(_CONTROL_OPTION) + 1] if _BRIDGE_COMMAND in words else ""
+        control = os.readlink(_PROC / str(pid) / "fd" / fd) if fd.isdigit() else ""
+    except (OSError, ValueError, IndexError):
+        return None
+    is_shared = control.startswith("socket:") and any(to == control for to, _ in _links(parent))
+    return parent if is_shared else None
 
 
 def with_children(pids: Iterable[int]) -> list[int]:

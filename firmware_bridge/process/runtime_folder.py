@@ -1,7 +1,8 @@
 """Where running faces can be found: one socket a face, in a folder that only its owner fills.
 
 A service has `$RUNTIME_DIRECTORY` from systemd, a person who is logged in `$XDG_RUNTIME_DIR`;
-where there is neither, a folder below the one for temporary files.
+where there is neither, a folder below the one for temporary files. `$LIPSERVO_RUNTIME` is before
+all of them and the only one that is searched: jobs that run in parallel each have their own.
 """
 
 import os
@@ -16,6 +17,7 @@ from typing import Final
 SERVICE_FOLDER: Final = Path("/run/lipservo")
 SOCKET_SUFFIX: Final = ".sock"
 _NAME: Final = "lipservo"
+_OWN_VARIABLE: Final = "LIPSERVO_RUNTIME"
 _LONGEST_FACE_NAME: Final = 40
 
 
@@ -29,11 +31,12 @@ def runtime_folder() -> Path:
     Raises ControlError when it cannot be made, or is not ours alone to write into.
     """
     given = os.environ.get("RUNTIME_DIRECTORY", "").split(":")[0]
-    if given:
+    own = os.environ.get(_OWN_VARIABLE, "")
+    if given and not own:
         return Path(given)
-    folder = _own_folder()
+    folder = Path(own) if own else _own_folder()
     try:
-        folder.mkdir(mode=0o700, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True, parents=bool(own))
     except OSError as error:
         raise ControlError(
             f"{folder}: cannot be made: {error.strerror}; choose a place with --control"
@@ -64,13 +67,17 @@ def read_socket_name(path: Path) -> tuple[str, int] | None:
 def searched_folders() -> list[Path]:
     """The folders in which a running face may be found: the service's, ours, for root everybody's.
 
-    What cannot be looked into is left out.
+    What cannot be looked into is left out, and so is a folder of others that does not belong to the
+    user whose number is in its name: what lies there may be anything.
     """
+    if own := os.environ.get(_OWN_VARIABLE, ""):
+        return [each for each in (Path(own),) if _may_look_into(each)]
     candidates = [Path(each) for each in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if each]
     session = Path(f"/run/user/{os.geteuid()}") / _NAME
     candidates += [SERVICE_FOLDER, _own_folder(), session, _temporary_folder()]
     if os.geteuid() == 0:
-        candidates += _folders_of_others()
+        found = [(each, _user_in_name(each)) for each in _folders_of_others()]
+        candidates += [each for each, uid in found if uid is not None and _belongs_to(each, uid)]
     return [each for each in dict.fromkeys(candidates) if _may_look_into(each)]
 
 
@@ -91,13 +98,23 @@ def _folders_of_others() -> Iterator[Path]:
 
 
 def _is_own(folder: Path) -> bool:
-    """Whether it is a true folder of ours into which nobody else can put anything."""
+    return _belongs_to(folder, os.geteuid())
+
+
+def _user_in_name(folder: Path) -> int | None:
+    """1000 of /run/user/1000/lipservo and of /tmp/lipservo-1000; None: of no user."""
+    number = folder.parent.name if folder.name == _NAME else folder.name.rpartition("-")[2]
+    return int(number) if number.isascii() and number.isdigit() else None
+
+
+def _belongs_to(folder: Path, uid: int) -> bool:
+    """Whether it is a true folder of that user into which no other user can put anything."""
     try:
         found = folder.lstat()
     except OSError:
         return False
     others_may_write = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    return stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid() and not others_may_write
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == uid and not others_may_write
 
 
 def _may_look_into(folder: Path) -> bool:

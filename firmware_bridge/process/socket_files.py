@@ -18,12 +18,12 @@ _FOLDER_PATIENCE_S: Final = 1.0
 
 
 @contextlib.contextmanager
-def held_folder(folder: Path) -> Iterator[None]:
-    """Nobody else makes or removes a socket in the folder meanwhile.
+def held_folder(folder: Path, patience_s: float = _FOLDER_PATIENCE_S) -> Iterator[None]:
+    """No other process makes or removes a socket in the folder meanwhile.
 
-    Raises ControlError where it cannot be opened, or others hold it for a second.
+    Raises ControlError where it cannot be opened, or others hold it for longer than `patience_s`.
     """
-    give_up_s = time.monotonic() + _FOLDER_PATIENCE_S
+    give_up_s = time.monotonic() + patience_s
     try:
         fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     except OSError as error:
@@ -34,7 +34,7 @@ def held_folder(folder: Path) -> Iterator[None]:
                 fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError:
-                if time.monotonic() > give_up_s:
+                if time.monotonic() >= give_up_s:
                     raise ControlError(f"{folder}: is held by another program") from None
                 time.sleep(0.01)
         yield

@@ -4,7 +4,9 @@ One loop, one thread, no sleep: it waits for whatever comes first, a heartbeat, 
 request, a signal, a deadline. A stop by a person is kept here, so that it outlives every process.
 
     RUNNING ──dead, or hung and killed──▶ RELEASING ──torque is off──▶ WAITING ──▶ RUNNING
-       └──ended as asked──▶ over             └──a person has stopped it──▶ over
+       └──ended as requested──▶ STOPPED ◀──────┘ a person has stopped it      ▲
+                                   └──a person starts it──────────────────────┘
+    A signal, or a stop that ends the process: over, in place of STOPPED.
 """
 
 import select
@@ -14,13 +16,30 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Final
 
+from firmware_bridge.loop.bridge import START_WHILE_STOPPING
+from firmware_bridge.orders import Order, ServoOrder, ServoSwitch, StartFace
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.lifeline import Began, Failed, Ready, Stopped, Switched
+from firmware_bridge.process.lifeline import (
+    Began,
+    Failed,
+    NotStarted,
+    Ready,
+    Started,
+    Stopped,
+    Switched,
+)
 from firmware_bridge.process.restarted_child import RestartedChild, WatchedChild
 from firmware_bridge.process.service_notice import ServiceNotice
+from firmware_bridge.process.stop_record import StopRecord
 from firmware_bridge.process.torque_release import TorqueRelease
 from firmware_bridge.stop_signals import SignalCounter
-from firmware_bridge.stopping import PORT_WAIT_S, ExitStatus, StopLevel, StopReport
+from firmware_bridge.stopping import (
+    PORT_WAIT_S,
+    ExitStatus,
+    StopLevel,
+    StopReport,
+    StopRequest,
+)
 
 #: Easing to neutral takes two seconds at most, limp a few packets more.
 _END_S: Final = 5.0
@@ -33,6 +52,8 @@ _RECOVERY_S: Final = 60.0
 _LONGEST_WAIT_S: Final = 0.25
 _REQUESTS_AT_ONCE: Final = 16
 _CHILD_END_S: Final = 2.0
+#: A stopped face with servos that have not confirmed is let go again this often.
+_RELEASE_AGAIN_S: Final = 5.0
 
 
 class _Phase(Enum):
@@ -41,14 +62,11 @@ class _Phase(Enum):
     RUNNING = "the bridge starts"
     RELEASING = "the bridge is down, torque is being switched off"
     WAITING = "the bridge is down and starts again"
+    STOPPED = "stopped"  # limp, until a person starts the face
 
 
 class Supervisor:
-    """Runs bridge and speech, restarts what dies or hangs, and brings the face to its end.
-
-    control: served here while no bridge serves it. make_release: torque off by force, with how long
-    silent servos are asked again. servo_names: by id. say: one line for the log.
-    """
+    """Runs bridge and speech, restarts what dies or hangs, and keeps what a person has stopped."""
 
     def __init__(
         self,
@@ -60,7 +78,19 @@ class Supervisor:
         servo_names: Mapping[int, str],
         say: Callable[[str], None],
         notice: ServiceNotice,
+        record: StopRecord | None = None,
     ) -> None:
+        """Nothing is started yet.
+
+        Parameters
+        ----------
+        control : served here while no bridge serves it.
+        make_release : torque off by force, given how long silent servos are asked again, seconds.
+        servo_names : by id.
+        say : takes one line for the log.
+        record : keeps what must outlive this process, and may hold a stop from before it.
+
+        """
         self._bridge, self._speech = RestartedChild(bridge, say), RestartedChild(speech, say)
         self._control = control
         self._make_release = make_release
@@ -73,13 +103,21 @@ class Supervisor:
         self._release: TorqueRelease | None = None
         self._release_s = 0.0
         self._port_error = ""
-        self._stop: StopLevel | None = None
+        self._record = StopRecord() if record is None else record
+        self._stop: StopRequest | None = self._record.stopped
+        self._ends = False
+        self._comes_back = False  # a person has started it again, and it is not driven yet
+        self._start_error = ""
+        self._now_s = 0.0
         self._signal_s: float | None = None
         self._n_signals = 0
         self._failed: dict[int, str] = {}
         self._switched_off: set[int] = set()
         self._zero_s: float | None = None
         self._well_s = float("-inf")
+        self._stop_report: StopReport | None = None
+        self._release_again_s = float("inf")
+        control.attend(self._refusal)
         self.report: StopReport | None = None
         #: With what the process should end; once there is a report.
         self.exit_status = int(ExitStatus.ENDED_WELL)
@@ -103,10 +141,11 @@ class Supervisor:
 
         n_signals: how often the process was asked to end so far.
         """
+        self._now_s = now_s
         bridge_status, speech_status = self._bridge.child.ended(), self._speech.child.ended()
         self._read_messages()
         self._handle_signals(n_signals, signal_name, now_s)
-        self._serve_control()
+        self._serve_control(now_s)
         self._watch_speech(speech_status, now_s)
         self._watch_bridge(bridge_status, now_s)
         self._tell_service(now_s)
@@ -115,23 +154,35 @@ class Supervisor:
     def due_s(self, now_s: float) -> float:
         """When `step` has something to do although nothing comes."""
         due = [self._bridge.next_s(now_s)] if self._phase is not _Phase.RELEASING else []
-        if not (self._is_ending and self._speech.child.pid is None):
+        if not (self._ends and self._speech.child.pid is None):
             due.append(self._speech.next_s(now_s))
         if self._release is not None:
             due.append(self._release.next_s)
+        if self._phase is _Phase.STOPPED:
+            due = [*due[1:], self._release_again_s]
         return min(due, default=now_s + _LONGEST_WAIT_S)
 
     def status(self) -> dict[str, object]:
-        """What is answered while no bridge can."""
+        """What is answered while no bridge can: plain values that nothing has to be asked for."""
+        stop, report = self._stop, self._stop_report
         return {
-            "state": self._phase.value,
-            "stopped": None if self._stop is None else self._stop.value,
-            "troubles": [self._port_error] if self._port_error else [],
+            "state": _Phase.STOPPED.value if report is not None else self._phase.value,
+            "stopped": None if stop is None else stop.level.value,
+            "stopped_by": None if stop is None else stop.requested_by,
+            "stop_report": None if report is None else report.as_dict(),
+            "can_start": self._phase is _Phase.STOPPED,
+            "torque_on": None if report is None or not report.complete else False,
+            "troubles": [each for each in (self._port_error, self._start_error) if each],
         }
 
     @property
+    def _level(self) -> StopLevel | None:
+        return None if self._stop is None else self._stop.level
+
+    @property
     def _is_ending(self) -> bool:
-        return self._stop in (StopLevel.SOFT, StopLevel.LIMP)
+        """Whether all servos are to be limp: a person has stopped the face."""
+        return self._level in (StopLevel.SOFT, StopLevel.LIMP)
 
     def _filenos(self) -> list[int]:
         control = [] if self._bridge.serves else self._control.filenos()
@@ -140,14 +191,23 @@ class Supervisor:
     def _read_messages(self) -> None:
         for message in self._bridge.read():
             match message:
-                case Stopped(level):
-                    self._hold_stop(level)
+                case Stopped(level, ends, requested_by):
+                    self._hold_stop(StopRequest(level, requested_by, ends))
+                case Started():
+                    self._stop = None
+                    self._record.stop(None)
+                case NotStarted(reason):
+                    self._start_error = (
+                        f"could not be started: {reason}" if self._comes_back else ""
+                    )
                 case Failed(index, reason):
                     self._failed[index] = reason
                 case Switched(index, on):
                     self._hold_switched(index, on=on)
                 case Ready():
                     self._ran_well = True
+                    self._comes_back = False
+                    self._start_error = ""
                     self._notice.ready()
                 case _:
                     pass
@@ -155,12 +215,13 @@ class Supervisor:
             if isinstance(message, Began):
                 self._zero_s = message.zero_s
 
-    def _hold_stop(self, level: StopLevel) -> None:
+    def _hold_stop(self, request: StopRequest) -> None:
         """From now on, whatever dies; freezing gives way to an end, an end to limp alone."""
-        if self._is_ending and level is not StopLevel.LIMP:
-            return
-        was_ending, self._stop = self._is_ending, level
-        if self._is_ending and not was_ending:
+        self._ends = self._ends or request.ends
+        if not (self._is_ending and request.level is not StopLevel.LIMP):
+            self._stop = request
+            self._record.stop(request)
+        if self._ends:
             self._speech.child.send(signal.SIGTERM)
 
     def _hold_switched(self, index: int, *, on: bool) -> None:
@@ -179,32 +240,90 @@ class Supervisor:
         if self._signal_s is None:
             self._signal_s = now_s
         level = StopLevel.SOFT if n_signals == 1 else StopLevel.LIMP
-        self._say(f"stop asked: {level.value}, by {name}")
-        self._hold_stop(level)
+        self._say(f"stop requested: {level.value}, by {name}")
+        self._ends = True
+        if not (self._is_ending and level is StopLevel.SOFT):
+            # A service manager's end is no person's stop: nothing of it outlives this process.
+            self._stop = StopRequest(level, name, ends=True)
+        self._speech.child.send(signal.SIGTERM)
         self._bridge.child.send(signal.SIGTERM)
 
-    def _serve_control(self) -> None:
+    def _serve_control(self, now_s: float) -> None:
         if self._bridge.serves:
-            self._control.send_away()  # who was let in here would wait for ever for an answer
+            self._control.send_away()  # a client let in here would wait for ever for an answer
             return
         for _ in range(_REQUESTS_AT_ONCE):
-            level = self._control.poll(self.status)
-            if level is None:
+            request = self._control.poll()
+            if request is not None:
+                self._obey_stop(request)
+            self._control.answer(self.status)
+            for order in self._control.take_orders():
+                if isinstance(order, StartFace):
+                    self._obey_start(order, now_s, is_stopped_now=request is not None)
+                elif isinstance(order, ServoOrder):
+                    self._switched_off.add(self._index_of(order.name))
+            if request is None:
                 return
-            self._say(f"stop asked: {level.value}, by {self._control.asked_by}; no bridge runs")
-            self._hold_stop(level)
-            self._bridge.child.send(signal.SIGKILL)  # one that starts has not heard of it
-            if self._stop is StopLevel.FREEZE and self._phase is _Phase.RELEASING:
+
+    def _obey_stop(self, request: StopRequest) -> None:
+        self._hold_stop(request)
+        if self._phase is _Phase.STOPPED:
+            self._stopped_again()
+        else:
+            self._bridge.child.send(signal.SIGKILL)  # one that starts does not know of the stop
+            if self._level is StopLevel.FREEZE and self._phase is _Phase.RELEASING:
                 self._drop_release()
+        by = request.requested_by
+        self._say(f"stop requested: {request.level.value}, by {by}; no bridge runs")
+
+    def _stopped_again(self) -> None:
+        """A limp face is stopped: what its servos confirmed is still so, or it ends."""
+        report = self._stop_report
+        assert report is not None
+        if self._ends:
+            self._finish(
+                report, ExitStatus.ENDED_WELL if report.complete else ExitStatus.UNCONFIRMED
+            )
+        else:
+            self._release_again_s = 0.0
+
+    def _refusal(self, order: Order) -> str:
+        """Why an order is refused while no bridge serves, in one line; empty: it is obeyed."""
+        match order:
+            case StartFace() if self._phase is _Phase.STOPPED and not self._ends:
+                return ""
+            case StartFace() if self._is_ending:
+                return START_WHILE_STOPPING
+            case StartFace():
+                return "the face is being started already"
+            case ServoOrder(name, ServoSwitch.OFF) if name in self._servo_names.values():
+                return ""  # of a stopped face: it stays off when that is started again
+        return f"{self._phase.value}: ask again once the face is driven"
+
+    def _obey_start(self, order: StartFace, now_s: float, *, is_stopped_now: bool) -> None:
+        """Through the ordinary start of a bridge, with all its checks."""
+        if is_stopped_now or self._phase is not _Phase.STOPPED:
+            self._say(f"start requested by {order.requested_by}: not obeyed, a stop came with it")
+            return
+        self._say(f"start requested by {order.requested_by}")
+        self._stop, self._stop_report, self._start_error = None, None, ""
+        self._comes_back = True
+        self._failed.clear()
+        self._record.stop(None)
+        self._drop_release()
+        self._start_bridge(now_s)
+
+    def _index_of(self, name: str) -> int:
+        return list(self._servo_names.values()).index(name)
 
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
         speech = self._speech
         if ended is not None:
-            if not self._is_ending:
+            if not self._ends:
                 speech.note_end(ended, now_s)
         elif speech.child.pid is not None:
             speech.kill_if_hung(now_s)
-        elif not self._is_ending and now_s >= speech.due_s:
+        elif not self._ends and now_s >= speech.due_s:
             zero = [] if self._zero_s is None else ["--zero-s", repr(self._zero_s)]
             speech.start(zero, now_s)
 
@@ -217,13 +336,25 @@ class Supervisor:
                 self._bridge.kill(f"has not ended within {_END_S:g} s")
         elif self._phase is _Phase.RELEASING:
             self._release_on(now_s)
+        elif self._phase is _Phase.STOPPED:
+            self._watch_stopped(now_s)
         elif self._is_ending:
             self._begin_release(now_s)
         elif now_s >= self._bridge.due_s:
             self._start_bridge(now_s)
 
+    def _watch_stopped(self, now_s: float) -> None:
+        """A limp face: it ends at a signal; servos that have not confirmed are let go again."""
+        if self._ends:
+            self._stopped_again()
+        elif now_s >= self._release_again_s:
+            self._begin_release(now_s)
+
     def _start_bridge(self, now_s: float) -> None:
-        arguments = [] if self._stop is None else ["--stopped", self._stop.value]
+        arguments = []
+        if self._stop is not None:
+            arguments += ["--stopped", self._stop.level.value]
+            arguments += ["--stopped-by", self._stop.requested_by]
         for index, reason in self._failed.items():
             arguments += ["--failed", f"{index}={reason}"]
         for index in sorted(self._switched_off):
@@ -234,10 +365,15 @@ class Supervisor:
     def _bridge_ended(self, status: int, now_s: float) -> None:
         self._last_status = status
         if status == ExitStatus.ENDED_WELL:
-            self._finish(StopReport(tuple(self._servo_names.values())), status)
+            self._comes_back = False
+            self._conclude(StopReport(tuple(self._servo_names.values())), status)
             return
         self._bridge.note_end(status, now_s)
-        if self._stop is StopLevel.FREEZE and status != ExitStatus.CRITICAL_SERVO_FAILED:
+        if self._comes_back and status > 0 and not self._is_ending:
+            self._comes_back = False
+            self._start_error = self._start_error or f"could not be started (status {status})"
+            self._stop = StopRequest(StopLevel.LIMP, "a start that failed")
+        if self._level is StopLevel.FREEZE and status != ExitStatus.CRITICAL_SERVO_FAILED:
             self._phase = _Phase.WAITING  # what is held stays held
         else:
             self._begin_release(now_s)
@@ -272,7 +408,7 @@ class Supervisor:
                 why = dict.fromkeys(self._servo_names.values(), self._port_error)
                 failed = max(self._last_status, 1)
                 status = ExitStatus.UNCONFIRMED if self._is_ending else failed
-                self._finish(StopReport((), why), status)
+                self._conclude(StopReport((), why), status)
 
     def _give_up_s(self) -> float:
         """How long a port that is gone is waited for."""
@@ -296,7 +432,21 @@ class Supervisor:
         report = StopReport(confirmed, unconfirmed)
         self._say(report.line())
         if self._is_ending or not self._may_restart():
+            self._conclude(report, status)
+
+    def _conclude(self, report: StopReport, status: int) -> None:
+        """The servos have had their last word: a face that a person stopped waits, others end."""
+        if self._ends or not self._is_ending:
             self._finish(report, status)
+            return
+        self._drop_release()
+        self._phase = _Phase.STOPPED
+        self._stop_report = report
+        self._last_status = 0
+        self._release_again_s = float("inf") if report.complete else self._now_s + _RELEASE_AGAIN_S
+        self._control.report_end({"waits": True, **report.as_dict()})
+        self._say(f"{report.text()}; the face waits: `lipservo start` starts it again")
+        self._notice.ready()  # a service that came up stopped is up
 
     def _finish(self, report: StopReport, status: int) -> None:
         self._drop_release()
@@ -304,7 +454,7 @@ class Supervisor:
 
     def _tell_service(self, now_s: float) -> None:
         """Alive: the bridge's loop is, or its recovery gets on, or waits for a lost port."""
-        if self._bridge.serves or self._port_error:
+        if self._bridge.serves or self._port_error or self._phase is _Phase.STOPPED:
             self._well_s = now_s
         if now_s - self._well_s < _RECOVERY_S:
             self._notice.alive()

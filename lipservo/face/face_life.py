@@ -32,7 +32,8 @@ class ControlOptions:
 
     path: of its socket; None: in the runtime folder. commands: what is asked of it. describe: makes
     its status, for JSON, of what the bridge knows. about: what every answer says besides the face's
-    name and port. watched_fd: of the memory that whoever watches may read; None: nobody may.
+    name and port. watched_fd: of the memory that a client may watch; None: there is none. waits:
+    a stop leaves a face that waits, limp, for a start; otherwise it ends.
     """
 
     path: Path | None = None
@@ -40,6 +41,7 @@ class ControlOptions:
     describe: Callable[[Mapping[str, object]], Mapping[str, object]] = _of_the_servos
     about: Mapping[str, object] = field(default_factory=dict)
     watched_fd: int | None = None
+    waits: bool = False
 
 
 @contextmanager
@@ -66,9 +68,8 @@ def face_life(
         asked = ControlOptions() if control is None else control
         about = {**asked.about, "name": name, "port": port}
         path = asked.path or socket_path(name)
-        listener = ControlSocket.bind(path, about, asked.commands, asked.describe)
+        listener = ControlSocket.bind(path, about, asked.commands, asked.describe, asked.watched_fd)
         stack.enter_context(listener)
-        listener.watched_fd = asked.watched_fd
         healths = health_log(name, port, log, os.environ)
         if healths is not None:
             stack.enter_context(healths)
@@ -78,7 +79,7 @@ def face_life(
             status=partial(face_status, bridge),
             on_health=None if healths is None else healths.offer,
         )
-        yield stack.enter_context(LifeCycle(bridge, clock, links))
+        yield stack.enter_context(LifeCycle(bridge, clock, links, waits=asked.waits))
 
 
 def say(line: str) -> None:

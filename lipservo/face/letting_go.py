@@ -3,20 +3,22 @@
 import contextlib
 import os
 import signal
+import socket
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from firmware_bridge.errors import BusError
-from firmware_bridge.process.control_client import RunningFace, ask, stop_and_wait
+from firmware_bridge.process.control_client import RunningFace, ask, send_stop, stop_and_wait
 from firmware_bridge.process.port_holders import (
     end_hung,
     holders_of,
     holders_of_socket,
     is_ours,
-    leader_of,
     ports_held_by,
+    supervisor_of,
     with_children,
 )
 from firmware_bridge.process.socket_files import knock
@@ -36,7 +38,11 @@ Say = Callable[[str], None]
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of one face or port. problem: empty when all servos confirmed what was asked."""
+    """What became of one face or port.
+
+    problem: empty when all servos confirmed what was requested. waits: the face's process lives on,
+    limp, and can be started again.
+    """
 
     name: str
     port: str | None = None
@@ -44,6 +50,7 @@ class Outcome:
     confirmed: list[str] = field(default_factory=list)
     unconfirmed: dict[str, str] = field(default_factory=dict)
     problem: str = ""
+    waits: bool = False
 
     @property
     def is_confirmed(self) -> bool:
@@ -60,16 +67,42 @@ class Outcome:
             return f"{self.name}: {self.problem}"
         if not self.unconfirmed:
             by = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
-            return f"{self.name}: {done}{by}"
+            waits = "; it waits: `lipservo start`" if self.waits else ""
+            return f"{self.name}: {done}{by}{waits}"
         left = named_by_reason(self.unconfirmed)
         return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {left}"
 
 
-def stop_face(face: RunningFace, level: StopLevel, say: Say) -> Outcome:
-    """Stop a face and wait for its end; one that hangs is let go by force, but never frozen."""
+def stop_faces(
+    faces: Sequence[RunningFace], level: StopLevel, say: Say, *, end: bool = False
+) -> list[Outcome]:
+    """Stop faces and wait for the end of each; one that hangs is let go by force, never frozen.
+
+    Every face is sent the stop before the first is waited for, so that none in trouble delays
+    another. end: as `send_stop`.
+    """
+    sent: list[socket.socket | None] = []
+    for face in faces:
+        try:
+            sent.append(send_stop(face.path, level, end=end))
+        except OSError:
+            sent.append(None)  # what is wrong is found when it is waited for
+    with ThreadPoolExecutor(max(1, len(faces)), thread_name_prefix="stop") as pool:
+        waiting = [
+            pool.submit(_await_stop, face, level, say, client, end=end)
+            for face, client in zip(faces, sent, strict=True)
+        ]
+        return [each.result() for each in waiting]
+
+
+def _await_stop(
+    face: RunningFace, level: StopLevel, say: Say, sent: socket.socket | None, *, end: bool
+) -> Outcome:
     outcome = Outcome(face.name, pid=face.pid)
+    # Only a port that its processes hold open is ever opened here, never one out of an answer.
+    held = _ports_of(face)
     try:
-        answer, report = stop_and_wait(face.path, level, _END_S)
+        answer, report = stop_and_wait(face.path, level, _END_S, end=end, sent=sent)
     except TimeoutError:
         return _end_by_force(face, level, outcome, say)
     except PermissionError:
@@ -84,17 +117,33 @@ def stop_face(face: RunningFace, level: StopLevel, say: Say) -> Outcome:
     if report is not None:
         outcome.confirmed = list(report.get("confirmed", ()))
         outcome.unconfirmed = dict(report.get("unconfirmed", {}))
+        outcome.waits = bool(report.get("waits"))
     elif knock(face.path) == 0:
-        troubles = "; ".join(answer.get("troubles", ()))
+        troubles = "; ".join(_troubles_of(face))
         outcome.problem = f"will stop, but has not confirmed it within {_END_S:g} s" + (
             f": {troubles}" if troubles else ""
         )
-    elif outcome.port:
+    elif held:
         say(f"{face.name} has gone without a word; its port is opened")
-        _take_over(outcome, release(outcome.port, say=say))
+        for port in held:
+            _take_over(outcome, release(port, say=say))
     else:
-        outcome.problem = "has gone without a word; `lipservo limp --port PORT`"
+        port = outcome.port or "PORT"
+        outcome.problem = f"has gone without a word; `lipservo limp --port {port}`"
     return outcome
+
+
+def _ports_of(face: RunningFace) -> list[str]:
+    """The ports that the processes behind a face's socket have locked just now."""
+    held = [port for pid in holders_of_socket(face.path) for port in ports_held_by(pid)]
+    return list(dict.fromkeys(held))
+
+
+def _troubles_of(face: RunningFace) -> list[str]:
+    try:
+        return [str(each) for each in ask(face.path, "status", _ANSWER_S).get("troubles", ())]
+    except OSError:
+        return []
 
 
 def release(port: str, rate: int | None = None, ids: Sequence[int] = (), *, say: Say) -> Outcome:
@@ -122,19 +171,30 @@ def release(port: str, rate: int | None = None, ids: Sequence[int] = (), *, say:
     return outcome
 
 
-def port_of(face: RunningFace) -> str | None:
-    """The port that a face holds; asked, or looked up when it hangs."""
-    try:
-        at = ask(face.path, "status", _ANSWER_S).get("port")
-    except OSError:
-        held = [port for pid in holders_of_socket(face.path) for port in ports_held_by(pid)]
-        at = held[0] if held else None
-    return None if at is None else os.path.realpath(str(at))
+def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
+    """Those that hold this port, or say that it is theirs; all are asked at once."""
+    real = os.path.realpath(port)
+
+    def is_there(face: RunningFace) -> bool:
+        if real in _ports_of(face):
+            return True
+        try:
+            at = ask(face.path, "status", _ANSWER_S).get("port")
+        except OSError:
+            return False
+        return at is not None and os.path.realpath(str(at)) == real
+
+    with ThreadPoolExecutor(max(1, len(faces)), thread_name_prefix="port") as pool:
+        return [face for face, there in zip(faces, pool.map(is_there, faces), strict=True) if there]
 
 
 def _free(port: str, say: Say) -> None:
-    """End the processes of ours that hold a port: asked twice, which means limp, then killed."""
-    pids = list(dict.fromkeys(leader_of(pid) for pid in holders_of(port) if is_ours(pid)))
+    """End the processes of ours that hold a port: asked twice, which means limp, then killed.
+
+    With a supervisor, which would start its bridge again, that is ended; never any other parent.
+    """
+    holders = [pid for pid in holders_of(port) if is_ours(pid)]
+    pids = list(dict.fromkeys(supervisor_of(pid) or pid for pid in holders))
     if not pids:
         return
     say(f"process {', '.join(str(pid) for pid in pids)} holds {port} and is ended")

@@ -1,4 +1,7 @@
-"""Where health logs lie: a folder a face, in the state folder of the user or of the service."""
+"""Where a face keeps what outlives it: health logs, and a person's stop.
+
+In the state folder of the user or of the service.
+"""
 
 import os
 import re
@@ -16,10 +19,18 @@ def log_folder(face: str, port: str, environment: Mapping[str, str]) -> Path | N
     would spoil the figures of the real ones.
     """
     state = _own_state(environment)
-    if state is None:
-        return None
+    return None if state is None else state / "health" / _name_at(face, port)
+
+
+def stop_record_path(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
+    """The file that keeps a person's stop of a face at this port; None: there is no such place."""
+    state = _own_state(environment)
+    return None if state is None else state / "stops" / f"{_name_at(face, port)}.json"
+
+
+def _name_at(face: str, port: str) -> str:
     simulated = os.path.realpath(port).startswith("/dev/pts/")
-    return state / "health" / (folder_name(face) + ("-simulated" if simulated else ""))
+    return folder_name(face) + ("-simulated" if simulated else "")
 
 
 def folder_name(face: str) -> str:

@@ -164,6 +164,8 @@ class FaceSettings(Strict):
     motion: MotionSettings = MotionSettings()
     sound: SoundSettings = SoundSettings()
     expression: ExpressionSettings = ExpressionSettings()
+    #: Whether a service drives the face by itself after a power cut that may have lost a stop.
+    start_after_power_cut: bool = False
     #: Between the outer corners of the robot's eyes: what gives a photograph its scale.
     eye_distance_mm: Annotated[float, within(10.0, 500.0)] | None = None
 

@@ -38,8 +38,13 @@ class SpeechSide:
         speech: Speech,
         voice: OwnVoice | None = None,
         mouth: AdjustableMouth | None = None,
+        rest: Array | None = None,
     ) -> None:
-        """mouth: takes what is set of it, and moves livelier with a voice that is excited."""
+        """mouth: takes what is set of it, and moves livelier with a voice that is excited.
+
+        rest: the face (n_components,) of a mouth at rest, for while the face is stopped.
+        """
+        self._rest = rest
         self.speech = speech
         self.voice = voice
         self._mouth = mouth
@@ -83,6 +88,13 @@ class SpeechSide:
         if self.voice is not None:
             self.voice.fall_silent()
 
+    def follow_stop(self, now_s: float, *, is_stopped: bool) -> None:
+        """Before `advance`: a face that a person has stopped says nothing, and its mouth rests."""
+        if is_stopped:
+            self.fall_silent()
+            if self._rest is not None:
+                self.speech.cut_off(now_s, self._rest)
+
 
 def make_speech_side(
     face: Face,
@@ -113,7 +125,7 @@ def make_speech_side(
             heard, clock, synthesizer, face.calibration, names, channel, expression=expression
         )
         speech.lip_gap = _lip_gap(face)
-        return SpeechSide(speech, mouth=mouth)
+        return SpeechSide(speech, mouth=mouth, rest=face.model.rest)
     spoken = SpokenPhonemes(source, recognizer)
     source.on_said = None if voice is None else voice.hear
     played = OwnPlaybackClock()
@@ -130,7 +142,7 @@ def make_speech_side(
     speech.lip_gap = _lip_gap(face)
     quiet_s = SOFT_FOR_S + _MARGIN_S if has_soft_start else 0.0
     own = OwnVoice(source, played, speech, face.model.rest, quiet_s=quiet_s)
-    return SpeechSide(speech, own, mouth)
+    return SpeechSide(speech, own, mouth, face.model.rest)
 
 
 def _lip_gap(face: Face) -> LipGapOffset:

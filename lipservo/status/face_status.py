@@ -54,13 +54,14 @@ class Status:
 
     name: of the face; config: its YAML, by the name of a shipped face or by its path; sounds: the
     folder whose sound files may be played; port: of its servos, None: simulated in memory; state:
-    a `FaceState`, or what the supervisor does while no bridge runs; stopped: the stop that a
-    supervisor holds to; plugged: whether the port is there; torque_on: whether a servo is driven;
-    servos: the state of each, by name; troubles: a line for each servo that is not driven; jogged:
-    joints that a person jogs; health: how each servo is, as `ServoHealth` has it, None for what was
-    never heard; n_ticks to n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the
-    gate stepped in, over all servos; bridge_pid: the process that drives them. The rest is that of
-    `SpeechStatus`.
+    a `FaceState`, or what the supervisor does while no bridge runs; stopped: the stop of a person
+    that holds, and stopped_by: who requested it; stop_report: what the servos said of it
+    (`StopReport`), None before they have; can_start: whether a person can start it now; plugged:
+    whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
+    name; troubles: a line for each servo that is not driven; jogged: joints that a person jogs;
+    health: how each servo is, as `ServoHealth` has it, None for what was never heard; n_ticks to
+    n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the gate stepped in, over
+    all servos; bridge_pid: the process that drives them. The rest is that of `SpeechStatus`.
     """
 
     name: str = ""
@@ -69,6 +70,9 @@ class Status:
     port: str | None = None
     state: str = ""
     stopped: str | None = None
+    stopped_by: str | None = None
+    stop_report: Mapping[str, object] | None = None
+    can_start: bool | None = None
     plugged: bool | None = None
     torque_on: bool | None = None
     servos: Mapping[str, str] = field(default_factory=dict)

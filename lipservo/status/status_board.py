@@ -1,7 +1,8 @@
-"""What the processes of one face know of each other: two notes in memory that they share.
+"""What the processes of one face know of each other: three notes in memory that they share.
 
 The bridge process answers people and writes down which settings they want; the speech process
-follows them, and writes down how it is. The memory is the supervisor's, so that what was set and
+follows them, and writes down how it is. The supervisor writes down whether a person has stopped the
+face, so that speech falls silent. The memory is the supervisor's, so that what was set and
 what was said outlives either of them. Nobody waits: a note that is being written is read at the
 next look. Each note has one writer at a time.
 """
@@ -21,7 +22,7 @@ from lipservo.status.face_status import SpeechStatus, whole_status
 _HEAD: Final = struct.Struct("<QII")
 #: The reasons of a few fallbacks and a path or two; a longer note is not written.
 _NOTE_BYTES: Final = 16_384
-_SIZE: Final = 2 * _NOTE_BYTES
+_SIZE: Final = 3 * _NOTE_BYTES
 
 
 class _Note:
@@ -55,13 +56,14 @@ class _Note:
 
 
 class StatusBoard:
-    """Both notes. Make it with `create`, hand its `fileno` to a child, which does `adopt`."""
+    """The notes. Make it with `create`, hand its `fileno` to a child, which does `adopt`."""
 
     def __init__(self, fd: int) -> None:
         self._fd = fd
         self._memory = mmap.mmap(fd, _SIZE)
         self._settings = _Note(self._memory, 0)
         self._speech = _Note(self._memory, _NOTE_BYTES)
+        self._stop = _Note(self._memory, 2 * _NOTE_BYTES)
 
     @classmethod
     def create(cls) -> Self:
@@ -88,6 +90,14 @@ class StatusBoard:
         """What was wanted last, by name; {} where nobody has set anything."""
         return {name: float(str(value)) for name, value in self._settings.read().items()}
 
+    def write_stopped(self, *, is_stopped: bool) -> None:
+        """Whether a person has stopped the face."""
+        self._stop.write({"is_stopped": is_stopped})
+
+    def is_stopped(self) -> bool:
+        """Whether a person has stopped the face; False before anything was written."""
+        return self._stop.read().get("is_stopped") is True
+
     def write_speech(self, status: SpeechStatus) -> None:
         """How the speech side is."""
         self._speech.write(asdict(status))
@@ -96,6 +106,10 @@ class StatusBoard:
         """How the speech side was last; None before it has said so."""
         told = self._speech.read()
         return SpeechStatus(**told) if told else None  # type: ignore[arg-type]  # as written
+
+    def describe_stopped(self, supervisor: Mapping[str, object]) -> dict[str, object]:
+        """The status for JSON while no bridge runs: copied, so that nothing in it can fail."""
+        return {**self._speech.read(), **supervisor}
 
     def describe(self, bridge: Mapping[str, object]) -> dict[str, object]:
         """The status of the whole face for JSON. bridge: what the bridge knows."""

@@ -20,15 +20,20 @@ def play(
     tally: Tally,
     observers: Sequence[TickObserver] = (),
 ) -> None:
-    """Run the street until it is over or somebody stops the face; then to rest.
+    """Run the street until it is over or a person stops the face; then to rest.
 
-    is_over: asked at the monotonic time of each tick.
+    A life cycle that waits for a start goes on: sound is heard and dropped meanwhile, so that
+    nothing has to be caught up with. is_over: asked at the monotonic time of each tick.
     """
     for time_s, late in life.ticks():
         if not life.stopping and is_over(time_s):
             life.stop()
         tally.begin_tick(time_s)
-        tick = street.rest(time_s, late) if life.stopping else street.tick(time_s, late)
+        if life.stopping and not life.waits:
+            tick = street.rest(time_s, late)
+        else:
+            street.side.follow_stop(time_s, is_stopped=life.stopping)
+            tick = street.tick(time_s, late)
         tally.observe(tick)
         for observer in observers:
             observer.observe(tick)

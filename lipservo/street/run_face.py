@@ -63,7 +63,8 @@ def run_face(
 ) -> RunOutcome:
     """Play an entered source to its end or until stopped; the face is limp afterwards.
 
-    live: draw the face in the terminal; endless: go on in silence when the source is over;
+    live: draw the face in the terminal; endless: go on in silence when the source is over, and wait
+    for a start when a person has stopped the face;
     listener: where voice agents connect; synthesizer: of what needs no recogniser; None: whom the
     request's motion asks for.
     """
@@ -114,7 +115,7 @@ def run_face(
                 street.bridge,
                 clock,
                 quiet=request.quiet,
-                control=run.control_options(control_path, board),
+                control=run.control_options(control_path, board, waits=endless),
             ) as life,
             run.observers(clock, rate_hz, avatars, board, live=live) as observers,
             voice_agents(
@@ -198,10 +199,10 @@ class _Run:
             {**face_status(self._street.bridge), **about, **about_run(self._request)}
         )
 
-    def control_options(self, path: Path, board: LiveBoard) -> ControlOptions:
-        """How it is commanded and watched. path: of its control socket."""
+    def control_options(self, path: Path, board: LiveBoard, *, waits: bool) -> ControlOptions:
+        """How it is commanded and watched. path: of its control socket; waits: for a start."""
         about = about_run(self._request)
-        return ControlOptions(path, self.commands, self.describe, about, board.fileno())
+        return ControlOptions(path, self.commands, self.describe, about, board.fileno(), waits)
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
         """The same for JSON, of what the bridge knows."""

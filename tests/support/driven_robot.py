@@ -11,7 +11,7 @@ from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.command_queue import CommandQueue
 from firmware_bridge.process.command_words import command_answer
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import StopLevel, StopRequest
 from firmware_bridge.targets import ServoTargets
 
 RATE_HZ = 30.0
@@ -30,11 +30,13 @@ class ScriptedControl:
         self.commands = CommandQueue()
         self.attend, self.take_orders = self.commands.attend, self.commands.take_orders
 
-    def poll(self, status):
-        assert "state" in status()
+    def poll(self):
         if self.stops and self.stops[0][0] <= self.clock.now():
-            return StopLevel(self.stops.pop(0)[1])
-        return None
+            return StopRequest(StopLevel(self.stops.pop(0)[1]), "a test")
+        return self.commands.take_stop()
+
+    def answer(self, status):
+        self.status = status()
 
     def report_end(self, report):
         self.end = report
@@ -50,8 +52,12 @@ class SupervisorEnd:
     def beat(self):
         self.n_beats += 1
 
-    def stopped(self, level):
+    def stopped(self, level, *, ends=False, requested_by=""):
+        del ends, requested_by
         self.stops.append(level)
+
+    def started(self):
+        self.stops.append(None)
 
     def failed(self, index, reason):
         self.failures[index] = reason
@@ -68,7 +74,7 @@ def speech_deg(time_s, n):
 class Robot:
     """Servos simulated to the byte, given targets without end, on a life cycle in virtual time."""
 
-    def __init__(self, *faults, stops=(), n=3, servos=None, tolerant=True, **options):
+    def __init__(self, *faults, stops=(), n=3, servos=None, tolerant=True, waits=False, **options):
         self.face = MemoryFace(n, servos=servos, faults=faults, strict=not tolerant)
         self.channel = MemoryTargetChannel()
         settings = BridgeSettings(RATE_HZ, tolerant=tolerant, **options)
@@ -81,7 +87,7 @@ class Robot:
             log=self.note,
             status=lambda: {"state": self.bridge.state.value},
         )
-        self.life = LifeCycle(self.bridge, self.face.clock, links)
+        self.life = LifeCycle(self.bridge, self.face.clock, links, waits=waits)
         self.on_log = lambda _line: None
         #: (time, torque of each servo, position of each) after every tick.
         self.seen = []

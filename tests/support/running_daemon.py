@@ -49,7 +49,11 @@ def running(port, folder, *arguments, errors=None):
             [*LIPSERVO, "daemon", "--port", port, *arguments],
             stdout=out,
             stderr=log if errors is None else errors,
-            env={**os.environ, "NOTIFY_SOCKET": str(notify)},
+            env={
+                **os.environ,
+                "NOTIFY_SOCKET": str(notify),
+                "LIPSERVO_STATE": str(folder / "state"),
+            },
         ) as process:
             process.said, process.out = said, folder / "out.txt"
             try:

@@ -66,7 +66,7 @@ class SimulatedChild:
 class SupervisedFace:
     """A supervisor with both children simulated, and three servos in memory with torque on."""
 
-    def __init__(self, path):
+    def __init__(self, path, record=None):
         self.servos = MemoryFace(3)
         self.clock = self.servos.clock
         self.bridge = SimulatedChild("bridge", self.clock, HeartbeatTimeouts(30.0, 1.0))
@@ -84,6 +84,7 @@ class SupervisedFace:
             servo_names={1: "jaw", 2: "left", 3: "right"},
             say=self.said.append,
             notice=ServiceNotice(self.said.append, self.clock.now),
+            record=record,
         )
         self.n_signals = 0
         self.hold()

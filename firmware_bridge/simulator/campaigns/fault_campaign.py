@@ -25,7 +25,7 @@ from firmware_bridge.simulator.campaigns.auditor import Auditor
 from firmware_bridge.simulator.face import chain_for
 from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
 from firmware_bridge.simulator.memory_transport import MemoryTransport
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import StopLevel, StopRequest
 from firmware_bridge.targets import ServoTargets
 
 BAUD_RATE: Final = 1_000_000
@@ -160,19 +160,21 @@ class _Stop:
     def __init__(self, level: StopLevel | None, clock: ManualClock, auditor: Auditor) -> None:
         self._level, self._clock, self._auditor = level, clock, auditor
 
-    def poll(self, status: Callable[[], Mapping[str, object]]) -> StopLevel | None:
+    def poll(self) -> StopRequest | None:
         """The stop, at its moment."""
-        del status
         now_s = self._clock.now()
         if self._auditor.frozen and now_s >= END_S:
             self._auditor.frozen = False
-            return StopLevel.SOFT  # a frozen face ends only when a person says so
+            return StopRequest(StopLevel.SOFT)  # a frozen face ends only when a person says so
         if self._level is None or now_s < STOP_S:
             return None
         level, self._level = self._level, None
         self._auditor.stopped_s = now_s
         self._auditor.frozen = level is StopLevel.FREEZE
-        return level
+        return StopRequest(level)
+
+    def answer(self, status: Callable[[], Mapping[str, object]]) -> None:
+        """Nobody waits for one."""
 
     def attend(self, refusal: Callable[[Order], str]) -> None:
         """Nobody orders anything of single servos."""

@@ -100,7 +100,8 @@ class BenchedFace:
             coefficients=np.full(_N_COMPONENTS, swing),
             expression=expression_values(),
         )
-        self._control.poll(lambda: face_status(self._bridge))
+        self._control.poll()
+        self._control.answer(lambda: face_status(self._bridge))
 
 
 def stream_figures(seconds: float, progress: Callable[[int, int], None]) -> dict[str, float]:
@@ -155,9 +156,9 @@ def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
         port = stack.enter_context(simulated_port(options))
         bus = stack.enter_context(DynamixelBus(servos, lambda: open_port(port, _BAUD_RATE)))
         board = stack.enter_context(LiveBoard.create(layout))
-        control = ControlSocket.bind(folder / "bench.sock", {"name": "bench", "port": port})
+        about = {"name": "bench", "port": port}
+        control = ControlSocket.bind(folder / "bench.sock", about, watched_fd=board.fileno())
         stack.enter_context(control)
-        control.watched_fd = board.fileno()
         channel = MemoryTargetChannel()
         bridge = Bridge(bus, joints, channel, BridgeSettings(RATE_HZ, tolerant=True))
         bridge.start()

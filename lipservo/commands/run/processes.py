@@ -16,7 +16,7 @@ from firmware_bridge.process.lifeline import inherited_lifeline
 from firmware_bridge.process.log_lines import LogLines
 from firmware_bridge.process.scheduling import die_with_parent, write_from_background
 from firmware_bridge.stop_signals import SignalCounter
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import StopLevel, StopRequest
 from lipservo.commands.run.supervision import no_log
 from lipservo.status.status_board import StatusBoard
 from lipservo.street.run_commands import shared_commands
@@ -39,6 +39,7 @@ def bridge_process(
     live: Fd,
     request: Request,
     stopped: StopLevel | None = None,
+    stopped_by: str = "",
     failed: Annotated[list[str] | None, typer.Option(metavar="INDEX=REASON")] = None,
     switched_off: Annotated[list[int] | None, typer.Option(metavar="INDEX")] = None,
 ) -> None:
@@ -70,9 +71,10 @@ def bridge_process(
         watched = stack.enter_context(LiveBoard.adopt(live))
         commands = shared_commands(asked, settings, shared)
         listener = stack.enter_context(
-            ControlSocket.adopt(control, control_path, about, commands, shared.describe)
+            ControlSocket.adopt(
+                control, control_path, about, commands, shared.describe, watched.fileno()
+            )
         )
-        listener.watched_fd = watched.fileno()
         bus = bus_for(settings, MonotonicClock(), strict=False)
         targets = SocketTargetChannel(end)
         given_up = dict(_failed_servos(failed or ()))
@@ -95,7 +97,7 @@ def bridge_process(
             bridge,
             control=listener,
             lifeline=alive,
-            stopped=stopped,
+            stopped=None if stopped is None else StopRequest(stopped, stopped_by),
             log=say,
             on_health=None if healths is None else healths.offer,
             on_tick=ServoBoard(watched, bridge).tell,
@@ -173,6 +175,7 @@ def speech_process(
             alive.beat()
             if signals.count or alive.closed:
                 return
+            side.follow_stop(time_s, is_stopped=shared.is_stopped())
             if (wanted := shared.settings()) != settings:
                 side.change(wanted)
                 settings, tell_at_s = wanted, time_s

@@ -1,23 +1,28 @@
-"""`stop`, `status`, `limp`: what a person beside the robot needs, whatever else is dead.
+"""`stop`, `start`, `status`, `limp`: what a person beside the robot needs, whatever else is dead.
 
-Somebody waits for these: they load nothing that they do not use.
+A person waits for these: they load nothing that they do not use.
 """
 
-import os
+import time
 from typing import Annotated, Any
 
 import typer
 
-from firmware_bridge.process.control_client import RunningFace, ask, running_faces
+from firmware_bridge.process.control_client import RunningFace, ask, running_faces, start_face
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import Control, FaceName, Json, Port
-from lipservo.commands.run.running import chosen_faces
-from lipservo.face.letting_go import Outcome, port_of, release, stop_face
+from lipservo.commands.run.running import ask_faces, chosen_faces
+from lipservo.face.letting_go import Outcome, faces_at, release, stop_faces
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
 _STATUS_S = 1.0
+#: Arming takes a second or two on real servos, ten on a computer that is very busy.
+_START_S = 20.0
+_LOOK_EVERY_S = 0.1
+#: While it is brought up; any other state is the end of it.
+_ON_ITS_WAY = ("the bridge starts", "driven")
 
 
 def stop(
@@ -25,27 +30,68 @@ def stop(
     freeze: Annotated[
         bool, typer.Option("--freeze", help="Stay where it is, held, until the next stop.")
     ] = False,
+    end: Annotated[
+        bool, typer.Option("--end", help="End a daemon too; otherwise it waits for `start`.")
+    ] = False,
     face: FaceName = None,
     control: Control = None,
     as_json: Json = False,
 ) -> None:
     """Stop every running face: to rest and limp, confirmed by its servos.
 
-    Works although the speech side is dead. Exit status 1 unless every servo has confirmed.
+    A daemon then waits for `lipservo start`; a `run` ends. Works although the speech side is dead.
+    Exit status 1 unless every servo has confirmed.
     """
     if limp and freeze:
         raise UserError("--limp and --freeze: give one of them")
+    if freeze and end:
+        raise UserError("--freeze and --end: a face that has ended holds nothing")
     level = StopLevel.LIMP if limp else StopLevel.FREEZE if freeze else StopLevel.SOFT
     faces = chosen_faces(face, control)
     if not faces:
         raise UserError("no face answers; is a face running? `lipservo limp --port PORT` lets go")
-    outcomes = [stop_face(each, level, _say) for each in faces]
+    outcomes = stop_faces(faces, level, _say, end=end)
     done = {
         StopLevel.SOFT: "at rest and limp",
         StopLevel.LIMP: "limp",
         StopLevel.FREEZE: "held where it is until the next stop",
     }
     _report(outcomes, done[level], as_json=as_json)
+
+
+def start(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
+    """Drive a stopped face again, through the ordinary checks. It moves: keep your hands away.
+
+    Exit status 1 unless it came to be driven.
+    """
+
+    def started(each: RunningFace) -> dict[str, Any]:
+        answer = start_face(each.path)
+        return answer if "error" in answer else _come_back(each)
+
+    def words(answer: dict[str, Any]) -> str:
+        return f"driven{_servos(answer)}"
+
+    ask_faces(face, control, started, words, as_json=as_json)
+
+
+def _come_back(face: RunningFace) -> dict[str, Any]:
+    """Wait until every servo is driven, or its status says why not."""
+    give_up_s = time.monotonic() + _START_S
+    while True:
+        try:
+            found = ask(face.path, "status", _STATUS_S)
+        except TimeoutError:
+            found = {"state": _ON_ITS_WAY[0]}
+        state, servos = found.get("state"), dict(found.get("servos") or {})
+        troubles = "; ".join(found.get("troubles") or ())
+        if state == "driven" and servos and set(servos.values()) == {"driven"}:
+            return {"state": state, "servos": servos}
+        if state not in _ON_ITS_WAY:
+            return {"error": troubles or f"not driven: {state}"}
+        if time.monotonic() > give_up_s:
+            return {"error": troubles or f"not driven within {_START_S:g} s: {state}"}
+        time.sleep(_LOOK_EVERY_S)
 
 
 def status(face: FaceName = None, control: Control = None, as_json: Json = False) -> None:
@@ -58,7 +104,7 @@ def status(face: FaceName = None, control: Control = None, as_json: Json = False
         MESSAGES.print("no face runs")
     for each in found:
         port = each.get("port") or "simulated servos"
-        line = f"{each['name']}  process {each['pid']}  {port}  {each['state']}{_servos(each)}"
+        line = f"{each['name']}  process {each['pid']}  {port}  {_state(each)}"
         RESULTS.print(line, soft_wrap=True, markup=False, highlight=False)
         for line in (_motion(each), *each.get("troubles", ())):
             if not line:
@@ -100,9 +146,10 @@ def limp(
     if unless_held and port is not None and (held_by := holders_of(port)):
         _say(f"{port}: held by process {held_by[0]}, and left alone")
         return
-    real = None if port is None else os.path.realpath(port)
-    faces = [each for each in running_faces() if port is None or port_of(each) == real]
-    outcomes = [stop_face(each, StopLevel.LIMP, _say) for each in faces]
+    faces = running_faces()
+    if port is not None:
+        faces = faces_at(port, faces)
+    outcomes = stop_faces(faces, StopLevel.LIMP, _say)
     if port is not None:
         outcomes.append(release(port, rate, ids, say=_say))
     if not outcomes:
@@ -125,6 +172,18 @@ def _status_of(face: RunningFace) -> dict[str, Any]:
     except OSError:
         return {**found, "state": "has just ended"}
     return {"state": "runs", **found, **answer, "pid": face.pid}
+
+
+def _state(status: dict[str, Any]) -> str:
+    """What the face does; of one that is stopped or unplugged nothing that is not known."""
+    report = status.get("stop_report")
+    if status["state"] == "stopped" and report is not None:
+        n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
+        limp = f"limp, confirmed by {n} servos" + (f", NOT by {left}" if left else "")
+        return f"stopped by {status.get('stopped_by')}: {limp}; `lipservo start` drives it"
+    if status.get("plugged") is False:
+        return f"{status['state']}, but its port is gone: no servo can be reached"
+    return f"{status['state']}{_servos(status)}"
 
 
 def _servos(status: dict[str, Any]) -> str:

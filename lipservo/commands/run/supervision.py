@@ -1,5 +1,6 @@
 """The supervisor of a face in several processes: one that owns the port, one that hears."""
 
+import os
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
@@ -33,10 +34,12 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
     from firmware_bridge.process.runtime_folder import socket_path
     from firmware_bridge.process.service_notice import ServiceNotice
     from firmware_bridge.process.socket_channel import channel_pair
+    from firmware_bridge.process.stop_record import StopRecord
     from firmware_bridge.process.supervisor import Supervisor
     from firmware_bridge.process.torque_release import TorqueRelease
     from lipservo.face.assembly import assemble_face, at_port, check_servos
     from lipservo.face.servos import port_opener
+    from lipservo.health.health_places import stop_record_path
     from lipservo.speech.face_expression import check_expression
     from lipservo.status.live_board import LiveBoard
     from lipservo.street.avatar_stream import resolved_avatars
@@ -50,6 +53,7 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
     face = at_port(assemble_face(request.config, request.model), request.port)
     port = face.settings.servo_port
     assert port is not None
+    port_opener(port, face.settings.bus.baud_rate)().close()  # one that another face holds
     check_sound(request)
     request = replace(request, avatars=resolved_avatars(request.avatars))
     check_expression(face.settings, face.folder)
@@ -67,9 +71,19 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
         live = stack.enter_context(LiveBoard.create(board_layout(face, request.config, rate_hz)))
         path = request.control or socket_path(settings.name)
         commands = shared_commands(request, settings, board)
-        listener = ControlSocket.bind(path, about, commands, board.describe)
+        listener = ControlSocket.bind(path, about, commands, board.describe_stopped, live.fileno())
         stack.enter_context(listener)
-        listener.watched_fd = live.fileno()
+        record = StopRecord(
+            stop_record_path(settings.name, port, os.environ),
+            started_by_person=sys.stdin is not None and sys.stdin.isatty(),
+            drives_after_power_cut=settings.start_after_power_cut,
+            on_change=lambda stop: board.write_stopped(is_stopped=stop is not None),
+            say=say,
+        )
+        stack.callback(record.close)
+        board.write_stopped(is_stopped=record.stopped is not None)
+        if record.stopped is not None:
+            say(f"starts limp, and `lipservo start` drives it: {record.why}")
         writer, reader = channel_pair()
         command = [sys.executable, "-m", "lipservo"]
         shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
@@ -98,6 +112,7 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
             servo_names=servo_names,
             say=say,
             notice=ServiceNotice(say),
+            record=record,
         )
         supervisor.run(signals)
         _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))

@@ -39,7 +39,7 @@ def test_a_stop_after_a_weaker_one_that_was_taken_comes_as_well():
     queue.stop(StopLevel.SOFT)
     stop = queue.take_stop()
 
-    assert (stop.level, stop.asked_by) == (StopLevel.LIMP, "process 3")
+    assert (stop.level, stop.requested_by) == (StopLevel.LIMP, "process 3")
     assert queue.take_stop() is None
 
 

@@ -32,7 +32,8 @@ def served(path, commands):
 
         def loop():
             while not over.wait(0.001):
-                control.poll(dict)
+                control.poll()
+                control.answer(dict)
                 ordered.extend(control.take_orders())
 
         thread = threading.Thread(target=loop)
@@ -117,7 +118,7 @@ def test_orders_come_out_as_they_were_asked_and_say_who_asked(tmp_path):
     assert [set(answer) for answer in answers[5:]] == [{"error"}] * 2
     switches, rest = ordered[:2], ordered[2:]
     assert [(each.name, each.switch) for each in switches] == [("jaw", "off"), ("jaw", "reboot")]
-    assert all(each.asked_by.startswith("process ") for each in switches)
+    assert all(each.requested_by.startswith("process ") for each in switches)
     assert rest == [ArmJog(), JogTo("lip", -3.5), EndJog()]
 
 

@@ -4,11 +4,19 @@ import json
 import signal
 
 import pytest
-from simulated_supervisor import ROUND_S
+from simulated_supervisor import ROUND_S, SupervisedFace
 
-from firmware_bridge.process.lifeline import Began, Failed, Stopped, Switched
+from firmware_bridge.process.lifeline import (
+    Began,
+    Failed,
+    NotStarted,
+    Ready,
+    Stopped,
+    Switched,
+)
 from firmware_bridge.process.restarted_child import RestartDelay
-from firmware_bridge.stopping import StopLevel, StopReport
+from firmware_bridge.process.stop_record import StopRecord
+from firmware_bridge.stopping import StopLevel, StopReport, StopRequest
 
 
 def test_a_bridge_that_gives_heartbeats_is_left_alone(face):
@@ -73,10 +81,11 @@ def test_a_stop_outlives_the_bridge_that_heard_it_and_the_plug(face, level):
     assert face.play(600.0) is None
     assert ask_waits(face)["stopped"] == level.value
     face.unplugged = False
-    report = face.play(1.0)
 
-    assert face.exit_status == 0
-    assert report == StopReport(("jaw", "left", "right"))
+    assert face.play(1.0) is None
+    status = ask_waits(face)
+    assert (status["state"], status["can_start"], status["torque_on"]) == ("stopped", True, False)
+    assert status["stop_report"]["confirmed"] == ["jaw", "left", "right"]
     assert face.torque == [0, 0, 0]
     assert len(face.bridge.starts) == 1
 
@@ -97,12 +106,11 @@ def test_a_stop_while_no_bridge_runs_is_answered_held_and_reported(face):
     client = face.ask_to_stop("soft")
     face.play(30.0)
     face.unplugged = False
-    report = face.play(1.0)
-    face.control.report_end(report.as_dict())
+    assert face.play(1.0) is None
 
     assert b'"accepted": "soft"' in client.recv(10_000)
-    assert b'"confirmed": ["jaw", "left", "right"]' in client.recv(10_000)
-    assert face.exit_status == 0
+    end = json.loads(client.recv(10_000))
+    assert (end["confirmed"], end["waits"]) == (["jaw", "left", "right"], True)
     assert len(face.bridge.starts) == 1
     client.close()
 
@@ -111,13 +119,148 @@ def test_a_stop_while_the_bridge_starts_kills_it_before_it_arms(starting_face):
     face = starting_face
     face.bridge.beats = False
     face.play()
-    client = face.ask_to_stop("limp")
+    client = face.ask_to_stop("limp end")
     face.play(2.0)
 
     assert face.bridge.signals == [signal.SIGKILL]
     assert face.exit_status == 0
     assert face.torque == [0, 0, 0]
     client.close()
+
+
+@pytest.fixture
+def stopped_face(face):
+    """A person has stopped it, and its servos have confirmed."""
+    face.bridge.said.append(Stopped(StopLevel.SOFT, requested_by="process 7 of user 1000"))
+    face.play()
+    for servo in face.servos.chain.servos:
+        servo["torque_enable"] = 0
+    face.bridge.status = 0
+    face.play()
+    return face
+
+
+def order(face, word):
+    """What is answered to one word; then three rounds."""
+    client = face.ask_to_stop(word)
+    face.play()
+    answer = json.loads(client.recv(10_000))
+    client.close()
+    return answer
+
+
+def test_a_stopped_face_waits_limp_while_speech_lives_until_a_person_starts_it(stopped_face):
+    face = stopped_face
+    assert face.play(600.0) is None
+    status = ask_waits(face)
+    assert (status["stopped"], status["stopped_by"]) == ("soft", "process 7 of user 1000")
+    assert face.speech.signals == []
+    assert len(face.bridge.starts) == 1
+
+    assert order(face, "start")["accepted"] == "start"
+    assert face.bridge.starts == [[], []]
+    assert order(face, "status").get("stopped") is None
+
+
+def test_a_start_is_refused_while_the_face_stops_and_while_it_starts(face):
+    face.unplugged = True
+    face.bridge.said.append(Stopped(StopLevel.LIMP))
+    face.bridge.status = 3
+    face.play()
+    assert "is stopping" in order(face, "start")["error"]
+    face.unplugged = False
+    face.play(1.0)
+    face.bridge.beats = False  # the next one starts and serves nobody yet
+
+    assert "accepted" in order(face, "start")
+    assert "started already" in order(face, "start")["error"]
+
+
+def test_of_a_start_and_a_stop_that_come_at_once_the_stop_is_obeyed(stopped_face):
+    face = stopped_face
+    clients = [face.ask_to_stop("start"), face.ask_to_stop("soft")]
+    face.play(1.0)
+
+    assert len(face.bridge.starts) == 1
+    assert ask_waits(face)["state"] == "stopped"
+    for client in clients:
+        client.close()
+
+
+def test_a_stop_while_a_stopped_face_starts_lets_go_and_waits_again(stopped_face):
+    face = stopped_face
+    face.bridge.beats = False
+    order(face, "start")
+    face.hold()
+    client = face.ask_to_stop("limp")
+    face.play(2.0)
+
+    assert face.torque == [0, 0, 0]
+    assert ask_waits(face)["can_start"] is True
+    client.close()
+
+
+def test_a_stopped_face_whose_start_fails_says_why_and_can_be_started_again(stopped_face):
+    face = stopped_face
+    order(face, "start")
+    face.bridge.said.append(NotStarted("'jaw' (id 1) does not answer"))
+    face.bridge.status = 1
+    assert face.play(1.0) is None
+
+    status = ask_waits(face)
+    assert "'jaw' (id 1) does not answer" in status["troubles"][0]
+    assert "accepted" in order(face, "start")
+    face.bridge.said.append(Ready())
+    face.play()
+    assert face.supervisor.status()["troubles"] == []
+
+
+def test_servos_that_did_not_confirm_a_stop_are_let_go_again_until_they_do(face):
+    face.servos.chain.servos[1].deaf_until_s = face.clock.now() + 20.0
+    face.bridge.said.append(Stopped(StopLevel.LIMP))
+    face.bridge.status = -9
+    face.play(6.0)
+    assert list(ask_waits(face)["stop_report"]["unconfirmed"]) == ["left"]
+    assert ask_waits(face)["torque_on"] is None
+    face.play(25.0)
+
+    assert ask_waits(face)["stop_report"]["unconfirmed"] == {}
+    assert face.torque == [0, 0, 0]
+
+
+@pytest.mark.parametrize("word", ["soft end", "limp end"])
+def test_the_end_of_a_stopped_face_ends_its_process(stopped_face, word):
+    client = stopped_face.ask_to_stop(word)
+    report = stopped_face.play(1.0)
+
+    assert report == StopReport(("jaw", "left", "right"))
+    assert stopped_face.exit_status == 0
+    assert stopped_face.speech.signals == [signal.SIGTERM]
+    client.close()
+
+
+def test_a_signal_ends_a_stopped_face(stopped_face):
+    stopped_face.n_signals = 1
+
+    assert stopped_face.play(1.0).complete
+    assert stopped_face.exit_status == 0
+
+
+def test_a_stop_of_before_holds_in_the_next_process_until_a_person_starts_it(tmp_path):
+    """systemd starts the face again: nothing is armed."""
+    record = tmp_path / "stops" / "face.json"
+    before = StopRecord(record)
+    before.stop(StopRequest(StopLevel.SOFT, "process 7 of user 1000"))
+    before.close()
+    face = SupervisedFace(tmp_path / "face.sock", StopRecord(record))
+    with face.control:
+        assert face.play(5.0) is None
+        status = ask_waits(face)
+        assert (status["state"], status["can_start"]) == ("stopped", True)
+        assert "process 7 of user 1000" in status["stopped_by"]
+        assert (face.bridge.starts, face.torque) == ([], [0, 0, 0])
+        order(face, "start")
+        assert len(face.bridge.starts) == 1
 
 
 def test_who_was_let_in_before_the_bridge_served_is_sent_to_the_bridge(starting_face):

@@ -109,7 +109,7 @@ def test_two_signals_with_the_plug_out_let_go_once_it_is_back_in(face):
 
 def test_a_silent_servo_is_named_and_the_status_says_it(face):
     face.servos.chain.servos[1].deaf_until_s = float("inf")
-    face.bridge.said.append(Stopped(StopLevel.LIMP))
+    face.bridge.said.append(Stopped(StopLevel.LIMP, ends=True))
     face.bridge.status = -9
     report = face.play(20.0)
 

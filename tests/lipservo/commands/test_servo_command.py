@@ -58,7 +58,7 @@ def playing(**options):
     try:
         yield
     finally:
-        invoke("stop")
+        invoke("stop", "--end")
         thread.join(PATIENCE_S)
 
 

@@ -59,7 +59,7 @@ def playing(motion):
     try:
         yield outcomes
     finally:
-        invoke("stop")
+        invoke("stop", "--end")
         thread.join(PATIENCE_S)
 
 
@@ -111,7 +111,8 @@ def listening(name, settings):
 
     def loop(control):
         while not over.wait(0.001):
-            control.poll(dict)
+            control.poll()
+            control.answer(dict)
 
     path = socket_path(name)
     with ControlSocket.bind(path, {"name": name}, CommandQueue(settings)) as control:

@@ -42,12 +42,11 @@ def face(name, unconfirmed=None):
 
     def loop(control):
         while not over.wait(0.001):
-            level = control.poll(
-                lambda: {"servos": {"jaw": "driven", "left": "cooling"}, "troubles": []}
-            )
-            if level is not None:
-                heard.append(level)
-                if level is not StopLevel.FREEZE:
+            request = control.poll()
+            control.answer(lambda: {"servos": {"jaw": "driven", "left": "cooling"}, "troubles": []})
+            if request is not None:
+                heard.append(request.level)
+                if request.level is not StopLevel.FREEZE:
                     control.report_end(
                         {"confirmed": ["jaw"], "unconfirmed": dict(unconfirmed or {})}
                     )

@@ -138,7 +138,7 @@ def test_stop_ends_the_face_limp_and_says_who_confirmed_it(free_port, tmp_path, 
     with running(free_port, tmp_path, "--json", errors=writing) as daemon:
         (face,) = json.loads(run("status", "--json").stdout)["faces"]
         assert (face["port"], face["pid"]) == (free_port, daemon.pid)
-        done = run("stop", "--json")
+        done = run("stop", "--end", "--json")
         (stopped,) = json.loads(done.stdout)["faces"]
         assert daemon.wait(PATIENCE_S) == 0
         assert torque(free_port) == [0] * 10
@@ -149,6 +149,42 @@ def test_stop_ends_the_face_limp_and_says_who_confirmed_it(free_port, tmp_path, 
     assert len(stopped["confirmed"]) == 10
     assert (stopped["unconfirmed"], stopped["problem"]) == ({}, "")
     assert len(json.loads(daemon.out.read_text())["confirmed"]) == 10
+
+
+def test_a_stopped_face_waits_limp_through_a_replug_and_is_driven_again(daemon):
+    """The way back: what was stopped on a page needs no terminal, and no second daemon."""
+    done = run("stop", "--json")
+    (stopped,) = json.loads(done.stdout)["faces"]
+    assert (done.returncode, stopped["waits"]) == (0, True)
+    assert torque(daemon.port) == [0] * 10
+    speech = child(daemon, "speech")
+    status = ask(daemon.control, "status", PATIENCE_S)
+    assert (status["state"], status["stopped"], status["can_start"]) == ("stopped", "soft", True)
+    assert "confirmed by 10 servos" in run("status").stdout
+
+    back = run("start", "--json")
+
+    assert back.returncode == 0, back
+    assert all_driven(daemon)
+    assert child(daemon, "speech") == speech
+    assert run("start").returncode == 1  # it is driven already
+
+
+def test_a_face_stopped_before_its_daemon_died_comes_back_limp(free_port, tmp_path, monkeypatch):
+    """As systemd starts it again; a person's start drives it."""
+    own_folder(monkeypatch)
+    with running(free_port, tmp_path) as daemon:
+        assert run("stop", "--limp").returncode == 0
+        daemon.kill()
+        daemon.wait(PATIENCE_S)
+        notify = tmp_path / "notify.sock"
+        notify.unlink()
+    with running(free_port, tmp_path) as daemon:
+        assert ask(daemon.control, "status", PATIENCE_S)["state"] == "stopped"
+        assert "starts limp" in log(daemon)
+        assert torque(free_port) == [0] * 10
+        assert run("start").returncode == 0
+        assert all_driven(daemon)
 
 
 def test_a_supervisor_shot_dead_takes_both_children_with_it_and_torque_off(daemon):

@@ -55,14 +55,16 @@ class ActedFace(AnsweringFace):
     def _run(self):
         while not self._over.wait(_TICK_S):
             self._tell(time.monotonic())
-            if (stop := self._control.poll(self._status)) is not None:
-                self.said.append(stop.value)
+            stop = self._control.poll()
+            self._control.answer(self._status)
+            if stop is not None:
+                self.said.append(stop.level.value)
                 self.is_driven = False
                 confirmed = [name for name in self.names if name not in self.unconfirmed]
                 self._control.report_end(
                     {
                         "complete": not self.unconfirmed,
-                        "at_rest": stop.value == "soft",
+                        "at_rest": stop.level.value == "soft",
                         "confirmed": confirmed,
                         "unconfirmed": self.unconfirmed,
                     }

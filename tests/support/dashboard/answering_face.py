@@ -18,8 +18,8 @@ class AnsweringFace:
 
     def __enter__(self):
         about = {"name": self.name, "port": None}
-        self._control = ControlSocket.bind(self.path, about, self.commands)
-        self._control.watched_fd = self.board.fileno()
+        watched_fd = self.board.fileno()
+        self._control = ControlSocket.bind(self.path, about, self.commands, watched_fd=watched_fd)
         self._thread.start()
         return self
 

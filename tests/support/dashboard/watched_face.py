@@ -65,9 +65,10 @@ class WatchedFace(AnsweringFace):
         while not self._over.is_set():
             self.tick(time.monotonic())
             if self.answers:
-                stop = self._control.poll(self._described)
+                stop = self._control.poll()
+                self._control.answer(self._described)
                 if stop is not None:
-                    self.said.append(stop.value)
+                    self.said.append(stop.level.value)
                     if self.report is not None:
                         self._control.report_end(self.report)
                         self.report = None

@@ -125,9 +125,10 @@ class ServedFace:
                 self.reported.append(self.playout.reports.popleft())
             self.playout.advance(position_s)
             self.playout.blocks(position_s + LEAD_S)
-            level = self._control.poll(lambda: {"state": "driven", "servos": {"jaw": "driven"}})
-            if level is not None:
-                self.stops.append(level)
+            stop = self._control.poll()
+            self._control.answer(lambda: {"state": "driven", "servos": {"jaw": "driven"}})
+            if stop is not None:
+                self.stops.append(stop.level)
             if self._held.is_set():
                 self._stands.set()
             else:

@@ -1,0 +1,171 @@
+"""What a person has stopped, kept on disk for the process that comes after this one.
+
+Nothing waits for the disk: a thread writes the newest state, and until it has, the supervisor's
+memory holds the stop. Only a power cut in between could lose it; so a run that was cut off by one,
+which its record tells by another boot of the computer, starts limp as well.
+"""
+
+import contextlib
+import json
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+from firmware_bridge.stopping import StopLevel, StopRequest
+
+_BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+_CUT_OFF: Final = (
+    "the power was cut in the run before this one, and a stop may have been lost; "
+    "`start_after_power_cut: true` in the face's YAML drives it all the same"
+)
+_LONGEST_BYTES: Final = 4096
+#: The last write of a process may take so long; the servos are limp by then.
+_LAST_WRITE_S: Final = 5.0
+
+
+class StopRecord:
+    """The file of one face; every method returns at once.
+
+    stopped: the stop of an earlier process that still holds, None: the face may be driven. why: in
+    one line, for a log.
+    """
+
+    def __init__(
+        self,
+        path: Path | None = None,
+        *,
+        started_by_person: bool = False,
+        drives_after_power_cut: bool = False,
+        on_change: Callable[[StopRequest | None], None] = lambda _stop: None,
+        say: Callable[[str], None] = lambda _line: None,
+    ) -> None:
+        """Read what an earlier process has left, and note that one runs.
+
+        Parameters
+        ----------
+        path : of the file; None: nothing outlives this process.
+        started_by_person : whether this very start is a person's, so that no earlier stop holds.
+        drives_after_power_cut : whether a run that was cut off is driven again by itself.
+        on_change : receives every stop, and None when a person has started the face again.
+        say : takes one line for the log; called in a thread.
+
+        """
+        self._path = path
+        self._on_change = on_change
+        self._say = say
+        self._boot = _boot_id()
+        self.stopped: StopRequest | None = None
+        self.why = ""
+        before = {} if path is None else _read(path)
+        if not started_by_person:
+            self.stopped, self.why = self._left_by(before, drives_after_power_cut)
+        self._is_due = threading.Condition()
+        self._state: dict[str, Any] = {}
+        self._is_written = True
+        if path is not None:
+            threading.Thread(target=self._write_all, name="stop record", daemon=True).start()
+        self._keep(is_running=True)
+
+    def stop(self, request: StopRequest | None) -> None:
+        """A person has stopped the face; None: a person has started it again."""
+        self.stopped = request
+        self._keep(is_running=True)
+        self._on_change(request)
+
+    def close(self) -> None:
+        """The process ends by its own end: wait for the last write, but not for ever."""
+        self._keep(is_running=False)
+        give_up_s = time.monotonic() + _LAST_WRITE_S
+        with self._is_due:
+            while not self._is_written and (left_s := give_up_s - time.monotonic()) > 0.0:
+                self._is_due.wait(left_s)
+
+    def _left_by(
+        self, before: dict[str, Any], drives_after_power_cut: bool
+    ) -> tuple[StopRequest | None, str]:
+        if before.get("error"):
+            return StopRequest(StopLevel.LIMP, "a record that cannot be read"), before["error"]
+        if before.get("stopped"):
+            by = str(before.get("stopped_by") or "a person")
+            why = f"{by} stopped it, {before.get('at', 'some time ago')}"
+            return StopRequest(StopLevel.LIMP, by), why
+        if before.get("is_running") and before.get("boot") != self._boot:
+            if drives_after_power_cut:
+                return None, ""
+            return StopRequest(StopLevel.LIMP, "a power cut"), _CUT_OFF
+        return None, ""
+
+    def _keep(self, *, is_running: bool) -> None:
+        if self._path is None:
+            return
+        stop = self.stopped
+        with self._is_due:
+            self._state = {
+                "version": 1,
+                "is_running": is_running,
+                "boot": self._boot,
+                "stopped": None if stop is None else stop.level.value,
+                "stopped_by": None if stop is None else stop.requested_by,
+                "at": time.strftime("%Y-%m-%d %H:%M:%S"),
+            }
+            self._is_written = False
+            self._is_due.notify_all()
+
+    def _write_all(self) -> None:
+        assert self._path is not None
+        while True:
+            with self._is_due:
+                while self._is_written:
+                    if not self._state.get("is_running", True):
+                        return
+                    self._is_due.wait()
+                state = self._state
+            try:
+                _write(self._path, json.dumps(state))
+            except OSError as error:
+                self._say(
+                    f"{self._path}: a stop cannot be kept for a restart: {error.strerror or error}"
+                )
+            with self._is_due:
+                self._is_written = state is self._state
+                self._is_due.notify_all()
+
+
+def _boot_id() -> str:
+    try:
+        return _BOOT_ID.read_text().strip()
+    except OSError:
+        return ""
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """{} where there is no file; {"error": line} where it says nothing that can be used."""
+    try:
+        with path.open("rb") as file:
+            state = json.loads(file.read(_LONGEST_BYTES))
+        if isinstance(state, dict):
+            return state
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError) as error:
+        return {"error": f"{path}: cannot be read: {error}"}
+    return {"error": f"{path}: is no record of a stop; remove it"}
+
+
+def _write(path: Path, text: str) -> None:
+    """Whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    coming = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with coming.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        coming.replace(path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            coming.unlink()
+        raise
