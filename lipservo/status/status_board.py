@@ -16,12 +16,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Final, Self
 
-from lipservo.status.face_status import SpeechStatus, whole_status
+from lipservo.status.face_status import SpeechStatus, Status, whole_status
 
 #: Version, length in bytes and checksum of a note, then its JSON.
 _HEAD: Final = struct.Struct("<QII")
 #: The reasons of a few fallbacks and a path or two; a longer note is not written.
 _NOTE_BYTES: Final = 16_384
+#: Every field of a status, with what stands for "not known".
+_UNKNOWN: Final = Status().as_dict()
 _SIZE: Final = 3 * _NOTE_BYTES
 
 
@@ -109,7 +111,7 @@ class StatusBoard:
 
     def describe_stopped(self, supervisor: Mapping[str, object]) -> dict[str, object]:
         """The status for JSON while no bridge runs: copied, so that nothing in it can fail."""
-        return {**self._speech.read(), **supervisor}
+        return {**_UNKNOWN, **self._speech.read(), **supervisor}
 
     def describe(self, bridge: Mapping[str, object]) -> dict[str, object]:
         """The status of the whole face for JSON. bridge: what the bridge knows."""

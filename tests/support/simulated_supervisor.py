@@ -120,6 +120,7 @@ class SupervisedFace:
 
     def connect(self):
         client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        client.settimeout(10.0)
         client.connect(str(self.path))
         return client
 

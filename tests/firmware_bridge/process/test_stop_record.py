@@ -17,7 +17,7 @@ def path(tmp_path):
 
 def written(path, **changes):
     """A record as a run has left it that was cut off in the middle."""
-    path.parent.mkdir(exist_ok=True)
+    path.unlink(missing_ok=True)
     record = StopRecord(path)
     record.close()
     state = {**json.loads(path.read_text()), "is_running": True, **changes}

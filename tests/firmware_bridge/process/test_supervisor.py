@@ -159,7 +159,7 @@ def test_a_stopped_face_waits_limp_while_speech_lives_until_a_person_starts_it(s
 
     assert order(face, "start")["accepted"] == "start"
     assert face.bridge.starts == [[], []]
-    assert order(face, "status").get("stopped") is None
+    assert face.supervisor.status()["stopped"] is None
 
 
 def test_a_start_is_refused_while_the_face_stops_and_while_it_starts(face):
@@ -284,7 +284,7 @@ def test_a_frozen_face_stays_held_when_its_bridge_dies_and_the_next_one_knows(fa
     face.play(1.0)
 
     assert face.torque == [1, 1, 1]
-    assert face.bridge.starts == [[], ["--stopped", "freeze"]]
+    assert face.bridge.starts == [[], ["--stopped", "freeze", "--stopped-by", ""]]
 
 
 def test_freezing_while_no_bridge_runs_starts_one_that_holds(face):
@@ -295,7 +295,7 @@ def test_freezing_while_no_bridge_runs_starts_one_that_holds(face):
     face.play(1.0)
 
     assert face.torque == [1, 1, 1]
-    assert face.bridge.starts[-1] == ["--stopped", "freeze"]
+    assert face.bridge.starts[-1][:2] == ["--stopped", "freeze"]
 
 
 def test_servos_given_up_for_good_are_told_to_the_next_bridge(face):
