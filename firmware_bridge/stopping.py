@@ -7,6 +7,8 @@ from typing import Final
 
 #: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
 PORT_WAIT_S: Final = 30.0
+#: Why a start is refused for the moment between the last servo's word and the supervisor's.
+START_WHILE_STOPPING: Final = "the face is stopping: start it once its servos are confirmed limp"
 
 
 class StopLevel(StrEnum):

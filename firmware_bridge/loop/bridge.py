@@ -1,7 +1,6 @@
 """One tick of the bridge: targets in, one safe goal a servo out. The caller owns loop and clock."""
 
 from collections.abc import Callable
-from typing import Final
 
 import numpy as np
 
@@ -12,9 +11,8 @@ from firmware_bridge.loop.bridge_parts import BridgeParts
 from firmware_bridge.loop.ease_to_neutral import EaseToNeutral
 from firmware_bridge.loop.report import FaceState, TickReport
 from firmware_bridge.orders import Order, StartFace
-from firmware_bridge.stopping import StopLevel, StopReport
+from firmware_bridge.stopping import START_WHILE_STOPPING, StopLevel, StopReport
 
-START_WHILE_STOPPING: Final = "the face is stopping: start it once its servos are confirmed limp"
 #: Looking a member up in its enumeration costs as much as comparing ten; a tick does it often.
 _DRIVEN, _SILENT, _FRESH = FaceState.DRIVEN, FaceState.SILENT, StaleLevel.FRESH
 

@@ -149,7 +149,7 @@ class LifeCycle:
             self.report = self._bridge.stop_report()
             # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
             if self._control is not None and (self.report.complete or self._lifeline is None):
-                self._control.report_end(self.report.as_dict())
+                self._control.report_end({"waits": self._is_kept, **self.report.as_dict()})
             self._log(self.report.text())
             restore_handlers(self._previous_handlers)
         if error is not None and not self.report.complete:
@@ -261,6 +261,12 @@ class LifeCycle:
         """Whether the end of this stop is no end of the ticks."""
         by_person = self._stopped is not None and not (self._n_signals or self._bounded)
         return self.waits and by_person and not (self._ends or self._bridge.failure)
+
+    @property
+    def _is_kept(self) -> bool:
+        """Whether a supervisor keeps the stopped face, limp, for a start."""
+        has_end = self._ends or self._n_signals or self._bridge.failure
+        return self._lifeline is not None and self._stopped is not None and not has_end
 
     def _await_start(self) -> None:
         """The face is limp, as far as its servos say so; it stays, until a person starts it."""

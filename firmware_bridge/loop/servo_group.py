@@ -1,6 +1,7 @@
 """All servos of a face behind gate, limiter and supervision: goals out, feedback in."""
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any
@@ -52,6 +53,7 @@ class ServoGroup:
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         self._scale = np.ones(len(self._joints))
         self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
+        self._to_keep: deque[int] = deque(maxlen=len(self._joints))  # frozen, may hold or not
         self._health: Health | None = None
         #: What the last question of a tick was answered; None before the first.
         self.feedback: Feedback | None = None
@@ -116,13 +118,21 @@ class ServoGroup:
         self._refuse(found)
 
     def keep_holding(self, time_s: float) -> None:
-        """For a frozen face: whoever still has torque goes on holding where it stands."""
-        for index in self._not_off(range(len(self._joints))):
-            kept = self.gate.keep(index)
-            self.supervision.note_attempt(
-                index, "" if kept else "lost its torque; not again", time_s
-            )
+        """For a frozen face: a servo that still has torque goes on holding where it stands.
+
+        One that does not say so is asked again by `stay_on`: just after a replug answers are lost,
+        and its watchdog, which tripped meanwhile, protects nothing until it was set again.
+        """
+        self._to_keep.clear()
         self.limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
+        for index in self._not_off(range(len(self._joints))):
+            self._keep_one(index, time_s)
+
+    def _keep_one(self, index: int, time_s: float) -> None:
+        kept = self.gate.keep(index)
+        self.supervision.note_attempt(index, "" if kept else "lost its torque; not again", time_s)
+        if not kept:
+            self._to_keep.append(index)
 
     def hold_position(self, time_s: float) -> None:
         """The goals become the places where the servos stand now, or as near as they can stop.
@@ -140,6 +150,12 @@ class ServoGroup:
 
         One that came back a moment before is slow, and may have a long way to its goal.
         """
+        if self._to_keep:  # one a tick
+            index = self._to_keep.popleft()
+            self._keep_one(index, time_s)
+            if index not in self._to_keep:
+                here_deg = self._bus.feedback().positions_deg[index]
+                self.limiter.start_one(index, float(here_deg))
         if self._to_stay.any():
             heard, near_deg = self._stopping_places()
             for index in np.flatnonzero(self._to_stay & heard).tolist():

@@ -28,7 +28,7 @@ from firmware_bridge.process.runtime_folder import (
     searched_folders,
 )
 from firmware_bridge.process.socket_files import held_folder, is_dead_socket, knock
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.stopping import START_WHILE_STOPPING, StopLevel
 
 #: Longer than the status of 252 servos.
 _LONGEST_ANSWER: Final = 1 << 18
@@ -119,9 +119,16 @@ def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.sock
 def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
     """Start a stopped face: {"accepted": "start"}, or {"error"}: one line. Raises as `ask`.
 
-    Whether it came to be driven is in `status`: `state`, `troubles`.
+    A face that is just coming to the end of a stop is asked again until it has, within
+    `patience_s`. Whether it came to be driven is in `status`: `state`, `troubles`.
     """
-    return ask(path, START_WORD, patience_s)
+    give_up_s = time.monotonic() + patience_s
+    while True:
+        answer = ask(path, START_WORD, patience_s)
+        is_stopping = answer.get("error") == START_WHILE_STOPPING
+        if not is_stopping or time.monotonic() + _RETRY_S > give_up_s:
+            return answer
+        time.sleep(_RETRY_S)
 
 
 def change_setting(path: Path, name: str, value: float) -> Answer:

@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Final
 
-from firmware_bridge.loop.bridge import START_WHILE_STOPPING
 from firmware_bridge.orders import Order, ServoOrder, ServoSwitch, StartFace
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import (
@@ -35,6 +34,7 @@ from firmware_bridge.process.torque_release import TorqueRelease
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import (
     PORT_WAIT_S,
+    START_WHILE_STOPPING,
     ExitStatus,
     StopLevel,
     StopReport,

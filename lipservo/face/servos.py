@@ -15,7 +15,7 @@ from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.handshake import read_identities
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms, open_port
+from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, latency_timer_ms
 from firmware_bridge.dynamixel.wire.transport import Transport
 from firmware_bridge.gate.coupling import PreventRule
 from firmware_bridge.gate.limits import StaleRule
@@ -90,8 +90,8 @@ def mouth_rules(face: FaceSettings) -> tuple[CouplingRule, ...]:
 
 
 def port_opener(port: str, baud_rate: int) -> Callable[[], Transport]:
-    """Opens the port anew each time it is called."""
-    return lambda: open_port(port, baud_rate)
+    """Opens the port anew each time it is called, while the same adapter is there."""
+    return SameAdapter(port, baud_rate)
 
 
 def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:

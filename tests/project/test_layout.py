@@ -11,7 +11,7 @@ from source_tree import MAY_IMPORT, MODULES
 
 from lipservo.cli import app
 
-MOST_FILES, MOST_LINES, MOST_PARAMETERS = 20, 320, 8
+MOST_FILES, MOST_LINES, MOST_PARAMETERS = 25, 600, 8
 #: Everything of ours that lies in the root of the checkout.
 FOLDERS = (*MAY_IMPORT, "benchmarks", "config", "docs", "examples", "tests", ".github", ".ci")
 #: A page a decision, by number, with an index: it grows, and nobody looks for a file by its name.

@@ -148,6 +148,39 @@ def latency_timer_ms(port: str) -> int | None:
         return None
 
 
+def adapter_serial(port: str, sysfs: Path = Path("/sys")) -> str | None:
+    """Serial number of the USB adapter behind a port; None where it has none, or is none."""
+    device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
+    for folder in (device, *device.parents):
+        with contextlib.suppress(OSError):
+            return (folder / "serial").read_text().strip()
+    return None
+
+
+class SameAdapter:
+    """Opens one port again and again, and never another adapter that has come in its place.
+
+    A face whose adapter was unplugged must not take the servos that appear at its old port.
+    """
+
+    def __init__(self, port: str, baud_rate: int) -> None:
+        self._port = port
+        self._baud_rate = baud_rate
+        self._serial: str | None = None
+
+    def __call__(self) -> SerialTransport:
+        """The port, open. Raises PortError."""
+        found = adapter_serial(self._port)
+        if self._serial is not None and found != self._serial:
+            raise PortError(
+                f"{self._port}: another adapter is there (serial number {found or 'unknown'}, not "
+                f"{self._serial}); plug the face's own one in, or start again for this one"
+            )
+        transport = open_port(self._port, self._baud_rate)
+        self._serial = found
+        return transport
+
+
 def _ask_for_low_latency(handle: serial.Serial, port: str) -> None:
     """Ask FTDI chips not to collect bytes for 16 ms, as they do by default.
 

@@ -53,13 +53,13 @@ def supervise(request: RunRequest, agents: "socket.socket | None" = None) -> int
     face = at_port(assemble_face(request.config, request.model), request.port)
     port = face.settings.servo_port
     assert port is not None
-    port_opener(port, face.settings.bus.baud_rate)().close()  # one that another face holds
     check_sound(request)
     request = replace(request, avatars=resolved_avatars(request.avatars))
     check_expression(face.settings, face.folder)
+    opener = port_opener(port, face.settings.bus.baud_rate)
+    opener().close()  # one that another face holds is refused before anything is started
     check_servos(face)
     settings = face.settings
-    opener = port_opener(port, settings.bus.baud_rate)
     servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
     about = {**about_run(request), "name": settings.name, "port": port}
     with ExitStack() as stack:

@@ -48,6 +48,88 @@ def test_a_face_frozen_while_the_plug_is_out_is_held_where_it_is_found_and_looke
     assert robot.stiff == []
 
 
+def test_a_frozen_face_whose_servos_say_nothing_just_after_a_replug_has_its_watchdogs_renewed():
+    """Found by others: a watchdog that tripped stayed so, since one answer was lost."""
+    plug = Fault("unplug", at_s=(2.0,), lasts_s=1.0)
+    robot = Robot(plug, stops=[(2.5, "freeze"), (8.0, "soft")])
+    tripped = []
+
+    def fall_deaf():
+        for servo in robot.face.chain.servos:
+            servo.deaf_until_s = 3.2
+
+    def look():
+        tripped.extend(servo["bus_watchdog"] for servo in robot.face.chain.servos)
+
+    robot.live(60.0, {2.6: fall_deaf, 5.0: look})
+
+    assert tripped == [5] * 3
+    held = [torque for time_s, torque, _ in robot.seen if 3.5 < time_s < 7.9]
+    assert all(all(torque) for torque in held)
+    assert robot.torque_writes(2.5) == []
+
+
+@pytest.mark.parametrize("level", ["soft", "limp"])
+def test_a_stopped_face_that_waits_is_started_again_and_only_by_a_person(level):
+    plug = Fault("unplug", at_s=(5.0,), lasts_s=1.0)
+    robot = Robot(plug, stops=[(2.0, level), (20.0, "soft")], waits=True)
+    robot.control.stops[-1] = (20.0, "soft")
+    states = {}
+
+    def look():
+        states.update(robot.control.status)
+        states["stiff"] = robot.stiff
+
+    def start():
+        assert robot.say("start")["accepted"] == "start"
+
+    def end():
+        robot.control.commands.stop(StopLevel.SOFT, "a test", ends=True)
+
+    robot.live(60.0, {9.9: look, 10.0: start, 30.0: end})
+
+    assert states["state"] == "stopped"
+    assert (states["stopped"], states["stopped_by"]) == (level, "a test")
+    assert (states["can_start"], states["stop_report"]["complete"]) == (True, True)
+    assert states["stiff"] == []
+    driven_s = [time_s for time_s, torque, _ in robot.seen if all(torque)]
+    limp_s = [time_s for time_s, torque, _ in robot.seen if not any(torque)]
+    assert any(12.0 < time_s < 19.0 for time_s in driven_s)
+    assert not any(5.0 < time_s < 10.0 or time_s > 24.0 for time_s in driven_s)
+    assert any(24.0 < time_s < 30.0 for time_s in limp_s)
+    assert robot.face.clock.now() < 33.0
+    assert robot.stiff == []
+
+
+def test_a_frozen_face_goes_on_from_where_it_is_held_and_no_shaft_jumps():
+    robot = Robot(stops=[(2.0, "freeze")], waits=True)
+    robot.live(9.0, {6.0: lambda: robot.say("start")})
+
+    assert robot.told.stops == [StopLevel.FREEZE, None]
+    moved = np.array([places for time_s, _, places in robot.seen if time_s > 6.0])
+    held = np.array([places for time_s, _, places in robot.seen if 3.0 < time_s < 6.0])
+    assert np.ptp(held, axis=0).max() <= 1.0
+    assert np.ptp(moved, axis=0).min() > 50.0  # speech moves it again
+    fastest = max(joint.max_speed_deg_s for joint in robot.face.joints)
+    steps_deg = np.abs(np.diff(moved, axis=0)) * 360.0 / 4096.0
+    assert steps_deg.max() <= 1.1 * fastest / 30.0
+
+
+def test_a_start_is_refused_while_a_face_is_driven_stopping_or_unplugged():
+    plug = Fault("unplug", at_s=(6.0,), lasts_s=2.0)
+    robot = Robot(plug, stops=[(3.0, "soft")], waits=True)
+    answers = {}
+
+    def ask(name):
+        return lambda: answers.update({name: robot.say("start")})
+
+    robot.live(9.0, {2.0: ask("driven"), 3.1: ask("stopping"), 7.0: ask("unplugged")})
+
+    assert "is driven already" in answers["driven"]["error"]
+    assert "is stopping" in answers["stopping"]["error"]
+    assert "port of the servos is gone" in answers["unplugged"]["error"]
+
+
 def test_a_program_that_ends_undoes_no_freeze():
     robot = Robot(stops=[(2.0, "freeze"), (9.0, "soft")])
     robot.live(4.0)

@@ -3,7 +3,10 @@
 import json
 import os
 import socket
+import subprocess
+import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 
 import pytest
@@ -13,7 +16,8 @@ from typer.testing import CliRunner
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.runtime_folder import runtime_folder
+from firmware_bridge.process.port_holders import holders_of
+from firmware_bridge.process.runtime_folder import runtime_folder, searched_folders
 from firmware_bridge.stopping import StopLevel
 from lipservo.cli import app
 from lipservo.face.sim_process import simulated_port
@@ -25,7 +29,8 @@ RUNTIME = "firmware_bridge.process.runtime_folder"
 @pytest.fixture(autouse=True)
 def own_folder(monkeypatch):
     """Faces of this test only."""
-    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    for variable in ("RUNTIME_DIRECTORY", "LIPSERVO_RUNTIME"):
+        monkeypatch.delenv(variable, raising=False)
     session = short_folder()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(session))
     monkeypatch.setattr(f"{RUNTIME}.SERVICE_FOLDER", session / "none")
@@ -99,6 +104,151 @@ def test_stop_without_a_name_stops_all_and_with_one_only_that(options, level):
     assert (one.exit_code, both.exit_code) == (0, 0)
     assert (tim, tom) == ([level, level], [level])
     assert "running: tim, tom" in str(unknown.exception)
+
+
+def test_every_face_is_sent_the_stop_before_one_in_trouble_is_waited_for():
+    """The first of two faces by name accepts connections and never answers."""
+    folder = runtime_folder()
+    with (
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as deaf,
+        face("tom") as heard,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        deaf.bind(str(folder / "aaa-1.sock"))
+        deaf.listen()
+        waiting = pool.submit(invoke, "stop", "--limp")
+        while not heard:
+            assert not waiting.done()
+        stopped_before_the_other = not waiting.done()
+        deaf.close()
+        done = waiting.result()
+
+    assert stopped_before_the_other
+    assert heard[0] is StopLevel.LIMP
+    assert done.exit_code == 1  # of the other nothing is known
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make the folder of another user")
+def test_root_looks_only_into_folders_that_belong_to_the_user_in_their_name(own_folder):
+    """A socket of a stranger in a folder that is not his: it is neither asked nor believed."""
+    own, foreign = own_folder / "lipservo-4242", own_folder / "lipservo-4243"
+    for each in (own, foreign):
+        each.mkdir(mode=0o700)
+        os.chown(each, 4242, 4242)
+    for each, expected in ((own, [own]), (foreign, [])):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(f"{RUNTIME}._folders_of_others", lambda each=each: iter([each]))
+            assert [found for found in searched_folders() if found == each] == expected
+
+
+def test_a_job_with_a_runtime_folder_of_its_own_neither_finds_nor_stops_other_faces(
+    own_folder, monkeypatch
+):
+    with face("tim") as tim:
+        monkeypatch.setenv("LIPSERVO_RUNTIME", str(own_folder / "job-7"))
+        with face("tom") as tom:
+            listed = faces(invoke("status", "--json"))
+            invoke("stop")
+
+    assert [each["name"] for each in listed] == ["tom"]
+    assert (tim, tom) == ([], [StopLevel.SOFT])
+
+
+def test_a_port_is_never_opened_because_an_answer_names_it(port):
+    """A face that goes without a report and says that this port is its own."""
+    transport = open_port(port, 2_000_000)
+    line = Line(transport)
+    line.write(6, 64, b"\1")
+    transport.close()
+    path = runtime_folder() / "liar-1.sock"
+
+    def lie():
+        with ControlSocket.bind(path, {"name": "liar", "port": port}) as control:
+            while control.poll() is None:
+                pass
+            control.answer(dict)
+
+    with ThreadPoolExecutor(1) as pool:
+        lying = pool.submit(lie)
+        while not path.exists():
+            pass
+        done = invoke("stop", "--json")
+        lying.result()
+    transport = open_port(port, 2_000_000)
+    torque = Line(transport).read(6, 64, 1).data
+    transport.close()
+
+    assert done.exit_code == 1
+    assert f"lipservo limp --port {port}" in faces(done)[0]["problem"]
+    assert torque == b"\1"
+
+
+def test_a_status_says_what_is_known_of_a_face_that_is_stopped_or_unplugged():
+    report = {"confirmed": ["jaw"], "unconfirmed": {"left": "did not answer"}}
+    stopped = {"state": "stopped", "stopped_by": "process 7 of user 0", "stop_report": report}
+    unplugged = {"state": "driven", "plugged": False, "servos": {"jaw": "waiting"}}
+    for status, words in (
+        (stopped, "stopped by process 7 of user 0: limp, confirmed by 1 servos, NOT by left"),
+        (unplugged, "driven, but its port is gone: no servo can be reached"),
+    ):
+        with answering("tom", status):
+            assert words in invoke("status").stdout
+
+
+@contextmanager
+def answering(name, status):
+    """A face with this status."""
+    over = threading.Event()
+    path = runtime_folder() / f"{name}-{os.getpid()}.sock"
+
+    def loop(control):
+        while not over.wait(0.001):
+            control.poll()
+            control.answer(lambda: status)
+
+    with ControlSocket.bind(path, {"name": name}) as control:
+        thread = threading.Thread(target=loop, args=(control,))
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
+
+
+PARENT = """
+import subprocess, sys
+# lipservo: a script whose command line has this word in it
+holder = subprocess.Popen([sys.executable, "-c", sys.argv[2], sys.argv[1], "lipservo"])
+print(holder.pid, flush=True)
+sys.stdin.read()
+"""
+HOLDER = """
+import sys, time
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.dynamixel.wire.line import Line
+transport = open_port(sys.argv[1], 2_000_000)
+Line(transport).write(7, 64, b"\\1")
+time.sleep(600)
+"""
+
+
+def test_limp_at_a_port_ends_the_holder_and_never_its_parent(port):
+    """A shell, tmux or script with `lipservo` in its command line is no supervisor."""
+    arguments = [sys.executable, "-c", PARENT, port, HOLDER]
+    with subprocess.Popen(
+        arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as script:
+        holder = int(script.stdout.readline())
+        while holder not in holders_of(port):
+            assert script.poll() is None
+        done = invoke("limp", "--port", port, "--json")
+        lives = script.poll() is None
+        script.stdin.close()
+
+    assert done.exit_code == 0, done.output
+    assert lives
+    assert "id 7" in faces(done)[0]["confirmed"]
 
 
 def test_a_servo_that_did_not_confirm_is_named_and_the_exit_status_says_it():

@@ -13,7 +13,7 @@ import pytest
 from firmware_bridge.bus import PortError
 from firmware_bridge.dynamixel.control_table import baud_rates
 from firmware_bridge.dynamixel.wire.sdk_line import SdkTransport
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, adapter_serial, open_port
 
 #: asm-generic/ioctls.h of Linux: is the terminal exclusive; all of its settings, rates as numbers.
 TIOCGEXCL, TCGETS2 = 0x80045440, 0x802C542A
@@ -114,3 +114,30 @@ def test_what_is_no_serial_port_is_named_in_one_plain_line(tmp_path, kind):
         f"{path}: is not a serial port",
         f"{path}: cannot be opened: Is a directory",
     )
+
+
+def test_the_serial_number_of_an_adapter_is_read_where_linux_has_it(tmp_path):
+    adapter = tmp_path / "devices" / "usb1" / "1-1"
+    port = adapter / "1-1:1.0" / "ttyUSB7"
+    port.mkdir(parents=True)
+    (adapter / "serial").write_text("FT4THUXY\n")
+    entry = tmp_path / "class" / "tty" / "ttyUSB7"
+    entry.mkdir(parents=True)
+    (entry / "device").symlink_to(port)
+
+    assert adapter_serial("/dev/ttyUSB7", tmp_path) == "FT4THUXY"
+    assert adapter_serial("/dev/ttyUSB8", tmp_path) is None
+
+
+def test_another_adapter_at_the_old_port_is_not_opened(port, monkeypatch):
+    """The adapters' numbers are of the wire; no test machine has two."""
+    present = ["FT4THUXY"]
+    module = "firmware_bridge.dynamixel.wire.serial_transport.adapter_serial"
+    monkeypatch.setattr(module, lambda _port: present[0])
+    opener = SameAdapter(port, 57_600)
+    opener().close()
+    present[0] = "FT999999"
+    with pytest.raises(PortError, match="serial number FT999999"):
+        opener()
+    present[0] = "FT4THUXY"
+    opener().close()
