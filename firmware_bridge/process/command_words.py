@@ -15,6 +15,7 @@ SERVO_WORD: Final = "servo"
 JOG_WORD: Final = "jog"
 ARM_WORD: Final = "arm"
 END_WORD: Final = "end"
+START_WORD: Final = "start"
 
 _SAY_SET: Final = "say: set NAME VALUE [NAME VALUE ...]"
 _SAY_SERVO: Final = "say: servo NAME off|on|reboot"

@@ -18,6 +18,7 @@ from firmware_bridge.process.command_words import (
     JOG_WORD,
     SERVO_WORD,
     SET_WORD,
+    START_WORD,
 )
 from firmware_bridge.process.control_socket import LONGEST_WORD, WATCH_WORD, peer
 from firmware_bridge.process.runtime_folder import (
@@ -83,6 +84,44 @@ def ask(path: Path, word: str, patience_s: float = _PATIENCE_S) -> Answer:
         if answer is not None:
             return answer
         _wait_to_retry(give_up_s)
+
+
+def send_stop(path: Path, level: StopLevel, *, end: bool = False) -> socket.socket:
+    """Send a stop without waiting for anything; for an event loop, and for many faces at once.
+
+    Parameters
+    ----------
+    end : whether a daemon ends with it; otherwise it waits, limp, for a start.
+
+    Returns
+    -------
+    The connection, non-blocking, on which the answer comes and, unless FREEZE, the report of the
+    end. Closed by the face without an answer: its process was replaced, send again.
+
+    Raises
+    ------
+    OSError
+        Where no face listens; BlockingIOError where too many clients wait there already.
+
+    """
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    try:
+        client.setblocking(False)
+        client.connect(str(path))
+        with contextlib.suppress(ConnectionError):  # then the answer is the end of the connection
+            client.send(f"{level.value} {END_WORD}".encode() if end else level.value.encode())
+    except OSError:
+        client.close()
+        raise
+    return client
+
+
+def start_face(path: Path, patience_s: float = _PATIENCE_S) -> Answer:
+    """Start a stopped face: {"accepted": "start"}, or {"error"}: one line. Raises as `ask`.
+
+    Whether it came to be driven is in `status`: `state`, `troubles`.
+    """
+    return ask(path, START_WORD, patience_s)
 
 
 def change_setting(path: Path, name: str, value: float) -> Answer:
