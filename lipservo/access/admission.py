@@ -21,7 +21,9 @@ _SAFE: Final = ("GET", "HEAD")
 #: Programs ask there; everything else is a page, which a person may open by a link.
 _FOR_PROGRAMS: Final = ("/api", "/metrics", "/_nicegui_ws", "/stream", "/control")
 #: With one of these a request came through a proxy: it may be from any computer.
-_FORWARDED: Final = ("forwarded", "via", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
+_FORWARDED: Final = frozenset(
+    ("forwarded", "via", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
+)
 _YEAR_S: Final = 365 * 24 * 3600
 _MOST_FIELDS: Final = 64
 
@@ -82,7 +84,7 @@ class Redirect:
 
 def request_of_scope(scope: MutableMapping[str, Any]) -> Request:
     """The request of an ASGI scope."""
-    pairs = ((name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"])
+    pairs = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
     return Request(
         scope.get("method", "GET"),
         scope["path"],
@@ -118,11 +120,12 @@ def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refus
     if not _is_own_page(request, policy):
         hint = "scripts of this web page are not admitted; its origin is not in the face's YAML"
         return Refusal(HTTPStatus.FORBIDDEN, hint)
+    needs_none = (is_stop or policy.token is None) and _is_from_this_computer(request)
+    if needs_none and is_plain_host(request.headers.get("host", "")):
+        return None
     if policy.token is not None and has_token(request, policy.token):
         return None
-    if (is_stop or policy.token is None) and _is_from_this_computer(request):
-        if is_plain_host(request.headers.get("host", "")):
-            return None
+    if needs_none:
         hint = "this host name is not the face's; use its address"
         return Refusal(HTTPStatus.FORBIDDEN, hint)
     hint = "needs the token: `Authorization: Bearer TOKEN` or `?token=TOKEN`; docs/hardware.md"
@@ -186,7 +189,7 @@ def is_plain_host(host: str) -> bool:
 
 
 def _is_from_this_computer(request: Request) -> bool:
-    return is_loopback(request.peer) and not any(each in request.headers for each in _FORWARDED)
+    return is_loopback(request.peer) and _FORWARDED.isdisjoint(request.headers)
 
 
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:

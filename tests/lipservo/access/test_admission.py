@@ -151,7 +151,15 @@ WITHOUT = [
 def test_without_the_token_nothing_is_admitted_on_this_computer_or_elsewhere(
     given, is_socket, peer
 ):
-    for path in ("/", "/api/status", "/metrics", "/static/frame.js", "/stream", "/control", "/docs"):
+    for path in (
+        "/",
+        "/api/status",
+        "/metrics",
+        "/static/frame.js",
+        "/stream",
+        "/control",
+        "/docs",
+    ):
         assert status(request(path, is_socket=is_socket, peer=peer, **given)) == 401
 
 

@@ -76,7 +76,9 @@ def test_what_cannot_be_read_is_no_request(target):
 
 
 @pytest.mark.parametrize("authorization", ["", "Bearer an old one"])
-def test_without_the_token_control_is_open_to_a_stop_alone_and_on_this_computer_alone(authorization):
+def test_without_the_token_control_is_open_to_a_stop_alone_and_on_this_computer_alone(
+    authorization,
+):
     here = opened("/control", LOCKED, authorization=authorization)
     assert (here.refused, here.may_only_stop.status) == (None, 401)
     for where in ({"peer": "192.0.2.7"}, {"x-forwarded-for": "192.0.2.7"}):

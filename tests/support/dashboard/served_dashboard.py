@@ -32,7 +32,10 @@ class Dashboard:
 def served(status=None, *, token=None, ping_s=4.0, code=None):
     """A dashboard whose face has answered."""
     path = short_folder() / "tom.sock"
-    with WatchedFace(path, status) as face, served_for(lambda: path, token, ping_s, code) as dashboard:
+    with (
+        WatchedFace(path, status) as face,
+        served_for(lambda: path, token, ping_s, code) as dashboard,
+    ):
         dashboard.face = face
         while dashboard.link.moment.servos_gone or not dashboard.link.answers:
             time.sleep(0.02)
