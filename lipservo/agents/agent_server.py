@@ -22,9 +22,15 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from lipservo.agents.admission import HEALTH_PATHS, STREAM_PATH, refusal
 from lipservo.agents.agent_settings import AgentSettings, Speak
 from lipservo.agents.control_session import Commands, ControlSession
+from lipservo.agents.handshake import (
+    HEALTH_PATHS,
+    STREAM_PATH,
+    Handshake,
+    handshake,
+    request_of,
+)
 from lipservo.agents.listener import url_of
 from lipservo.agents.message_rate import MessageRate
 from lipservo.agents.outbox import Outbox
@@ -40,6 +46,9 @@ _CLOSING_S: Final = 1.0
 _JOIN_S: Final = 5.0
 #: Connections that have not said what they want yet, and the clients.
 _MOST_SOCKETS: Final = 64
+#: Clients without a token, or beyond the number that settings allow, which may stop the face; the
+#: oldest makes room.
+_MOST_STOPPERS: Final = 8
 _MOST_PHONEMES: Final = 256
 #: Events that the kernel may hold for a client that does not read; by itself it takes megabytes.
 _KERNEL_BYTES: Final = 1 << 16
@@ -100,11 +109,14 @@ class AgentServer:
         self._settings = settings or AgentSettings()
         self._log = log
         self._turns = Turns(playout, self._settings)
-        self._clients: set[ServerConnection] = set()
+        # In the order in which they came.
+        self._clients: dict[ServerConnection, None] = {}
+        self._stoppers: dict[ServerConnection, None] = {}
         self._commands = Commands(
             control_path,
             say,
             play,
+            ThreadPoolExecutor(2, thread_name_prefix="agent status"),
             ThreadPoolExecutor(2, thread_name_prefix="agent command"),
             ThreadPoolExecutor(1, thread_name_prefix="agent say"),
         )
@@ -132,7 +144,8 @@ class AgentServer:
             with contextlib.suppress(RuntimeError):  # it has ended by itself
                 self._loop.call_soon_threadsafe(self._stopping.set)
         self._thread.join(_JOIN_S)
-        for pool in (self._commands.at_once, self._commands.speaking):
+        commands = self._commands
+        for pool in (commands.statuses, commands.changes, commands.speaking):
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _run(self) -> None:
@@ -165,28 +178,41 @@ class AgentServer:
         await self._stopping.wait()
         telling.cancel()
         self._turns.end_all()
-        await _close(server, self._clients)
+        await _close(server, [*self._clients, *self._stoppers])
 
     def _admit(self, connection: ServerConnection, request: Request) -> Response | None:
-        names = ("Host", "Origin", "Authorization", "Upgrade")
-        headers = {name: ", ".join(request.headers.get_all(name)) for name in names}
-        refused = refusal(request.path, headers, self._settings, len(self._clients))
+        try:
+            refused = self._handshake(connection, request).refused
+        except ValueError:
+            return connection.respond(HTTPStatus.BAD_REQUEST, "the request cannot be read\n")
         if refused is not None:
             return connection.respond(refused.status, f"{refused.text}\n")
         if urlsplit(request.path).path in HEALTH_PATHS:
             return connection.respond(HTTPStatus.OK, f"{json.dumps(self.status())}\n")
         return None
 
+    def _handshake(self, connection: ServerConnection, request: Request) -> Handshake:
+        """Raises ValueError for a request that cannot be read."""
+        peer = (connection.remote_address or ("",))[0]
+        opening = request_of(request.path, request.headers.raw_items(), peer)
+        return handshake(opening, self._settings, len(self._clients))
+
     async def _attend(self, connection: ServerConnection) -> None:
         """One client, from its first message to its last."""
         assert connection.request is not None
         outbox = Outbox()
         session: StreamSession | ControlSession
+        may_only_stop = self._handshake(connection, connection.request).may_only_stop
         if urlsplit(connection.request.path).path == STREAM_PATH:
             session = StreamSession(outbox, self._turns, self._playout, self._delay_ms)
         else:
-            session = ControlSession(outbox, self._commands)
-        self._clients.add(connection)
+            session = ControlSession(outbox, self._commands, may_only_stop)
+        among = self._clients if may_only_stop is None else self._stoppers
+        if among is self._stoppers and len(among) >= _MOST_STOPPERS:
+            oldest = next(iter(among))  # its stop was sent long ago
+            del among[oldest]
+            oldest.transport.abort()
+        among[connection] = None
         sending = asyncio.ensure_future(_send(connection, outbox))
         working = [
             asyncio.ensure_future(each)
@@ -196,7 +222,7 @@ class AgentServer:
             # Not the end of sending: who has gone may have sent more, its `end` for one.
             await asyncio.wait(working, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            self._clients.discard(connection)
+            among.pop(connection, None)
             is_slow = outbox.overflowed.is_set()
             session.leave()
             for task in (*working, sending):

@@ -1,8 +1,10 @@
 """What the user settles about voice agents, and the bounds that hold for every one of them."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+from lipservo.access.admission import Policy
 
 #: Says a text, or plays a file; gives what is told of it, such as its length. Called in a thread of
 #: its own. A ValueError is told to the client as it stands.
@@ -13,8 +15,7 @@ Speak = Callable[[str], Mapping[str, object] | None]
 class AgentSettings:
     """The bounds of an `AgentServer`.
 
-    token: what clients must give; None: nobody is asked, on loopback alone. allowed_origins: web
-    pages, as `https://robot.example`, whose scripts may connect besides those of this computer.
+    policy: who may connect.
     when_busy: what becomes of a stream while somebody else's is said. most_streams: that are said
     or wait, of all clients together. messages_per_s: of one client; more wait in its own socket.
     first_message_s: a client that has said nothing by then is disconnected. stalled_s: a stream
@@ -23,8 +24,7 @@ class AgentSettings:
     as long to answer.
     """
 
-    token: str | None = None
-    allowed_origins: tuple[str, ...] = ()
+    policy: Policy = field(default_factory=Policy)
     when_busy: Literal["refuse", "queue"] = "refuse"
     most_connections: int = 8
     most_streams: int = 8

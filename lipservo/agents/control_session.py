@@ -1,18 +1,22 @@
 """One connection to `/control`: commands, each answered by a `result` or an `error` with its id.
 
 The server is a client of the face's own control socket here: there is one command queue, one
-status, and `lipservo stop` works whatever becomes of this server.
+status, and `lipservo stop` works whatever becomes of this server. A stop is sent there from the
+event loop, before anything else: it needs no thread and no place among the pending commands.
 """
 
 import asyncio
-from collections.abc import Callable, Mapping
+import json
+from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final
 
-from firmware_bridge.process.control_client import ask, change_setting
+from firmware_bridge.process.control_client import ask, change_setting, send_stop, start_face
+from firmware_bridge.stopping import StopLevel
+from lipservo.access.admission import Refusal
 from lipservo.agents.agent_settings import Speak
 from lipservo.agents.messages import (
     AskStatus,
@@ -21,92 +25,133 @@ from lipservo.agents.messages import (
     Play,
     Say,
     Set,
+    StartFace,
     Stop,
     command,
     id_of,
 )
 from lipservo.agents.outbox import Outbox
+from lipservo.agents.stop_answer import stop_answer
 
 #: Commands of one client that are worked on at a time.
 _MOST_PENDING: Final = 8
+#: Stops of one client whose answers are awaited. The next is sent all the same; the oldest, which
+#: the face has long received, is answered by an error.
+_MOST_STOPS: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Commands:
-    """What a command needs. at_once: threads for stop, status and set; speaking: for say and play.
+    """What a command needs.
 
-    They are apart, so that no stop waits for a synthesiser.
+    statuses, changes, speaking: threads for `status`; `set` and `start`; `say` and `play`. They are
+    apart, so that nothing waits for a synthesiser, and no change for a client that polls.
     """
 
     control_path: Path
     say: Speak | None
     play: Speak | None
-    at_once: Executor
+    statuses: Executor
+    changes: Executor
     speaking: Executor
 
 
 class ControlSession:
     """What one client's commands do."""
 
-    def __init__(self, outbox: Outbox, commands: Commands) -> None:
+    def __init__(
+        self, outbox: Outbox, commands: Commands, may_only_stop: Refusal | None = None
+    ) -> None:
+        """may_only_stop: why everything but a stop is refused; None: it is not."""
         self._outbox = outbox
         self._commands = commands
+        self._may_only_stop = may_only_stop
         self._pending: set[asyncio.Task[None]] = set()
+        self._stops: dict[asyncio.Task[None], Stop] = {}
 
     async def hear(self, message: str | bytes) -> None:
         """Begin what one message asks for; its answer comes when there is one."""
         if isinstance(message, bytes):
             self._outbox.error("unexpected_binary", "commands are text; audio goes to /stream")
             return
+        if (stop := _stop_of(message)) is not None:
+            self._stop(stop)
+            return
         try:
-            said = command(message)
-            if said is None:
+            given = command(message)
+            if given is None:
                 return
+            if self._may_only_stop is not None:
+                raise MessageError("unauthorized", self._may_only_stop.text)
             if len(self._pending) >= _MOST_PENDING:
                 busy = f"{_MOST_PENDING} commands wait for their results already"
                 raise MessageError("too_many_requests", busy)
         except MessageError as error:
             self._outbox.error(error.code, str(error), id=id_of(message))
             return
-        task = asyncio.get_running_loop().create_task(self._answer(said))
+        task = asyncio.get_running_loop().create_task(self._answer(given, self._result(given)))
         self._pending.add(task)
         task.add_done_callback(self._pending.discard)
+
+    def _stop(self, stop: Stop) -> None:
+        """Send it now; the answer is awaited beside everything else."""
+        if stop.end and self._may_only_stop is not None:
+            self._outbox.error("unauthorized", self._may_only_stop.text, id=stop.id)
+            return
+        path, level = self._commands.control_path, StopLevel(stop.level)
+        sent = None
+        try:
+            sent = send_stop(path, level, end=stop.end)
+        except BlockingIOError:
+            pass  # so many clients wait there already; it is sent again
+        except OSError as error:
+            self._outbox.error("not_answering", _not_answering(error), id=stop.id)
+            return
+        if len(self._stops) >= _MOST_STOPS:
+            oldest = next(iter(self._stops))
+            busy = f"{_MOST_STOPS} later stops were sent; the answer to this one is awaited no more"
+            self._outbox.error("too_many_requests", busy, id=self._stops.pop(oldest).id)
+            oldest.cancel()
+        answered = stop_answer(sent, partial(send_stop, path, level, end=stop.end), stop.wait_s)
+        task = asyncio.get_running_loop().create_task(
+            self._answer(stop, _stop_result(stop, answered))
+        )
+        self._stops[task] = stop
+        task.add_done_callback(lambda done: self._stops.pop(done, None))
 
     def leave(self) -> None:
         """The client has gone; what it asked for is done, and nobody is told."""
         self._outbox.close()
 
-    async def _answer(self, said: Command) -> None:
+    async def _answer(
+        self, given: Command, answered: Coroutine[None, None, Mapping[str, object] | None]
+    ) -> None:
         try:
-            result = await self._result(said)
+            result = await answered
         except MessageError as error:
-            self._outbox.error(error.code, str(error), id=said.id)
+            self._outbox.error(error.code, str(error), id=given.id)
         except OSError as error:
-            why = error.strerror or str(error)
-            self._outbox.error("not_answering", f"the face does not answer: {why}", id=said.id)
+            self._outbox.error("not_answering", _not_answering(error), id=given.id)
         else:
-            self._outbox.put({"type": "result", "id": said.id, "result": result})
+            self._outbox.put({"type": "result", "id": given.id, "result": result})
 
-    async def _result(self, said: Command) -> Mapping[str, object] | None:
-        path = self._commands.control_path
-        match said:
+    async def _result(self, given: Command) -> Mapping[str, object] | None:
+        commands = self._commands
+        path = commands.control_path
+        match given:
             case AskStatus():
-                return await self._face(partial(ask, path, "status"))
-            case Stop():
-                return await self._face(partial(ask, path, said.level))
+                return await _called(commands.statuses, partial(ask, path, "status"))
             case Set():
-                return await self._face(partial(change_setting, path, said.name, said.value))
+                change = partial(change_setting, path, given.name, given.value)
+                return await _called(commands.changes, change)
+            case StartFace():
+                return await _called(commands.changes, partial(start_face, path))
             case Say():
-                return await self._speak("say", self._commands.say, said.text)
+                return await self._speak("say", commands.say, given.text)
             case Play():
-                return await self._speak("play", self._commands.play, said.file)
-
-    async def _face(self, call: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
-        loop = asyncio.get_running_loop()
-        answer = await loop.run_in_executor(self._commands.at_once, call)
-        if "error" in answer:
-            raise MessageError("refused", str(answer["error"]))
-        return answer
+                return await self._speak("play", commands.play, given.file)
+            case Stop():
+                raise AssertionError("a stop is sent before")
 
     async def _speak(
         self, name: str, speak: Speak | None, what: str
@@ -118,3 +163,34 @@ class ControlSession:
             return await loop.run_in_executor(self._commands.speaking, speak, what)
         except ValueError as error:
             raise MessageError("refused", " ".join(str(error).split())) from error
+
+
+def _stop_of(text: str) -> Stop | None:
+    """A stop, read here with no other file of ours on its way; None: it is none, or a wrong one."""
+    try:
+        fields = json.loads(text)
+        is_stop = isinstance(fields, dict) and fields.get("type") == "stop"
+        return Stop.model_validate(fields) if is_stop else None
+    except (ValueError, RecursionError):
+        return None  # `command` says what is wrong with it
+
+
+async def _stop_result(
+    stop: Stop, answered: Awaitable[tuple[Mapping[str, object], Mapping[str, object] | None]]
+) -> Mapping[str, object]:
+    answer, report = await answered
+    if "error" in answer:
+        raise MessageError("refused", str(answer["error"]))
+    return {**answer, "report": report} if stop.wait_s else answer
+
+
+async def _called(pool: Executor, call: Callable[[], Mapping[str, object]]) -> Mapping[str, object]:
+    """What the face answers. call: speaks to it in a thread."""
+    answer = await asyncio.get_running_loop().run_in_executor(pool, call)
+    if "error" in answer:
+        raise MessageError("refused", str(answer["error"]))
+    return answer
+
+
+def _not_answering(error: OSError) -> str:
+    return f"the face does not answer: {error.strerror or error}"

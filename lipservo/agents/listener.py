@@ -7,12 +7,12 @@ import socket
 from pathlib import Path
 from typing import Final
 
-from lipservo.agents.admission import is_loopback
+from lipservo.access.admission import is_loopback
+from lipservo.access.kernel_sockets import tcp_sockets
 from lipsync.errors import UserError, shown
 
 _BACKLOG: Final = 16
 _HIGHEST_PORT: Final = 65_535
-_LISTENS: Final = "0A"  # of /proc/net/tcp: TCP_LISTEN
 _PROC: Final = Path("/proc")
 
 
@@ -46,20 +46,6 @@ def url_of(listener: socket.socket) -> str:
     return f"ws://[{host}]:{port}" if ":" in host else f"ws://{host}:{port}"
 
 
-def read_token(token_file: str | None) -> str | None:
-    """The first line of a file, which clients must know. Raises UserError."""
-    if token_file is None:
-        return None
-    try:
-        with Path(token_file).open(encoding="utf-8") as file:
-            token = file.readline().strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{token_file}: cannot be read as a token: {error}") from error
-    if not token:
-        raise UserError(f"{token_file}: its first line is empty; write a token there")
-    return token
-
-
 def _host_and_port(spec: str) -> tuple[str, int]:
     host, colon, port = spec.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
@@ -71,13 +57,8 @@ def _host_and_port(spec: str) -> tuple[str, int]:
 
 def _holder_of(port: int) -> str:
     """Who listens on a port, as far as we may look: `` by process 12 (name)``, or nothing."""
-    inodes = set()
-    for table in ("tcp", "tcp6"):
-        with contextlib.suppress(OSError):
-            for line in (_PROC / "net" / table).read_text().splitlines()[1:]:
-                fields = line.split()
-                if fields[3] == _LISTENS and int(fields[1].rpartition(":")[2], 16) == port:
-                    inodes.add(f"socket:[{fields[9]}]")
+    found = (each.inode for each in tcp_sockets() if each.listens and each.port == port)
+    inodes = {f"socket:[{inode}]" for inode in found}
     for folder in _PROC.glob("[0-9]*"):
         with contextlib.suppress(OSError):
             for fd in os.listdir(folder / "fd"):

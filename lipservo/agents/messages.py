@@ -17,6 +17,8 @@ Name = Annotated[str, Field(min_length=1, max_length=128)]
 _LONGEST_TEXT: Final = 20_000
 #: Positions are within a stream: three hours of one are more than any has.
 _LONGEST_S: Final = 10_000.0
+#: A face is at rest and limp within seconds; after a pulled plug within half a minute.
+LONGEST_WAIT_S: Final = 30.0
 
 
 class MessageError(ValueError):
@@ -105,10 +107,21 @@ class AskStatus(_Command):
 
 
 class Stop(_Command):
-    """The face is to stop: to rest and limp, frozen, or limp at once."""
+    """The face stops: to rest and limp, frozen, or limp at once.
+
+    wait_s: so long for the report of the end. end: a daemon ends, and waits for no start.
+    """
 
     type: Literal["stop"]
     level: Literal["soft", "freeze", "limp"] = "soft"
+    wait_s: Annotated[float, Field(ge=0.0, le=LONGEST_WAIT_S)] = 0.0
+    end: bool = False
+
+
+class StartFace(_Command):
+    """A stopped face is driven again."""
+
+    type: Literal["start"]
 
 
 class Set(_Command):
@@ -134,7 +147,7 @@ class Play(_Command):
 
 
 StreamMessage = Hello | Start | Audio | End | Interrupt | Clear | Mark | Position
-Command = AskStatus | Stop | Set | Say | Play
+Command = AskStatus | Stop | StartFace | Set | Say | Play
 
 _STREAM: Final[dict[str, type[StreamMessage]]] = {
     "hello": Hello,
@@ -149,6 +162,7 @@ _STREAM: Final[dict[str, type[StreamMessage]]] = {
 _COMMANDS: Final[dict[str, type[Command]]] = {
     "status": AskStatus,
     "stop": Stop,
+    "start": StartFace,
     "set": Set,
     "say": Say,
     "play": Play,

@@ -201,8 +201,18 @@ class AsyncFace:
         return await self._ask("status")
 
     async def stop(self, level: Literal["soft", "freeze", "limp"] = "soft") -> dict[str, Any]:
-        """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError."""
+        """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError.
+
+        A daemon that was stopped waits, limp, for `start`.
+        """
         return await self._ask("stop", level=level)
+
+    async def start(self) -> dict[str, Any]:
+        """Drive a stopped face again: it moves. Returns once the start is accepted.
+
+        Whether it came to be driven is in `status`: `state`, `troubles`. Raises FaceError.
+        """
+        return await self._ask("start")
 
     async def set(self, name: str, value: float) -> dict[str, Any]:
         """Change a setting while it runs, as `strength`. Raises FaceError."""

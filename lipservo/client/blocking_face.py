@@ -112,8 +112,18 @@ class Face:
         return self.wait_for(self._face.status())
 
     def stop(self, level: Literal["soft", "freeze", "limp"] = "soft") -> dict[str, Any]:
-        """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError."""
+        """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError.
+
+        A daemon that was stopped waits, limp, for `start`.
+        """
         return self.wait_for(self._face.stop(level))
+
+    def start(self) -> dict[str, Any]:
+        """Drive a stopped face again: it moves. Returns once the start is accepted.
+
+        Whether it came to be driven is in `status`: `state`, `troubles`. Raises FaceError.
+        """
+        return self.wait_for(self._face.start())
 
     def set(self, name: str, value: float) -> dict[str, Any]:
         """Change a setting while it runs, as `strength`. Raises FaceError."""

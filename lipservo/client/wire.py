@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import json
 from collections.abc import Callable
+from http import HTTPStatus
 from typing import Final
 
 from websockets.asyncio.client import ClientConnection, connect
@@ -68,10 +69,42 @@ async def connected(
     on_close: Callable[[FaceError], None],
     patience_s: float,
 ) -> Wire:
-    """Connect. Raises FaceError: nobody is there, or they do not let us in."""
+    """Connect to a face.
+
+    Parameters
+    ----------
+    token : that the face asks for; None: on this computer it is found in the runtime folders, of
+        another none is sent.
+
+    Raises
+    ------
+    FaceError
+        unauthorized, refused, not_answering.
+
+    """
+    tokens = [token] if token is not None else await asyncio.to_thread(_found_tokens, url)
+    for each in tokens[:-1]:
+        with contextlib.suppress(_UnauthorizedError):
+            return Wire(await _opened(url, each, patience_s), on_event, on_close)
+    last = tokens[-1] if tokens else None
+    return Wire(await _opened(url, last, patience_s), on_event, on_close)
+
+
+class _UnauthorizedError(FaceError):
+    """The token is another, or none was sent."""
+
+
+def _found_tokens(url: str) -> list[str]:
+    from lipservo.access.token_file import found_tokens  # only where one is searched
+
+    return found_tokens(url)
+
+
+async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
+    """Raises FaceError."""
     headers = None if token is None else {"Authorization": f"Bearer {token}"}
     try:
-        socket = await connect(
+        return await connect(
             url,
             additional_headers=headers,
             compression=None,
@@ -81,13 +114,15 @@ async def connected(
     except InvalidStatus as error:
         answer = error.response
         why = bytes(answer.body or b"").decode("utf-8", "replace").strip()
-        raise FaceError("refused", f"{url}: {why or answer.status_code}") from error
+        line = f"{url}: {why or answer.status_code}"
+        if answer.status_code == HTTPStatus.UNAUTHORIZED:
+            raise _UnauthorizedError("unauthorized", line) from error
+        raise FaceError("refused", line) from error
     except (InvalidURI, InvalidHandshake) as error:
         raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
     except (OSError, TimeoutError) as error:
         hint = "is a face running that takes speech?"
         raise FaceError("not_answering", f"{url}: nobody answers there; {hint}") from error
-    return Wire(socket, on_event, on_close)
 
 
 def _gone(error: ConnectionClosed) -> FaceError:

@@ -106,20 +106,20 @@ Listen = Annotated[
 TokenFile = Annotated[
     Path | None,
     typer.Option(
-        help="File whose first line voice agents and browsers must know.", show_default=False
+        help="File whose first line voice agents and browsers must send.",
+        show_default="the token of the runtime folder, made at the first start",
+    ),
+]
+OpenToThisComputer = Annotated[
+    bool,
+    typer.Option(
+        "--open-to-this-computer",
+        help="Any user of this computer may connect without the token.",
     ),
 ]
 Queue = Annotated[
     bool,
     typer.Option("--queue", help="A second voice agent waits for its turn; else it is refused."),
-]
-Origins = Annotated[
-    str,
-    typer.Option(
-        metavar="URL,URL",
-        help="Web pages whose scripts may connect, besides those of this computer.",
-        show_default=False,
-    ),
 ]
 Sounds = Annotated[
     Path | None,

@@ -2,6 +2,7 @@
 
 import socket
 from typing import Final
+from urllib.parse import urlencode
 
 from lipservo.agents.listener import bind_listener, url_of
 from lipsync.errors import UserError
@@ -26,6 +27,7 @@ def bound_dashboard(listen: str | None, token: str | None) -> socket.socket:
     return bind_listener(f"{HOST}:0", token)
 
 
-def address_of(listener: socket.socket) -> str:
-    """What to type into a browser."""
-    return url_of(listener).replace("ws://", "http://", 1)
+def address_of(listener: socket.socket, token: str | None = None) -> str:
+    """What to type into a browser. token: that opens the page; it becomes a cookie there."""
+    address = url_of(listener).replace("ws://", "http://", 1)
+    return address if token is None else f"{address}/?{urlencode({'token': token})}"

@@ -37,11 +37,13 @@ def dashboard_child(
     """Serve the face at `control_path` in a browser, until the block ends.
 
     listener: from `bound_dashboard`; stays the caller's and must outlive the block. say: takes
-    lines; called in a thread. model: that the face runs with.
+    lines; called in a thread. model: that the face runs with. token_file: as `VoiceOptions`.
     """
     arguments = ["--control", str(control_path), "--listener", str(listener.fileno()), "--quiet"]
     arguments += ["--parent", str(os.getpid())]
-    if token_file is not None:
+    if token_file is None:
+        arguments += ["--open-to-this-computer"]
+    else:
         arguments += ["--token-file", token_file]
     if model is not None:
         arguments += ["--model", str(model)]

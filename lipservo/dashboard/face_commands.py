@@ -1,13 +1,14 @@
-"""What a page or a program may ask of a face: by its control socket, and by its agent server.
+"""Commands of pages and programs to a face: by its control socket, and by its agent server.
 
-Stops have threads of their own, so that none waits behind anything that hangs. Everything raises
-FaceError, one line, with a code of docs/agents.md: refused, not_answering, not_available.
+A stop is sent elsewhere, in the event loop (`web/stop_route.py`); here is kept where to. Everything
+raises FaceError, one line, with a code of docs/agents.md: refused, not_answering, not_available.
 """
 
 import asyncio
+import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -21,11 +22,10 @@ from firmware_bridge.process.control_client import (
     change_settings,
     end_jog,
     jog_servo,
-    stop_and_wait,
+    start_face,
     switch_servo,
 )
 from firmware_bridge.process.runtime_folder import ControlError
-from firmware_bridge.stopping import StopLevel
 from lipservo.client.async_face import AsyncFace
 from lipservo.client.face_answers import FaceError
 from lipservo.speech.passing_wish import whole_wish
@@ -34,47 +34,97 @@ from lipsync.errors import UserError, shown
 Answer = Mapping[str, Any]
 #: Agents answer `say` and `play` once they have the words or the file, not once these are said.
 _SAYING_S: Final = 12.0
-#: Stops that wait for the report of the end.
+#: Stops that wait for the report of the end; the control socket has room for 16 clients.
 _MOST_WAITING: Final = 8
+#: Between two statuses while a face is started.
+_LOOK_EVERY_S: Final = 0.1
+_STATUS_S: Final = 1.0
+#: States of a face that is being brought up; any other is the end of it.
+_ON_ITS_WAY: Final = ("the bridge starts", "driven")
 
 
 class FaceCommands:
     """Commands to one face."""
 
-    def __init__(self, find: Callable[[], Path], token: str | None = None) -> None:
+    def __init__(
+        self,
+        find: Callable[[], Path],
+        token: str | None = None,
+        control_path: Path | None = None,
+    ) -> None:
         """find: where the face listens, called in a thread; raises UserError, ControlError.
 
-        token: what the face's agent server asks for.
+        token: what the face's agent server asks for; None: it is found, where the face runs on this
+        computer. control_path: where the face listens, as far as it is known.
         """
         self._find = find
         self._token = token
-        self._path: Path | None = None
+        #: Where the face listens, or listened last: a stop is sent there without a look-up.
+        self.control_path = control_path
         self.status: dict[str, Any] | None = None
-        self._stops = ThreadPoolExecutor(8, thread_name_prefix="dashboard stop")
-        self._ends = ThreadPoolExecutor(_MOST_WAITING, thread_name_prefix="dashboard end")
         self._n_waiting = 0
+        self._locating: asyncio.Task[Path] | None = None
+        self._finding = ThreadPoolExecutor(1, thread_name_prefix="dashboard find")
+        self._starting = ThreadPoolExecutor(2, thread_name_prefix="dashboard start")
         self._others = ThreadPoolExecutor(2, thread_name_prefix="dashboard command")
 
-    async def stop(self, level: str = StopLevel.SOFT, wait_s: float = 0.0) -> Answer:
-        """Stop the face: soft, freeze or limp; the answer says that it is taken.
+    async def located(self) -> Path:
+        """Find the face anew, where none listens at `control_path`; it is kept there."""
+        if self._locating is None or self._locating.done():
+            self._locating = asyncio.create_task(self._located())
+        return await asyncio.shield(self._locating)
 
-        wait_s: so long for the end; `report` is then what the servos confirmed (`StopReport`), or
-        None where no end came, or too many wait for one: a stop itself never waits for a thread.
-        """
-        if level not in set(StopLevel):
-            raise FaceError("refused", f"{shown(level)}: no stop; there are soft, freeze, limp")
+    async def _located(self) -> Path:
+        loop = asyncio.get_running_loop()
+        try:
+            self.control_path = await loop.run_in_executor(self._finding, self._find)
+        except PermissionError as error:
+            raise FaceError("not_answering", "this user may not command the face") from error
+        except (OSError, UserError, ControlError) as error:
+            why = " ".join(str(error).split())
+            raise FaceError("not_answering", f"no face answers: {why}") from error
+        return self.control_path
+
+    @contextlib.contextmanager
+    def waiting_for_end(self, wait_s: float) -> Iterator[float]:
+        """How long a stop waits for the report of the end; 0: so many wait for one already."""
         if not wait_s or self._n_waiting >= _MOST_WAITING:
-            return await self._told(partial(_asked, level), self._stops)
-        waiting = partial(self._reached_at, partial(_stopped, StopLevel(level), wait_s))
-        asked = asyncio.get_running_loop().run_in_executor(self._ends, waiting)
+            yield 0.0
+            return
         self._n_waiting += 1
-        asked.add_done_callback(self._end_waiting)  # also where nobody waits for it any more
-        return await asyncio.shield(asked)
+        try:
+            yield wait_s
+        finally:
+            self._n_waiting -= 1
 
-    def _end_waiting(self, asked: "asyncio.Future[Answer]") -> None:
-        self._n_waiting -= 1
-        if not asked.cancelled():
-            asked.exception()  # nobody need be there to hear it
+    async def start(self, wait_s: float = 0.0) -> Answer:
+        """Start a stopped face; it moves.
+
+        Parameters
+        ----------
+        wait_s : so long until it is driven; 0: the answer says that the start is accepted.
+
+        Returns
+        -------
+        {"accepted": "start"}; with `wait_s` also `state`, `servos` and `troubles` of its status
+        when every servo is driven, when it has come to another state, or when the time is over.
+
+        """
+        answer = dict(await self._returned(start_face, self._starting))
+        if not wait_s:
+            return {"accepted": answer.get("accepted")}
+        loop = asyncio.get_running_loop()
+        give_up_s = loop.time() + wait_s
+        status: Answer = {}
+        while loop.time() < give_up_s:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            with contextlib.suppress(FaceError):
+                status = await self._returned(_described, self._starting)
+                states = set(dict(status.get("servos") or {}).values())
+                if status.get("state") not in _ON_ITS_WAY or states == {"driven"}:
+                    break
+        known = {name: status.get(name) for name in ("state", "servos", "troubles")}
+        return {"accepted": answer.get("accepted"), **known}
 
     async def interrupt(self) -> None:
         """Silence now: what the face says or plays is dropped."""
@@ -91,27 +141,27 @@ class FaceCommands:
         for name, value in values.items():
             if not math.isfinite(value):
                 raise FaceError("refused", f"{shown(name)}: {value} is no number to set")
-        return await self._told(partial(_changed, dict(values)))
+        return await self._returned(partial(_changed, dict(values)))
 
     async def servo(self, name: str, what: str) -> Answer:
         """One servo: off, on or reboot."""
         if what not in set(ServoSwitch):
             raise FaceError("refused", f"{shown(what)}: there are off, on, reboot")
-        return await self._told(partial(_switched, name, ServoSwitch(what)))
+        return await self._returned(partial(_switched, name, ServoSwitch(what)))
 
     async def jog_arm(self) -> Answer:
         """Single servos may be moved by hand from now on; to be renewed within 3 s."""
-        return await self._told(arm_jog)
+        return await self._returned(arm_jog)
 
     async def jog(self, name: str, deg: float) -> Answer:
         """One servo to an angle of its joint, within its limits; renews."""
         if not math.isfinite(deg):
             raise FaceError("refused", f"{shown(name)}: {deg} is no angle")
-        return await self._told(partial(_jogged, name, deg))
+        return await self._returned(partial(_jogged, name, deg))
 
     async def jog_end(self) -> Answer:
         """The face goes on as before."""
-        return await self._told(end_jog)
+        return await self._returned(end_jog)
 
     async def look_at(self, yaw_deg: float | None, pitch_deg: float | None = None) -> Answer:
         """Look there, yaw to its own left and pitch upwards; None: at nothing in particular."""
@@ -134,8 +184,8 @@ class FaceCommands:
         return await self._speak("play", file)
 
     def close(self) -> None:
-        """Nothing more is asked; who waits is told."""
-        for pool in (self._stops, self._ends, self._others):
+        """Nothing more is sent; what waits fails."""
+        for pool in (self._finding, self._starting, self._others):
             pool.shutdown(wait=False, cancel_futures=True)
 
     async def _speak(self, kind: Literal["say", "play"], what: str) -> Answer:
@@ -153,38 +203,37 @@ class FaceCommands:
             raise FaceError("not_available", f"the face takes no speech: {hint}")
         return _reached(url)
 
-    async def _told(
-        self, tell: Callable[[Path], Answer], pool: ThreadPoolExecutor | None = None
+    async def _returned(
+        self, call: Callable[[Path], Answer], pool: ThreadPoolExecutor | None = None
     ) -> Answer:
-        """What the face answers. tell: asks it at a path."""
+        """The face's answer. call: speaks to it, at a path, in a thread."""
         loop = asyncio.get_running_loop()
-        asked = partial(self._reached_at, tell)
-        answer = await loop.run_in_executor(pool or self._others, asked)
+        answer = await loop.run_in_executor(pool or self._others, partial(self._called, call))
         if "error" in answer:
             raise FaceError("refused", str(answer["error"]))
         return answer
 
-    def _reached_at(self, tell: Callable[[Path], Answer]) -> Answer:
+    def _called(self, call: Callable[[Path], Answer]) -> Answer:
         """In a thread: where the face was last, or wherever it is by now."""
-        path = self._path
+        path = self.control_path
         try:
             if path is None:
-                return tell(self._find())
+                return call(self._find())
             try:
-                return tell(path)
+                return call(path)
             except (FileNotFoundError, ConnectionError):
-                return tell(self._find())
+                return call(self._find())
         except TimeoutError as error:
             hint = "`lipservo stop --limp` lets its servos go"
             raise FaceError("not_answering", f"the face hangs; {hint}") from error
         except PermissionError as error:
-            raise FaceError("not_answering", "the face may not be asked by this user") from error
+            raise FaceError("not_answering", "this user may not command the face") from error
         except (OSError, UserError, ControlError) as error:
             raise FaceError("not_answering", f"no face answers: {error}") from error
 
 
-def _asked(word: str, path: Path) -> Answer:
-    return ask(path, word)
+def _described(path: Path) -> Answer:
+    return ask(path, "status", _STATUS_S)
 
 
 def _changed(values: Mapping[str, float], path: Path) -> Answer:
@@ -197,11 +246,6 @@ def _switched(name: str, switch: ServoSwitch, path: Path) -> Answer:
 
 def _jogged(name: str, position_deg: float, path: Path) -> Answer:
     return jog_servo(path, name, position_deg)
-
-
-def _stopped(level: StopLevel, wait_s: float, path: Path) -> Answer:
-    answer, report = stop_and_wait(path, level, wait_s)
-    return {**answer, "report": report}
 
 
 def _reached(url: str) -> str:

@@ -19,6 +19,7 @@ from firmware_bridge.process.runtime_folder import ControlError
 from lipservo.dashboard.face_commands import FaceCommands
 from lipservo.dashboard.moments import NO_LAYOUT, BoardReader, Moment
 from lipservo.dashboard.twin_frame import RATE_HZ, encode
+from lipservo.face.assembly import load_settings
 from lipservo.status.live_board import BoardLayout, LiveBoard
 from lipsync.errors import UserError
 
@@ -37,16 +38,18 @@ class FaceLink(FaceCommands):
 
     layout: names of servos, states, phonemes, of the face that was seen last. moment: the newest.
     status: the face's newest answer, None before the first. trouble: why there is none just now.
-    history: encoded frames of the last seconds. on_moment: called at every tick.
+    history: encoded frames of the last seconds. on_moment: called at every tick. origins: of web
+    pages that the face's YAML lists.
     """
 
     def __init__(
         self,
         find: Callable[[], Path],
         token: str | None = None,
+        control_path: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(find, token)
+        super().__init__(find, token, control_path)
         self._clock = clock
         self._started_s = clock()
         self._status_s = float("-inf")
@@ -58,6 +61,9 @@ class FaceLink(FaceCommands):
         self.frame = encode(self.moment, self.layout)
         self.history: deque[bytes] = deque(maxlen=HISTORY_S * RATE_HZ)
         self.trouble: str | None = "no face has answered yet"
+        self.origins: tuple[str, ...] = ()
+        self._origins_of: str | None = None
+        self._must_find = control_path is None
         self.on_moment: list[Callable[[], None]] = []
 
     @property
@@ -136,16 +142,18 @@ class FaceLink(FaceCommands):
 
     def _status_in_thread(self) -> tuple[dict[str, Any] | str, LiveBoard | None]:
         """The status, or why there is none; and a board, where one is needed."""
-        path = self._path
         try:
-            path = path or self._find()
+            path = self.control_path
+            if path is None or self._must_find:
+                path = self._find()
             answer = ask(path, "status", _STATUS_PATIENCE_S)
         except TimeoutError:
             return "the face hangs: it does not answer", None
         except (OSError, UserError, ControlError) as error:
-            self._path = None
+            self._must_find = True  # a stop still goes where the face was last
             return " ".join(str(error).split()), None
-        self._path = path
+        self.control_path, self._must_find = path, False
+        self._read_origins(answer.get("config"))
         board = None
         if self._needs_board() and self._clock() - self._watched_s > _WATCH_EVERY_S:
             self._watched_s = self._clock()
@@ -153,6 +161,16 @@ class FaceLink(FaceCommands):
             with contextlib.suppress(OSError, ControlError, ValueError):
                 board = LiveBoard.watch(watch(path))
         return answer, board
+
+    def _read_origins(self, config: object) -> None:
+        """Once for each face. A YAML that cannot be read any more lists none."""
+        if config == self._origins_of or not isinstance(config, str):
+            return
+        try:
+            origins = load_settings(config)[0].access.origins
+        except (OSError, UserError):
+            origins = ()
+        self.origins, self._origins_of = origins, config
 
     def _needs_board(self) -> bool:
         return self._reader is None or (self.moment.servos_gone and self.moment.speech_gone)

@@ -1,15 +1,12 @@
 """The lines that a face plays, sounds and performances: a folder, whose files have plain names.
 
-Everything raises FaceError, one line: refused, not_found, exists, too_large, not_sound,
-not_available.
+Everything raises FaceError, one line: refused, not_found, not_sound, not_available. New files come
+by `uploads.py`.
 """
 
-import asyncio
 import contextlib
 import os
 import stat
-import tempfile
-from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,8 +20,8 @@ MOST_BYTES: Final = 50_000_000
 SUFFIXES: Final = (".wav", ".flac", ".ogg", ".opus", ".mp3", ".aif", ".aiff", PERFORMANCE_SUFFIX)
 _LONGEST_NAME_BYTES: Final = 200
 _MOST_LISTED: Final = 1000
-#: While it comes: begins with a dot, so that it is no line and cannot be played.
-_COMING: Final = ".coming-"
+#: An upload that is not whole: begins with a dot, so that it is no line and cannot be played.
+COMING: Final = ".coming-"
 
 
 def checked_name(name: str) -> str:
@@ -66,7 +63,7 @@ class SoundLines:
 
     def path_of(self, name: str) -> Path:
         """A line that is there."""
-        path = self._place() / checked_name(name)
+        path = self.place_of(name)
         try:
             is_file = stat.S_ISREG(path.lstat().st_mode)
         except OSError:
@@ -82,36 +79,9 @@ class SoundLines:
         except OSError as error:
             raise FaceError("refused", f"{shown(name)}: {error.strerror}") from error
 
-    async def store(
-        self, name: str, chunks: AsyncIterator[bytes], *, replace: bool = False
-    ) -> dict[str, Any]:
-        """Write a file as it comes; it is a line once it is whole and known to be sound."""
-        place = self._place() / checked_name(name)
-        if place.exists() and not replace:
-            raise FaceError("exists", f"{shown(name)}: is there already")
-        try:
-            fd, coming = tempfile.mkstemp(place.suffix, _COMING, place.parent)
-        except OSError as error:
-            raise FaceError("not_available", f"cannot write there: {error.strerror}") from error
-        path = Path(coming)
-        try:
-            with os.fdopen(fd, "wb") as file:
-                n_bytes = 0
-                async for chunk in chunks:
-                    n_bytes += len(chunk)
-                    if n_bytes > MOST_BYTES:
-                        raise FaceError("too_large", f"more than {MOST_BYTES // 10**6} MB")
-                    file.write(chunk)
-                file.flush()
-                os.fsync(file.fileno())
-            await asyncio.to_thread(_check_sound, path, name)
-            path.chmod(0o644)
-            _put(path, place, replace)
-        except OSError as error:
-            raise FaceError("not_available", f"cannot write it: {error.strerror}") from error
-        finally:
-            path.unlink(missing_ok=True)
-        return {"name": name, "n_bytes": n_bytes}
+    def place_of(self, name: str) -> Path:
+        """Where a line of that name is to be."""
+        return self._place() / checked_name(name)
 
     def _place(self) -> Path:
         if self._folder is None:
@@ -120,7 +90,8 @@ class SoundLines:
         return self._folder
 
 
-def _check_sound(path: Path, name: str) -> None:
+def check_sound(path: Path, name: str) -> None:
+    """Raise FaceError for what is neither a sound nor a performance. name: of it, for people."""
     from lipsync.audio.file import checked_rate_hz
 
     try:
@@ -131,16 +102,6 @@ def _check_sound(path: Path, name: str) -> None:
     except UserError as error:
         why = str(error).replace(str(path), name).replace(path.name, name)
         raise FaceError("not_sound", " ".join(why.split())) from error
-
-
-def _put(path: Path, place: Path, replace: bool) -> None:
-    if replace:
-        path.replace(place)
-        return
-    try:
-        os.link(path, place)  # unlike a rename, this never takes another file's place
-    except FileExistsError as error:
-        raise FaceError("exists", f"{shown(place.name)}: is there already") from error
 
 
 def _name(line: dict[str, Any]) -> str:

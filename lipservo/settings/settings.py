@@ -17,6 +17,7 @@ from pydantic import (
 
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.joints import Joint
+from lipservo.settings.access_settings import AccessSettings
 from lipservo.settings.expression_settings import ExpressionSettings, ServoExpression
 from lipservo.settings.gate_settings import PreventSettings, StaleSettings, TrackingSettings
 from lipservo.settings.motion_settings import MotionSettings
@@ -164,6 +165,7 @@ class FaceSettings(Strict):
     motion: MotionSettings = MotionSettings()
     sound: SoundSettings = SoundSettings()
     expression: ExpressionSettings = ExpressionSettings()
+    access: AccessSettings = AccessSettings()
     #: Whether a service drives the face by itself after a power cut that may have lost a stop.
     start_after_power_cut: bool = False
     #: Between the outer corners of the robot's eyes: what gives a photograph its scale.

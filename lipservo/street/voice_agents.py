@@ -6,7 +6,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from lipservo.agents.listener import bind_listener, read_token, url_of
+from lipservo.access.token_file import read_token
+from lipservo.agents.listener import bind_listener, url_of
 from lipservo.speech.performed_line import PerformedStream, performed_line
 from lipservo.street.sources import warn
 from lipservo.street.spoken_file import SpokenChunks, SpokenFile
@@ -61,9 +62,17 @@ def voice_agents(
     if listener is None or side.voice is None or options is None:
         yield None
         return
+    from lipservo.access.admission import Policy
     from lipservo.agents.agent_server import AgentServer
     from lipservo.agents.agent_settings import AgentSettings
 
+    try:
+        token = read_token(options.token_file)
+    except UserError as error:
+        # It was there when the face was started: this process is a later one, and the face goes on.
+        log(f"voice agents: none are served: {error}")
+        yield None
+        return
     voice, delay = side.voice, side.speech.delay
     spoken = _Spoken(voice.playout, options, model)
     url = url_of(listener)
@@ -73,8 +82,7 @@ def voice_agents(
         control_path=control_path,
         delay_ms=lambda: delay.total_s * 1e3,
         settings=AgentSettings(
-            token=read_token(options.token_file),
-            allowed_origins=tuple(each for each in options.origins.split(",") if each),
+            policy=Policy(token, tuple(each for each in options.origins.split(",") if each)),
             when_busy="queue" if options.queue else "refuse",
         ),
         say=spoken.say,

@@ -13,10 +13,10 @@ class VoiceOptions:
     """A robot that speaks by itself.
 
     output: its loudspeaker, by number, name or part of a name; None: nobody plays, or whoever sends
-    the sound does. token_file: whose first line voice agents must know; None: on loopback they need
-    none. sounds: the folder below which they may let sound files be played. queue: whether they
-    wait for their turn while another speaks, or are refused. origins: of web pages that may
-    connect, with commas between.
+    the sound does. token_file: whose first line clients must send; None: those of this computer
+    need none. sounds: the folder below which they may let sound files be played. queue: whether
+    they wait for their turn while another speaks, or are refused. origins: of web pages that may
+    connect, as the face's YAML lists them, with commas between.
     """
 
     output: str | None = None

@@ -29,7 +29,7 @@ def served_head() -> Iterator[str]:
         probe.close()
         command = [sys.executable, "-m", "lipservo", "daemon", "--config", "face_head", "--quiet"]
         command += ["--dashboard", "--dashboard-listen", listen]
-        command += ["--sounds", folder, "--listen", "127.0.0.1:0"]
+        command += ["--open-to-this-computer", "--sounds", folder, "--listen", "127.0.0.1:0"]
         with subprocess.Popen([*command, "--control", str(Path(folder) / "head.sock")]) as process:
             try:
                 _wait_for(f"http://{listen}/api/health")

@@ -19,6 +19,7 @@ from lipservo.commands.options import (
     LiveLink,
     Model,
     OpenPage,
+    OpenToThisComputer,
     Osc,
     Output,
     Port,
@@ -36,7 +37,7 @@ from lipservo.commands.run.dashboard_beside import (
 )
 from lipservo.commands.run.run import ANY_PORT, finish, motion_of
 from lipservo.commands.run.say import told_through
-from lipservo.commands.run.voice_choice import text_of
+from lipservo.commands.run.voice_choice import access_file, with_access
 from lipservo.face.assembly import assemble_face
 from lipservo.face.sim_process import servo_port
 from lipservo.speech.performed_line import performed_line
@@ -73,6 +74,7 @@ def perform(
     dashboard: Dashboard = False,
     dashboard_listen: DashboardListen = None,
     token_file: TokenFile = None,
+    open_to_this_computer: OpenToThisComputer = False,
     open_page: OpenPage = False,
     dry_run: DryRun = False,
     as_json: Json = False,
@@ -92,7 +94,11 @@ def perform(
             print_json(answer)
         return
     check_page_options(
-        dashboard_listen, is_shown=dashboard, open_page=open_page, token_file=token_file
+        dashboard_listen,
+        is_shown=dashboard,
+        open_page=open_page,
+        token_file=token_file,
+        open_to_this_computer=open_to_this_computer,
     )
     # All that can be wrong with the file is told before a device is opened.
     performed = read_performance(performance)
@@ -101,7 +107,8 @@ def perform(
     line = performed_line(performed, performance, warn)
     voice = VoiceOptions(None if mute else output or DEFAULT_OUTPUT)
     if dashboard:
-        voice = replace(with_sounds(voice), token_file=text_of(token_file))
+        token_file = access_file(token_file, open_to_this_computer=open_to_this_computer)
+        voice = with_access(with_sounds(voice), config, token_file)
     request = RunRequest(
         config,
         SILENCE,

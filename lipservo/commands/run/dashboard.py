@@ -15,10 +15,12 @@ from lipservo.commands.options import (
     FaceName,
     Model,
     OpenPage,
+    OpenToThisComputer,
     Quiet,
     TokenFile,
 )
 from lipservo.commands.run.running import chosen_faces
+from lipservo.commands.run.voice_choice import access_file, text_of
 from lipservo.terminal.output import MESSAGES
 from lipsync.errors import UserError
 from lipsync.extras import check_extra
@@ -30,6 +32,7 @@ def dashboard(
     control: Control = None,
     listen: DashboardListen = None,
     token_file: TokenFile = None,
+    open_to_this_computer: OpenToThisComputer = False,
     open_page: OpenPage = False,
     model: Model = None,
     listener: Annotated[int | None, typer.Option(hidden=True)] = None,
@@ -43,24 +46,31 @@ def dashboard(
     check_dashboard()
     if parent is not None:
         _serve_beside(parent)
-    from lipservo.agents.listener import read_token
+    from lipservo.access.token_file import read_token
     from lipservo.dashboard.address import address_of, bound_dashboard
 
-    token = read_token(None if token_file is None else str(token_file))
+    given = read_token(text_of(token_file))
+    token = read_token(
+        text_of(access_file(token_file, open_to_this_computer=open_to_this_computer))
+    )
     with socket.socket(fileno=listener) if listener else bound_dashboard(listen, token) as bound:
+        from lipservo.dashboard.face_link import FaceLink
+        from lipservo.dashboard.web.access_layer import OneTimeCode
         from lipservo.dashboard.web.serving import serve
 
-        address = address_of(bound)
+        code = OneTimeCode(os.geteuid()) if open_page and token is not None else None
 
         def ready() -> None:
             if not quiet:
-                MESSAGES.print(f"dashboard: {address}", soft_wrap=True, highlight=False)
+                line = f"dashboard: {address_of(bound, token)}"
+                MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
             if open_page and _has_a_screen():
                 import webbrowser
 
-                webbrowser.open(address)
+                webbrowser.open(address_of(bound, None if code is None else code.code))
 
-        serve(bound, found_face(face, control), token, ready, model)
+        link = FaceLink(found_face(face, control), given, control)
+        serve(bound, link, token, ready, model, code)
 
 
 def check_dashboard() -> None:

@@ -10,7 +10,7 @@ from typing import Final
 import typer
 
 from firmware_bridge.process.runtime_folder import socket_path
-from lipservo.agents.listener import read_token
+from lipservo.access.token_file import read_token
 from lipservo.commands.run.dashboard import check_dashboard
 from lipservo.face.assembly import load_settings
 from lipservo.street.run_request import RunRequest
@@ -35,7 +35,10 @@ def with_sounds(voice: VoiceOptions | None) -> VoiceOptions:
 def dashboard_beside(
     request: RunRequest, listen: str | None, token_file: Path | None, *, open_page: bool
 ) -> Iterator[None]:
-    """The page of the face that the block runs. Raises UserError before anything moves."""
+    """The page of the face that the block runs. Raises UserError before anything moves.
+
+    token_file: from `access_file`.
+    """
     check_dashboard()
     from lipservo.dashboard.address import address_of, bound_dashboard
     from lipservo.dashboard.child import dashboard_child
@@ -49,19 +52,25 @@ def dashboard_beside(
             MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
 
     with bound_dashboard(listen, token) as listener:
-        say(f"dashboard: {address_of(listener)}")
+        say(f"dashboard: {address_of(listener, token)}")
         with dashboard_child(path, listener, file, say, model=request.model, open_page=open_page):
             yield
 
 
 def check_page_options(
-    listen: str | None, *, is_shown: bool, open_page: bool, token_file: Path | None = None
+    listen: str | None,
+    *,
+    is_shown: bool,
+    open_page: bool,
+    token_file: Path | None = None,
+    open_to_this_computer: bool = False,
 ) -> None:
     """Options of a page that nobody asked for are a mistake. Raises typer.BadParameter."""
     for name, given in (
         ("--dashboard-listen", listen is not None),
         ("--open", open_page),
         ("--token-file", token_file is not None),
+        ("--open-to-this-computer", open_to_this_computer),
     ):
         if given and not is_shown:
             raise typer.BadParameter(f"{name} goes with --dashboard")

@@ -23,7 +23,7 @@ from lipservo.commands.options import (
     Mic,
     Model,
     OpenPage,
-    Origins,
+    OpenToThisComputer,
     Osc,
     Output,
     Phonemes,
@@ -45,7 +45,13 @@ from lipservo.commands.run.dashboard_beside import (
 )
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.supervision import supervise
-from lipservo.commands.run.voice_choice import chosen_voice, daemons_voice, text_of
+from lipservo.commands.run.voice_choice import (
+    access_file,
+    chosen_voice,
+    daemons_voice,
+    text_of,
+    with_access,
+)
 from lipservo.face.assembly import load_settings
 from lipservo.face.face_life import say
 from lipservo.face.face_stopped import exit_status
@@ -85,6 +91,7 @@ def run(
     dashboard: Dashboard = False,
     dashboard_listen: DashboardListen = None,
     token_file: TokenFile = None,
+    open_to_this_computer: OpenToThisComputer = False,
     open_page: OpenPage = False,
     dry_run: DryRun = False,
     as_json: Json = False,
@@ -95,11 +102,16 @@ def run(
     With --dashboard, in a terminal, it goes on after the sound until Ctrl-C.
     """
     check_page_options(
-        dashboard_listen, is_shown=dashboard, open_page=open_page, token_file=token_file
+        dashboard_listen,
+        is_shown=dashboard,
+        open_page=open_page,
+        token_file=token_file,
+        open_to_this_computer=open_to_this_computer,
     )
     voice = chosen_voice(play=play, output=output, is_needed=phonemes is not None or dashboard)
     if dashboard:
-        voice = replace(with_sounds(voice), token_file=text_of(token_file))
+        token_file = access_file(token_file, open_to_this_computer=open_to_this_computer)
+        voice = with_access(with_sounds(voice), config, token_file)
     request = RunRequest(
         config,
         _sound(wav, mic, CLIP, phonemes),
@@ -133,9 +145,9 @@ def daemon(
     output: Output = None,
     listen: Listen = None,
     token_file: TokenFile = None,
+    open_to_this_computer: OpenToThisComputer = False,
     sounds: Sounds = None,
     queue: Queue = False,
-    origins: Origins = "",
     config: Config = DEFAULT_FACE,
     model: Model = None,
     osc: Osc = None,
@@ -160,8 +172,12 @@ def daemon(
     voice = daemons_voice(
         chosen_voice(play=play, output=output),
         listen,
-        VoiceOptions(None, text_of(token_file), text_of(sounds), queue, origins),
+        VoiceOptions(None, None if dashboard else text_of(token_file), text_of(sounds), queue),
     )
+    if listen != "none" or dashboard:
+        token_file = access_file(token_file, open_to_this_computer=open_to_this_computer)
+    if voice is not None:
+        voice = with_access(voice, config, token_file)
     request = RunRequest(
         config,
         _sound(wav, mic, SILENCE),
@@ -177,7 +193,7 @@ def daemon(
         avatars=AvatarTargets(osc, live_link),
     )
     with ExitStack() as stack:
-        listener = bound_listener(listen, request.voice.token_file if request.voice else None)
+        listener = bound_listener(listen, text_of(token_file))
         if listener is not None:
             stack.enter_context(listener)
         at_port = stack.enter_context(servo_port(port, sim, config))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lipservo.agents.listener import read_token
+from lipservo.access.token_file import read_token
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,

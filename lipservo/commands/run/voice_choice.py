@@ -1,10 +1,12 @@
-"""The options of a robot that speaks, as a run needs them."""
+"""The options of a robot that speaks and of its servers, as a run needs them."""
 
 from dataclasses import replace
 from pathlib import Path
 
 import typer
 
+from lipservo.access.token_file import read_token, runtime_token_file
+from lipservo.face.assembly import load_settings
 from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
 
 
@@ -29,6 +31,25 @@ def daemons_voice(
             raise typer.BadParameter("--listen none: nobody is there for the options of agents")
         return voice
     return replace(agents, output=None if voice is None else voice.output)
+
+
+def access_file(token_file: Path | None, *, open_to_this_computer: bool) -> Path | None:
+    """The file of the token that a face's servers ask for; None: open to this computer.
+
+    Raises UserError, ControlError.
+    """
+    if token_file is None:
+        return None if open_to_this_computer else runtime_token_file()
+    if open_to_this_computer:
+        raise typer.BadParameter("give --token-file or --open-to-this-computer, not both")
+    read_token(str(token_file))
+    return token_file
+
+
+def with_access(voice: VoiceOptions, config: str, token_file: Path | None) -> VoiceOptions:
+    """A voice whose agents need the token of that file, and the origins of the face's YAML."""
+    origins = ",".join(load_settings(config)[0].access.origins)
+    return replace(voice, token_file=text_of(token_file), origins=origins)
 
 
 def text_of(path: Path | None) -> str | None:

@@ -1,6 +1,7 @@
-"""Whatever goes wrong is told as {"error": one line}, with the status that fits."""
+"""Errors of the API: {"error": one line}, with the status that fits."""
 
 import logging
+from collections.abc import Sequence
 from typing import Any, Final
 
 from fastapi import FastAPI, Request
@@ -19,6 +20,7 @@ _STATUS_OF: Final = {
     "not_available": 409,
     "too_large": 413,
     "not_sound": 415,
+    "stalled": 408,
     "not_saved": 409,
     "not_answering": 503,
     "disconnected": 503,
@@ -31,16 +33,14 @@ def add_error_answers(app: FastAPI) -> None:
     """Answer every error of an application in JSON."""
 
     async def of_face(_request: Request, error: Exception) -> JSONResponse:
-        code = getattr(error, "code", "")
-        return _answer(_STATUS_OF.get(code, _BUSY), str(error))
+        assert isinstance(error, FaceError)
+        return _answer(status_of(error), str(error))
 
     async def of_body(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, RequestValidationError)
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"] if part != "body")
-        if first["type"] == "json_invalid":
+        if error.errors()[0]["type"] == "json_invalid":
             return _answer(400, "the body is no JSON")
-        return _answer(422, f"{where}: {first['msg']}" if where else str(first["msg"]))
+        return _answer(422, first_error(error.errors()))
 
     async def of_http(_request: Request, error: Exception) -> JSONResponse:
         assert isinstance(error, HTTPException)
@@ -54,6 +54,17 @@ def add_error_answers(app: FastAPI) -> None:
     app.add_exception_handler(RequestValidationError, of_body)
     app.add_exception_handler(HTTPException, of_http)
     app.add_exception_handler(Exception, of_ours)
+
+
+def status_of(error: FaceError) -> int:
+    """The HTTP status of what a face refuses."""
+    return _STATUS_OF.get(error.code, _BUSY)
+
+
+def first_error(errors: Sequence[Any]) -> str:
+    """One line of pydantic's: where in the body, and what."""
+    where = ".".join(str(part) for part in errors[0]["loc"] if part != "body")
+    return f"{where}: {errors[0]['msg']}" if where else str(errors[0]["msg"])
 
 
 def _answer(status: int, text: str, headers: Any = None) -> JSONResponse:

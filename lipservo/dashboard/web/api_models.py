@@ -18,9 +18,17 @@ class StopBody(Body):
     """soft: to rest, then limp; freeze: held where it is; limp: at once.
 
     wait_s: answer once the servos have confirmed the end, at most so much later; 0: at once.
+    end: a daemon ends with it, and waits for no start; needs the token.
     """
 
     level: Literal["soft", "freeze", "limp"] = "soft"
+    wait_s: Annotated[float, Field(ge=0.0, le=30.0)] = 0.0
+    end: bool = False
+
+
+class StartBody(Body):
+    """wait_s: answer once the face is driven, or says why not; at most so much later."""
+
     wait_s: Annotated[float, Field(ge=0.0, le=30.0)] = 0.0
 
 

@@ -1,4 +1,4 @@
-"""The dashboard as one ASGI application: the door, behind it the API and the pages."""
+"""The dashboard as one ASGI application: stop, policy, and within these the API and the pages."""
 
 import contextlib
 import os
@@ -11,8 +11,10 @@ from fastapi import FastAPI
 
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.twin.routes import twin_routes
+from lipservo.dashboard.web.access_layer import AccessLayer, OneTimeCode
 from lipservo.dashboard.web.api import make_api
-from lipservo.dashboard.web.browser_admission import App, Door, Receive, Scope, Send
+from lipservo.dashboard.web.asgi import App, Receive, Scope, Send
+from lipservo.dashboard.web.stop_route import StopRoute
 from lipsync.face.model import load_face
 
 #: What the API answers; everything else is a page.
@@ -33,11 +35,17 @@ class _Parted:
         await app(scope, receive, send)
 
 
-def make_app(link: FaceLink, token: str | None, model: Path | None = None) -> App:
+def make_app(
+    link: FaceLink,
+    token: str | None,
+    model: Path | None = None,
+    code: OneTimeCode | None = None,
+) -> App:
     """The whole dashboard of one face; the link runs while it does.
 
     Of one process: NiceGUI has one set of pages. model: the face model that the face runs with,
-    whose components move the twin; None: the shipped one. Raises ModelError.
+    whose components move the twin; None: the shipped one. token: see `Policy`. code: that the
+    first browser is started with. Raises ModelError.
     """
     # FastAPI would send what it measures to wherever the environment says.
     os.environ["OTEL_SDK_DISABLED"] = "true"
@@ -57,4 +65,11 @@ def make_app(link: FaceLink, token: str | None, model: Path | None = None) -> Ap
     twin_routes(pages, load_face(model))
     build_pages(link)
     ui.run_with(pages, title="lipservo", show_welcome_message=False, tailwind=False)
-    return Door(_Parted(make_api(link), pages), token)
+    return with_access(_Parted(make_api(link), pages), link, token, code)
+
+
+def with_access(
+    app: App, link: FaceLink, token: str | None, code: OneTimeCode | None = None
+) -> App:
+    """An application behind its policy, and before both the stop."""
+    return StopRoute(AccessLayer(app, token, lambda: link.origins, code), link, token)

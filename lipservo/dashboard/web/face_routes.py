@@ -15,8 +15,10 @@ from lipservo.dashboard.web.api_models import (
     LookBody,
     SayBody,
     ServoBody,
+    StartBody,
     StopBody,
 )
+from lipservo.dashboard.web.stop_route import stop_face
 
 Told = dict[str, Any]
 _COUNTS = (
@@ -40,11 +42,14 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.post("/stop")
     async def stop(body: StopBody | None = None) -> Told:
-        """Stop the face. Works whatever else hangs."""
-        asked = body or StopBody()
-        answer = await link.stop(asked.level, asked.wait_s)
-        report = {"report": answer.get("report")} if asked.wait_s else {}
-        return {"accepted": answer.get("accepted"), **report}
+        """Stop the face. On this computer it needs no token. A daemon then waits for a start."""
+        # Answered by `StopRoute`, which is around all of this, and described here.
+        return await stop_face(link, body or StopBody())
+
+    @routes.post("/start")
+    async def start(body: StartBody | None = None) -> Told:
+        """Drive a stopped face again, through the ordinary checks. It moves."""
+        return dict(await link.start((body or StartBody()).wait_s))
 
     @routes.post("/say")
     async def say(body: SayBody) -> Told:

@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request
+from fastapi.responses import JSONResponse
+from starlette.requests import ClientDisconnect
 
 from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.saved_settings import own_yaml, saved_settings, with_settings
 from lipservo.dashboard.sound_lines import MOST_BYTES, SoundLines, checked_name
+from lipservo.dashboard.uploads import Uploads
 from lipservo.dashboard.web.api_models import PlayBody, SettingsBody
 
 Told = dict[str, Any]
@@ -19,6 +22,7 @@ Told = dict[str, Any]
 def file_routes(link: FaceLink) -> APIRouter:
     """Settings, live and saved; lines: list, upload, delete, play."""
     routes = APIRouter(prefix="/api")
+    uploads = Uploads()
 
     def said(name: str) -> str | None:
         value = (link.status or {}).get(name)
@@ -48,13 +52,17 @@ def file_routes(link: FaceLink) -> APIRouter:
         """The sound files that the face can play."""
         return {"lines": await asyncio.to_thread(lines().listed)}
 
-    @routes.post("/lines", status_code=201)
-    async def upload(request: Request, name: str, replace: bool = False) -> Told:
+    @routes.post("/lines", status_code=201, response_model=dict[str, Any])
+    async def upload(request: Request, name: str, replace: bool = False) -> Any:
         """Store the body, a sound file as it is, under a name; at most 50 MB."""
         declared = request.headers.get("content-length", "")
         if declared.isdigit() and int(declared) > MOST_BYTES:
             raise HTTPException(413, f"more than {MOST_BYTES // 10**6} MB")
-        return await lines().store(name, request.stream(), replace=replace)
+        place = lines().place_of(name)
+        try:
+            return await uploads.store(place, request.stream(), replace=replace)
+        except ClientDisconnect:
+            return JSONResponse({"error": "the client has gone"}, 400)
 
     @routes.delete("/lines/{name}")
     async def remove(name: str) -> Told:

@@ -9,7 +9,8 @@ import uvicorn
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.web.browser_admission import App
+from lipservo.dashboard.web.access_layer import OneTimeCode
+from lipservo.dashboard.web.asgi import App
 from lipservo.dashboard.web.dashboard_app import make_app
 
 #: Frames that the kernel may hold for a client that does not read; by itself it takes megabytes.
@@ -32,16 +33,17 @@ class _BoundedSocket(WebSocketsSansIOProtocol):
 
 def serve(
     listener: socket.socket,
-    find: Callable[[], Path],
+    link: FaceLink,
     token: str | None,
     on_ready: Callable[[], None],
     model: Path | None = None,
+    code: OneTimeCode | None = None,
 ) -> None:
-    """Serve until a signal ends it. find: the socket of the face; on_ready: called once it can.
+    """Serve until a signal ends it. link: to the face; on_ready: called once it can.
 
-    model: that the face runs with. Raises ModelError.
+    token, code: as `make_app`. model: that the face runs with. Raises ModelError.
     """
-    app = make_app(FaceLink(find, token), token, model)
+    app = make_app(link, token, model, code)
     server_of(app, on_ready).run([bounded(listener)])
 
 

@@ -7,6 +7,7 @@ import pytest
 from voice_agents.served_face import DELAY_MS, RATE_HZ, ServedFace, tone, until
 
 import lipservo
+from lipservo.access.admission import Policy
 from lipservo.agents.agent_settings import AgentSettings
 from lipservo.client.face_answers import FaceError, Played
 
@@ -170,9 +171,9 @@ def test_what_is_no_address_is_one_line(url):
         lipservo.connect(url).__enter__()
 
 
-def test_a_token_opens_the_door():
-    with ServedFace(AgentSettings(token="sesame")) as served:
-        with pytest.raises(FaceError, match="send the token"):
+def test_the_token_is_needed():
+    with ServedFace(AgentSettings(policy=Policy("sesame"))) as served:
+        with pytest.raises(FaceError, match="needs the token"):
             lipservo.connect(served.url).__enter__()
         with lipservo.connect(served.url, token="sesame") as face:
             assert face.status()["state"] == "driven"

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 from voice_agents.served_face import ServedFace
 
 from lipservo import command_line
+from lipservo.access.admission import Policy
 from lipservo.agents.agent_settings import AgentSettings
 from lipservo.cli import app
 from lipsync.phoneme_files.reader import read_known_phonemes
@@ -166,7 +167,7 @@ def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path, ca
     texts = []
     token = tmp_path / "token"
     token.write_text("open sesame\n")
-    settings = AgentSettings(token="open sesame")
+    settings = AgentSettings(policy=Policy("open sesame"))
     with ServedFace(settings, say=lambda text: texts.append(text) or {}) as face:
         told = ("say", "Good morning.", "--through", face.url)
         done = CliRunner().invoke(app, [*told, "--token-file", str(token)])

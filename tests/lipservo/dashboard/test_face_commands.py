@@ -10,6 +10,8 @@ from places import short_folder
 
 from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_commands import FaceCommands
+from lipservo.dashboard.web.api_models import StopBody
+from lipservo.dashboard.web.stop_route import stop_face
 
 
 class Ear:
@@ -53,8 +55,10 @@ def heard(do):
 @pytest.mark.parametrize(
     ("do", "word"),
     [
-        (lambda face: face.stop(), "soft"),
-        (lambda face: face.stop("limp"), "limp"),
+        (lambda face: stop_face(face, StopBody()), "soft"),
+        (lambda face: stop_face(face, StopBody(level="limp")), "limp"),
+        (lambda face: stop_face(face, StopBody(level="soft", end=True)), "soft end"),
+        (lambda face: face.start(), "start"),
         (lambda face: face.change({"strength": 0.5}), "set strength 0.5"),
         (lambda face: face.change({"a": 1, "b": 1e-9}), "set a 1.0 b 1e-09"),
         (lambda face: face.servo("jaw", "reboot"), "servo jaw reboot"),
@@ -84,8 +88,6 @@ def test_a_mood_says_when_it_was_set():
 @pytest.mark.parametrize(
     "do",
     [
-        lambda face: face.stop("hard"),
-        lambda face: face.stop(""),
         lambda face: face.change({}),
         lambda face: face.change({"strength": float("nan")}),
         lambda face: face.change({"strength": float("inf")}),

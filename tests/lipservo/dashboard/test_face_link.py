@@ -10,6 +10,8 @@ from watched_face import LAYOUT, WatchedFace
 
 from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.web.api_models import StopBody
+from lipservo.dashboard.web.stop_route import stop_face
 from lipsync.errors import UserError
 
 
@@ -52,10 +54,10 @@ def test_a_face_that_ends_is_gone_and_one_that_comes_after_it_is_found():
             await until(lambda: not link.answers and link.servos_gone)
             assert not link.certainty()["up"]
             with pytest.raises(FaceError, match="no face answers"):
-                await link.stop()
+                await stop_face(link, StopBody())
             with WatchedFace(path) as second:
                 await until(lambda: link.answers and not link.servos_gone)
-                await link.stop("limp")
+                await stop_face(link, StopBody(level="limp"))
                 await until(lambda: second.said == ["limp"])
 
     asyncio.run(watched())
@@ -68,10 +70,10 @@ def test_a_stop_finds_a_face_that_has_another_socket_by_now():
     async def watched():
         link = FaceLink(lambda: next(path for path in paths if path.exists()))
         with WatchedFace(paths[0]) as first:
-            await link.stop()
+            await stop_face(link, StopBody())
             await until(lambda: first.said == ["soft"])
         with WatchedFace(paths[1]) as second:
-            await link.stop()
+            await stop_face(link, StopBody())
             await until(lambda: second.said == ["soft"])
         link.close()
 

@@ -1,6 +1,7 @@
 """Sound files of a face: stored whole and known to be sound, by names that lead nowhere else."""
 
 import asyncio
+import threading
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from hypothesis import strategies as st
 from written_performance import written_performance
 
 from lipservo.client.face_answers import FaceError
-from lipservo.dashboard import sound_lines
+from lipservo.dashboard import uploads
 from lipservo.dashboard.sound_lines import SoundLines, checked_name
+from lipservo.dashboard.uploads import MOST_AT_ONCE, Uploads
 
 
 @pytest.fixture
@@ -33,7 +35,7 @@ def stored(folder, name, content, **options):
         for first in range(0, len(content), 4096):
             yield content[first : first + 4096]
 
-    return asyncio.run(SoundLines(folder).store(name, chunks(), **options))
+    return asyncio.run(Uploads().store(SoundLines(folder).place_of(name), chunks(), **options))
 
 
 def refused(code, do, *arguments, **options):
@@ -98,7 +100,7 @@ def test_what_is_no_sound_is_not_kept(folder, content):
 
 
 def test_what_is_too_large_is_not_kept(folder, sound, monkeypatch):
-    monkeypatch.setattr(sound_lines, "MOST_BYTES", len(sound) - 1)
+    monkeypatch.setattr(uploads, "MOST_BYTES", len(sound) - 1)
     refused("too_large", stored, folder, "hello.wav", sound)
     assert list(folder.iterdir()) == []
 
@@ -109,8 +111,63 @@ def test_an_upload_that_breaks_off_leaves_nothing(folder, sound):
         raise ConnectionError("gone")
 
     with pytest.raises((ConnectionError, FaceError)):
-        asyncio.run(SoundLines(folder).store("hello.wav", broken()))
+        asyncio.run(Uploads().store(folder / "hello.wav", broken()))
     assert list(folder.iterdir()) == []
+
+
+def test_a_client_that_sends_too_slowly_is_given_up_and_leaves_nothing(folder, sound, monkeypatch):
+    monkeypatch.setattr(uploads, "_STALLED_S", 0.05)
+
+    async def stalled():
+        yield sound[:1000]
+        await asyncio.sleep(60.0)
+
+    with pytest.raises(FaceError) as raised:
+        asyncio.run(Uploads().store(folder / "hello.wav", stalled()))
+    assert raised.value.code == "stalled"
+    assert list(folder.iterdir()) == []
+
+
+def test_a_few_uploads_come_in_at_a_time_and_one_more_is_refused(folder, sound):
+    async def crowd():
+        coming, go_on = Uploads(), asyncio.Event()
+
+        async def chunks():
+            await go_on.wait()
+            yield sound
+
+        first = [
+            asyncio.ensure_future(coming.store(folder / f"{n}.wav", chunks()))
+            for n in range(MOST_AT_ONCE)
+        ]
+        await asyncio.sleep(0)
+        with pytest.raises(FaceError) as raised:
+            await coming.store(folder / "more.wav", chunks())
+        go_on.set()
+        await asyncio.gather(*first)
+        await coming.store(folder / "more.wav", chunks())
+        return raised.value.code
+
+    assert asyncio.run(crowd()) == "busy"
+    assert len(list(folder.iterdir())) == MOST_AT_ONCE + 1
+
+
+def test_the_event_loop_goes_on_while_a_disk_is_slow(folder, sound, monkeypatch):
+    """A card takes seconds for one fsync; here it takes as long as the loop needs."""
+    loop_went_on = threading.Event()
+    monkeypatch.setattr(uploads.os, "fsync", lambda _fd: loop_went_on.wait(60.0) or 1 / 0)
+
+    async def upload():
+        async def chunks():
+            yield sound
+
+        storing = asyncio.ensure_future(Uploads().store(folder / "hello.wav", chunks()))
+        while not any(path.stat().st_size for path in folder.iterdir()):
+            await asyncio.sleep(0.01)
+        loop_went_on.set()
+        return await storing
+
+    assert asyncio.run(upload())["n_bytes"] == len(sound)
 
 
 def test_links_and_folders_are_no_lines(folder, tmp_path):

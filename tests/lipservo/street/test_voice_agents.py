@@ -23,7 +23,7 @@ from running_daemon import (
 
 import lipservo
 from firmware_bridge.process.control_client import ask
-from lipservo.agents.listener import read_token
+from lipservo.access.token_file import read_token
 from lipservo.client.face_answers import FaceError
 from lipservo.face.sim_process import simulated_port
 from lipservo.street.voice_agents import bound_listener

@@ -1,17 +1,17 @@
-"""The dashboard's API behind its door, served over real sockets to a face that is watched."""
+"""The dashboard's API behind its policy, served over real sockets to a face that is watched."""
 
 import contextlib
 import threading
 import time
 
 import httpx
+from lipservo.dashboard.web.dashboard_app import with_access
 from places import short_folder
 from watched_face import WatchedFace
 
 from lipservo.agents.listener import bind_listener
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.web.api import make_api
-from lipservo.dashboard.web.browser_admission import Door
 from lipservo.dashboard.web.serving import bounded, server_of
 
 
@@ -29,10 +29,13 @@ class Dashboard:
 
 
 @contextlib.contextmanager
-def served(status=None, *, token=None, ping_s=4.0):
+def served(status=None, *, token=None, ping_s=4.0, code=None):
     """A dashboard whose face has answered."""
     path = short_folder() / "tom.sock"
-    with WatchedFace(path, status) as face, served_for(lambda: path, token, ping_s) as dashboard:
+    with (
+        WatchedFace(path, status) as face,
+        served_for(lambda: path, token, ping_s, code) as dashboard,
+    ):
         dashboard.face = face
         while dashboard.link.moment.servos_gone or not dashboard.link.answers:
             time.sleep(0.02)
@@ -40,7 +43,7 @@ def served(status=None, *, token=None, ping_s=4.0):
 
 
 @contextlib.contextmanager
-def served_for(find, token=None, ping_s=4.0):
+def served_for(find, token=None, ping_s=4.0, code=None):
     """A dashboard of whatever face is found, or of none."""
     link = FaceLink(find, token)
     api = make_api(link)
@@ -53,7 +56,7 @@ def served_for(find, token=None, ping_s=4.0):
     api.router.lifespan_context = running
     listener = bounded(bind_listener("127.0.0.1:0", None))
     ready = threading.Event()
-    server = server_of(Door(api, token), ready.set, ping_s)
+    server = server_of(with_access(api, link, token, code), ready.set, ping_s)
     thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
     thread.start()
     try:

@@ -82,7 +82,7 @@ class ServedFace:
         self._stands = threading.Event()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        listener = bind_listener("127.0.0.1:0", self.settings.token)
+        listener = bind_listener("127.0.0.1:0", self.settings.policy.token)
         self.path = short_folder() / "face.sock"
         self.server = AgentServer(
             listener,

@@ -29,6 +29,7 @@ _OF_FAILED_REQUESTS = "Failed to load resource"
 def _served(control, *options):
     """A dashboard of the face at a socket, in a process of its own: (address, process)."""
     command = [sys.executable, "-m", "lipservo", "dashboard", "--control", str(control), *options]
+    command += ["--open-to-this-computer"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
             for line in process.stderr:

@@ -7,6 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from served_dashboard import served, wait_for
 from watched_face import SERVOS
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 HEALTH = [
     {"name": "jaw", "servo_id": 11, "state": "driven", "temperature_degc": 41.0, "load": 0.2,
@@ -257,10 +259,10 @@ def test_every_answer_forbids_frames_and_other_hosts(client):
         assert headers["x-content-type-options"] == "nosniff"
 
 
-def test_the_door_is_before_the_api(client):
+def test_the_policy_is_before_the_api(client):
     assert client.get("/api/status", headers={"host": "evil.example"}).status_code == 403
     foreign = {"origin": "http://evil.example"}
-    assert "let in" in error_of(client.post("/api/stop", headers=foreign), 403)
+    assert "not admitted" in error_of(client.post("/api/stop", headers=foreign), 403)
 
 
 def test_history_is_the_last_frames(client, dashboard):
@@ -274,12 +276,20 @@ def test_history_is_the_last_frames(client, dashboard):
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
 
-def test_with_a_token_nothing_is_told_without_it():
+def test_with_a_token_nothing_but_a_stop_is_done_without_it():
     with served(token="a secret") as dashboard, dashboard.client() as client:
         for path in ("/api/status", "/metrics", "/docs", "/static/frame.js", "/openapi.json"):
             error_of(client.get(path), 401)
-        error_of(client.post("/api/stop"), 401)
+            with pytest.raises(InvalidStatus), connect(dashboard.streams + "/api/twin", proxy=None):
+                pass
+        error_of(client.post("/api/start"), 401)
+        error_of(client.post("/api/jog", json={"action": "arm"}), 401)
+        error_of(client.post("/api/stop", json={"end": True}), 401)
+        error_of(client.post("/api/stop", json={"level": "limp"}, headers={"via": "1.1 x"}), 401)
         assert dashboard.face.said == []
+        for headers in ({}, {"authorization": "Bearer an old one"}):
+            assert client.post("/api/stop", headers=headers).json() == {"accepted": "soft"}
+        wait_for(lambda: dashboard.face.said == ["soft", "soft"])
         bearer = {"authorization": "Bearer a secret"}
         assert client.get("/api/status", headers=bearer).status_code == 200
         sent_on = client.get("/docs?token=a%20secret")

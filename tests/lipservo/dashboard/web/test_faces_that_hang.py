@@ -32,6 +32,7 @@ def test_a_stop_comes_through_while_everything_else_hangs():
             dashboard.link._others.submit(time.sleep, 3.0)
             dashboard.link._others.submit(time.sleep, 3.0)
             dashboard.link._asking.submit(time.sleep, 3.0)
+            dashboard.link._finding.submit(time.sleep, 3.0)
 
             told = client.post("/api/stop", json={"level": "limp"}).json()
             assert told["accepted"] == "limp"

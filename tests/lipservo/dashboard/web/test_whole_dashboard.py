@@ -28,12 +28,12 @@ def daemon(tmp_path, monkeypatch):
         yield process
 
 
-def frames(address, n):
+def frames(address, n, headers):
     """The hello and n frames of the twin."""
 
     async def read():
         url = f"{address.replace('http', 'ws', 1)}/api/twin"
-        async with connect(url, proxy=None) as stream:
+        async with connect(url, proxy=None, additional_headers=headers) as stream:
             return [await stream.recv() for _ in range(n + 1)]
 
     return asyncio.run(read())
@@ -41,14 +41,20 @@ def frames(address, n):
 
 def test_a_face_is_seen_stopped_and_goes_on_without_its_page(daemon):
     wait_for(lambda: "dashboard: http://" in log(daemon))
-    address = re.search(r"dashboard: (http://\S+)", log(daemon))[1]
-    with httpx.Client(base_url=address, timeout=60.0, trust_env=False) as client:
+    printed = re.search(r"dashboard: (http://\S+)", log(daemon))[1]
+    address, token = printed.split("/?token=")
+    bearer = {"authorization": f"Bearer {token}"}
+    with httpx.Client(base_url=address, headers=bearer, timeout=60.0, trust_env=False) as client:
+        assert httpx.get(f"{address}/api/health", trust_env=False).status_code == 401
+        with httpx.Client(follow_redirects=True, timeout=60.0, trust_env=False) as browser:
+            assert browser.get(printed).status_code == 200
+            assert "token" not in str(browser.get(address).url)
         wait_for(lambda: client.get("/api/health").json()["up"])
         wait_for(lambda: all_driven(daemon))
 
         told = client.get("/api/status").json()
         assert told["name"] == "simulated mouth"
-        hello, *found = frames(address, 40)
+        hello, *found = frames(address, 40, bearer)
         assert len(json.loads(hello)["servos"]) == len(told["servos"])
         numbers = [struct.unpack_from("<I", frame)[0] for frame in found]
         assert numbers == sorted(set(numbers))
@@ -58,7 +64,7 @@ def test_a_face_is_seen_stopped_and_goes_on_without_its_page(daemon):
         page = client.get("/")
         assert page.status_code == 200
         assert not re.search(r"""(?:src|href)=["'](?:https?:)?//""", page.text)
-        assert client.get("/", headers={"host": "evil.example"}).status_code == 403
+        assert httpx.get(address, headers={"host": "evil.example"}).status_code == 401
         foreign = {"origin": "http://evil.example"}
         socket_io = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
         assert client.get(socket_io, headers=foreign).status_code == 403

@@ -1,0 +1,222 @@
+"""Who may connect to a face over TCP: one policy for the agent server and the dashboard's server.
+
+Every request needs the token, on this computer too, but for a stop from this computer. Scripts of
+any web page in a browser reach 127.0.0.1, and a page can make its own name lead there (DNS
+rebinding): so a browser's request counts only if it comes from the server's own page or from an
+origin that the face's YAML lists, and without the token only if `Host` is an address.
+docs/hardware.md, "Who may connect over TCP", is the same for people.
+"""
+
+import hashlib
+import hmac
+import ipaddress
+from collections.abc import Iterable, Mapping, MutableMapping
+from dataclasses import dataclass
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from typing import Any, Final
+from urllib.parse import parse_qsl, urlencode, urlsplit
+
+_SAFE: Final = ("GET", "HEAD")
+#: Programs ask there; everything else is a page, which a person may open by a link.
+_FOR_PROGRAMS: Final = ("/api", "/metrics", "/_nicegui_ws", "/stream", "/control")
+#: With one of these a request came through a proxy: it may be from any computer.
+_FORWARDED: Final = frozenset(
+    ("forwarded", "via", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
+)
+_YEAR_S: Final = 365 * 24 * 3600
+_MOST_FIELDS: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Policy:
+    """What a server asks of its clients.
+
+    token: that they must send; None: those of this computer need none. origins: web pages, as
+    `https://kiosk.example`, whose scripts may connect besides the server's own pages.
+    """
+
+    token: str | None = None
+    origins: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """An HTTP request as far as the policy needs it.
+
+    headers: by lower-case name, `, ` between repeated ones. peer: address of the other end.
+    """
+
+    method: str
+    path: str
+    query: str
+    headers: Mapping[str, str]
+    is_websocket: bool
+    peer: str
+
+    @property
+    def is_page(self) -> bool:
+        """Whether it is for a page that stands by itself in a browser."""
+        within = any(self.path == p or self.path.startswith(f"{p}/") for p in _FOR_PROGRAMS)
+        return not self.is_websocket and self.method in _SAFE and not within
+
+    @property
+    def token_in_query(self) -> str | None:
+        """`?token=...`; None: it has none. Raises ValueError for a query of too many fields."""
+        return dict(parse_qsl(self.query, max_num_fields=_MOST_FIELDS)).get("token")
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """An HTTP answer instead: one line."""
+
+    status: HTTPStatus
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Redirect:
+    """The token of a page's address becomes a cookie; the address follows without it."""
+
+    location: str
+    cookie: str
+
+
+def request_of_scope(scope: MutableMapping[str, Any]) -> Request:
+    """The request of an ASGI scope."""
+    pairs = [(name.decode("latin-1"), value.decode("latin-1")) for name, value in scope["headers"]]
+    return Request(
+        scope.get("method", "GET"),
+        scope["path"],
+        scope["query_string"].decode("latin-1"),
+        merged_headers(pairs),
+        scope["type"] == "websocket",
+        (scope.get("client") or ("",))[0],
+    )
+
+
+def merged_headers(pairs: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """Headers by lower-case name, those of one name joined as HTTP allows."""
+    headers: dict[str, str] = {}
+    for name, value in pairs:
+        key = name.lower()
+        headers[key] = f"{headers[key]}, {value}" if key in headers else value
+    return headers
+
+
+def refusal(request: Request, policy: Policy, *, is_stop: bool = False) -> Refusal | None:
+    """Return why a request is refused; None: it is admitted.
+
+    Parameters
+    ----------
+    is_stop : whether it can do nothing but stop the face, which needs no token on this computer.
+
+    Raises
+    ------
+    ValueError
+        For a request that cannot be read.
+
+    """
+    if not _is_own_page(request, policy):
+        hint = "scripts of this web page are not admitted; its origin is not in the face's YAML"
+        return Refusal(HTTPStatus.FORBIDDEN, hint)
+    needs_none = (is_stop or policy.token is None) and _is_from_this_computer(request)
+    if needs_none and is_plain_host(request.headers.get("host", "")):
+        return None
+    if policy.token is not None and has_token(request, policy.token):
+        return None
+    if needs_none:
+        hint = "this host name is not the face's; use its address"
+        return Refusal(HTTPStatus.FORBIDDEN, hint)
+    hint = "needs the token: `Authorization: Bearer TOKEN` or `?token=TOKEN`; docs/hardware.md"
+    return Refusal(HTTPStatus.UNAUTHORIZED, hint)
+
+
+def has_token(request: Request, token: str) -> bool:
+    """Whether a request brings the token: in its query, as a header, or by our cookie."""
+    in_query = request.token_in_query
+    if in_query is not None and is_same_token(in_query, token):
+        return True
+    scheme, _, given = request.headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        return is_same_token(given.strip(), token)
+    name, value = cookie_of(token)
+    try:
+        cookies = SimpleCookie(request.headers.get("cookie", "").replace(", ", "; "))
+    except CookieError:
+        return False
+    return name in cookies and is_same_token(cookies[name].value, value)
+
+
+def cookie_of(token: str) -> tuple[str, str]:
+    """Name and value of the cookie of a browser that has sent the token; neither contains it.
+
+    Another server of the same host may have another token, and so a cookie of another name.
+    """
+    digest = hmac.new(token.encode(), b"lipservo dashboard", hashlib.sha256).hexdigest()
+    return f"lipservo_{digest[:8]}", digest[8:]
+
+
+def redirect_to_cookie(request: Request, token: str) -> Redirect:
+    """What a browser gets whose page's address held the token."""
+    name, value = cookie_of(token)
+    age = f"Max-Age={_YEAR_S}; Path=/; HttpOnly; SameSite=Strict"
+    fields = parse_qsl(request.query, max_num_fields=_MOST_FIELDS)
+    rest = [pair for pair in fields if pair[0] != "token"]
+    # A path that begins with two slashes would name another host.
+    path = "/" + request.path.lstrip("/\\")
+    return Redirect(f"{path}?{urlencode(rest)}" if rest else path, f"{name}={value}; {age}")
+
+
+def is_same_token(given: str, token: str) -> bool:
+    """Compared in a time that does not depend on how much of it is right."""
+    return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host, by name or address, is this computer as it sees itself."""
+    address = _address(host)
+    return host.lower() == "localhost" if address is None else address.is_loopback
+
+
+def is_plain_host(host: str) -> bool:
+    """Whether a `Host` header is an address or `localhost`: no page makes that lead elsewhere."""
+    try:
+        name = urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return False
+    return name.lower() == "localhost" or _address(name) is not None
+
+
+def _is_from_this_computer(request: Request) -> bool:
+    return is_loopback(request.peer) and _FORWARDED.isdisjoint(request.headers)
+
+
+def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return None
+    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
+    return mapped or address
+
+
+def _is_own_page(request: Request, policy: Policy) -> bool:
+    """Whether the server's own page asks, or a listed one, or none: a program, or a person."""
+    origin = request.headers.get("origin")
+    if origin in policy.origins:
+        return True
+    if origin is not None:
+        try:
+            page = urlsplit(origin)
+        except ValueError:
+            return False
+        own = request.headers.get("host", "").lower()
+        if page.scheme not in ("http", "https") or page.netloc.lower() != own:
+            return False
+    site = request.headers.get("sec-fetch-site", "none")
+    if site in ("none", "same-origin"):
+        return True
+    is_opened = request.headers.get("sec-fetch-mode") == "navigate"
+    is_whole = request.headers.get("sec-fetch-dest") == "document"
+    return request.is_page and is_opened and is_whole

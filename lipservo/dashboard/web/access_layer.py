@@ -1,0 +1,195 @@
+"""Around every page, request and WebSocket of the dashboard: who may, how much, and what goes out.
+
+The policy itself is `lipservo/access/admission.py`; the stop is served before this layer.
+"""
+
+import secrets
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Final
+
+from starlette.exceptions import HTTPException
+
+from lipservo.access.admission import (
+    Policy,
+    Redirect,
+    Refusal,
+    Request,
+    is_same_token,
+    redirect_to_cookie,
+    refusal,
+    request_of_scope,
+)
+from lipservo.access.kernel_sockets import are_listed, connected_users
+from lipservo.dashboard.web.asgi import (
+    SECURITY_HEADERS,
+    App,
+    Headers,
+    Message,
+    Receive,
+    Scope,
+    Send,
+    answer_bytes,
+    answer_json,
+)
+from lipservo.dashboard.web.stop_page import stop_page
+
+#: A sound file (`MOST_BYTES` of lipservo/dashboard/sound_lines.py) with what a form adds; the rest.
+_MOST_FILE_BYTES: Final = 51_000_000
+_MOST_BODY_BYTES: Final = 1 << 20
+#: What scripts of a listed origin may send (CORS): https://fetch.spec.whatwg.org/#http-cors-protocol
+_PREFLIGHT_HEADERS: Final = (
+    (b"access-control-allow-methods", b"GET, POST, PATCH, DELETE"),
+    (b"access-control-allow-headers", b"authorization, content-type"),
+    (b"access-control-max-age", b"600"),
+)
+
+
+class OneTimeCode:
+    """In the address that a browser of this user is started with, in place of the token.
+
+    Every user sees the command lines of others, and a browser keeps its own for long. The code
+    works once, and only for a program of this user.
+    """
+
+    def __init__(self, user: int) -> None:
+        """user: whose browser may come; a number."""
+        self.code = secrets.token_urlsafe()
+        self._user = user
+        self._is_used = False
+
+    def admits(self, given: str, client_port: int, server_port: int) -> bool:
+        """Whether a request with this code may have the token's cookie; true at most once."""
+        if self._is_used or not is_same_token(given, self.code):
+            return False
+        if are_listed() and self._user not in connected_users(client_port, server_port):
+            return False
+        self._is_used = True
+        return True
+
+
+class AccessLayer:
+    """An ASGI application around another, which sees only what is admitted."""
+
+    def __init__(
+        self,
+        app: App,
+        token: str | None,
+        origins: Callable[[], tuple[str, ...]] = tuple,
+        code: OneTimeCode | None = None,
+    ) -> None:
+        """token, origins: see `Policy`; origins are read at each request."""
+        self.app = app
+        self._token = token
+        self._origins = origins
+        self._code = code
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request, or refuse it."""
+        if scope["type"] == "lifespan":
+            await self.app(scope, receive, send)
+            return
+        policy = Policy(self._token, self._origins())
+        is_websocket = scope["type"] == "websocket"
+        try:
+            request = request_of_scope(scope)
+            verdict = self._verdict(request, policy, scope)
+        except ValueError:
+            refused = {"error": "the request cannot be read"}
+            await answer_json(send, HTTPStatus.BAD_REQUEST, refused, is_websocket=is_websocket)
+            return
+        cors = cors_headers(request, policy)
+        if isinstance(verdict, Redirect):
+            headers = [
+                (b"location", verdict.location.encode("latin-1", "replace")),
+                (b"set-cookie", verdict.cookie.encode()),
+                (b"cache-control", b"no-store"),
+            ]
+            await answer_bytes(send, HTTPStatus.SEE_OTHER, headers, b"")
+        elif cors and request.method == "OPTIONS":
+            # A browser asks whether it may, without the token; what follows needs it.
+            await answer_bytes(send, HTTPStatus.NO_CONTENT, [*cors, *_PREFLIGHT_HEADERS], b"")
+        elif verdict is not None and _shows_stop(request, policy):
+            headers = [(b"content-type", b"text/html; charset=utf-8")]
+            headers.append((b"cache-control", b"no-store"))
+            body = b"" if request.method == "HEAD" else stop_page().encode()
+            await answer_bytes(send, verdict.status, headers, body)
+        elif verdict is not None:
+            refused = {"error": verdict.text}
+            await answer_json(send, verdict.status, refused, is_websocket=is_websocket)
+        elif is_websocket:
+            await self.app(scope, receive, send)
+        else:
+            try:
+                await self.app(scope, _bounded(scope, receive), _with_headers(send, cors))
+            except RuntimeError as error:
+                # Starlette's way of saying that the client has gone before it was answered.
+                if str(error) != "No response returned.":
+                    raise
+
+    def _verdict(self, request: Request, policy: Policy, scope: Scope) -> Refusal | Redirect | None:
+        """Raises ValueError for a request that cannot be read."""
+        refused = refusal(request, policy)
+        given = request.token_in_query
+        if policy.token is None or given is None or not request.is_page:
+            return refused
+        is_wanted = is_same_token(given, policy.token) and refused is None
+        is_first = _is_401(refused) and request.method == "GET"
+        if not is_wanted and self._code is not None and is_first:
+            client, server = scope.get("client"), scope.get("server")
+            ports = (client[1], server[1]) if client and server else (0, 0)
+            is_wanted = self._code.admits(given, *ports)
+        return redirect_to_cookie(request, policy.token) if is_wanted else refused
+
+
+def most_bytes(path: str) -> int:
+    """How long the body of a request may be."""
+    takes_files = path == "/api/lines" or path.startswith("/_nicegui/")
+    return _MOST_FILE_BYTES if takes_files else _MOST_BODY_BYTES
+
+
+def cors_headers(request: Request, policy: Policy) -> Headers:
+    """What lets scripts of a listed origin read an answer; nothing for any other."""
+    origin = request.headers.get("origin", "")
+    if origin not in policy.origins:
+        return []
+    return [(b"access-control-allow-origin", origin.encode("latin-1")), (b"vary", b"origin")]
+
+
+def _is_401(refused: Refusal | None) -> bool:
+    """Whether nothing but the token is missing."""
+    return refused is not None and refused.status == HTTPStatus.UNAUTHORIZED
+
+
+def _shows_stop(request: Request, policy: Policy) -> bool:
+    """Whether a page on this computer is refused for the token alone: its STOP works all the same.
+
+    Of the pages that a person opens, not of what these load.
+    """
+    is_seen = "text/html" in request.headers.get("accept", "")
+    is_ours = refusal(request, policy, is_stop=True) is None
+    return request.is_page and is_seen and is_ours and not request.path.startswith("/static/")
+
+
+def _bounded(scope: Scope, receive: Receive) -> Receive:
+    """The parts of a body, until it is longer than any that is meant."""
+    n_bytes = 0
+
+    async def receiving() -> Message:
+        nonlocal n_bytes
+        message = await receive()
+        n_bytes += len(message.get("body", b""))
+        if n_bytes > most_bytes(scope["path"]):
+            raise HTTPException(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "the body is too large")
+        return message
+
+    return receiving
+
+
+def _with_headers(send: Send, cors: Headers) -> Send:
+    async def sending(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message["headers"] = [*message.get("headers", ()), *SECURITY_HEADERS, *cors]
+        await send(message)
+
+    return sending

@@ -1,0 +1,157 @@
+"""`POST /api/stop`, answered before everything else of the dashboard.
+
+The outermost ASGI layer: from here a stop goes to the face's control socket by way of the policy
+(`lipservo/access/admission.py`) and `control_client.send_stop`, in the event loop. It needs no
+thread, no look-up, no status and no disk, so nothing that the dashboard does besides holds it up.
+"""
+
+import asyncio
+import json
+import logging
+from functools import partial
+from http import HTTPStatus
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from firmware_bridge.process.control_client import send_stop
+from firmware_bridge.stopping import StopLevel
+from lipservo.access.admission import Policy, Refusal, Request, refusal, request_of_scope
+from lipservo.agents.stop_answer import stop_answer
+from lipservo.client.face_answers import FaceError
+from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.web.access_layer import cors_headers
+from lipservo.dashboard.web.api_errors import first_error, status_of
+from lipservo.dashboard.web.api_models import StopBody
+from lipservo.dashboard.web.asgi import App, Receive, Scope, Send, answer_json
+
+PATH: Final = "/api/stop"
+#: A body is {"level": "soft", "wait_s": 15, "end": false} at most; a client that sends it slower
+#: holds only itself up, and not for longer.
+_LONGEST_BODY: Final = 1024
+_BODY_S: Final = 5.0
+_AT_ONCE: Final = StopBody()
+
+
+class _BadBodyError(Exception):
+    """A body that is no stop: the status and one line."""
+
+    def __init__(self, status: HTTPStatus, text: str) -> None:
+        super().__init__(text)
+        self.status = status
+
+
+class StopRoute:
+    """An ASGI application around another, which never sees a stop."""
+
+    def __init__(self, app: App, link: FaceLink, token: str | None) -> None:
+        """link: keeps the path of the face's control socket. token: see `Policy`."""
+        self.app = app
+        self._link = link
+        self._token = token
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one stop; hand on whatever else comes."""
+        is_stop = scope["type"] == "http" and scope["path"] == PATH and scope["method"] == "POST"
+        if not is_stop:
+            await self.app(scope, receive, send)
+            return
+        policy = Policy(self._token, self._link.origins)
+        request = request_of_scope(scope)
+        try:
+            status, answer = await self._answer(request, policy, receive)
+        except Exception as error:
+            logging.getLogger("lipservo.dashboard").error("a fault of ours", exc_info=error)
+            status, answer = 500, {"error": f"a fault of the dashboard's: {type(error).__name__}"}
+        await answer_json(send, status, answer, cors_headers(request, policy))
+
+    async def _answer(
+        self, request: Request, policy: Policy, receive: Receive
+    ) -> tuple[int, dict[str, Any]]:
+        try:
+            refused = refusal(request, policy, is_stop=True)
+            stop = _AT_ONCE if refused else await _parsed(receive)
+            if stop.end and not refused:  # more than a stop: what ends waits for no start
+                refused = refusal(request, policy)
+        except _BadBodyError as error:
+            refused = Refusal(error.status, str(error))
+        except ValueError:
+            refused = Refusal(HTTPStatus.BAD_REQUEST, "the request cannot be read")
+        if refused:
+            return refused.status, {"error": refused.text}
+        try:
+            return 200, await stop_face(self._link, stop)
+        except FaceError as error:
+            return status_of(error), {"error": str(error)}
+
+
+async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
+    """Send a stop to the face at once, and wait for its answer.
+
+    Returns
+    -------
+    {"accepted": LEVEL}, with `wait_s` also {"report"}: what the servos confirmed (`StopReport`), or
+    None where no end came in time, or too many clients wait for one.
+
+    Raises
+    ------
+    FaceError
+        not_answering: no face, or one that hangs; refused.
+
+    """
+    path, sent, level = link.control_path, None, StopLevel(stop.level)
+    try:
+        if path is not None:
+            sent = send_stop(path, level, end=stop.end)
+    except BlockingIOError:
+        pass  # so many clients wait there already; it is sent again
+    except OSError:
+        path = None
+    try:
+        if path is None:
+            path = await link.located()
+        waits = link.waiting_for_end(stop.wait_s)
+        with waits as wait_s:
+            again = partial(send_stop, path, level, end=stop.end)
+            answer, report = await stop_answer(sent, again, wait_s)
+    except TimeoutError as error:
+        hint = "`lipservo stop --limp` lets its servos go"
+        raise FaceError("not_answering", f"the face hangs; {hint}") from error
+    except PermissionError as error:
+        raise FaceError("not_answering", "this user may not command the face") from error
+    except OSError as error:
+        raise FaceError("not_answering", f"no face answers: {error}") from error
+    if "error" in answer:
+        raise FaceError("refused", str(answer["error"]))
+    return {"accepted": answer.get("accepted"), **({"report": report} if stop.wait_s else {})}
+
+
+async def _parsed(receive: Receive) -> StopBody:
+    """The body of a stop; an empty one is a soft stop. Raises _BadBodyError."""
+    body = b""
+    try:
+        async with asyncio.timeout(_BODY_S):
+            while True:
+                message = await receive()
+                if message["type"] == "http.disconnect":
+                    raise _BadBodyError(HTTPStatus.BAD_REQUEST, "the client has gone")
+                body += message.get("body", b"")
+                if len(body) > _LONGEST_BODY:
+                    long = f"the body is longer than {_LONGEST_BODY} bytes"
+                    raise _BadBodyError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, long)
+                if not message.get("more_body"):
+                    break
+    except TimeoutError:
+        slow = f"the body did not come within {_BODY_S:g} s"
+        raise _BadBodyError(HTTPStatus.REQUEST_TIMEOUT, slow) from None
+    if not body:
+        return _AT_ONCE
+    try:
+        json.loads(body)
+    except (ValueError, RecursionError):
+        raise _BadBodyError(HTTPStatus.BAD_REQUEST, "the body is no JSON") from None
+    try:
+        return StopBody.model_validate_json(body)
+    except ValidationError as error:
+        line = first_error(error.errors())
+        raise _BadBodyError(HTTPStatus.UNPROCESSABLE_ENTITY, line) from None
