@@ -240,9 +240,10 @@ function learn(report) {
   keptMs = performance.now();
 }
 
-/** Whether two reports name the same servos: the second adds nothing to the first. */
+/** Whether a report says nothing that the other does not; what came with it in an answer aside. */
 function isSame(one, other) {
-  const key = (report) => JSON.stringify([report?.confirmed ?? [], report?.unconfirmed ?? {}]);
+  const key = (report) =>
+    JSON.stringify([report?.confirmed ?? [], report?.unconfirmed ?? {}, report?.at_rest ?? null]);
   return Boolean(one) && key(one) === key(other);
 }
 

@@ -74,7 +74,7 @@ class FaceRobot extends HTMLElement {
 }
 
 const LAST = "Not driven: drawn where its joints were read last.";
-const UNREAD = "Not driven: where its joints are is not read.";
+const UNREAD = "Not driven: its joints are not read, and drawn at 0°.";
 
 /** Which parts are hatched, in a sentence. Pure. */
 export function lostWords(names) {
