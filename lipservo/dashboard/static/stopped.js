@@ -62,7 +62,7 @@ export function stoppedWords(status, word) {
     text += " Their port is gone: look at the plug.";
     if (tone === "good") tone = "warn";
   }
-  return [tone, status?.can_start && tone === "good" ? `${text} Start it again with Start.` : text];
+  return [tone, isStopped(status) && tone === "good" ? `${text} Start it again with Start.` : text];
 }
 
 /** [tone, sentence] of a face that is away after a stop. lastState: of its servo side. Pure. */
@@ -110,7 +110,8 @@ function render() {
     status: face.status, frame: face.frame, ageMs: frameAgeMs(), word, wordMs: nowMs - keptMs,
     isStarting: starting !== null,
   });
-  const mayStart = face.phase === "stopped" && face.status?.can_start === true;
+  // Also while torque is switched off once more, when `can_start` is false for a moment.
+  const mayStart = face.phase === "stopped" && isStopped(face.status);
   if (!mayStart) askedMs = null;
   if (face.phase !== "stopped" && face.phase !== "starting") failure = "";
   if (!isTrying()) {
