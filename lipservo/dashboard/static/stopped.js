@@ -217,9 +217,9 @@ function follow(status) {
 
 function take(status) {
   if (starting !== null) follow(status);
-  else if (status !== null && wasStopped && !status.stopped && !AT_END.includes(status.state)) {
+  else if (status !== null && wasStopped && !status.stopped && !AT_END.includes(status.state) && !isJustPressed()) {
     // Another page, a terminal or an agent has started it.
-    if (performance.now() - pressedMs > STALE_MS) driven();
+    driven();
     failure = "";
     sawMoving = false;
     starting = { sinceMs: performance.now(), isOwn: false, acceptedMs: 0, hasBegun: true, stops: nStops };
@@ -232,6 +232,11 @@ function take(status) {
     if (isOver && AT_END.includes(status.state) && status.stop_report) learn(status.stop_report);
   }
   render();
+}
+
+/** Whether what comes now may be of before a press of STOP. */
+function isJustPressed() {
+  return performance.now() - pressedMs < STALE_MS;
 }
 
 /** Keep what a status reports; its time is known only where this page saw the face move before. */
@@ -273,7 +278,13 @@ onFrame((frame) => {
   const nowMs = performance.now();
   // Driven again, by the servo side itself: what was confirmed before holds no more.
   const isOver = kept() !== null && hasTorque(frame) && nowMs - keptMs > LATE_MS;
-  if ((isOver || nDriven === 60) && nowMs - pressedMs > STALE_MS) driven();
+  if ((isOver || nDriven === 60) && !isJustPressed()) driven();
+  const isUp = frame.servosGone || frame.state === "driven" || frame.state === "silent";
+  if (doneTimer !== null && !isUp) {
+    clearTimeout(doneTimer);
+    doneTimer = null;
+    hush();
+  }
 });
 onHello(() => (nDriven = 0));
 onStatus(take);

@@ -1,7 +1,7 @@
 // The head of the page: state in words, and a banner when something that matters is gone.
 import { face, frameAgeMs, OLD_MS, onStatus } from "./link.js";
 import { isLimp, kept } from "./stop.js";
-import { stateWords, statusWords } from "./words.js";
+import { isStopped, stateWords, statusWords } from "./words.js";
 
 const PERIOD_MS = 100;
 const PATIENT_MS = 4000; // a page that has just been opened has no frame yet
@@ -87,7 +87,7 @@ function stopWords(state, word) {
 
 /** `driven` is not claimed of a face whose port is gone, or of which some servos are not. Pure. */
 export function withServos([words, tone], status) {
-  if (tone !== "good") return [words, tone];
+  if (tone !== "good" || isStopped(status)) return [words, tone]; // a status of before the start
   if (status?.plugged === false) return ["port gone: look at the plug", "bad"];
   const states = Object.values(status?.servos ?? {});
   const nOut = states.filter((each) => each !== "driven").length;

@@ -1,13 +1,13 @@
 // What states are called in plain words, and how numbers and texts are shown.
 
 const STATES = {
-  stopped: ["not started yet", "quiet"],
+  stopped: ["not driven", "quiet"],
   driven: ["driven", "good"],
   silent: ["resting: limp until somebody speaks", "quiet"],
   easing: ["stopping: easing to rest", "warn"],
   frozen: ["stopped: frozen where it is", "warn"],
   "letting go": ["letting go: torque goes off", "warn"],
-  ended: ["ended: limp", "quiet"],
+  ended: ["ended", "quiet"],
 };
 
 /** [words, tone] of a face's state; tone: good, quiet, warn or bad. Pure. */

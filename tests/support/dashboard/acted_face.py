@@ -22,8 +22,8 @@ class ActedFace(AnsweringFace):
 
     encoders_deg: by servo, NaN: it never answered. said: every stop that came. writes_servos,
     writes_speech: False: that side is gone. answers: False: it hangs. unconfirmed: what its servos
-    do not confirm at the next stop, by name. is_supervised: both sides end with a stop, as those of
-    a daemon do; False: one process ticks on.
+    do not confirm at the next stop, by name. has_bridge: both sides tick on while it is stopped;
+    False: they are gone, and a supervisor answers alone.
 
     A soft stop or limp leads to state `stopped`, as in a daemon, which `start` and then `come_up`
     end; is_daemon: False: it leads to `ended`.
@@ -52,7 +52,7 @@ class ActedFace(AnsweringFace):
         self.phoneme = "SIL"
         self.coefficients = np.zeros(8)
         self.writes_servos = self.writes_speech = self.answers = True
-        self.is_supervised = self.is_daemon = True
+        self.has_bridge = self.is_daemon = True
         self.plugged = True
         self.troubles = []
         self.unconfirmed = {}
@@ -73,7 +73,7 @@ class ActedFace(AnsweringFace):
             self.state, self.stopped = "frozen", level
             return
         self.state, self.stopped = ("stopped", level) if self.is_daemon else ("ended", None)
-        self.writes_servos = self.writes_speech = not (self.is_daemon and self.is_supervised)
+        self.writes_servos = self.writes_speech = not self.is_daemon or self.has_bridge
         self.stop_report = {
             "complete": not self.unconfirmed,
             "at_rest": level == "soft",
@@ -121,6 +121,11 @@ class ActedFace(AnsweringFace):
                 expression=expression_values(),
             )
 
+    def _servos(self):
+        if self.state == "stopped":  # a supervisor that answers alone knows of none how it is
+            return dict.fromkeys(self.names, "waiting") if self.has_bridge else {}
+        return dict(self.states)
+
     def _status(self):
         return {
             **self._told,
@@ -131,8 +136,7 @@ class ActedFace(AnsweringFace):
             "can_start": self.state == "stopped",
             "plugged": self.plugged,
             "torque_on": self.state == "driven",
-            # A supervisor that answers alone knows of no servo how it is.
-            "servos": dict(self.states) if self.writes_servos else {},
+            "servos": self._servos(),
             "troubles": [
                 *self.troubles,
                 *(f"{n}: does not answer" for n, s in self.states.items() if s != "driven"),

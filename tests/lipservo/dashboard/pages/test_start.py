@@ -52,9 +52,9 @@ def wait_for(page, is_so):
     pytest.fail("it did not come to that")
 
 
-@pytest.mark.parametrize("is_supervised", [True, pytest.param(False, marks=long)])
-def test_every_page_says_what_was_confirmed_and_raises_no_alarm(opened, startable, is_supervised):
-    startable.is_supervised = is_supervised
+@pytest.mark.parametrize("has_bridge", [False, pytest.param(True, marks=long)])
+def test_every_page_says_what_was_confirmed_and_raises_no_alarm(opened, startable, has_bridge):
+    startable.has_bridge = has_bridge
     other, page = opened("/calibrate"), opened()
 
     stopped(page)

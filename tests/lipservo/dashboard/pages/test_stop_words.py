@@ -36,6 +36,27 @@ def test_what_the_page_shows(module_page, status, frame, age_ms, word, word_ms, 
     assert module_page.evaluate(script, seen) == expected
 
 
+@pytest.mark.parametrize(
+    ("status", "frame", "phase", "word", "expected"),
+    [
+        ({**DRIVEN, "servos": {"jaw": "driven"}}, TORQUE, "moving", None, ["driven", "good"]),
+        # A status of before a start says nothing of servos that are driven by now.
+        ({**STOPPED, "servos": {"jaw": "waiting"}}, TORQUE, "moving", None, ["driven", "good"]),
+        (STOPPED, GONE, "stopped", WORD, ["stopped: limp", "quiet"]),
+        (STOPPED, GONE, "stopped", None, ["stopped, not confirmed", "warn"]),
+        (DRIVEN, GONE, "moving", None, ["servo side gone", "bad"]),
+        ({**DRIVEN, "plugged": False}, TORQUE, "moving", None, ["port gone: look at the plug", "bad"]),
+    ],
+)  # fmt: skip
+def test_the_state_in_the_head(module_page, status, frame, phase, word, expected):
+    seen = {
+        "status": status, "frame": frame, "ageMs": 30, "phase": phase, "word": word,
+        "lastState": "driven", "refusal": None,
+    }  # fmt: skip
+    script = "async (seen) => (await import('/static/watchdog.js')).headWords(seen)"
+    assert module_page.evaluate(script, seen) == expected
+
+
 HANDS = "Keep your hands away. Switch the servos' supply off, or run `lipservo limp`."
 LOOSE = {"jaw": "is deaf", "lip_left": "is deaf", "lids": "hot"}
 
