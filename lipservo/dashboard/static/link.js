@@ -23,6 +23,8 @@ export const face = {
   trouble: null, // why there is no status
   refusal: null, // why this page may not see the face: a sentence about the token
   last: null, // the last status, however long ago
+  fresh: null, // the last that was the face's own answer just then, and when
+  freshMs: -Infinity,
   lastState: null, // the last state that servo side or status reported
   lastServosMs: -Infinity, // when the servo side wrote last
   seenDeg: [], // encoders, each as it was read last
@@ -171,7 +173,11 @@ async function pollStatus() {
     face.trouble = told.trouble ?? null;
     face.refusal = null;
     face.last = told;
-    if (face.status !== null && (isStopped(told) || told.state === "ended")) face.lastState = told.state;
+    if (face.status !== null) {
+      face.fresh = told;
+      face.freshMs = performance.now();
+      if (isStopped(told) || told.state === "ended") face.lastState = told.state;
+    }
   } catch (error) {
     face.status = null;
     face.refusal = error.status === 401 ? error.message : null;

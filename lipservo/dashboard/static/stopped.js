@@ -15,6 +15,8 @@ const SURE_MS = 500;
 // The last record of a servo side that is gone is repeated for 0.8 s (`GONE_S` of moments.py), and
 // statuses come twice a second: so long after a confirmation both may still say "driven".
 const LATE_MS = 1500;
+// One status that is missing is no end: a face that is let go once more may be late by as much.
+const SILENT_MS = 2500;
 const AT_END = ["stopped", "ended"]; // states in which the report of a stop is the last word
 const LIVELY = ["driven", "silent", "easing", "frozen", "letting go"];
 
@@ -106,16 +108,17 @@ function render() {
   const nowMs = performance.now();
   const isOld = face.frame === null || frameAgeMs() > OLD_MS;
   const word = kept();
+  const status = face.status ?? (nowMs - face.freshMs < SILENT_MS ? face.fresh : null);
   face.phase = phaseOf({
-    status: face.status, frame: face.frame, ageMs: frameAgeMs(), word, wordMs: nowMs - keptMs,
+    status, frame: face.frame, ageMs: frameAgeMs(), word, wordMs: nowMs - keptMs,
     isStarting: starting !== null,
   });
   // Also while torque is switched off once more, when `can_start` is false for a moment.
-  const mayStart = face.phase === "stopped" && isStopped(face.status);
+  const mayStart = face.phase === "stopped" && isStopped(status);
   if (!mayStart) askedMs = null;
   if (face.phase !== "stopped" && face.phase !== "starting") failure = "";
   if (!isTrying()) {
-    if (face.phase === "stopped") say(...stoppedWords(face.status, word));
+    if (face.phase === "stopped") say(...stoppedWords(status, word));
     else if (face.phase === "starting") say(...startingWords(face.status, nowMs - starting.sinceMs));
     else if (face.phase === "gone") {
       const { config } = facts;
@@ -217,9 +220,9 @@ function follow(status) {
 
 function take(status) {
   if (starting !== null) follow(status);
-  else if (status !== null && wasStopped && !status.stopped && !AT_END.includes(status.state) && !isJustPressed()) {
+  else if (status !== null && wasStopped && !status.stopped && !AT_END.includes(status.state)) {
     // Another page, a terminal or an agent has started it.
-    driven();
+    if (!isJustPressed()) driven();
     failure = "";
     sawMoving = false;
     starting = { sinceMs: performance.now(), isOwn: false, acceptedMs: 0, hasBegun: true, stops: nStops };
@@ -264,6 +267,7 @@ window.addEventListener("face-stop", () => {
   nStops += 1;
   pressedMs = performance.now();
   askedMs = starting = null;
+  wasStopped = false; // until a status of after the press says so
   failure = "";
   render();
 });
@@ -278,7 +282,10 @@ onFrame((frame) => {
   const nowMs = performance.now();
   // Driven again, by the servo side itself: what was confirmed before holds no more.
   const isOver = kept() !== null && hasTorque(frame) && nowMs - keptMs > LATE_MS;
-  if ((isOver || nDriven === 60) && !isJustPressed()) driven();
+  if ((isOver || nDriven === 60) && !isJustPressed()) {
+    driven();
+    render();
+  }
   const isUp = frame.servosGone || frame.state === "driven" || frame.state === "silent";
   if (doneTimer !== null && !isUp) {
     clearTimeout(doneTimer);

@@ -4,6 +4,7 @@ import pytest
 
 #: What is on the page, by what is known: a status, a frame and how old it is, and the word kept.
 STOPPED = {"state": "stopped", "stopped": "soft", "can_start": True}
+UNPLUGGED = {"state": "driven", "plugged": False}
 DRIVEN = {"state": "driven", "stopped": None, "can_start": False}
 WORD = {"report": {"confirmed": ["jaw"], "unconfirmed": {}, "at_rest": False}, "atMs": None}
 TORQUE = {"servosGone": False, "torqueOn": True, "state": "driven"}
@@ -45,7 +46,7 @@ def test_what_the_page_shows(module_page, status, frame, age_ms, word, word_ms, 
         (STOPPED, GONE, "stopped", WORD, ["stopped: limp", "quiet"]),
         (STOPPED, GONE, "stopped", None, ["stopped, not confirmed", "warn"]),
         (DRIVEN, GONE, "moving", None, ["servo side gone", "bad"]),
-        ({**DRIVEN, "plugged": False}, TORQUE, "moving", None, ["port gone: look at the plug", "bad"]),
+        (UNPLUGGED, TORQUE, "moving", None, ["port gone: look at the plug", "bad"]),
     ],
 )  # fmt: skip
 def test_the_state_in_the_head(module_page, status, frame, phase, word, expected):
