@@ -171,6 +171,11 @@ export function keep(report, atMs) {
   if (isLimp(word)) label("STOP"); // limp already; the next press says so to the servos once more
 }
 
+/** Servos have torque again: what was confirmed holds no more. */
+export function forget() {
+  word = null;
+}
+
 /** The face is driven again: the next press is a first one, and nothing is confirmed any more. */
 export function driven() {
   word = null;

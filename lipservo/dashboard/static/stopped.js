@@ -2,7 +2,7 @@
 // a question. The newest status decides, so that all pages show the same.
 import { postJson } from "./calls.js";
 import { face, facts, frameAgeMs, OLD_MS, onFrame, onHello, onStatus } from "./link.js";
-import { confirmed, confirmedWords, driven, isLimp, isTrying, keep, kept, show, stop } from "./stop.js";
+import { confirmed, confirmedWords, driven, forget, isLimp, isTrying, keep, kept, show, stop } from "./stop.js";
 import { isStopped } from "./words.js";
 
 // What a dashboard says may be so old: a status of before `start` is no answer to it.
@@ -53,7 +53,7 @@ export function phaseOf({ status, frame, ageMs, word, wordMs, isStarting }) {
 }
 
 function hasTorque(frame) {
-  return !frame.servosGone && (frame.torqueOn || frame.state === "driven");
+  return !frame.servosGone && !AT_END.includes(frame.state) && (frame.torqueOn || frame.state === "driven");
 }
 
 /** [tone, sentence] of a face that a person stopped. word: may be null. Pure. */
@@ -280,12 +280,11 @@ onFrame((frame) => {
   if (hasTorque(frame)) sawMoving = true;
   nDriven = !frame.servosGone && frame.state === "driven" ? nDriven + 1 : 0;
   const nowMs = performance.now();
-  // Driven again, by the servo side itself: what was confirmed before holds no more.
+  // Driven again, by the servo side itself; right after a press of STOP that stays a second one.
   const isOver = kept() !== null && hasTorque(frame) && nowMs - keptMs > LATE_MS;
-  if ((isOver || nDriven === 60) && !isJustPressed()) {
-    driven();
-    render();
-  }
+  if (isOver) forget();
+  if ((isOver || nDriven === 60) && !isJustPressed()) driven();
+  if (isOver) render();
   const isUp = frame.servosGone || frame.state === "driven" || frame.state === "silent";
   if (doneTimer !== null && !isUp) {
     clearTimeout(doneTimer);

@@ -257,6 +257,24 @@ def test_a_dashboard_that_is_gone_leaves_the_last_confirmed_word(opened, startab
     page.locator(BANNER).wait_for(state="hidden", timeout=8000)
 
 
+def test_a_word_is_forgotten_however_often_stop_is_pressed(opened, startable):
+    page = opened("/lines")
+    stopped(page)
+    page.wait_for_timeout(1600)  # frames that are late may still say "driven"
+    page.route("**/api/stop", lambda route: route.abort())
+    page.keyboard.press("Escape")
+    reads(page, LINE, f"The servos' last word: {LIMP}")
+
+    startable.start()
+    startable.come_up()
+    for _ in range(4):
+        page.wait_for_timeout(400)
+        page.keyboard.press("Escape")
+
+    reads(page, LINE, "Switch the servos' supply off")
+    page.unroute("**/api/stop")
+
+
 @long
 def test_a_face_that_has_ended_was_confirmed_limp_and_how_to_start_it(browser, face, served):
     face.is_daemon = False

@@ -20,6 +20,7 @@ GONE = {"servosGone": True, "torqueOn": False, "state": None}
         (STOPPED, None, 9000, WORD, 9000, "stopped"),
         (STOPPED, TORQUE, 30, WORD, 9000, "moving"),  # frames are newer than a status
         (DRIVEN, TORQUE, 30, WORD, 100, "stopped"),  # both are of before the confirmation
+        (STOPPED, {**TORQUE, "state": "stopped"}, 30, WORD, 9000, "stopped"),
         (None, GONE, 30, WORD, 9000, "gone"),
         (None, GONE, 30, None, 9000, "moving"),
         (DRIVEN, TORQUE, 9000, WORD, 9000, "gone"),
