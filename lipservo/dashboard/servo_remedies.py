@@ -61,19 +61,45 @@ def state_words(state: str) -> dict[str, str] | None:
     return None if words is None else {"meaning": words[0], "remedy": words[1]}
 
 
+#: Of servos of a face that a person stopped, by what they confirmed; why: the reason that is known.
+_UNCONFIRMED: Final = (
+    "has not confirmed that it is limp: {why}",
+    "keep your hands away; look at its plug, cable and power",
+)
+
+
 def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dict[str, Any]]:
     """Every servo of a status, with remedies. is_fresh: whether the face says it now.
 
     Nothing is reported better than it is: what was never heard is null, and of a face that does not
-    answer nothing is known but what its servos are called.
+    answer nothing is known but what its servos are called. While a person has stopped the face, a
+    servo is `limp` or `unconfirmed`, as it said at the stop.
     """
     status = status or {}
+    report = (status.get("stop_report") or {}) if is_fresh and is_stopped(status) else {}
+    unconfirmed: Mapping[str, str] = report.get("unconfirmed") or {}
+    at_stop = dict.fromkeys(report.get("confirmed") or (), "limp")
+    at_stop |= dict.fromkeys(unconfirmed, "unconfirmed")
     health = {str(each["name"]): each for each in status.get("health") or ()}
     states: Mapping[str, str] = status.get("servos") or {}
     return [
-        _told(name, states.get(name, ""), health.get(name, {}), is_fresh)
-        for name in dict.fromkeys([*states, *health])
+        _told(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
+        | _doubt(unconfirmed.get(name))
+        for name in dict.fromkeys([*states, *health, *at_stop])
     ]
+
+
+def is_stopped(status: Mapping[str, Any] | None) -> bool:
+    """Whether a person has stopped the face, and it waits for a start."""
+    status = status or {}
+    return status.get("state") == "stopped" and bool(status.get("stopped"))
+
+
+def _doubt(why: str | None) -> dict[str, Any]:
+    if why is None:
+        return {}
+    meaning, remedy = _UNCONFIRMED
+    return {"trouble": {"meaning": meaning.format(why=why), "remedy": remedy}}
 
 
 _FIGURES: Final = (
@@ -81,8 +107,10 @@ _FIGURES: Final = (
 )  # fmt: skip
 
 
-def _told(name: str, state: str, health: Mapping[str, Any], is_fresh: bool) -> dict[str, Any]:
-    state = str(health.get("state") or state) if is_fresh else "unknown"
+def _told(
+    name: str, at_stop: str | None, state: str, health: Mapping[str, Any], is_fresh: bool
+) -> dict[str, Any]:
+    state = at_stop or str(health.get("state") or state) if is_fresh else "unknown"
     heard = health if is_fresh else {}
     bits = heard.get("hardware_errors")
     return {

@@ -23,7 +23,7 @@ PLACES: Final = {
     "/settings": "Settings",
 }
 #: On all pages, in this order; STOP first.
-_ALWAYS: Final = ("stop.js", "link.js", "watchdog.js")
+_ALWAYS: Final = ("stop.js", "link.js", "stopped.js", "watchdog.js")
 #: What those import: asked for at once, not one after the other.
 _IMPORTED: Final = ("frame.js", "calls.js", "words.js")
 
@@ -33,6 +33,16 @@ _EARLY_STOP: Final = (
     "if(!window.faceStop){this.dataset.pressed=this.dataset.early='';"
     "fetch('/api/stop',{method:'POST',headers:{'Content-Type':'application/json'},"
     "body:JSON.stringify({level:'soft',wait_s:0})})}"
+)
+
+#: The way back of a face that was stopped: stopped.js shows it, and the question before it moves.
+_START: Final = (
+    '<div id="face-start" hidden><p class="why" role="alert" hidden></p>'
+    '<button type="button" class="act first begin">Start</button>'
+    '<div class="question" role="group" aria-labelledby="face-start-question" hidden>'
+    '<b id="face-start-question">The face will move. Keep your hands away.</b>'
+    '<button type="button" class="act decline">Leave it stopped</button>'
+    '<button type="button" class="act first confirm">Start now</button></div></div>'
 )
 
 
@@ -105,7 +115,7 @@ def _head(here: str, status: Mapping[str, Any]) -> str:
         f'<button id="face-stop" type="button" onclick="{_EARLY_STOP}"'
         ' title="Stops the face. Pressed again: limp at once.">'
         "<b>STOP</b><small>Esc</small></button></header>"
-        '<p id="face-stop-report" role="alert" hidden></p>'
+        f'<div id="face-word"><p id="face-stop-report" role="alert" hidden></p>{_START}</div>'
         '<p id="face-banner" role="alert" hidden></p></div>'
     )
 

@@ -1,4 +1,6 @@
-// Calls of the API. What comes back is JSON, or an Error whose message is a sentence for people.
+// Calls of the API. What comes back is JSON, or an Error whose message is a sentence for people;
+// its `status` is that of the answer, undefined where none came.
+import { LOCKED } from "./stop.js";
 
 const PATIENCE_MS = 5000;
 
@@ -36,8 +38,14 @@ async function call(method, path, body, patienceMs, keepalive = false) {
   }
   const text = await response.text();
   const answer = parsed(text);
-  if (!response.ok) throw new Error(sentence(answer) ?? `It was refused (${response.status}).`);
+  if (!response.ok) throw refusal(response.status, answer);
   return answer;
+}
+
+/** An answer that is no success, as an Error. Pure. */
+export function refusal(status, answer) {
+  const text = status === 401 ? LOCKED : (sentence(answer) ?? `It was refused (${status}).`);
+  return Object.assign(new Error(text), { status });
 }
 
 /** What went wrong, out of the forms that an answer may have; null: it does not say. */

@@ -1,8 +1,8 @@
 // Moving single servos by hand: behind a switch that turns itself off 3 s after the last touch.
 import { postJson } from "./calls.js";
-import { face, facts, onDraw, onHello } from "./link.js";
+import { drawnDeg, face, facts, onDraw, onHello, onStatus, troubleOf } from "./link.js";
 import { place } from "./live/servo_bars.js";
-import { servoTrouble, shown, spoken } from "./words.js";
+import { shown, spoken, whyStill } from "./words.js";
 
 const ARMED_MS = 3000; // as long as the face itself waits for the next word
 const EVERY_MS = 60;
@@ -26,7 +26,12 @@ class FaceJog extends HTMLElement {
     window.addEventListener("pagehide", this.leave);
     this.hidden_ = () => document.hidden && this.leave();
     document.addEventListener("visibilitychange", this.hidden_);
-    this.undo = [onHello((hello) => this.build(hello.servos)), onDraw((frame) => this.draw(frame))];
+    this.still = null; // why nothing can be moved now
+    this.undo = [
+      onHello((hello) => this.build(hello.servos)),
+      onDraw((frame) => this.draw(frame)),
+      onStatus((status) => this.rest(whyStill(status))),
+    ];
     this.clock = setInterval(() => this.count(), 50);
     this.count();
   }
@@ -37,6 +42,13 @@ class FaceJog extends HTMLElement {
     window.removeEventListener("pagehide", this.leave);
     document.removeEventListener("visibilitychange", this.hidden_);
     this.undo.forEach((each) => each());
+  }
+
+  /** why: the face is stopped, a sentence; null: it is not. */
+  rest(why) {
+    this.still = why;
+    if (why !== null && this.isArmed) this.end();
+    this.count();
   }
 
   get isArmed() {
@@ -62,7 +74,7 @@ class FaceJog extends HTMLElement {
     this.rows.forEach(({ input, name }, i) => {
       const encoder = face.frame?.encodersDeg[i] ?? null;
       input.value = encoder ?? 0;
-      input.disabled = servoTrouble(face.status, name, encoder) !== null;
+      input.disabled = troubleOf(name, encoder) !== null;
     });
     this.say("", "");
     this.touched.clear();
@@ -124,9 +136,11 @@ class FaceJog extends HTMLElement {
     this.arm.setAttribute("aria-checked", String(isArmed));
     const label = isArmed ? `Armed: ${(leftMs / 1000).toFixed(1)} s` : "Arm the sliders";
     if (this.arm.textContent !== label) this.arm.textContent = label;
-    const hint = isArmed
+    this.arm.disabled = this.still !== null && !isArmed;
+    let hint = isArmed
       ? "Each touch renews it. Press to disarm; the face then goes on by itself."
       : "While armed, sliders move single servos within their limits; the others go on. It disarms 3 s after the last touch.";
+    if (this.arm.disabled) hint = this.still;
     if (this.hint.textContent !== hint) this.hint.textContent = hint;
     this.sliders.inert = !isArmed;
     if (this.wasArmed && !isArmed) {
@@ -138,12 +152,13 @@ class FaceJog extends HTMLElement {
   draw(frame) {
     this.rows?.forEach(({ name, mark, output, input }, i) => {
       const { least_deg: least, most_deg: most } = facts.servos?.[name] ?? { least_deg: -90, most_deg: 90 };
-      const encoder = frame.encodersDeg[i];
+      const encoder = drawnDeg(frame)[i];
       const at = encoder === null ? null : place(encoder, least, most);
       mark.hidden = at === null;
       // The thumb's middle runs from half its width to half its width before the end.
       if (at !== null) mark.style.left = `calc(8px + ${at} * (100% - 16px))`;
-      const text = encoder === null ? "no answer" : shown(encoder, 1, "°");
+      const unread = face.phase === "stopped" ? "limp" : "no answer";
+      const text = encoder === null ? unread : shown(encoder, 1, "°");
       if (output.textContent !== text) output.textContent = text;
       // A slider that nobody has touched since arming stays where its servo is.
       const isHeld = this.isArmed && this.touched.has(name);

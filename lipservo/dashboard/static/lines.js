@@ -1,7 +1,7 @@
 // The lines that a face can speak, sounds and performances: played, stopped, brought in, thrown away.
-import { getJson, postJson, remove, sentence } from "./calls.js";
+import { getJson, postJson, refusal, remove } from "./calls.js";
 import { onStatus } from "./link.js";
-import { escaped } from "./words.js";
+import { escaped, whyStill } from "./words.js";
 
 const SURE_MS = 4000;
 const AGAIN_MS = 5000;
@@ -109,6 +109,11 @@ class FaceLines extends HTMLElement {
   }
 
   tell(status) {
+    const why = whyStill(status);
+    for (const button of this.list.querySelectorAll(".play")) {
+      button.disabled = why !== null;
+      button.title = why ?? "";
+    }
     for (const item of this.list.querySelectorAll("li[data-file]")) {
       item.classList.toggle("playing", Boolean(status?.speaking?.includes(item.dataset.file)));
     }
@@ -149,7 +154,7 @@ function sent(file, progress) {
       } catch {
         // whoever refused says no more than a number
       }
-      return reject(new Error(sentence(answer) ?? `It was refused (${request.status}).`));
+      return reject(refusal(request.status, answer));
     });
     request.send(file);
   });

@@ -1,10 +1,13 @@
 // One connection for the whole page: frames as they come, the status twice a second.
 import { connect, history } from "./frame.js";
 import { getJson } from "./calls.js";
+import { isStopped, servoTrouble } from "./words.js";
 
 const STATUS_PERIOD_MS = 500;
 const SHOWN_BEFORE = 130; // frames of the seconds before the page was opened
 const PAINT_MS = 30;
+/** Frames come every 33 ms; one of so long ago is no longer how it is. */
+export const OLD_MS = 700;
 /** A browser that takes so long for a picture draws in software: the twin first, and all of it less often. */
 const SLOW_PICTURE_MS = 60;
 const SLOW_SHARE = 4;
@@ -18,7 +21,14 @@ export const face = {
   status: null,
   frameAtMs: -Infinity,
   trouble: null, // why there is no status
-  last: null, // what it said last, however long ago
+  refusal: null, // why this page may not see the face: a sentence about the token
+  last: null, // the last status, however long ago
+  fresh: null, // the last that was the face's own answer just then, and when
+  freshMs: -Infinity,
+  lastState: null, // the last state that servo side or status reported
+  lastServosMs: -Infinity, // when the servo side wrote last
+  seenDeg: [], // encoders, each as it was read last
+  phase: "moving", // what the page shows, as `phaseOf` of stopped.js says
   nFrames: 0,
   nLost: 0, // frames that the server sent or skipped and this page never saw
 };
@@ -70,6 +80,22 @@ export function frameAgeMs() {
   return performance.now() - face.frameAtMs;
 }
 
+/** Where to draw the servos: where they were read last, while the face is stopped or starts. */
+export function drawnDeg(frame) {
+  const isLast = frame.servosGone && (face.phase === "stopped" || face.phase === "starting");
+  return isLast ? frame.encodersDeg.map((_, i) => face.seenDeg[i] ?? null) : frame.encodersDeg;
+}
+
+/** What keeps a servo from being drawn as working; null: nothing. */
+export function troubleOf(name, encoderDeg) {
+  return face.phase === "starting" ? null : servoTrouble(face.status, name, encoderDeg);
+}
+
+function noteServos(frame) {
+  if (frame.servosGone) return;
+  frame.encodersDeg.forEach((deg, i) => (face.seenDeg[i] = deg ?? face.seenDeg[i] ?? null));
+}
+
 function tell(kind, value) {
   for (const listener of listeners[kind]) {
     try {
@@ -87,16 +113,23 @@ function takeFrame(frame) {
   face.frame = frame;
   face.frameAtMs = performance.now();
   face.nFrames += 1;
+  noteServos(frame);
+  if (!frame.servosGone) {
+    face.lastState = frame.state;
+    face.lastServosMs = face.frameAtMs;
+  }
   tell("frame", frame);
 }
 
 async function takeHello(hello) {
   face.hello = hello;
   face.frame = null; // numbers begin anew where the dashboard was started again
+  face.seenDeg = [];
   reloads = isAnotherFace(hello);
   if (reloads) return;
   tell("hello", hello);
   for (const frame of (await history(hello).catch(() => [])).slice(-SHOWN_BEFORE)) {
+    noteServos(frame);
     if (face.frame === null) tell("frame", frame);
   }
 }
@@ -135,12 +168,19 @@ async function pollStatus() {
   const beganMs = performance.now();
   try {
     const told = await getJson("/api/status", 2000);
-    // What it said last is not how it is.
+    // The last status is not how it is.
     face.status = told.face_answers === false ? null : told;
     face.trouble = told.trouble ?? null;
+    face.refusal = null;
     face.last = told;
-  } catch {
+    if (face.status !== null) {
+      face.fresh = told;
+      face.freshMs = performance.now();
+      if (isStopped(told) || told.state === "ended") face.lastState = told.state;
+    }
+  } catch (error) {
     face.status = null;
+    face.refusal = error.status === 401 ? error.message : null;
   }
   tell("status", face.status);
   const tookMs = performance.now() - beganMs;

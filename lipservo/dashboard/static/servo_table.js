@@ -1,13 +1,13 @@
 // How each servo is, with what to do about it; torque off and on, and a restart after a question.
 import { getJson, postJson } from "./calls.js";
 import { face, facts } from "./link.js";
-import { escaped, shown, spoken } from "./words.js";
+import { escaped, shown, spoken, STILL, whyStill } from "./words.js";
 
 const WARM_BELOW_DEGC = 10; // so near to its own limit a servo is marked
 const EVERY_MS = 500;
 const SURE_MS = 4000;
 const HEAVY = 0.8; // of its stall torque
-const WORDS = { off: "switched off", waiting: "does not answer", cooling: "limp, resting", rebooting: "restarting", failed: "given up" };
+const WORDS = { limp: "limp", unconfirmed: "NOT confirmed limp", off: "switched off", waiting: "does not answer", cooling: "limp, resting", rebooting: "restarting", failed: "given up" };
 
 const numbers = [
   ["heat", "temperature"],
@@ -49,9 +49,14 @@ class FaceServoTable extends HTMLElement {
   }
 
   tell(servos) {
-    if (!servos.length) this.say("warn", "No face has told yet how its servos are.");
+    const still = whyStill(face.status);
+    if (still !== null) this.say("", still);
+    else if (this.said.textContent === STILL) this.say("", "");
+    if (!servos.length && still === null) this.say("warn", "No face has reported yet how its servos are.");
     else if (this.said.dataset.tone === "warn") this.say("", "");
-    for (const one of servos) {
+    const order = Object.keys(facts.servos ?? {});
+    const place = ({ name }) => (order.indexOf(name) + order.length + 1) % (order.length + 1);
+    for (const one of servos.toSorted((a, b) => place(a) - place(b))) {
       if (!this.rows.has(one.name)) this.rows.set(one.name, new Row(this, one.name));
       this.rows.get(one.name).set(one);
     }
@@ -109,7 +114,7 @@ class Row {
     this.isOn = Boolean(one?.torque_on);
     const label = this.isOn ? "Torque off" : "Torque on";
     if (this.torque.textContent !== label) this.torque.textContent = label;
-    this.torque.disabled = this.reboot.disabled = one === null;
+    this.torque.disabled = this.reboot.disabled = one === null || whyStill(face.status) !== null;
     const lines = remedies(one);
     this.remedy.hidden = lines.length === 0;
     write(this.remedy.firstChild, lines.map((line) => `<div>${escaped(line)}</div>`).join(""));
@@ -147,6 +152,8 @@ class Row {
 /** [words, tone] of a servo's state. Pure. */
 export function stateWords(one) {
   if (one === null || one.state === "unknown") return ["not known", "bad"];
+  if (one.state === "limp") return [WORDS.limp, ""];
+  if (one.state === "unconfirmed") return [WORDS.unconfirmed, "bad"];
   const isTold = one.n_unanswered !== null; // else the face has not spoken of its health yet
   if (isTold && one.temperature_degc === null) return ["never answered", "bad"];
   if (one.state === "driven") return one.torque_on === false ? ["limp", ""] : ["driven", "good"];

@@ -1,6 +1,7 @@
 // Sliders of the settings that may change while a face runs, and Save into its YAML.
 import { getJson, patchJson } from "./calls.js";
 import { facts, onStatus } from "./link.js";
+import { isStopped } from "./words.js";
 
 const EVERY_MS = 100;
 /** name: [title, least, most, step, unit, what it does]; the order of the page. */
@@ -50,9 +51,12 @@ class FaceSettings extends HTMLElement {
   tell(status) {
     const now = { ...status?.settings, ...status?.expression };
     const names = Object.keys(SETTINGS).filter((name) => name in now);
-    if (status && !names.length && !this.rows.size) {
+    if (isStopped(status) && !names.length && !this.rows.size) {
+      this.say("", "The face is stopped: its settings are here once it is started.");
+    } else if (status && !names.length && !this.rows.size) {
       this.say("warn", "The way in which this face moves has no settings (strategy " + `${status.strategy ?? "unknown"}).`);
-    }
+    } else if (names.length && !this.rows.size) this.say("", "");
+    const isAway = status === null || (isStopped(status) && !names.length);
     for (const name of names) {
       if (!this.rows.has(name)) this.rows.set(name, this.row(name, ONLY_AT_START.includes(name)));
       const row = this.rows.get(name);
@@ -61,8 +65,8 @@ class FaceSettings extends HTMLElement {
       const isHeld = performance.now() - row.touchedMs < (row.atStart ? Infinity : 1000);
       if (!isHeld) row.show(now[name]);
     }
-    for (const { input } of this.rows.values()) input.disabled = status === null;
-    this.save.disabled = status === null || !this.canSave || this.isSaving || !this.rows.size;
+    for (const { input } of this.rows.values()) input.disabled = isAway;
+    this.save.disabled = isAway || !this.canSave || this.isSaving || !this.rows.size;
   }
 
   row(name, atStart = false) {

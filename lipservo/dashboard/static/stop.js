@@ -1,4 +1,4 @@
-// STOP. A plain button that asks the API: it needs neither the page's framework nor its socket,
+// STOP. A plain button that posts to the API: it needs neither the page's framework nor its socket,
 // and this file imports nothing, so that nothing else that breaks can break it.
 
 const PATIENCE_MS = 2000;
@@ -7,12 +7,16 @@ const TRIES = 40;
 const WAIT_S = 15; // easing to rest takes a few seconds, before the servos confirm
 // The second press counts as "go limp now" from the first press until the face is started again.
 let level = "soft";
-let running = 0;
+let presses = 0;
+let trying = false;
+// {report: `StopReport`, atMs: `Date.now()` of the confirmation, null where this page did not see
+// it}: the last confirmed word, until the face is started again.
+let word = null;
 
 const button = document.getElementById("face-stop");
-const report = document.getElementById("face-stop-report");
+const line = document.getElementById("face-stop-report");
 
-async function ask(how, waitS) {
+async function post(how, waitS) {
   const response = await fetch("/api/stop", {
     method: "POST",
     cache: "no-store",
@@ -25,76 +29,163 @@ async function ask(how, waitS) {
 }
 
 /**
- * Two requests at once: one that is answered when the face has taken the stop, repeated until it
- * has; and one that is answered when its servos have confirmed. The second press is the furthest.
+ * Stop the face. Two requests at once: one that is answered when the face has taken the stop,
+ * repeated until it has; and one that is answered when its servos have confirmed.
+ *
+ * @param {string} how level of the stop; by itself soft, and limp from the second press on.
  */
-export async function stop() {
-  const how = level;
+export async function stop(how = level) {
+  presses += 1;
+  const mine = presses;
+  const isOld = () => mine !== presses;
   level = "limp";
-  running += 1;
-  const mine = running;
-  const isOld = () => mine !== running;
-  button.dataset.pressed = "";
-  button.querySelector("b").textContent = "LET GO";
-  say("wait", how === "soft" ? "Stopping …" : "Letting go at once …");
-  let end = null;
-  let waiting = false;
+  trying = true;
+  label("LET GO");
+  show("wait", how === "soft" ? "Stopping …" : "Letting go at once …");
+  window.dispatchEvent(new Event("face-stop"));
+  await insist(how, isOld);
+  if (!isOld()) finish();
+}
+
+async function insist(how, isOld) {
+  let isConfirmed = false;
+  let isWaiting = false;
   const awaitEnd = async () => {
-    waiting = true;
-    const { isTaken, answer } = await ask(how, WAIT_S).catch(() => ({ isTaken: false }));
-    waiting = false;
-    if (isTaken && answer?.report) end = answer.report;
-    if (end && !isOld()) say(...confirmed(end));
+    isWaiting = true;
+    const { isTaken, answer } = await post(how, WAIT_S).catch(() => ({ isTaken: false }));
+    isWaiting = false;
+    isConfirmed = Boolean(isTaken && answer?.report);
+    if (!isConfirmed || isOld()) return;
+    keep(answer.report, Date.now());
+    show(...confirmed(word));
+    finish();
   };
-  for (let n = 1; n <= TRIES && !end && !isOld(); n += 1) {
-    if (!waiting) awaitEnd();
-    const { isTaken, status, answer } = await ask(how, 0).catch(() => ({ isTaken: false }));
-    if (end || isOld()) return;
-    if (isTaken) return say("warn", how === "soft" ? EASES : LETS_GO);
-    if (status >= 400 && status < 500) return say("bad", `Refused: ${told(answer) ?? status}. ${BY_HAND}`);
-    say("bad", `${status === 503 ? "No face answers" : (told(answer) ?? "Nobody answers")}. Trying again (${n}) … ${BY_HAND}`);
+  for (let n = 1; n <= TRIES && !isConfirmed && !isOld(); n += 1) {
+    if (!isWaiting) awaitEnd();
+    const { isTaken, status, answer } = await post(how, 0).catch(() => ({ isTaken: false }));
+    if (isConfirmed || isOld()) return;
+    if (isTaken) return show("warn", how === "soft" ? EASES : LETS_GO);
+    const tone = isLimp(word) ? "warn" : "bad";
+    if (status === 401) return show(tone, `Refused: ${LOCKED} ${advice()}`);
+    if (status >= 400 && status < 500) {
+      return show(tone, `Refused: ${reason(answer) ?? status}. ${advice()}`);
+    }
+    const why = status === 503 ? "No face answers" : (reason(answer) ?? "The dashboard does not answer");
+    show(tone, `${why}. Trying again (${n}) … ${advice()}`);
     await new Promise((resolve) => setTimeout(resolve, RETRY_MS));
   }
-  if (!end && !isOld()) say("bad", `Nobody answered ${TRIES} times. ${BY_HAND}`);
+  if (!isConfirmed && !isOld()) {
+    show(isLimp(word) ? "warn" : "bad", `No answer to ${TRIES} requests. ${advice()}`);
+  }
 }
 
 const EASES = "The face stops: it eases to rest. Press again to let go at once.";
 const LETS_GO = "The face lets go; its servos have not confirmed yet.";
-const BY_HAND = "Switch the servos' supply off, or run `lipservo stop`.";
+const SUPPLY = "Switch the servos' supply off, or run";
+const BY_HAND = `${SUPPLY} \`lipservo stop\`.`;
+export const LOCKED =
+  "This page needs the face's token: open the address that was printed, or run `lipservo dashboard --open`.";
 
-/** What the servos themselves said at the end, in words. report: `StopReport`. Pure. */
-export function confirmed(report) {
-  const loose = Object.keys(report.unconfirmed ?? {});
-  const n = report.confirmed?.length ?? 0;
-  if (loose.length) {
-    return ["bad", `NOT confirmed to be limp: ${loose.join(", ")}. Keep your hands away. ${BY_HAND}`];
-  }
-  const where = report.at_rest ? "at rest and limp" : "limp";
-  return ["good", `Stopped: the face is ${where}, confirmed by ${n} ${n === 1 ? "servo" : "servos"}.`];
+/** What to do by hand; nothing where the servos have confirmed that they are limp. */
+function advice() {
+  return isLimp(word) ? `The servos' last word: ${confirmedWords(word)}.` : BY_HAND;
 }
 
-function told(answer) {
+/** [tone, sentence] of what the servos confirmed. word: {report, atMs}. Pure. */
+export function confirmed({ report, atMs }) {
+  if (isLimp({ report })) return ["good", `Stopped. ${capital(confirmedWords({ report, atMs }))}.`];
+  const loose = looseWords(report);
+  if (!loose) return ["warn", "Stopped. No servo has confirmed that it is limp: keep your hands away."];
+  return ["bad", `Stopped, but NOT confirmed to be limp: ${loose}. Keep your hands away. ${SUPPLY} \`lipservo limp\`.`];
+}
+
+/** `at rest and limp, confirmed by 16 servos at 14:02`, of a report that is complete. Pure. */
+export function confirmedWords({ report, atMs }) {
+  if (report.dry_run) return "dry run, no torque was switched on";
+  const n = report.confirmed.length;
+  const where = report.at_rest ? "at rest and limp" : "limp";
+  const when = atMs === null || atMs === undefined ? "" : ` at ${clock(atMs)}`;
+  return `${where}, confirmed by ${n} ${n === 1 ? "servo" : "servos"}${when}`;
+}
+
+/** Whether every servo has confirmed that it is limp. word: {report}, or null. Pure. */
+export function isLimp(word) {
+  if (word === null || Object.keys(word.report.unconfirmed ?? {}).length) return false;
+  return Boolean(word.report.dry_run || word.report.confirmed?.length);
+}
+
+/** `jaw, neck yaw (does not answer)`: servos that did not confirm, each reason once. Pure. */
+function looseWords(report) {
+  const named = new Map();
+  for (const [name, why] of Object.entries(report.unconfirmed ?? {})) {
+    named.set(why, [...(named.get(why) ?? []), name.replaceAll("_", " ")]);
+  }
+  return [...named].map(([why, names]) => names.join(", ") + (why ? ` (${why})` : "")).join("; ");
+}
+
+function clock(ms) {
+  const date = new Date(ms);
+  return [date.getHours(), date.getMinutes()].map((each) => String(each).padStart(2, "0")).join(":");
+}
+
+function capital(text) {
+  return text[0].toUpperCase() + text.slice(1);
+}
+
+function reason(answer) {
   const text = answer?.error ?? answer?.detail;
   return typeof text === "string" ? text.replace(/\.$/, "") : null;
 }
 
-function say(tone, text) {
-  report.dataset.tone = tone;
-  report.hidden = false;
-  report.textContent = text;
+/** Write the line under the head. tone: good, wait, warn or bad. */
+export function show(tone, text) {
+  line.dataset.tone = tone;
+  line.hidden = false;
+  if (line.textContent !== text) line.textContent = text;
 }
 
-/** The face is driven again, so that the next press is a first one. */
+function label(text) {
+  if (text === "STOP") delete button.dataset.pressed;
+  else button.dataset.pressed = "";
+  button.querySelector("b").textContent = text;
+}
+
+function finish() {
+  trying = false;
+  window.dispatchEvent(new Event("face-word"));
+}
+
+/** Whether a press has not been answered yet: the line is about that. */
+export function isTrying() {
+  return trying;
+}
+
+/** The last confirmed word, {report, atMs}; null: none since the face was started. */
+export function kept() {
+  return word;
+}
+
+/** Keep what the servos confirmed. atMs: when, null where this page did not see it. */
+export function keep(report, atMs) {
+  word = { report, atMs };
+  if (isLimp(word)) label("STOP"); // limp already; the next press says so to the servos once more
+}
+
+/** Servos have torque again: what was confirmed holds no more. */
+export function forget() {
+  word = null;
+}
+
+/** The face is driven again: the next press is a first one, and nothing is confirmed any more. */
 export function driven() {
-  if (level === "soft") return;
+  word = null;
   level = "soft";
-  delete button.dataset.pressed;
-  button.querySelector("b").textContent = "STOP";
-  report.hidden = true;
+  label("STOP");
+  if (!trying) line.hidden = true;
 }
 
-button.addEventListener("click", stop);
-// Capturing, on the window: whatever has the focus, also a text field or a dialog.
+button.addEventListener("click", () => stop());
+// Capturing, on the window: whatever has the focus, also a text field or a question.
 window.addEventListener(
   "keydown",
   (event) => {
@@ -103,7 +194,6 @@ window.addEventListener(
   true,
 );
 window.faceStop = stop;
-window.faceDriven = driven;
 button.dataset.ready = "";
-// Pressed before this file had come: the button has asked by itself.
+// Pressed before this file had come: the button has posted by itself.
 if (button.dataset.early !== undefined) stop();

@@ -1,77 +1,117 @@
 // The head of the page: state in words, and a banner when something that matters is gone.
-import { face, frameAgeMs, onDraw, onStatus } from "./link.js";
-import { stateWords, statusWords } from "./words.js";
+import { face, frameAgeMs, OLD_MS, onStatus } from "./link.js";
+import { isLimp, kept } from "./stop.js";
+import { isStopped, stateWords, statusWords } from "./words.js";
 
 const PERIOD_MS = 100;
-const OLD_MS = 700; // frames come every 33 ms; the banner is up within a second
 const PATIENT_MS = 4000; // a page that has just been opened has no frame yet
+// A servo side that has ended well is answered for by the status so soon.
+const ENDING_MS = 2500;
+const AT_END = ["letting go", "ended", "stopped"];
 
 const banner = document.getElementById("face-banner");
 const state = document.getElementById("face-state");
 const beganMs = performance.now();
-let drivenFrames = 0;
-let lastState = null; // that the servo side told: what a face ended as, once it is gone
 
-/** What is wrong, worst first; null: nothing. state: told last by the servo side. Pure. */
-export function complaint(frame, ageMs, openMs, state) {
-  if (!frame) {
-    return openMs < PATIENT_MS ? null : "The dashboard sends nothing. Is it still running?";
+/**
+ * [tone, sentence] of what is wrong, worst first; null: nothing. seen: what is known, as `look`
+ * gathers it. While a face is stopped or starts, or its confirmed end stands on the page, servos
+ * and dashboard that are gone are no alarm. Pure.
+ */
+export function complaint({ frame, ageMs, openMs, phase, status, lastState, servosMs, refusal }) {
+  if (refusal !== null) return ["bad", refusal];
+  if (phase === "gone") return null;
+  const isOld = frame !== null && ageMs > OLD_MS;
+  if (phase !== "moving" && (isOld || frame === null) && status !== null) return null;
+  if (frame === null) {
+    return openMs < PATIENT_MS ? null : ["bad", "The dashboard sends nothing. Is it still running?"];
   }
-  if (ageMs > OLD_MS) {
-    return (
+  if (isOld && lastState === "ended") return ["warn", ENDED];
+  if (isOld) {
+    return [
+      "bad",
       "The dashboard does not answer: what you see is old. The face may still move. " +
-      "It connects again by itself; `lipservo stop` at a terminal stops the face."
-    );
+        "It connects again by itself; `lipservo stop` at a terminal stops the face.",
+    ];
   }
-  if (state === "ended" && (frame.servosGone || frame.speechGone)) return ENDED;
+  if (phase !== "moving") return null;
+  if (frame.servosGone && AT_END.includes(lastState)) {
+    if (status !== null && servosMs < ENDING_MS) return null;
+    if (lastState === "ended") return ["warn", ENDED];
+  }
   if (frame.servosGone && frame.speechGone) {
-    return (
+    return [
+      "bad",
       "The face does not answer: neither its servo side nor its speech side says anything. " +
-      "Positions on this page are old."
-    );
+        "Positions on this page are old.",
+    ];
   }
   if (frame.servosGone) {
-    return "The servo side (bridge) does not answer. Its servos stop by themselves; positions on this page are old.";
+    return [
+      "bad",
+      "The servo side (bridge) does not answer. Its servos stop by themselves; positions on this page are old.",
+    ];
   }
-  if (frame.speechGone) return "The speech side does not answer: the mouth rests until it is back.";
+  if (frame.speechGone && lastState !== "ended") {
+    return ["bad", "The speech side does not answer: the mouth rests until it is back."];
+  }
   return null;
 }
 
 const ENDED =
-  "The face has ended. Start it again at its computer, with `lipservo run` or `lipservo daemon`.";
+  "The face has ended; what its servos confirmed did not reach this page. " +
+  "Start it again at its computer, with `lipservo run` or `lipservo daemon`.";
 
-function look() {
-  const text = complaint(face.frame, frameAgeMs(), performance.now() - beganMs, lastState);
-  banner.hidden = text === null;
-  if (text !== null && banner.textContent !== text) banner.textContent = text;
-  document.body.classList.toggle("face-old", text !== null);
-  if (frameAgeMs() > OLD_MS) show(["no connection", "bad"]);
+/** [words, tone] of the head: how the face is, in a few words. Pure. */
+export function headWords({ frame, ageMs, phase, status, word, lastState, refusal }) {
+  if (refusal !== null) return ["not let in", "bad"];
+  const isOld = frame === null || ageMs > OLD_MS;
+  if (phase === "starting") return ["starting", "warn"];
+  if (phase === "stopped") return stopWords("stopped", word);
+  if (phase === "gone") {
+    if (lastState === "ended") return stopWords("ended", word);
+    return [isOld ? "no connection" : "no answer", isLimp(word) ? "quiet" : "bad"];
+  }
+  if (frame === null) return status === null ? ["…", ""] : withServos(statusWords(status), status);
+  if (isOld) return ["no connection", "bad"];
+  if (!frame.servosGone) {
+    return withServos(frame.state ? stateWords(frame.state) : statusWords(status), status);
+  }
+  return AT_END.includes(lastState) ? ["ended", "quiet"] : ["servo side gone", "bad"];
 }
 
-/** `driven` is not said of a face of which some servos are not. Pure. */
+function stopWords(state, word) {
+  if (word === null) return [`${state}, not confirmed`, "warn"];
+  return isLimp(word) ? [`${state}: limp`, "quiet"] : [`${state}: NOT confirmed limp`, "bad"];
+}
+
+/** `driven` is not claimed of a face whose port is gone, or of which some servos are not. Pure. */
 export function withServos([words, tone], status) {
-  if (tone !== "good") return [words, tone];
+  if (tone !== "good" || isStopped(status)) return [words, tone]; // a status of before the start
+  if (status?.plugged === false) return ["port gone: look at the plug", "bad"];
   const states = Object.values(status?.servos ?? {});
   const nOut = states.filter((each) => each !== "driven").length;
-  return nOut ? [`${words}, ${nOut} of ${states.length} servos not`, "warn"] : [words, tone];
+  if (!nOut) return [words, tone];
+  if (states.every((each) => each === "waiting")) return ["no servo answers: look at their supply", "bad"];
+  return [`${words}, ${nOut} of ${states.length} servos not`, "warn"];
 }
 
-function show([words, tone]) {
+function look() {
+  const nowMs = performance.now();
+  const seen = {
+    ...face, ageMs: frameAgeMs(), openMs: nowMs - beganMs, servosMs: nowMs - face.lastServosMs, word: kept(),
+  };
+  const wrong = complaint(seen);
+  banner.hidden = wrong === null;
+  if (wrong !== null) {
+    banner.dataset.level = wrong[0];
+    if (banner.textContent !== wrong[1]) banner.textContent = wrong[1];
+  }
+  document.body.classList.toggle("face-old", wrong !== null || face.phase === "gone");
+  const [words, tone] = headWords(seen);
   if (state.textContent !== words) state.textContent = words;
   state.dataset.tone = tone;
 }
 
-onDraw((frame) => {
-  if (frameAgeMs() > OLD_MS) return;
-  if (!frame.servosGone) lastState = frame.state;
-  if (frame.servosGone) show(lastState === "ended" ? stateWords("ended") : ["servo side gone", "bad"]);
-  else {
-    const told = frame.state;
-    show(withServos(told ? stateWords(told) : statusWords(face.status), face.status));
-    // Some frames of a stop still say "driven"; a new start says it for longer.
-    drivenFrames = told === "driven" ? drivenFrames + 1 : 0;
-    if (drivenFrames === 60) window.faceDriven?.();
-  }
-});
-onStatus(() => look());
+onStatus(look);
 setInterval(look, PERIOD_MS);

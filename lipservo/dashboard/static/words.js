@@ -1,30 +1,50 @@
 // What states are called in plain words, and how numbers and texts are shown.
 
 const STATES = {
-  stopped: ["stopped: limp until it is started", "quiet"],
+  stopped: ["not driven", "quiet"],
   driven: ["driven", "good"],
   silent: ["resting: limp until somebody speaks", "quiet"],
   easing: ["stopping: easing to rest", "warn"],
   frozen: ["stopped: frozen where it is", "warn"],
   "letting go": ["letting go: torque goes off", "warn"],
-  ended: ["ended: limp", "quiet"],
+  ended: ["ended", "quiet"],
 };
 
-/** [words, tone] of a face's state; tone: good, quiet, warn or bad. */
+/** [words, tone] of a face's state; tone: good, quiet, warn or bad. Pure. */
 export function stateWords(state) {
   if (!state) return ["state unknown", "bad"];
   return STATES[state] ?? [state, "warn"];
 }
 
-/** The state that a status tells, with the stop that a supervisor holds to. */
+/** The same of a status, with the stop that a supervisor holds to. Pure. */
 export function statusWords(status) {
   if (status === null) return ["no answer", "bad"];
   if (status.stopped === "freeze") return STATES.frozen;
   return stateWords(status.state);
 }
 
-/** Whether a servo is to be drawn as working. status: may be null; encoderDeg: null: never. */
+/** Whether a person has stopped the face, and it waits for a start. status: may be null. Pure. */
+export function isStopped(status) {
+  if (status?.state !== "stopped") return false;
+  return Boolean(status.stopped) || status.can_start === true;
+}
+
+export const STILL = "The face is stopped. Start it first, at the top of the page.";
+
+/** Why nothing of a face can be moved now, a sentence; null: it can. Pure. */
+export function whyStill(status) {
+  return isStopped(status) ? STILL : null;
+}
+
+/**
+ * What keeps a servo from being drawn as working; null: nothing. Pure.
+ * status: may be null; encoderDeg: null: never read.
+ */
 export function servoTrouble(status, name, encoderDeg) {
+  if (isStopped(status)) {
+    const why = status.stop_report?.unconfirmed?.[name];
+    return why === undefined ? null : `not confirmed to be limp: ${why}`;
+  }
   const state = status?.servos?.[name];
   if (encoderDeg === null || encoderDeg === undefined) return "does not answer";
   if (!state || state === "driven") return null;
@@ -37,7 +57,7 @@ export function spoken(name) {
   return name.replaceAll("_", " ");
 }
 
-/** A number with so many places, or a dash where nobody knows. */
+/** A number with so many places, or a dash where it is not known. */
 export function shown(value, places = 0, unit = "") {
   if (value === null || value === undefined || Number.isNaN(value)) return "–";
   return `${value.toFixed(places)}${unit ? `\u202f${unit}` : ""}`;

@@ -7,7 +7,7 @@ from fastapi import APIRouter
 
 from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.servo_remedies import told_servos
+from lipservo.dashboard.servo_remedies import is_stopped, told_servos
 from lipservo.dashboard.told_calibration import told_calibration
 from lipservo.dashboard.web.api_models import (
     AffectBody,
@@ -75,7 +75,9 @@ def face_routes(link: FaceLink) -> APIRouter:
     @routes.get("/servos")
     async def servos() -> Told:
         """How each servo is, what ails it in plain words, and what to do."""
-        told = told_servos(link.status, is_fresh=link.answers and not link.servos_gone)
+        # Of a face that is stopped no servo side runs, and its status says all that is known.
+        knows = not link.servos_gone or is_stopped(link.status)
+        told = told_servos(link.status, is_fresh=link.answers and knows)
         return {"servos": told, **link.certainty()}
 
     @routes.post("/servos/{name}")

@@ -31,3 +31,21 @@ def test_a_face_that_does_not_answer_has_servos_of_which_nothing_is_known():
     assert (fresh["state"], fresh["answers"], fresh["load"]) == ("driven", True, 0.1)
     assert (old["state"], old["answers"], old["load"]) == ("unknown", False, None)
     assert told_servos(None, is_fresh=True) == []
+
+
+def test_servos_of_a_stopped_face_are_as_they_confirmed():
+    report = {"confirmed": ["lids"], "unconfirmed": {"jaw": "does not answer"}}
+    status = {"state": "stopped", "stopped": "soft", "stop_report": report}
+
+    found = {each["name"]: each for each in told_servos(status, is_fresh=True)}
+
+    assert {name: each["state"] for name, each in found.items()} == {
+        "lids": "limp",
+        "jaw": "unconfirmed",
+    }
+    assert "not confirmed that it is limp: does not answer" in found["jaw"]["trouble"]["meaning"]
+    assert found["lids"]["trouble"] is None
+    # A report of a stop that is over, and one of a face that does not answer, say nothing.
+    driven = {**status, "state": "driven", "stopped": None, "servos": {"jaw": "driven"}}
+    assert [each["state"] for each in told_servos(driven, is_fresh=True)] == ["driven"]
+    assert told_servos(status, is_fresh=False) == []

@@ -1,6 +1,6 @@
 // How the face does in numbers and plain sentences: delay, late ticks, who listens, troubles.
-import { facts, onDraw, onStatus } from "../link.js";
-import { counted, escaped, shown } from "../words.js";
+import { face, facts, onDraw, onStatus } from "../link.js";
+import { counted, escaped, isStopped, shown, spoken } from "../words.js";
 
 const MOST_LINES = 4;
 
@@ -30,7 +30,7 @@ class FaceFacts extends HTMLElement {
     [this.letters.style.background, this.letters.style.color] = text ? colours : ["", ""];
     const place = Math.round(50 + 50 * Math.min(1, Math.max(-1, frame.arousal)));
     this.needle.style.left = `${place}%`;
-    const says = frame.cutOff ? "cut off: mouth shut" : frame.speaking ? "speaking" : "silent";
+    const says = face.phase === "stopped" ? "stopped" : frame.cutOff ? "cut off: mouth shut" : frame.speaking ? "speaking" : "silent";
     if (this.saying.textContent !== says) this.saying.textContent = says;
   }
 
@@ -38,7 +38,7 @@ class FaceFacts extends HTMLElement {
     this.list.innerHTML = rows(status)
       .map(([word, value]) => `<dt>${escaped(word)}</dt><dd>${escaped(value)}</dd>`)
       .join("");
-    const all = troubleLines(status);
+    const all = troubleLines(status, face.phase === "gone" && face.lastState === "ended");
     const lines = all.slice(0, MOST_LINES);
     if (all.length > lines.length) lines.push(`And ${all.length - lines.length} more: see Servos.`);
     this.troubles.innerHTML = lines.map((line) => `<li>${escaped(line)}</li>`).join("");
@@ -51,10 +51,11 @@ class FaceFacts extends HTMLElement {
 export function rows(status) {
   if (status === null) return [["face", "does not answer"]];
   const said = [];
+  if (isStopped(status) && status.stopped_by) said.push(["stopped by", status.stopped_by]);
   if (status.speaking) said.push(["says", status.speaking]);
   else if (status.sound) said.push(["hears", status.sound]);
-  if (status.delay_ms !== null) said.push(["face after sound", shown(status.delay_ms, 0, "ms")]);
-  if (status.n_ticks !== null) said.push(["late ticks", lateWords(status.n_late, status.n_ticks)]);
+  if (status.delay_ms != null) said.push(["face after sound", shown(status.delay_ms, 0, "ms")]);
+  if (status.n_ticks != null) said.push(["late ticks", lateWords(status.n_late, status.n_ticks)]);
   if (status.recognizer) said.push(["listener", status.recognizer]);
   if (status.output) said.push(["loudspeaker", status.output + (status.output_lost ? ": lost" : "")]);
   return said;
@@ -66,11 +67,16 @@ export function lateWords(nLate, nTicks) {
   return `${late.toLocaleString("en")} of ${(late + (nTicks ?? 0)).toLocaleString("en")}`;
 }
 
-/** What is not as it should be, a sentence each. Pure. */
-export function troubleLines(status) {
-  if (status === null) return ["The face does not answer."];
+/** What is not as it should be, a sentence each. hasEnded: after a confirmed stop. Pure. */
+export function troubleLines(status, hasEnded = false) {
+  if (status === null) return [hasEnded ? "The face has ended." : "The face does not answer."];
   const lines = [...(status.troubles ?? [])];
-  if (status.plugged === false) lines.unshift("The port is gone: look at the plug.");
+  if (isStopped(status)) {
+    for (const [name, why] of Object.entries(status.stop_report?.unconfirmed ?? {})) {
+      lines.push(`${spoken(name)}: not confirmed to be limp (${why}).`);
+    }
+  }
+  if (status.plugged === false) lines.unshift("The servos' port is gone: look at the plug.");
   if (status.fallback_level > 0) {
     const why = status.fallback_reasons?.at(-1);
     lines.push(`A simpler listener is at work${why ? `: ${why}` : ""}.`);

@@ -1,7 +1,8 @@
 // A field to drag in: the robot looks there. The field is seen from the front, as the robot view
 // is: dragging to the right makes it look to its own left.
 import { postJson } from "../calls.js";
-import { facts } from "../link.js";
+import { facts, onStatus } from "../link.js";
+import { whyStill } from "../words.js";
 
 const MOST_YAW_DEG = 60;
 const MOST_PITCH_DEG = 40;
@@ -37,6 +38,20 @@ class FaceLook extends HTMLElement {
     }
     this.pad.addEventListener("keydown", (event) => this.step(event));
     this.clearButton.addEventListener("click", () => this.clear());
+    this.undo = onStatus((status) => this.still(whyStill(status)));
+  }
+
+  disconnectedCallback() {
+    this.undo?.();
+  }
+
+  /** why: nothing can look just now; null: it can. */
+  still(why) {
+    if (this.why === why) return;
+    this.why = why;
+    this.pad.inert = why !== null;
+    this.said.dataset.tone = "";
+    this.said.textContent = why ?? "";
   }
 
   point(event) {

@@ -1,8 +1,8 @@
 // The robot from the front, moved by its servos' encoders: what it does, not what it was told.
 // Robot's left is the viewer's right. A servo that does not answer is hatched, never drawn as well.
-import { face, facts, onDraw, onHello } from "../link.js";
+import { drawnDeg, face, facts, onDraw, onHello, troubleOf } from "../link.js";
 import { drawFigure, figure, HATCH } from "./robot_figure.js";
-import { servoTrouble, shown, spoken } from "../words.js";
+import { shown, spoken } from "../words.js";
 
 const SIDES = ["left", "right"];
 
@@ -51,21 +51,30 @@ class FaceRobot extends HTMLElement {
   draw(frame) {
     if (!this.svg) return;
     const names = face.hello.servos;
-    const trouble = (name, encoder) => servoTrouble(face.status, name, encoder);
-    this.pose = pose(names, facts.rig ?? {}, frame.encodersDeg, trouble);
+    const encodersDeg = drawnDeg(frame);
+    const isLast = encodersDeg !== frame.encodersDeg;
+    this.pose = pose(names, facts.rig ?? {}, encodersDeg, troubleOf);
     this.drawn = drawFigure(this.svg, this.pose); // numbers of the drawing, for tests
-    this.svg.classList.toggle("gone", frame.servosGone);
+    this.svg.classList.toggle("gone", frame.servosGone && !isLast);
+    this.svg.classList.toggle("limp", face.phase === "stopped");
     const lost = [];
     names.forEach((name, i) => {
-      const why = trouble(name, frame.encodersDeg[i]);
+      const why = troubleOf(name, encodersDeg[i]);
       if (why) lost.push(spoken(name));
-      if (this.dials.has(name)) turn(this.dials.get(name), name, frame.encodersDeg[i], why);
+      if (this.dials.has(name)) turn(this.dials.get(name), name, encodersDeg[i], why);
     });
-    const text = frame.servosGone ? "Nobody says where the servos are." : lostWords(lost);
+    const isSeen = encodersDeg.some((deg) => deg !== null);
+    let text = lostWords(lost);
+    if (isLast) text = `${text} ${isSeen ? LAST : UNREAD}`.trim();
+    else if (frame.servosGone) text = "Where the servos are is not known.";
+    this.lost.dataset.calm = String(isLast && !lost.length);
     this.lost.hidden = text === "";
     if (this.lost.textContent !== text) this.lost.textContent = text;
   }
 }
+
+const LAST = "Not driven: drawn where its joints were read last.";
+const UNREAD = "Not driven: its joints are not read, and drawn at 0°.";
 
 /** Which parts are hatched, in a sentence. Pure. */
 export function lostWords(names) {
@@ -91,7 +100,7 @@ function turn(one, name, encoder, why) {
   const share = encoder === null ? 0.5 : (encoder - least) / (most - least || 1);
   const turned = -90 + 180 * Math.min(1, Math.max(0, share));
   one.querySelector("line").setAttribute("transform", `rotate(${turned.toFixed(1)})`);
-  one.querySelector("b").textContent = encoder === null ? "no answer" : shown(encoder, 1, "°");
+  one.querySelector("b").textContent = encoder === null ? (why === null ? "limp" : "no answer") : shown(encoder, 1, "°");
   one.classList.toggle("unwell", why !== null);
 }
 

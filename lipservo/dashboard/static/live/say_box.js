@@ -1,6 +1,7 @@
 // A text for the face to say; where it has no voice, how to give it one.
 import { postJson } from "../calls.js";
 import { onStatus } from "../link.js";
+import { whyStill } from "../words.js";
 
 const HOW =
   "This face was started without a voice. Start it as <code>lipservo daemon --config FACE " +
@@ -28,9 +29,12 @@ class FaceSay extends HTMLElement {
   }
 
   tell(status) {
-    const canSay = Boolean(status?.listens_on);
+    const still = whyStill(status);
+    const canSay = still === null && Boolean(status?.listens_on);
     this.form.hidden = !canSay;
     this.how.hidden = canSay || status === null;
+    const text = still ?? HOW;
+    if (this.how.innerHTML !== text) this.how.innerHTML = text;
   }
 
   async say(text) {

@@ -1,6 +1,6 @@
 // Goal against encoder, one strip a servo: blue bar = where it is, orange tick = where it should be.
-import { face, facts, onDraw, onHello } from "../link.js";
-import { servoTrouble, shown, spoken } from "../words.js";
+import { drawnDeg, facts, onDraw, onHello, troubleOf } from "../link.js";
+import { shown, spoken } from "../words.js";
 
 /** Where an angle lies on a strip from least to most, 0..1, kept inside. Pure. */
 export function place(deg, leastDeg, mostDeg) {
@@ -30,17 +30,18 @@ class FaceServoBars extends HTMLElement {
   }
 
   draw(frame) {
+    const encodersDeg = drawnDeg(frame);
     for (const [i, { name, row, bar, goal, value }] of this.rows.entries()) {
       const { least_deg: least, most_deg: most } = limits(name);
-      const encoder = frame.encodersDeg[i];
-      const trouble = servoTrouble(face.status, name, encoder);
+      const encoder = encodersDeg[i];
+      const trouble = troubleOf(name, encoder);
       row.classList.toggle("unwell", trouble !== null);
       row.classList.toggle("limp", !frame.torqueOn);
       const zero = place(0, least, most);
       const at = encoder === null ? zero : place(encoder, least, most);
       bar.style.transform = `translateX(${100 * Math.min(zero, at)}%) scaleX(${Math.abs(at - zero)})`;
       goal.style.left = `${100 * place(frame.goalsDeg[i], least, most)}%`;
-      const text = encoder === null ? "no answer" : shown(encoder, 1, "°");
+      const text = encoder === null ? (trouble === null ? "limp" : "no answer") : shown(encoder, 1, "°");
       if (value.textContent !== text) value.textContent = text;
       row.title = trouble === null ? "" : `${spoken(name)}: ${trouble}`;
     }

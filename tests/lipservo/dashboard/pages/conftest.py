@@ -106,6 +106,28 @@ def context(browser):
         yield made
 
 
+@pytest.fixture(scope="module")
+def module_page(context, dashboard):
+    """One page of a dashboard, whose modules a test imports: for what is pure in them."""
+    page = context.new_page()
+    page.goto(f"{dashboard[0]}/calibrate")
+    yield page
+    page.close()
+
+
+@pytest.fixture
+def startable(context, face):
+    """`POST /api/start` of every page reaches the acted face; the server's own is not needed."""
+
+    def answer(route):
+        answered = face.start()
+        route.fulfill(status=422 if "error" in answered else 200, json=answered)
+
+    context.route("**/api/start", answer)
+    yield face
+    context.unroute("**/api/start", answer)
+
+
 @pytest.fixture
 def opened(context, address, face, tmp_path, request):
     """Opens pages: `opened("/servos")`; ready when the first frame of the face has come.

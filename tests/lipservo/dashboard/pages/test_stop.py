@@ -15,7 +15,7 @@ def test_stop_says_what_the_servos_confirmed_and_a_second_press_lets_go(opened, 
     page.click("#face-stop")
     reported(page, "at rest and limp, confirmed by 16 servos")
     page.click("#face-stop")
-    reported(page, "the face is limp, confirmed by 16 servos")
+    reported(page, "Stopped. Limp, confirmed by 16 servos")
 
     assert set(face.said) == {"soft", "limp"}
     assert face.said[0] == "soft"
@@ -27,7 +27,7 @@ def test_a_servo_that_does_not_confirm_is_named(opened, face):
 
     page.click("#face-stop")
 
-    reported(page, "NOT confirmed to be limp: jaw. Keep your hands away")
+    reported(page, "NOT confirmed to be limp: jaw (did not answer). Keep your hands away. Switch")
 
 
 @pytest.mark.parametrize("path", ["/", "/servos", "/calibrate", "/lines", "/settings"])
@@ -78,7 +78,7 @@ def test_stop_tries_again_and_says_so_while_nobody_answers(opened, face):
     page.route("**/api/stop", lambda route: route.abort())
 
     page.click("#face-stop")
-    reported(page, "Nobody answers. Trying again")
+    reported(page, "The dashboard does not answer. Trying again")
     reported(page, "Switch the servos' supply off")
     page.unroute("**/api/stop")
 
