@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.arrays import Array, all_set, any_set
 from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.handshake import identify_all
@@ -107,15 +107,14 @@ class DynamixelBus:
         line = self.line
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._cache.low <= pulses) & (pulses <= self._cache.high)
-        n_taken = np.count_nonzero(taken)
-        if n_taken == len(taken):
+        if all_set(taken):
             self._cache.errors = self._cache.no_errors
             self._watchdogs.keep(line)
             self._cache.goals = pulses
             line.tell(self._goal_write.request(pulses))
             return
         self._cache.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
-        if not n_taken:
+        if not any_set(taken):
             return
         self._watchdogs.keep(line)
         self._cache.goals = np.where(taken, pulses, self._cache.goals)

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.arrays import Array, all_set
 from firmware_bridge.targets import ServoTargets
 
 #: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
@@ -96,15 +96,15 @@ class TargetTrack:
         return (
             record.positions_deg.shape == self._shape
             and math.isfinite(record.time_s)
-            and np.count_nonzero(np.isfinite(record.positions_deg)) == self._shape[0]
+            and all_set(np.isfinite(record.positions_deg))
         )
 
     def _keep(self, record: ServoTargets) -> None:
         replaced = bisect_left(self._times_s, record.time_s - SAME_MOMENT_S)
         self._times_s[replaced:] = [record.time_s]
         self._positions_deg[replaced:] = [record.positions_deg]
-        del self._times_s[: -self._n_kept]
-        del self._positions_deg[: -self._n_kept]
+        if len(self._times_s) > self._n_kept:
+            del self._times_s[0], self._positions_deg[0]
 
     def _on_line(self, left: int, time_s: float) -> Array:
         """Follow the straight line through targets `left` and `left + 1`, at `time_s`."""
