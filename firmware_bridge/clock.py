@@ -19,9 +19,8 @@ class Clock(Protocol):
 class MonotonicClock:
     """The computer's own clock, untouched when somebody sets the date."""
 
-    def now(self) -> float:
-        """Seconds of `time.monotonic`."""
-        return time.monotonic()
+    #: Seconds; the function itself, since a tick looks a dozen times.
+    now = staticmethod(time.monotonic)
 
     def sleep_until(self, time_s: float) -> None:
         """Sleep the thread; a sleep that ends early is taken up again."""

@@ -148,12 +148,10 @@ class DynamixelBus:
     def feedback(self) -> Feedback:
         """One question to all; of a silent servo the last answer, with its age."""
         line = self.line
-        found = self._note(self._motion.ask(line))
-        self._cache.take_motion(found)
+        found = self._motion.ask(line)
         now_s = line.transport.clock.now()
-        ages_s = self._cache.ages(found, now_s)
-        if len(found) < len(self._ids):
-            self._cache.unanswered += ages_s > 0.0
+        self._watchdogs.spoke(now_s)
+        ages_s = self._cache.take_motion(found, now_s)
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._cache.pulses),

@@ -74,10 +74,6 @@ class ServoStateCache:
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
         """Remember who answered, and with what error."""
-        if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
-            self.heard_s.fill(now_s)
-            if statuses.errors == self._no_error_bytes:  # nearly always so
-                return
         for status in statuses:
             n = self._index[status.servo_id]
             self.heard_s[n] = now_s
@@ -85,25 +81,29 @@ class ServoStateCache:
                 self.errors = self.errors.copy()
                 self.errors[n] = status.error
 
-    def take_motion(self, statuses: Sequence[Status]) -> None:
-        """Ten bytes each from present_current on."""
+    def take_motion(self, statuses: Sequence[Status], now_s: float) -> Array:
+        """Ten bytes each from present_current on; how old each servo's part is, as `ages`."""
         if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
+            if statuses.errors != self._no_error_bytes:
+                self.note(statuses, now_s)
+            self.heard_s.fill(now_s)
             values = statuses.values(_MOTION_BLOCK)
             self.pulses[:] = values["position"]
             self.effort = np.abs(values["current"]) * self._effort_unit
-            return
-        if not statuses:
-            return
-        at = [self._index[status.servo_id] for status in statuses]
-        values = np.frombuffer(b"".join([status.data for status in statuses]), dtype=_MOTION)
-        self.pulses[at] = values["position"]
-        self.effort = self.effort.copy()
-        self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
+            return np.zeros(len(self._ids))
+        self.note(statuses, now_s)
+        if statuses:
+            at = [self._index[status.servo_id] for status in statuses]
+            values = np.frombuffer(b"".join([status.data for status in statuses]), dtype=_MOTION)
+            self.pulses[at] = values["position"]
+            self.effort = self.effort.copy()
+            self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
+        ages_s = self.ages(statuses, now_s)
+        self.unanswered += ages_s > 0.0
+        return ages_s
 
     def ages(self, found: Sequence[Status], now_s: float) -> Array:
         """How old each servo's part of a reading is; 0 for those just found."""
-        if isinstance(found, CommonFrame) and found.ids == self._ids:
-            return np.zeros(len(self._ids))
         ages = np.maximum(now_s - self.heard_s, 1e-9)
         ages[[self._index[status.servo_id] for status in found]] = 0.0
         return ages
@@ -111,7 +111,7 @@ class ServoStateCache:
     def health(self, now_s: float) -> Health:
         """A copy for others to keep."""
         return Health(
-            silent_s=np.maximum(0.0, now_s - self.heard_s),
+            silent_s=now_s - self.heard_s,
             torque_on=self.torque.copy(),
             watchdog_tripped=self.tripped.copy(),
             hardware_errors=self.hardware.copy(),

@@ -1,1 +1,1 @@
-"""What driving servos costs beside dynamixel-sdk and rustypot, and what it withstands: `lipservo bench bus`."""
+"""A bridge beside dynamixel-sdk and rustypot, and what its bus withstands: `lipservo bench bus`."""

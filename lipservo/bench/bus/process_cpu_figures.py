@@ -1,18 +1,16 @@
 """Processor time of the whole bridge process, beside a loop with dynamixel-sdk or rustypot."""
 
-import contextlib
 import ctypes
 import mmap
 import os
 import signal
-import socket
 import statistics
 import struct
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
@@ -203,8 +201,7 @@ def _bridge_process(folder: Path) -> Iterator[_Measured]:
         process = stack.enter_context(_running(command, list(inherited.values()), folder))
         end.close()
         measured = _Measured(process.pid, SocketTargetChannel(writer), _BoardRounds(live), lifeline)
-        said: list[object] = []
-        _wait_until(lambda: bool(said.extend(lifeline.read()) or Ready() in said), process)
+        _wait_until(lambda: Ready() in lifeline.read(), process)
         measured.take_turn()
         for _ in range(3):  # full strength comes a second and some after torque
             os.kill(process.pid, signal.SIGCONT)
@@ -242,11 +239,11 @@ def _running(
         process.wait()
 
 
-def _wait_until(condition: "Condition", process: subprocess.Popen[bytes]) -> None:
+def _wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
     give_up_s = time.monotonic() + _STARTS_S
     while not condition():
         if process.poll() is not None or time.monotonic() > give_up_s:
-            raise RuntimeError(f"{' '.join(map(str, process.args[:5]))}... does not start")
+            raise RuntimeError(f"a process to measure does not start: {process.args!r}")
         time.sleep(0.02)
 
 

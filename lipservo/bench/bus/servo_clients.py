@@ -1,4 +1,4 @@
-"""dynamixel-sdk and rustypot as servo clients: goals out, places and health back, one call a tick."""
+"""dynamixel-sdk and rustypot as servo clients: goals out, places and health back in one call."""
 
 import select
 import subprocess
