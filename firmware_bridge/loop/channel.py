@@ -100,14 +100,22 @@ class TargetTrack:
         )
 
     def _keep(self, record: ServoTargets) -> None:
+        times_s = self._times_s
+        if not times_s or times_s[-1] < record.time_s - SAME_MOMENT_S:  # nearly always so
+            times_s.append(record.time_s)
+            self._positions_deg.append(record.positions_deg)
+        else:
+            self._replace_from(record)
+        if len(times_s) > self._n_kept:
+            del times_s[0], self._positions_deg[0]
+
+    def _replace_from(self, record: ServoTargets) -> None:
         replaced = bisect_left(self._times_s, record.time_s - SAME_MOMENT_S)
         self._times_s[replaced:] = [record.time_s]
         self._positions_deg[replaced:] = [record.positions_deg]
-        if len(self._times_s) > self._n_kept:
-            del self._times_s[0], self._positions_deg[0]
 
     def _on_line(self, left: int, time_s: float) -> Array:
         """Follow the straight line through targets `left` and `left + 1`, at `time_s`."""
-        start_s, end_s = self._times_s[left : left + 2]
-        start_deg, end_deg = self._positions_deg[left : left + 2]
+        start_s, end_s = self._times_s[left], self._times_s[left + 1]
+        start_deg, end_deg = self._positions_deg[left], self._positions_deg[left + 1]
         return start_deg + (end_deg - start_deg) * ((time_s - start_s) / (end_s - start_s))

@@ -10,6 +10,7 @@ import numpy as np
 from firmware_bridge.targets import ServoTargets
 
 _HEAD: Final = struct.Struct("<Qd")
+_ANGLE: Final = np.dtype("<f8")
 #: Room for a second of targets at 1000 a second; a reader at 30 Hz never lets it fill.
 _BUFFER_BYTES: Final = 1 << 20
 #: More than a reader needs in one go; bounds the time of a tick when somebody floods the channel.
@@ -67,7 +68,8 @@ class SocketTargetChannel:
                 self.n_dropped += 1
                 continue
             sequence, time_s = _HEAD.unpack_from(raw)
-            self.n_dropped += max(0, sequence - self._sequence - 1)
+            if sequence > self._sequence + 1:
+                self.n_dropped += sequence - self._sequence - 1
             self._sequence = sequence
-            records.append(ServoTargets(time_s, np.frombuffer(raw, "<f8", offset=_HEAD.size)))
+            records.append(ServoTargets(time_s, np.frombuffer(raw, _ANGLE, offset=_HEAD.size)))
         return records
