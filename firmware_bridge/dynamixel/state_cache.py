@@ -52,6 +52,11 @@ class ServoStateCache:
         self._milliamperes = np.array(
             [stall if unit else np.nan for unit, stall in zip(units, stalls, strict=True)]
         )
+        # The newest common frame of all, and where the values lie in it: numbers are read in place.
+        self._frame = bytearray(CommonFrame.size_of(n, _MOTION.itemsize))
+        blocks = CommonFrame.blocks(self._frame, _MOTION_BLOCK)
+        self._positions, self._currents = blocks["position"], blocks["current"]
+        self._current_units = np.zeros(n)
         self.pulses = np.full(n, np.nan)
         self.goals = np.full(n, np.nan)
         self.effort = np.zeros(n)
@@ -105,9 +110,10 @@ class ServoStateCache:
             if statuses.errors != self._no_error_bytes:
                 self.note(statuses, now_s)
             self.heard_s.fill(now_s)
-            values = statuses.values(_MOTION_BLOCK)
-            self.pulses[:] = values["position"]
-            self.effort = np.abs(values["current"]) * self._effort_unit
+            self._frame[:] = statuses.stream
+            self.pulses[:] = self._positions
+            self._current_units[:] = self._currents
+            self.effort = np.abs(self._current_units) * self._effort_unit
             return self._no_age_s
         self.note(statuses, now_s)
         if statuses:
