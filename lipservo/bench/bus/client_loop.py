@@ -1,7 +1,7 @@
 """A servo loop as one writes it with dynamixel-sdk or rustypot, a process of its own.
 
-Run as `python -m lipservo.bench.bus.client_loop KIND PORT N RATE_HZ TARGETS COUNT`, the last two
-inherited descriptors: a socket that goals come through, in degrees, as they come to the bridge; and
+Run as `python -m lipservo.bench.bus.client_loop KIND PORT BAUD_RATE N RATE_HZ TARGETS COUNT`, the
+last two inherited descriptors: a socket that goals come through, in degrees, as they come to the bridge; and
 eight bytes of memory in which it counts its rounds. It ends when the socket is closed.
 """
 
@@ -14,7 +14,13 @@ import sys
 import time
 from typing import Final
 
-from lipservo.bench.bus.servo_clients import AnswerLost, RustypotClient, SdkClient, ServoClient
+from lipservo.bench.bus.servo_clients import (
+    AnswerLost,
+    HealthRead,
+    RustypotClient,
+    SdkClient,
+    ServoClient,
+)
 
 #: Number and time of a record, before its angles.
 _HEAD_BYTES: Final = 16
@@ -23,17 +29,16 @@ _COUNT: Final = struct.Struct("<Q")
 _CENTER, _PULSES_PER_DEG = 2048, 4096 / 360
 
 
-def make_client(kind: str, port: str, n_servos: int) -> ServoClient:
+def make_client(kind: str, port: str, baud_rate: int, n_servos: int) -> ServoClient:
     """`sdk`, `sdk_all_fast`, `sdk_in_turn`, `rustypot_in_turn`; the SDK's also with `_waiting`."""
     name, _, health = kind.removesuffix("_waiting").partition("_")
+    reads: HealthRead = "in_turn" if health == "in_turn" else "all_plain"
+    if health == "all_fast" or (name == "rustypot" and not health):
+        reads = "all_fast"
     if name == "rustypot":
-        return RustypotClient(port, n_servos, "in_turn" if health == "in_turn" else "all_fast")
+        return RustypotClient(port, n_servos, reads, baud_rate=baud_rate)
     in_kernel = kind.endswith("_waiting")
-    if health == "in_turn":
-        return SdkClient(port, n_servos, "in_turn", in_kernel=in_kernel)
-    if health == "all_fast":
-        return SdkClient(port, n_servos, "all_fast", in_kernel=in_kernel)
-    return SdkClient(port, n_servos, in_kernel=in_kernel)
+    return SdkClient(port, n_servos, reads, baud_rate=baud_rate, in_kernel=in_kernel)
 
 
 def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count: int) -> None:
@@ -66,5 +71,6 @@ def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count:
 
 if __name__ == "__main__":
     kind, port, *numbers = sys.argv[1:]
-    n_servos, targets, count = int(numbers[0]), int(numbers[2]), int(numbers[3])
-    run(make_client(kind, port, n_servos), n_servos, float(numbers[1]), targets, count)
+    baud_rate, n_servos, targets, count = (int(numbers[n]) for n in (0, 1, 3, 4))
+    client = make_client(kind, port, baud_rate, n_servos)
+    run(client, n_servos, float(numbers[2]), targets, count)

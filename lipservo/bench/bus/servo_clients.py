@@ -46,6 +46,7 @@ class SdkClient:
         n_servos: int,
         health: HealthRead = "all_plain",
         *,
+        baud_rate: int = BAUD_RATE,
         in_kernel: bool = False,
     ) -> None:
         """in_kernel: wait for bytes in `poll` and not, as the SDK does, by reading again."""
@@ -56,7 +57,7 @@ class SdkClient:
         self.goals: Sequence[int] = [2048] * n_servos
         self._handler = _waiting_port(sdk, port) if in_kernel else sdk.PortHandler(port)
         self._handler.openPort()
-        self._handler.setBaudRate(BAUD_RATE)
+        self._handler.setBaudRate(baud_rate)
         self._packets = sdk.PacketHandler(2.0)
         self._write = sdk.GroupSyncWrite(self._handler, self._packets, _GOAL, 4)
         self._motion = sdk.GroupSyncRead(self._handler, self._packets, _MOTION, _MOTION_SIZE)
@@ -112,12 +113,19 @@ class SdkClient:
 class RustypotClient:
     """rustypot, which decodes single registers only: spans come as bytes, by fast reads."""
 
-    def __init__(self, port: str, n_servos: int, health: HealthRead = "all_fast") -> None:
+    def __init__(
+        self,
+        port: str,
+        n_servos: int,
+        health: HealthRead = "all_fast",
+        *,
+        baud_rate: int = BAUD_RATE,
+    ) -> None:
         import rustypot
 
         self._ids = list(range(1, n_servos + 1))
         self.goals: Sequence[int] = [2048] * n_servos
-        self._bus = rustypot.Xl330PyController(port, BAUD_RATE, 0.1)
+        self._bus = rustypot.Xl330PyController(port, baud_rate, 0.1)
         self._bus.set_fast_sync_read(True)
         self._in_turn = health == "in_turn"
         self._turn = 0
@@ -138,11 +146,17 @@ class RustypotClient:
         if kind:
             (values,) = self._read([self._ids[turn]], _WARMTH, _WARMTH_SIZE, _WARMTH_TYPE).tolist()
             return [*values]
-        data = self._bus.sync_read_raw_data([self._ids[turn]], _HEALTH, _HEALTH_SIZE)[0]
+        data = self._ask([self._ids[turn]], _HEALTH, _HEALTH_SIZE)[0]
         return [data[0], data[_ERROR_AT], data[-1]]
 
+    def _ask(self, ids: list[int], address: int, size: int) -> Any:
+        try:
+            return self._bus.sync_read_raw_data(ids, address, size)
+        except RuntimeError as error:
+            raise AnswerLost from error
+
     def _read(self, ids: list[int], address: int, size: int, kind: np.dtype) -> np.ndarray:
-        data = self._bus.sync_read_raw_data(ids, address, size)
+        data = self._ask(ids, address, size)
         return np.frombuffer(b"".join([bytes(each) for each in data]), dtype=kind)
 
 
@@ -161,11 +175,18 @@ def _waiting_port(sdk: Any, port: str) -> Any:
 
 
 @contextmanager
-def canned_peer(n_servos: int) -> Iterator[str]:
-    """The port of a process that answers for so many servos, with changing bytes, at once."""
+def canned_peer(n_servos: int, *, on_time: bool = False) -> Iterator[str]:
+    """The port of a process that answers for so many servos, with changing bytes, at once.
+
+    on_time: before all else that the computer does, where permitted.
+    """
     command = [sys.executable, "-m", "firmware_bridge.simulator.canned_peer", str(n_servos)]
+    options = ["--on-time"] if on_time else []
     with subprocess.Popen(
-        [*command, str(_MOTION_SIZE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        [*command, str(_MOTION_SIZE), *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
     ) as peer:
         assert peer.stdout is not None
         yield peer.stdout.readline().strip()
