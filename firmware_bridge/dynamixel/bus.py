@@ -7,7 +7,7 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.arrays import Array, all_set, any_set
 from firmware_bridge.bus import PortError, Readings
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.handshake import identify_all
@@ -80,6 +80,7 @@ class DynamixelBus:
         self._motion = SpanGroup(self._ids, _PRESENT, 10)
         self._whole = SpanGroup(self._ids, _GOAL, _MOTION_SIZE)
         self._holding = SpanGroup(self._ids, _TORQUE, 1)
+        self._groups = (self._motion, self._whole, self._holding)
         self._torque = TorqueSwitch(
             servos, self._cache, self._mounting, self._soft_start, self._watchdogs
         )
@@ -107,15 +108,14 @@ class DynamixelBus:
         line = self.line
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._cache.low <= pulses) & (pulses <= self._cache.high)
-        n_taken = np.count_nonzero(taken)
-        if n_taken == len(taken):
+        if all_set(taken):
             self._cache.errors = self._cache.no_errors
             self._watchdogs.keep(line)
             self._cache.goals = pulses
             line.tell(self._goal_write.request(pulses))
             return
         self._cache.errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
-        if not n_taken:
+        if not any_set(taken):
             return
         self._watchdogs.keep(line)
         self._cache.goals = np.where(taken, pulses, self._cache.goals)
@@ -132,7 +132,7 @@ class DynamixelBus:
             self._cache.goals[n], self._cache.pulses[n] = goal, place
         held = self._holding.ask(line)
         for status in held:
-            self._cache.torque[self._index[status.servo_id]] = status.data != b"\0"
+            self._cache.set_one("torque", self._index[status.servo_id], status.data != b"\0")
         now_s = line.transport.clock.now()
         ages_s = self._cache.ages(found, now_s)
         # A goal counts as read only when it was: whoever arms relies on it.
@@ -141,20 +141,18 @@ class DynamixelBus:
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._cache.pulses),
             goals_deg=self._mounting.joint_deg(goals),
-            torque_on=self._cache.torque.copy(),
-            errors=self._cache.errors.copy(),
+            torque_on=self._cache.torque,
+            errors=self._cache.errors,
             age_s=ages_s,
         )
 
     def feedback(self) -> Feedback:
         """One question to all; of a silent servo the last answer, with its age."""
         line = self.line
-        found = self._note(self._motion.ask(line))
-        self._cache.take_motion(found)
+        found = self._motion.ask(line)
         now_s = line.transport.clock.now()
-        ages_s = self._cache.ages(found, now_s)
-        if len(found) < len(self._ids):
-            self._cache.unanswered += ages_s > 0.0
+        self._watchdogs.spoke(now_s)
+        ages_s = self._cache.take_motion(found, now_s)
         return Feedback(
             time_s=now_s,
             positions_deg=self._mounting.joint_deg(self._cache.pulses),
@@ -165,29 +163,28 @@ class DynamixelBus:
 
     def look_after(self) -> Health:
         """Torque, errors and watchdog of one servo, or its warmth and voltage, in turns."""
-        line = self.line
+        line, cache = self.line, self._cache
         turn, kind = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
         servo_id = self._ids[turn]
         if kind == 0:
             status = line.read(servo_id, _TORQUE, _HEALTH_SIZE)
             if status is not None and len(status.data) == _HEALTH_SIZE:
-                self._cache.torque[turn] = status.data[0] == 1
-                self._cache.hardware[turn] = status.data[_ERROR_AT]
-                self._cache.tripped[turn] = status.data[-1] == 0xFF
+                cache.set_one("torque", turn, status.data[0] == 1)
+                cache.set_one("hardware", turn, status.data[_ERROR_AT])
+                cache.set_one("tripped", turn, status.data[-1] == 0xFF)
                 self._torque.renew_watchdog(line, turn, status.data[-1])
         else:
             status = line.read(servo_id, _WARMTH, 3)
             if status is not None and len(status.data) == 3:
-                self._cache.voltage_v[turn] = int.from_bytes(status.data[:2], "little") / 10.0
-                self._cache.temperature_degc[turn] = status.data[2]
-                self._cache.room_degc[turn] = self._cache.hottest[turn] - status.data[2]
+                cache.set_one("voltage_v", turn, int.from_bytes(status.data[:2], "little") / 10.0)
+                cache.take_temperature(turn, status.data[2])
         if status is not None:
             self._note([status])
-            for group in (self._motion, self._whole, self._holding):
+            for group in self._groups:
                 group.trust(servo_id)
         self._soft_start.restore_full_limits(line)
-        return self._cache.health(line.transport.clock.now())
+        return cache.health(line.transport.clock.now())
 
     def obstacle(self, index: int) -> str:
         """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
@@ -218,7 +215,7 @@ class DynamixelBus:
             for status in self._note(self._holding.ask(line)):
                 n = self._index[status.servo_id]
                 confirmed[n] = status.data == b"\0"
-                self._cache.torque[n] = not confirmed[n]
+                self._cache.set_one("torque", n, not confirmed[n])
             if confirmed.all():
                 break
             line.tell(request)
@@ -229,16 +226,15 @@ class DynamixelBus:
         """What is unusual about adapter and servos, in sentences for a log."""
         if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
             self._remarks += (_ECHO,)
-        groups = (self._motion, self._whole, self._holding)
-        if any(each.fast_unsupported for each in groups) and _NO_FAST not in self._remarks:
+        if any(each.fast_unsupported for each in self._groups) and _NO_FAST not in self._remarks:
             self._remarks += (_NO_FAST,)
         return self._remarks
 
     def reboot(self, index: int) -> None:
         """Restart one servo and forget what was known of it."""
         self.line.reboot(self._ids[index])
-        self._cache.hardware[index] = 0
-        self._cache.tripped[index] = False
+        self._cache.set_one("hardware", index, 0)
+        self._cache.set_one("tripped", index, False)
 
     def reopen(self) -> None:
         """A new handle. Raises PortError."""
@@ -277,7 +273,7 @@ class DynamixelBus:
         self._line = line
         line.return_delay_s = float(self._cache.return_delay_s.max())
         line.tell(codec.sync_write(_LEVEL, 1, [(each, b"\2") for each in self._ids]))
-        for group in (self._motion, self._whole, self._holding):
+        for group in self._groups:
             group.reset()
 
     def _close(self) -> None:

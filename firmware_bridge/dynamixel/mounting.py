@@ -60,11 +60,13 @@ class Mounting:
 
     def pulses(self, joint_deg: Array) -> Array:
         """Whole pulses, as floats: what is not finite stays so."""
-        return np.asarray(np.rint(self._zero + joint_deg * self._scale))
+        pulses: Array = np.rint(self._zero + joint_deg * self._scale)
+        return pulses
 
     def joint_deg(self, pulses: Array) -> Array:
         """Joint degrees; NaN stays NaN."""
-        return np.asarray((pulses - self._zero) / self._scale)
+        joint_deg: Array = (pulses - self._zero) / self._scale
+        return joint_deg
 
     def one_deg(self, index: int, pulse: float) -> float:
         """Joint degrees of one servo's position register."""

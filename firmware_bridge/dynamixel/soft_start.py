@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from firmware_bridge.arrays import any_set
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.units import VELOCITY_UNIT_DEG_S
@@ -64,7 +65,7 @@ class SoftStart:
 
     def restore_full_limits(self, line: Line) -> None:
         """Full speed and strength a second after torque came on; call it again and again."""
-        if not np.count_nonzero(self._n_left):
+        if not any_set(self._n_left):
             return
         now_s = line.transport.clock.now()
         due = np.flatnonzero(self._due_s <= now_s).tolist()

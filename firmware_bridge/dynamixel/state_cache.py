@@ -1,8 +1,10 @@
 """What has been heard of the servos of one face so far, servo by servo."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_bridge.arrays import Array
 from firmware_bridge.dynamixel.handshake import ServoIdentity
@@ -12,6 +14,8 @@ from firmware_bridge.dynamixel.wire.codec import Status
 from firmware_bridge.dynamixel.wire.line import FACTORY_RETURN_DELAY_S
 from firmware_bridge.dynamixel.wire.prepared_packets import CommonFrame
 from firmware_bridge.health import Health
+
+_Kind = TypeVar("_Kind", bound=np.generic)
 
 #: present_current .. present_position, as they lie in the control table.
 _MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
@@ -26,8 +30,9 @@ class ServoStateCache:
 
     pulses, goals: position registers, NaN = never heard; effort: share of the stall torque;
     low, high: the servo's own limits in pulses; heard_s: when it answered last;
-    enabled: torque was switched on by us and not confirmed off since. errors and effort are handed
-    out without a copy, so they are replaced and never written into.
+    enabled: torque was switched on by us and not confirmed off since. What `health` and feedback
+    hand out they hand out without a copy, in every tick: these arrays are replaced, by `set_one`
+    for one, and never written into.
     """
 
     def __init__(self, servos: Sequence[MountedServo]) -> None:
@@ -47,22 +52,40 @@ class ServoStateCache:
         self._milliamperes = np.array(
             [stall if unit else np.nan for unit, stall in zip(units, stalls, strict=True)]
         )
+        # The newest common frame of all, and where the values lie in it: numbers are read in place.
+        self._frame = bytearray(CommonFrame.size_of(n, _MOTION.itemsize))
+        blocks = CommonFrame.blocks(self._frame, _MOTION_BLOCK)
+        self._positions, self._currents = blocks["position"], blocks["current"]
+        self._current_units = np.zeros(n)
         self.pulses = np.full(n, np.nan)
         self.goals = np.full(n, np.nan)
         self.effort = np.zeros(n)
-        self.no_errors = np.zeros(n, dtype=np.uint8)
-        self.no_errors.flags.writeable = False
+        self.no_errors = _read_only(np.zeros(n, dtype=np.uint8))
+        self._no_age_s = _read_only(np.zeros(n))
         self.errors = self.no_errors
         self._no_error_bytes = bytes(n)
         self.heard_s = np.full(n, -np.inf)
-        self.torque = np.zeros(n, dtype=np.bool_)
+        self.torque = _read_only(np.zeros(n, dtype=np.bool_))
         self.enabled = np.zeros(n, dtype=np.bool_)
-        self.tripped = np.zeros(n, dtype=np.bool_)
-        self.hardware = np.zeros(n, dtype=np.uint8)
-        self.temperature_degc = np.full(n, np.nan)
-        self.room_degc = np.full(n, _ROOM_DEGC)
-        self.voltage_v = np.full(n, np.nan)
-        self.unanswered = np.zeros(n, dtype=np.int64)
+        self.tripped = _read_only(np.zeros(n, dtype=np.bool_))
+        self.hardware = _read_only(np.zeros(n, dtype=np.uint8))
+        self.temperature_degc = _read_only(np.full(n, np.nan))
+        self.room_degc = _read_only(np.full(n, _ROOM_DEGC))
+        self.voltage_v = _read_only(np.full(n, np.nan))
+        self.unanswered = _read_only(np.zeros(n, dtype=np.int64))
+
+    def set_one(self, name: str, index: int, value: float) -> None:
+        """Replace the array of this name where a servo's value in it has changed."""
+        array = getattr(self, name)
+        if array.item(index) != value:
+            array = array.copy()
+            array[index] = value
+            setattr(self, name, _read_only(array))
+
+    def take_temperature(self, index: int, temperature_degc: int) -> None:
+        """How warm it is, and by how much it may become warmer."""
+        self.set_one("temperature_degc", index, temperature_degc)
+        self.set_one("room_degc", index, self.hottest[index] - temperature_degc)
 
     def take_identity(self, index: int, said: ServoIdentity, now_s: float) -> None:
         """Its own limits and return delay, as its EEPROM says."""
@@ -74,10 +97,6 @@ class ServoStateCache:
 
     def note(self, statuses: Sequence[Status], now_s: float) -> None:
         """Remember who answered, and with what error."""
-        if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
-            self.heard_s.fill(now_s)
-            if statuses.errors == self._no_error_bytes:  # nearly always so
-                return
         for status in statuses:
             n = self._index[status.servo_id]
             self.heard_s[n] = now_s
@@ -85,40 +104,50 @@ class ServoStateCache:
                 self.errors = self.errors.copy()
                 self.errors[n] = status.error
 
-    def take_motion(self, statuses: Sequence[Status]) -> None:
-        """Ten bytes each from present_current on."""
+    def take_motion(self, statuses: Sequence[Status], now_s: float) -> Array:
+        """Ten bytes each from present_current on; how old each servo's part is, as `ages`."""
         if isinstance(statuses, CommonFrame) and statuses.ids == self._ids:
-            values = statuses.values(_MOTION_BLOCK)
-            self.pulses[:] = values["position"]
-            self.effort = np.abs(values["current"]) * self._effort_unit
-            return
-        if not statuses:
-            return
-        at = [self._index[status.servo_id] for status in statuses]
-        values = np.frombuffer(b"".join([status.data for status in statuses]), dtype=_MOTION)
-        self.pulses[at] = values["position"]
-        self.effort = self.effort.copy()
-        self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
+            if statuses.errors != self._no_error_bytes:
+                self.note(statuses, now_s)
+            self.heard_s.fill(now_s)
+            self._frame[:] = statuses.stream
+            self.pulses[:] = self._positions
+            self._current_units[:] = self._currents
+            self.effort = np.abs(self._current_units) * self._effort_unit
+            return self._no_age_s
+        self.note(statuses, now_s)
+        if statuses:
+            at = [self._index[status.servo_id] for status in statuses]
+            values = np.frombuffer(b"".join([status.data for status in statuses]), dtype=_MOTION)
+            self.pulses[at] = values["position"]
+            self.effort = self.effort.copy()
+            self.effort[at] = np.abs(values["current"]) * self._effort_unit[at]
+        ages_s = self.ages(statuses, now_s)
+        self.unanswered = _read_only(self.unanswered + (ages_s > 0.0))
+        return ages_s
 
     def ages(self, found: Sequence[Status], now_s: float) -> Array:
         """How old each servo's part of a reading is; 0 for those just found."""
-        if isinstance(found, CommonFrame) and found.ids == self._ids:
-            return np.zeros(len(self._ids))
         ages = np.maximum(now_s - self.heard_s, 1e-9)
         ages[[self._index[status.servo_id] for status in found]] = 0.0
         return ages
 
     def health(self, now_s: float) -> Health:
-        """A copy for others to keep."""
+        """For others to keep."""
         return Health(
-            silent_s=np.maximum(0.0, now_s - self.heard_s),
-            torque_on=self.torque.copy(),
-            watchdog_tripped=self.tripped.copy(),
-            hardware_errors=self.hardware.copy(),
-            temperature_degc=self.temperature_degc.copy(),
-            room_degc=self.room_degc.copy(),
-            voltage_v=self.voltage_v.copy(),
+            silent_s=now_s - self.heard_s,
+            torque_on=self.torque,
+            watchdog_tripped=self.tripped,
+            hardware_errors=self.hardware,
+            temperature_degc=self.temperature_degc,
+            room_degc=self.room_degc,
+            voltage_v=self.voltage_v,
             effort=self.effort,
             current_ma=self.effort * self._milliamperes,
-            n_unanswered=self.unanswered.copy(),
+            n_unanswered=self.unanswered,
         )
+
+
+def _read_only(array: NDArray[_Kind]) -> NDArray[_Kind]:
+    array.flags.writeable = False
+    return array

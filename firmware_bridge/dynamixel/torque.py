@@ -54,14 +54,14 @@ class TorqueSwitch:
         if not write_verified(line, servo_id, _GOAL, struct.pack("<i", place)):
             return "does not take the place where it stands as its goal"
         cache.goals[index] = cache.pulses[index] = place
-        cache.tripped[index] = False
+        cache.set_one("tripped", index, False)
         if not self._soft_start.apply_soft_limits(line, index):
             return "does not take its slow start"
         cache.enabled[index] = True
         if not write_verified(line, servo_id, _TORQUE, b"\1"):
             self.disable(line, index)
             return "does not switch its torque on"
-        cache.torque[index] = True
+        cache.set_one("torque", index, True)
         now_s = line.transport.clock.now()
         self._soft_start.note_torque_on(index, now_s)
         self._watchdogs.spoke(now_s)
@@ -74,19 +74,21 @@ class TorqueSwitch:
         torque = line.read(servo_id, _TORQUE, 1)
         if torque is None or torque.data != b"\1":
             return False
-        cache.enabled[index] = cache.torque[index] = True
+        cache.enabled[index] = True
+        cache.set_one("torque", index, True)
         place = self._place(line, servo_id)
         if place is None or not self._watchdogs.start(line, servo_id):
             return False
         cache.goals[index] = cache.pulses[index] = place
-        cache.tripped[index] = False
+        cache.set_one("tripped", index, False)
         return write_verified(line, servo_id, _GOAL, struct.pack("<i", place))
 
     def disable(self, line: Line, index: int) -> bool:
         """Torque off; whether it was read back."""
         limp = write_verified(line, self._servos[index].joint.servo_id, _TORQUE, b"\0")
         if limp:
-            self._cache.torque[index] = self._cache.enabled[index] = False
+            self._cache.enabled[index] = False
+            self._cache.set_one("torque", index, False)
         return limp
 
     def renew_watchdog(self, line: Line, index: int, found: int) -> None:

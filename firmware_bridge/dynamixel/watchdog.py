@@ -22,6 +22,7 @@ class Watchdogs:
         """timeout_s: how long servos go on without hearing anything; 0 = for ever."""
         self._ids = tuple(ids)
         self._setting = min(_LONGEST, int(np.ceil(timeout_s / WATCHDOG_UNIT_S - 1e-9)))
+        self._trips_after_s = self._setting * WATCHDOG_UNIT_S if self._setting else float("inf")
         self._spoke_s = 0.0
         self._lapsed = False
 
@@ -43,8 +44,8 @@ class Watchdogs:
 
     def spoke(self, now_s: float) -> None:
         """The servos hear us now; whether they heard us in time before is remembered."""
-        silence_s = now_s - self._spoke_s
-        self._lapsed |= 0 < self._setting * WATCHDOG_UNIT_S <= silence_s
+        if now_s - self._spoke_s >= self._trips_after_s:
+            self._lapsed = True
         self._spoke_s = now_s
 
     def keep(self, line: Line) -> None:

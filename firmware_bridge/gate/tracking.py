@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.arrays import Array, any_set
 from firmware_bridge.health import Feedback
 from firmware_bridge.joints import Joint
 
@@ -101,14 +101,16 @@ class TrackingMonitor:
 
     def behind(self, sent_deg: Array, feedback: Feedback) -> NDArray[np.bool_]:
         """Which servos have not followed for too long, (n_servos,)."""
-        heard = feedback.age_s == 0.0
-        all_heard = np.count_nonzero(heard) == len(heard)  # twice as quick as all()
         error_deg = np.abs(sent_deg - feedback.positions_deg)
-        self.error_deg = error_deg if all_heard else np.where(heard, error_deg, self.error_deg)
-        self._travel.observe(sent_deg, feedback, None if all_heard else heard)
+        heard = None
+        if any_set(feedback.age_s):
+            heard = feedback.age_s == 0.0
+            error_deg = np.where(heard, error_deg, self.error_deg)
+        self.error_deg = error_deg
+        self._travel.observe(sent_deg, feedback, heard)
         doubtful = self.error_deg > self._allowed_deg
         doubtful |= self._travel.still
-        if not np.count_nonzero(doubtful):  # nearly always so
+        if not any_set(doubtful):  # nearly always so
             np.maximum(self._within_s, feedback.time_s, out=self._within_s)
             return doubtful
         within_s = np.maximum(self._within_s, feedback.time_s)

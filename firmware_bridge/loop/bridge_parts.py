@@ -61,6 +61,11 @@ class BridgeParts:
         return self._port.is_open
 
     @property
+    def tick_counts(self) -> tuple[int, int, int]:
+        """Ticks so far, those missed, and those without a fresh target, as `status` counts them."""
+        return self._n_ticks, self._n_late, self._n_stale
+
+    @property
     def status(self) -> BridgeStatus:
         """The counts so far."""
         return BridgeStatus(

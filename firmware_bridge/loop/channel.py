@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.arrays import Array, all_set
 from firmware_bridge.targets import ServoTargets
 
 #: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
@@ -96,18 +96,26 @@ class TargetTrack:
         return (
             record.positions_deg.shape == self._shape
             and math.isfinite(record.time_s)
-            and np.count_nonzero(np.isfinite(record.positions_deg)) == self._shape[0]
+            and all_set(np.isfinite(record.positions_deg))
         )
 
     def _keep(self, record: ServoTargets) -> None:
+        times_s = self._times_s
+        if not times_s or times_s[-1] < record.time_s - SAME_MOMENT_S:  # nearly always so
+            times_s.append(record.time_s)
+            self._positions_deg.append(record.positions_deg)
+        else:
+            self._replace_from(record)
+        if len(times_s) > self._n_kept:
+            del times_s[0], self._positions_deg[0]
+
+    def _replace_from(self, record: ServoTargets) -> None:
         replaced = bisect_left(self._times_s, record.time_s - SAME_MOMENT_S)
         self._times_s[replaced:] = [record.time_s]
         self._positions_deg[replaced:] = [record.positions_deg]
-        del self._times_s[: -self._n_kept]
-        del self._positions_deg[: -self._n_kept]
 
     def _on_line(self, left: int, time_s: float) -> Array:
         """Follow the straight line through targets `left` and `left + 1`, at `time_s`."""
-        start_s, end_s = self._times_s[left : left + 2]
-        start_deg, end_deg = self._positions_deg[left : left + 2]
+        start_s, end_s = self._times_s[left], self._times_s[left + 1]
+        start_deg, end_deg = self._positions_deg[left], self._positions_deg[left + 1]
         return start_deg + (end_deg - start_deg) * ((time_s - start_s) / (end_s - start_s))

@@ -60,4 +60,7 @@ class FollowedTargets:
     def wanted(self, time_s: float) -> tuple[Array, StaleLevel]:
         """Degrees, and how far speech is given up by now."""
         silence_s = max(0.0, time_s - self._heard_s)
-        return self.held_deg * self._stale.weight(silence_s), self._stale.level(silence_s)
+        level = self._stale.level(silence_s)
+        if level is _FRESH:
+            return self.held_deg, level
+        return self.held_deg * self._stale.weight(silence_s), level

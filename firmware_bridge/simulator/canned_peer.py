@@ -1,7 +1,8 @@
 """Answers at once with bytes made beforehand, so that only the master's own work is measured.
 
-Run as `python -m firmware_bridge.simulator.canned_peer N SIZE`; prints its port, ends when its
-standard input closes. Servos 1..N are XL330-M288 at 1 Mbaud, seen at 64 moments of a motion of a
+Run as `python -m firmware_bridge.simulator.canned_peer N SIZE [--on-time]`; prints its port, ends
+when its standard input closes. --on-time: real-time scheduling, where permitted, so that it answers
+at once on a busy computer, too. Servos 1..N are XL330-M288 at 1 Mbaud, seen at 64 moments of a motion of a
 few degrees about the middle of their turn; each question gets the next moment's answer. What is
 read beforehand is SIZE bytes from present_current on; any other span is made at its first question,
 then kept.
@@ -21,6 +22,7 @@ from firmware_bridge.dynamixel.control_table import register, servo_models
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
 from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
+from firmware_bridge.process.scheduling import run_on_time
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.group_instructions import sync_read, sync_write
 
@@ -152,4 +154,6 @@ def serve(n_servos: int, size: int) -> None:
 
 
 if __name__ == "__main__":
+    if "--on-time" in sys.argv[3:]:
+        run_on_time()
     serve(int(sys.argv[1]), int(sys.argv[2]))

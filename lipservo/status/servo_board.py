@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.arrays import Array, any_set
 from firmware_bridge.health import Feedback
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import FaceState, TickReport
@@ -25,20 +25,22 @@ class ServoBoard:
     def tell(self, report: TickReport) -> None:
         """One tick."""
         feedback = self._bridge.feedback
-        status = self._bridge.status
+        n_ticks, n_late, n_stale = self._bridge.tick_counts
         self._board.write_servos(
             time_s=report.time_s,
             goal_deg=report.sent_deg,
             encoder_deg=self._never if feedback is None else _answered_deg(feedback),
             effort=self._never if feedback is None else feedback.effort,
-            state=self._numbers[status.state],
+            state=self._numbers[self._bridge.state],
             torque_on=report.torque_on,
-            n_ticks=status.n_ticks,
-            n_late=status.n_late,
-            n_stale=status.n_stale,
+            n_ticks=n_ticks,
+            n_late=n_late,
+            n_stale=n_stale,
         )
 
 
 def _answered_deg(feedback: Feedback) -> Array:
     """NaN for a servo that has said nothing for so long that its goals are withheld."""
+    if not any_set(feedback.age_s):  # all answered just now
+        return feedback.positions_deg
     return np.where(feedback.age_s > SILENT_S, np.nan, feedback.positions_deg)

@@ -20,11 +20,8 @@ class LearntLatency:
 
     def __init__(self) -> None:
         self._high_s = _UNKNOWN_S
-
-    @property
-    def slack_s(self) -> float:
-        """How long to wait for a reply after its computed time on the wire."""
-        return min(max(self._high_s + _MARGIN_S, _LEAST_S), _MOST_S)
+        #: How long to wait for a reply after its computed time on the wire.
+        self.slack_s = min(max(_UNKNOWN_S + _MARGIN_S, _LEAST_S), _MOST_S)
 
     @property
     def rest_slack_s(self) -> float:
@@ -35,3 +32,4 @@ class LearntLatency:
         """A reply came `delay_s` after its computed time."""
         share = _RISE if delay_s > self._high_s else _FALL
         self._high_s += share * (min(delay_s, _MOST_S) - self._high_s)
+        self.slack_s = min(max(self._high_s + _MARGIN_S, _LEAST_S), _MOST_S)

@@ -127,9 +127,10 @@ class Line(HalfDuplex):
         n = len(span.ids)
 
         def take(stream: bytes, *, last: bool) -> Sequence[Status] | None:
-            statuses = span.take_undisturbed(stream)
-            if statuses is None:
-                statuses = self._salvage(span, stream)
+            whole = span.take_undisturbed(stream)
+            if whole is not None:
+                return whole
+            statuses = self._salvage(span, stream)
             return statuses if last or len(statuses) == n else None
 
         statuses = self._transact(span.request, span.reply_size, take, span.is_over, n_turns=n)

@@ -49,9 +49,14 @@ class CommonFrame(Sequence[Status]):
     def __init__(self, ids: tuple[int, ...], size: int, stream: bytes) -> None:
         """stream: checked by the caller."""
         self.ids = ids
-        self._stream = stream
+        self.stream = stream
         self.errors = stream[_BLOCKS_AT :: size + 4]
         self._size = size
+
+    @staticmethod
+    def size_of(n_servos: int, size: int) -> int:
+        """Bytes of the whole frame of so many servos, of `size` bytes each."""
+        return _BLOCKS_AT + n_servos * (size + 4)
 
     @staticmethod
     def block_of(data: np.dtype[np.void]) -> np.dtype[np.void]:
@@ -60,7 +65,12 @@ class CommonFrame(Sequence[Status]):
 
     def values(self, block: np.dtype[np.void]) -> NDArray[np.void]:
         """The fields of all servos, (n_servos,), in the order asked. block: of `block_of`."""
-        return np.frombuffer(self._stream, dtype=block, offset=_BLOCKS_AT)
+        return self.blocks(self.stream, block)
+
+    @staticmethod
+    def blocks(stream: bytes | bytearray, block: np.dtype[np.void]) -> NDArray[np.void]:
+        """The same of any memory that holds, or will hold, such a frame."""
+        return np.frombuffer(stream, dtype=block, offset=_BLOCKS_AT)
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -75,7 +85,7 @@ class CommonFrame(Sequence[Status]):
     def __iter__(self) -> Iterator[Status]:
         start = _BLOCKS_AT + 2
         for servo_id, error in zip(self.ids, self.errors, strict=True):
-            yield Status(servo_id, error, self._stream[start : start + self._size])
+            yield Status(servo_id, error, self.stream[start : start + self._size])
             start += self._size + 4
 
 

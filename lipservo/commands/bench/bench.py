@@ -80,9 +80,9 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
 
     Against the wire and dynamixel-sdk; against rustypot too, when that is installed.
     """
-    from lipservo.bench import bus_figures as measure
-    from lipservo.bench.bus_cpu_figures import cpu_ratios
-    from lipservo.bench.tick_cpu_figures import tick_ratios
+    from lipservo.bench.bus import bus_figures as measure
+    from lipservo.bench.bus.bus_cpu_figures import cpu_ratios
+    from lipservo.bench.bus.tick_cpu_figures import tick_ratios
 
     began_s = time.perf_counter()
     parts = (

@@ -1,8 +1,6 @@
 """Processor time of a whole tick of the bridge, beside the same servo traffic by others."""
 
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -22,14 +20,17 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.targets import ServoTargets
+from lipservo.bench.bus.servo_clients import (
+    BAUD_RATE,
+    AnswerLost,
+    RustypotClient,
+    SdkClient,
+    ServoClient,
+    canned_peer,
+)
 
 N_SERVOS: Final = 20
 _IDS: Final = list(range(1, N_SERVOS + 1))
-#: goal_position; present_current, present_velocity, present_position; voltage, temperature.
-_GOAL, _MOTION, _MOTION_SIZE, _WARMTH, _WARMTH_SIZE = 116, 126, 10, 144, 3
-_MOTION_TYPE = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
-_WARMTH_TYPE = np.dtype([("voltage", "<u2"), ("temperature", "u1")])
-_BAUD_RATE: Final = 4_000_000
 #: What the ratios over each of them are called: cpu_tick*_ratio.
 _KEYS: Final = {"sdk": "", "sdk_all_fast": "_all_fast", "rustypot": "_rustypot"}
 _RATE_HZ: Final = 100.0
@@ -38,12 +39,8 @@ _SETTLES_S: Final = 0.1
 _WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 80, 10
 
 
-class AnswerLost(Exception):  # noqa: N818 - no mistake of anybody: the computer was busy
-    """The peer was too late, or the end of its answer: the call does not count."""
-
-
 class Client(Protocol):
-    """Somebody who moves and watches the servos."""
+    """Moves and watches the servos, one call at a time."""
 
     def prepare(self, n: int) -> None:
         """What is new for call n; not timed."""
@@ -67,11 +64,11 @@ def tick_ratios() -> dict[str, float]:
     with ExitStack() as stack:
         clients: dict[str, Client] = {
             "own": stack.enter_context(own_tick()),
-            "sdk": SdkTick(stack.enter_context(canned_peer())),
-            "sdk_all_fast": SdkTick(stack.enter_context(canned_peer()), all_fast=True),
+            "sdk": OthersTick(SdkClient(_peer(stack), N_SERVOS)),
+            "sdk_all_fast": OthersTick(SdkClient(_peer(stack), N_SERVOS, "all_fast")),
         }
         if find_spec("rustypot") is not None:
-            clients["rustypot"] = RustypotTick(stack.enter_context(canned_peer()))
+            clients["rustypot"] = OthersTick(RustypotClient(_peer(stack), N_SERVOS))
         spent_us = _calls_us(clients)
     least = {name: min(each) for name, each in spent_us.items()}
     middle = {name: statistics.median(each) for name, each in spent_us.items()}
@@ -81,6 +78,10 @@ def tick_ratios() -> dict[str, float]:
         figures[key] = least["own"] / least[name]
         figures[f"{key}_median"] = middle["own"] / middle[name]
     return figures
+
+
+def _peer(stack: ExitStack) -> str:
+    return stack.enter_context(canned_peer(N_SERVOS))
 
 
 def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
@@ -112,7 +113,7 @@ def moving_deg(n: int) -> np.ndarray:
 @contextmanager
 def own_tick() -> Iterator["OwnTick"]:
     """A started bridge over twenty servos that a canned peer plays."""
-    with canned_peer() as port:
+    with canned_peer(N_SERVOS) as port:
         tick = OwnTick(port)
         with tick.bus:
             tick.bridge.start()
@@ -122,7 +123,7 @@ def own_tick() -> Iterator["OwnTick"]:
 class _Unhurried:
     """A port whose answers may be late: other work of this computer is no fault of the servos."""
 
-    baud_rate = _BAUD_RATE
+    baud_rate = BAUD_RATE
 
     def __init__(self, transport: Transport) -> None:
         self.clock = transport.clock
@@ -146,9 +147,7 @@ class OwnTick:
         self._clock = ManualClock()
         self._channel = MemoryTargetChannel()
         self._time_s = 0.0
-        self.bus = DynamixelBus(
-            servos, lambda: _Unhurried(open_port(port, _BAUD_RATE, self._clock))
-        )
+        self.bus = DynamixelBus(servos, lambda: _Unhurried(open_port(port, BAUD_RATE, self._clock)))
         self.bridge = Bridge(self.bus, joints, self._channel, BridgeSettings(_RATE_HZ))
 
     def prepare(self, n: int) -> None:
@@ -162,98 +161,17 @@ class OwnTick:
         return self.bridge.tick(self._time_s)
 
 
-class _Goals:
-    """The same motion as position registers."""
+class OthersTick:
+    """The same motion as position registers, by somebody else."""
 
-    goals: list[int]
+    def __init__(self, client: ServoClient) -> None:
+        self._client = client
 
     def prepare(self, n: int) -> None:
         """Twenty registers."""
-        self.goals = (2048 + moving_deg(n) * (4096 / 360)).astype(np.int64).tolist()
+        pulses = 2048 + moving_deg(n) * (4096 / 360)
+        self._client.goals = pulses.astype(np.int64).tolist()
 
-
-class SdkTick(_Goals):
-    """dynamixel-sdk, as its own examples use it."""
-
-    def __init__(self, port: str, *, all_fast: bool = False) -> None:
-        """all_fast: voltage and temperature by a fast read, too, and not by a plain one."""
-        import dynamixel_sdk as sdk
-
-        self._success = sdk.COMM_SUCCESS
-        self._handler = sdk.PortHandler(port)
-        self._handler.openPort()
-        self._handler.setBaudRate(_BAUD_RATE)
-        packets = sdk.PacketHandler(2.0)
-        self._write = sdk.GroupSyncWrite(self._handler, packets, _GOAL, 4)
-        self._motion = sdk.GroupSyncRead(self._handler, packets, _MOTION, _MOTION_SIZE)
-        self._warmth = sdk.GroupSyncRead(self._handler, packets, _WARMTH, _WARMTH_SIZE)
-        for servo_id in _IDS:
-            self._write.addParam(servo_id, [0, 8, 0, 0])
-            self._motion.addParam(servo_id)
-            self._warmth.addParam(servo_id)
-        self._ask_warmth = self._warmth.fastSyncRead if all_fast else self._warmth.txRxPacket
-
-    def work(self) -> list[list[int]]:
-        """Currents, positions, voltages, temperatures; raises AnswerLost."""
-        for servo_id, goal in zip(_IDS, self.goals, strict=True):
-            self._write.changeParam(servo_id, list(goal.to_bytes(4, "little")))
-        self._write.txPacket()
-        try:
-            asked = self._motion.fastSyncRead(), self._ask_warmth()
-        except IndexError as error:  # it took a late answer for that to another question
-            raise AnswerLost from error
-        if asked != (self._success, self._success):
-            raise AnswerLost
-        found = []
-        for group, address, size in (
-            (self._motion, _MOTION, 2),
-            (self._motion, _MOTION + 6, 4),
-            (self._warmth, _WARMTH, 2),
-            (self._warmth, _WARMTH + 2, 1),
-        ):
-            found.append(
-                [
-                    group.getData(servo_id, address, size)
-                    for servo_id in _IDS
-                    if group.isAvailable(servo_id, address, size)
-                ]
-            )
-        return found
-
-
-class RustypotTick(_Goals):
-    """rustypot; spans come as bytes, both of them by fast reads."""
-
-    def __init__(self, port: str) -> None:
-        import rustypot
-
-        self._bus = rustypot.Xl330PyController(port, _BAUD_RATE, 0.1)
-        self._bus.set_fast_sync_read(True)
-
-    def work(self) -> list[list[int]]:
-        """Currents, positions, voltages, temperatures."""
-        self._bus.sync_write_raw_goal_position(_IDS, self.goals)
-        motion = self._read(_MOTION, _MOTION_SIZE, _MOTION_TYPE)
-        warmth = self._read(_WARMTH, _WARMTH_SIZE, _WARMTH_TYPE)
-        return [
-            motion["current"].tolist(),
-            motion["position"].tolist(),
-            warmth["voltage"].tolist(),
-            warmth["temperature"].tolist(),
-        ]
-
-    def _read(self, address: int, size: int, kind: np.dtype) -> np.ndarray:
-        data = self._bus.sync_read_raw_data(_IDS, address, size)
-        return np.frombuffer(b"".join([bytes(each) for each in data]), dtype=kind)
-
-
-@contextmanager
-def canned_peer() -> Iterator[str]:
-    """The port of a process that answers for twenty servos, with changing bytes, at once."""
-    command = [sys.executable, "-m", "firmware_bridge.simulator.canned_peer", str(N_SERVOS)]
-    with subprocess.Popen(
-        [*command, str(_MOTION_SIZE)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-    ) as peer:
-        assert peer.stdout is not None
-        yield peer.stdout.readline().strip()
-        peer.terminate()
+    def work(self) -> object:
+        """The round."""
+        return self._client.work()

@@ -8,8 +8,9 @@ import pytest
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.frames import FrameParser
 from firmware_bridge.simulator.canned_peer import CannedServos
-from lipservo.bench import bus_cpu_figures, tick_cpu_figures
-from lipservo.bench.tick_cpu_figures import AnswerLost, SdkTick, canned_peer, own_tick
+from lipservo.bench.bus import bus_cpu_figures, tick_cpu_figures
+from lipservo.bench.bus.servo_clients import AnswerLost, SdkClient, canned_peer
+from lipservo.bench.bus.tick_cpu_figures import OthersTick, own_tick
 
 #: After so many answers a canned peer begins its motion anew.
 N_MOMENTS = 64
@@ -28,8 +29,8 @@ def places():
 @pytest.fixture(scope="module")
 def told():
     """What dynamixel-sdk makes of them: currents, positions, voltages, temperatures."""
-    with canned_peer() as port:
-        client, found = SdkTick(port), []
+    with canned_peer(20) as port:
+        client, found = OthersTick(SdkClient(port, 20)), []
         for n in range(N_MOMENTS):
             client.prepare(n)
             try:

@@ -15,7 +15,8 @@ from firmware_bridge.dynamixel.wire.line import GoalWrite, Line, SpanRead
 from firmware_bridge.dynamixel.wire.prepared_packets import CommonFrame
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.dynamixel.wire.transport import Transport
-from lipservo.bench.tick_cpu_figures import N_SERVOS, canned_peer
+from lipservo.bench.bus.servo_clients import canned_peer
+from lipservo.bench.bus.tick_cpu_figures import N_SERVOS
 
 #: present_current, present_velocity, present_position
 _ADDRESS, _SIZE = 126, 10
@@ -34,11 +35,11 @@ def cpu_ratios() -> dict[str, float]:
     worse by medians.
     """
     with ExitStack() as peers:
-        calls = _own_calls(peers.enter_context(canned_peer()))
-        calls |= _sdk_calls(peers.enter_context(canned_peer()))
+        calls = _own_calls(peers.enter_context(canned_peer(N_SERVOS)))
+        calls |= _sdk_calls(peers.enter_context(canned_peer(N_SERVOS)))
         others = {"": "sdk"}
         if find_spec("rustypot") is not None:
-            calls |= _rustypot_calls(peers.enter_context(canned_peer()))
+            calls |= _rustypot_calls(peers.enter_context(canned_peer(N_SERVOS)))
             others["_rustypot"] = "rustypot"
         spent: dict[str, list[float]] = {name: [] for name in calls}
         for _ in range(_ROUNDS):

@@ -24,7 +24,7 @@ from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.process.scheduling import on_time
 from firmware_bridge.targets import ServoTargets
-from lipservo.bench.bus_cpu_figures import decode
+from lipservo.bench.bus.bus_cpu_figures import decode
 from lipservo.face.sim_process import simulated_port
 
 N_SERVOS = 20
