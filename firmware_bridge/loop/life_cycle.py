@@ -3,6 +3,7 @@
 import contextlib
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from types import FrameType
 from typing import Final, Self
@@ -93,6 +94,7 @@ class LifeCycle:
         self._n_remarks = 0
         self._remarks_due_s = clock.now() + _REMARKS_EVERY_S
         self._stop_report: StopReport | None = None
+        self._at_s = 0.0  # when the servos said so, seconds since 1970
         #: The first signal that came, if any.
         self.signal_number: int | None = None
         #: Whether a person asked for the end, by a signal or through the control socket.
@@ -270,7 +272,7 @@ class LifeCycle:
 
     def _await_start(self) -> None:
         """The face is limp, as far as its servos say so; it stays, until a person starts it."""
-        self._stop_report = self._bridge.stop_report()
+        self._stop_report, self._at_s = self._bridge.stop_report(), round(time.time(), 3)
         if self._control is not None:
             self._control.report_end({"waits": True, **self._stop_report.as_dict()})
         self._log(f"{self._stop_report.text()}; it waits: `lipservo start` starts it again")
@@ -283,7 +285,7 @@ class LifeCycle:
             **self._status(),
             "stopped": None if stopped is None else stopped.level.value,
             "stopped_by": None if stopped is None else stopped.requested_by,
-            "stop_report": None if report is None else report.as_dict(),
+            "stop_report": None if report is None else {**report.as_dict(), "at_s": self._at_s},
             "can_start": not self._bridge.refusal(StartFace()),
         }
 

@@ -116,6 +116,7 @@ class Supervisor:
         self._zero_s: float | None = None
         self._well_s = float("-inf")
         self._stop_report: StopReport | None = None
+        self._at_s = 0.0  # when the servos said so, seconds since 1970
         self._release_again_s = float("inf")
         control.attend(self._refusal)
         self.report: StopReport | None = None
@@ -169,11 +170,16 @@ class Supervisor:
             "state": _Phase.STOPPED.value if report is not None else self._phase.value,
             "stopped": None if stop is None else stop.level.value,
             "stopped_by": None if stop is None else stop.requested_by,
-            "stop_report": None if report is None else report.as_dict(),
-            "can_start": self._phase is _Phase.STOPPED,
+            "stop_report": None if report is None else {**report.as_dict(), "at_s": self._at_s},
+            "can_start": self._is_kept,
             "torque_on": None if report is None or not report.complete else False,
             "troubles": [each for each in (self._port_error, self._start_error) if each],
         }
+
+    @property
+    def _is_kept(self) -> bool:
+        """Whether the face is stopped and can be started; also while it is let go once more."""
+        return self._stop_report is not None and not self._ends
 
     @property
     def _level(self) -> StopLevel | None:
@@ -290,7 +296,7 @@ class Supervisor:
     def _refusal(self, order: Order) -> str:
         """Why an order is refused while no bridge serves, in one line; empty: it is obeyed."""
         match order:
-            case StartFace() if self._phase is _Phase.STOPPED and not self._ends:
+            case StartFace() if self._is_kept:
                 return ""
             case StartFace() if self._is_ending:
                 return START_WHILE_STOPPING
@@ -302,7 +308,7 @@ class Supervisor:
 
     def _obey_start(self, order: StartFace, now_s: float, *, is_stopped_now: bool) -> None:
         """Through the ordinary start of a bridge, with all its checks."""
-        if is_stopped_now or self._phase is not _Phase.STOPPED:
+        if is_stopped_now or not self._is_kept:
             self._say(f"start requested by {order.requested_by}: not obeyed, a stop came with it")
             return
         self._say(f"start requested by {order.requested_by}")
@@ -441,7 +447,7 @@ class Supervisor:
             return
         self._drop_release()
         self._phase = _Phase.STOPPED
-        self._stop_report = report
+        self._stop_report, self._at_s = report, round(time.time(), 3)
         self._last_status = 0
         self._release_again_s = float("inf") if report.complete else self._now_s + _RELEASE_AGAIN_S
         self._control.report_end({"waits": True, **report.as_dict()})

@@ -245,7 +245,8 @@ function isJustPressed() {
 /** Keep what a status reports; its time is known only where this page saw the face move before. */
 function learn(report) {
   if (isSame(kept()?.report, report)) return;
-  keep(report, sawMoving ? Date.now() : null);
+  const seenMs = sawMoving ? Date.now() : null;
+  keep(report, report.at_s ? 1000 * report.at_s : seenMs);
   keptMs = performance.now();
 }
 

@@ -60,6 +60,7 @@ def test_a_crash_of_a_driven_face_is_no_stop_and_a_power_cut_may_have_swallowed_
 
     assert cut_off.stopped is not None
     assert "power was cut" in cut_off.why
+    cut_off.close()
     written(path, boot="another boot")
     assert StopRecord(path, drives_after_power_cut=True).stopped is None
 

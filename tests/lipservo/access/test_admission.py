@@ -1,4 +1,4 @@
-"""Who may connect: what is admitted and what is refused, with a token and without, by one policy."""
+"""Who may connect, with a token and without, by the one policy of both servers."""
 
 import pytest
 from hypothesis import given

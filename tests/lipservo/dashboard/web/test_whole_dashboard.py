@@ -45,7 +45,7 @@ def test_a_face_is_seen_stopped_and_goes_on_without_its_page(daemon):
     address, token = printed.split("/?token=")
     bearer = {"authorization": f"Bearer {token}"}
     with httpx.Client(base_url=address, headers=bearer, timeout=60.0, trust_env=False) as client:
-        assert httpx.get(f"{address}/api/health", trust_env=False).status_code == 401
+        assert httpx.get(f"{address}/api/health", timeout=60.0, trust_env=False).status_code == 401
         with httpx.Client(follow_redirects=True, timeout=60.0, trust_env=False) as browser:
             assert browser.get(printed).status_code == 200
             assert "token" not in str(browser.get(address).url)
@@ -64,7 +64,7 @@ def test_a_face_is_seen_stopped_and_goes_on_without_its_page(daemon):
         page = client.get("/")
         assert page.status_code == 200
         assert not re.search(r"""(?:src|href)=["'](?:https?:)?//""", page.text)
-        assert httpx.get(address, headers={"host": "evil.example"}).status_code == 401
+        assert httpx.get(address, headers={"host": "evil.example"}, timeout=60.0).status_code == 401
         foreign = {"origin": "http://evil.example"}
         socket_io = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
         assert client.get(socket_io, headers=foreign).status_code == 403
