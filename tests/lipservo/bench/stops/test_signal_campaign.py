@@ -7,8 +7,15 @@ A handful here, two dozen in `make check`; all of them are `lipservo bench fault
 import pytest
 
 from lipservo.bench.fault_figures import signal_campaign_figures, stop_campaign_figures
-from lipservo.bench.signal_campaign import play_signal
-from lipservo.bench.signal_cases import COMMANDS, SIGNALS, Ending, Moment, SignalCase, signal_cases
+from lipservo.bench.stops.signal_campaign import play_signal
+from lipservo.bench.stops.signal_cases import (
+    COMMANDS,
+    SIGNALS,
+    Ending,
+    Moment,
+    SignalCase,
+    signal_cases,
+)
 
 
 @pytest.mark.parametrize(
