@@ -12,10 +12,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-from lipservo.bench.stops import injected
+import lipservo
+from lipservo.bench.stops import injected, traced
 from lipservo.bench.stops.raw_control import request
 from lipservo.bench.stops.robot_at_port import CLIP, FACE, RobotAtPort, children_of, robot_at_port
 from lipservo.bench.stops.stop_clients import Addresses
@@ -87,12 +89,17 @@ class RunningFace:
 
 @contextlib.contextmanager
 def running_face(
-    *, page: bool = False, agents: bool = False, n_others: int = 0
+    *,
+    page: bool = False,
+    agents: bool = False,
+    n_others: int = 0,
+    tracer: ModuleType | None = None,
 ) -> Iterator[RunningFace]:
     """A face that speaks and drives all its servos, in folders of its own.
 
     page, agents: with these doors. n_others: faces beside it that rest, started before it, so that
-    they come first where faces are listed. Raises RuntimeError where one does not start.
+    they come first where faces are listed. tracer: a module in place of the troubles, put into its
+    processes. Raises RuntimeError where one does not start.
     """
     with ExitStack() as stack:
         robot = stack.enter_context(robot_at_port())
@@ -100,21 +107,25 @@ def running_face(
         for _ in range(n_others):
             beside = stack.enter_context(robot_at_port(session=robot.session))
             others.append(_started(beside, "--listen", "none"))
+        if tracer is not None:
+            robot.environment[traced.ROOT_VARIABLE] = str(Path(lipservo.__file__).parents[1])
         options = ["--wav", str(CLIP), "--listen", "127.0.0.1:0" if agents else "none"]
         if page:
             options += ["--dashboard", "--dashboard-listen", "127.0.0.1:0"]
-        face = _started(robot, *options)
+        face = _started(robot, *options, module=tracer or injected)
         face.others = others
         face.at, face.token = _addresses(face, page=page, agents=agents)
         robot.look(1.0)  # into the soft start and the first words
         yield face
 
 
-def start_daemon(robot: RobotAtPort, *options: str) -> subprocess.Popen[bytes]:
-    """A daemon of the robot's face, with the injected module that waits for its troubles."""
+def start_daemon(
+    robot: RobotAtPort, *options: str, module: ModuleType = injected
+) -> subprocess.Popen[bytes]:
+    """A daemon of the robot's face; every process of it loads the module before anything else."""
     inject = robot.folder / "inject"
     inject.mkdir(exist_ok=True)
-    shutil.copyfile(injected.__file__, inject / "sitecustomize.py")
+    shutil.copyfile(str(module.__file__), inject / "sitecustomize.py")
     robot.environment[injected.FOLDER_VARIABLE] = str(inject)
     paths = (str(inject), os.environ.get("PYTHONPATH", ""))
     robot.environment["PYTHONPATH"] = os.pathsep.join(each for each in paths if each)
@@ -122,8 +133,8 @@ def start_daemon(robot: RobotAtPort, *options: str) -> subprocess.Popen[bytes]:
     return robot.start("daemon", *where, *options)
 
 
-def _started(robot: RobotAtPort, *options: str) -> RunningFace:
-    daemon = start_daemon(robot, *options)
+def _started(robot: RobotAtPort, *options: str, module: ModuleType = injected) -> RunningFace:
+    daemon = start_daemon(robot, *options, module=module)
     came = robot.look_until(lambda: bool(robot.torque.all()) or daemon.poll() is not None, START_S)
     control = next((each for each in robot.controls if f"-{daemon.pid}." in each.name), None)
     if not came or control is None or daemon.poll() is not None:

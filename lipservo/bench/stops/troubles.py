@@ -2,6 +2,7 @@
 
 import contextlib
 import http.client
+import io
 import os
 import signal
 import subprocess
@@ -13,6 +14,9 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Final
 from urllib.parse import urlencode, urlsplit
+
+import numpy as np
+import soundfile
 
 from lipservo.bench.stops import foreign_socket, pollers
 from lipservo.bench.stops.robot_at_port import children_of
@@ -78,8 +82,8 @@ def needs_page(trouble: Trouble) -> bool:
 
 
 def needs_agents(trouble: Trouble) -> bool:
-    """Whether the trouble itself needs the face's agent server."""
-    return trouble is Trouble.POLLERS
+    """Whether the trouble itself needs the face's agent server, which a face's lines need, too."""
+    return needs_page(trouble)
 
 
 @contextlib.contextmanager
@@ -170,13 +174,9 @@ def _upload(face: RunningFace) -> None:
 
 
 def _wav() -> bytes:
-    import io
-
-    import numpy as np
-    import soundfile
-
     file = io.BytesIO()
-    soundfile.write(file, np.zeros(16_000), 16_000, format="WAV")
+    noise = np.random.default_rng(0).normal(0.0, 0.1, 16_000)
+    soundfile.write(file, noise, 16_000, format="WAV")
     return file.getvalue()
 
 
