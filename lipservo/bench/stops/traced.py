@@ -1,14 +1,15 @@
 """Writes down which functions of ours a stop passes: copied as `sitecustomize.py`, as troubles are.
 
-While the file `trace` lies in the folder that `LIPSERVO_BENCH_FOLDER` names, calls are looked at in
-every thread. A walk begins in a server with the first function of ours that gets the request among
-its arguments, known by `MARKER` in it, and in the process that owns the control socket with the
+While the file `trace` lies in the folder that `LIPSERVO_BENCH_FOLDER` names, the calls of every
+thread are examined. A walk begins in a server with the first function of ours that gets the request
+among its arguments, known by `MARKER` in it; in the process that owns the control socket with the
 function of ours that receives a level of stop. It goes on in whatever that context calls, starts as
 a task, or gives to a thread of an executor. It ends in a server where a function of ours sends on a
-Unix socket, and in the owner where `CommandQueue.stop` is called, which counts. Each walk becomes `walk.*.json`.
+Unix socket; in the owner where `CommandQueue.stop` is called, which counts. Each walk becomes a
+file, `walk.PID.N.json`.
 
 A call is an entry into a function of ours, a coroutine's or generator's resumption included; what
-libraries do between is not counted. That which only waits for the answer afterwards is not either.
+libraries do between is not counted, nor what only waits for the answer afterwards.
 """
 
 import contextvars
