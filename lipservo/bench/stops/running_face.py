@@ -16,7 +16,6 @@ from types import ModuleType
 from typing import Any, Final
 from urllib.parse import urlsplit
 
-import lipservo
 from lipservo.bench.stops import injected, traced
 from lipservo.bench.stops.raw_control import request
 from lipservo.bench.stops.robot_at_port import CLIP, FACE, RobotAtPort, children_of, robot_at_port
@@ -26,6 +25,8 @@ from lipservo.bench.stops.stop_clients import Addresses
 START_S: Final = 60.0
 _ANSWER_S: Final = 2.0
 _POLL_S: Final = 0.2
+#: The folder that our packages lie in.
+_ROOT: Final = Path(__file__).parents[3]
 _UNKNOWN: Final = "is not known"
 _PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)(?:\S*token=(\S+))?")
 _AGENTS: Final = re.compile(r"voice agents: (ws://[\d.]+:\d+)(?:\S*token=(\S+))?")
@@ -108,7 +109,7 @@ def running_face(
             beside = stack.enter_context(robot_at_port(session=robot.session))
             others.append(_started(beside, "--listen", "none"))
         if tracer is not None:
-            robot.environment[traced.ROOT_VARIABLE] = str(Path(lipservo.__file__).parents[1])
+            robot.environment[traced.ROOT_VARIABLE] = str(_ROOT)
         options = ["--wav", str(CLIP), "--listen", "127.0.0.1:0" if agents else "none"]
         if page:
             options += ["--dashboard", "--dashboard-listen", "127.0.0.1:0"]
