@@ -25,18 +25,21 @@ from lipservo.bench.stops.stop_clients import Addresses
 START_S: Final = 60.0
 _ANSWER_S: Final = 2.0
 _POLL_S: Final = 0.2
+#: Of the runtime folder; that programs of this computer find by themselves.
+_TOKEN: Final = "token"
 #: The folder that our packages lie in.
 _ROOT: Final = Path(__file__).parents[3]
 _UNKNOWN: Final = "is not known"
-_PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)(?:\S*token=(\S+))?")
-_AGENTS: Final = re.compile(r"voice agents: (ws://[\d.]+:\d+)(?:\S*token=(\S+))?")
+_PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)")
+_AGENTS: Final = re.compile(r"voice agents: (ws://[\d.]+:\d+)")
 
 
 @dataclass(slots=True)
 class RunningFace:
     """A daemon, the robot that it drives, and where it can be reached.
 
-    others: robots beside it, with a daemon each. spent: nothing more can be tried on it.
+    token: that its servers ask for, empty: none. others: robots beside it, with a daemon each.
+    spent: nothing more can be tried on it.
     """
 
     robot: RobotAtPort
@@ -115,7 +118,9 @@ def running_face(
             options += ["--dashboard", "--dashboard-listen", "127.0.0.1:0"]
         face = _started(robot, *options, module=tracer or injected)
         face.others = others
-        face.at, face.token = _addresses(face, page=page, agents=agents)
+        face.at = _addresses(face, page=page, agents=agents)
+        with contextlib.suppress(FileNotFoundError):
+            face.token = (robot.runtime / _TOKEN).read_text().strip()
         robot.look(1.0)  # into the soft start and the first words
         yield face
 
@@ -143,21 +148,20 @@ def _started(robot: RobotAtPort, *options: str, module: ModuleType = injected) -
     return RunningFace(robot, daemon, Addresses(control))
 
 
-def _addresses(face: RunningFace, *, page: bool, agents: bool) -> tuple[Addresses, str]:
-    """Where it can be reached once all its doors are open, and the token that its log names."""
+def _addresses(face: RunningFace, *, page: bool, agents: bool) -> Addresses:
+    """Where it can be reached, once its servers answer."""
     wanted = {"page": _PAGE} if page else {}
     wanted |= {"agents": _AGENTS} if agents else {}
     found: dict[str, str] = {}
-    token = ""
     for name, pattern in wanted.items():
         match = _awaited(face, pattern)
         if match is None:
             raise RuntimeError(f"no address of its {name}: {face.robot.last_said}")
-        found[name], token = match[1], token or match[2] or ""
+        found[name] = match[1]
     at = Addresses(face.at.control, **found)
     if page and not face.robot.look_until(lambda: _answers(at.page), START_S):
         raise RuntimeError(f"its page does not answer: {face.robot.last_said}")
-    return at, token
+    return at
 
 
 def _awaited(face: RunningFace, pattern: re.Pattern[str]) -> re.Match[str] | None:
