@@ -1,16 +1,19 @@
 """The campaigns in numbers: faults on a virtual clock, stops and signals on real processes."""
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from typing import Any
 
 import numpy as np
 
 from firmware_bridge.process.scheduling import die_with_parent
 from firmware_bridge.simulator.campaigns.fault_campaign import Outcome, cases, play
 from firmware_bridge.simulator.faults import KINDS
-from lipservo.bench.signal_campaign import play_signal, signal_figures
-from lipservo.bench.signal_cases import signal_cases
-from lipservo.bench.stop_campaign import play_stop, stop_cases, stop_figures
+from lipservo.bench.stops.signal_campaign import play_signal, signal_figures
+from lipservo.bench.stops.signal_cases import signal_cases
+from lipservo.bench.stops.stop_campaign import play_batch
+from lipservo.bench.stops.stop_cases import batches, stop_cases
+from lipservo.bench.stops.stop_outcome import StopOutcome, stop_figures
 
 #: Counts of `Outcome` that must all be 0.
 _MUST_NOT = (
@@ -52,13 +55,13 @@ def campaign_figures(
 
 def stop_campaign_figures(
     every: int, progress: Callable[[int, int], None]
-) -> tuple[dict[str, float], list[str]]:
+) -> tuple[dict[str, Any], list[str]]:
     """Play one stop in `every`, two at a time; the figures, and a line for each that failed."""
     chosen = list(stop_cases())[::every]
-    outcomes = []
+    outcomes: list[StopOutcome] = []
     with ProcessPoolExecutor(max_workers=2, initializer=die_with_parent) as pool:
-        for outcome in pool.map(play_stop, chosen):
-            outcomes.append(outcome)
+        for played in as_completed([pool.submit(play_batch, each) for each in batches(chosen)]):
+            outcomes += played.result()
             progress(len(outcomes), len(chosen))
     return stop_figures(outcomes), [str(o) for o in outcomes if not o.kept]
 

@@ -186,6 +186,30 @@ def faults(
         raise typer.Exit(1)
 
 
+@app.command("stop-path")
+def stop_path(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Count what a stop passes on its way: files and calls from its arrival to the command queue.
+
+    By each client that may request it, on real processes. Exit status 1 above the bars.
+    """
+    from lipservo.bench.stops.stop_path import MOST_CALLS, MOST_FILES, stop_path_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("stops", total=None)
+
+        def advance(n_done: int, n_all: int) -> None:
+            progress.update(steps, completed=n_done, total=n_all)
+
+        figures = stop_path_figures(progress=advance)
+    if not as_json:
+        for name, found in figures.pop("by_client").items():
+            RESULTS.print(f"{name}: {found['files']} files, {found['calls']} calls")
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    if figures["files"] > MOST_FILES or figures["calls"] > MOST_CALLS:
+        raise typer.Exit(1)
+
+
 @app.command()
 def endurance(
     cycles: Annotated[int, typer.Option(min=1_000, help="How many ticks of the bridge.")] = 100_000,

@@ -21,8 +21,8 @@ import soundfile
 from firmware_bridge.process.control_client import stop_and_wait
 from firmware_bridge.stop_signals import STOP_SIGNALS
 from firmware_bridge.stopping import ExitStatus, StopLevel
-from lipservo.bench.robot_at_port import FACE, RobotAtPort, kill_all, robot_at_port
-from lipservo.bench.signal_cases import (
+from lipservo.bench.stops.robot_at_port import FACE, RobotAtPort, kill_all, robot_at_port
+from lipservo.bench.stops.signal_cases import (
     COMMANDS,
     SIGNALS,
     Command,

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import soundfile
 
-from lipservo.bench.robot_at_port import CLIP, FACE, RobotAtPort
+from lipservo.bench.stops.robot_at_port import CLIP, FACE, RobotAtPort
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.face.model import load_face
 from lipsync.offline.performance import RATE_HZ, Performance, performed_sound

@@ -29,7 +29,7 @@ from lipservo.face.servos import mounted_servos
 from lipservo.settings.settings import load_shipped_face
 
 FACE: Final = "face_four"
-CLIP: Final = Path(__file__).parents[1] / "clips" / "welcome.flac"
+CLIP: Final = Path(__file__).parents[2] / "clips" / "welcome.flac"
 
 _BAUD_RATE: Final = 1_000_000
 _LOOK_S: Final = 0.005
@@ -49,11 +49,17 @@ class Look:
 
 @dataclass(slots=True)
 class RobotAtPort:
-    """The chain, the port that leads to it, and the processes started here; see `robot_at_port`."""
+    """The chain, the port that leads to it, and the processes started here; see `robot_at_port`.
+
+    session: the folder in which its processes look for running faces. environment: variables that
+    its processes get besides.
+    """
 
     chain: SimulatedChain
     servos: list[MountedServo]
     folder: Path
+    session: Path
+    environment: dict[str, str] = field(default_factory=dict)
     seen: list[Look] = field(default_factory=list)
     processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
@@ -85,7 +91,12 @@ class RobotAtPort:
     @property
     def controls(self) -> list[Path]:
         """The control sockets of the faces that were started here."""
-        return list((self.folder / "session" / "lipservo").glob("*.sock"))
+        return list(self.runtime.glob("*.sock"))
+
+    @property
+    def runtime(self) -> Path:
+        """The folder of the control sockets."""
+        return self.session / "lipservo"
 
     def look(self, seconds: float) -> None:
         """Watch the servos for a while."""
@@ -123,21 +134,35 @@ class RobotAtPort:
         return np.asarray(np.ptp(places, axis=0) / PULSES_PER_TURN * 360.0)
 
     def start(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
-        """A `lipservo` process, whose faces are found by nobody else."""
-        environment = {key: value for key, value in os.environ.items() if key != "NOTIFY_SOCKET"}
-        environment.pop("RUNTIME_DIRECTORY", None)
-        environment["XDG_RUNTIME_DIR"] = str(self.folder / "session")
-        environment["XDG_STATE_HOME"] = str(self.folder / "state")
+        """A `lipservo` process, whose faces are found by none but those of this session."""
+        return self.start_python("-m", "lipservo", *arguments, stdin=stdin)
+
+    def start_python(
+        self, *arguments: str, stdin: int = subprocess.DEVNULL
+    ) -> subprocess.Popen[bytes]:
+        """A process of this interpreter in the same surroundings."""
         with self.log.open("ab") as file:
             process = subprocess.Popen(
-                [sys.executable, "-m", "lipservo", *arguments],
+                [sys.executable, *arguments],
                 stdin=stdin,
                 stdout=file,
                 stderr=file,
-                env=environment,
+                env=self._surroundings(),
             )
         self.processes.append(process)
         return process
+
+    def _surroundings(self) -> dict[str, str]:
+        """No place in it is one of this user's or of another job's."""
+        left_out = ("NOTIFY_SOCKET", "RUNTIME_DIRECTORY", "STATE_DIRECTORY")
+        environment = {key: value for key, value in os.environ.items() if key not in left_out}
+        environment["XDG_RUNTIME_DIR"] = str(self.session)
+        environment["XDG_STATE_HOME"] = str(self.folder / "state")
+        environment["LIPSERVO_RUNTIME"] = str(self.runtime)
+        environment["LIPSERVO_STATE"] = str(self.folder / "state" / "lipservo")
+        environment["XDG_DATA_HOME"] = str(self.folder / "data")
+        environment["TMPDIR"] = str(self.folder / "tmp")
+        return environment | self.environment
 
 
 def children_of(pid: int) -> list[int]:
@@ -160,13 +185,19 @@ def kill_all(process: subprocess.Popen[bytes]) -> None:
 
 
 @contextlib.contextmanager
-def robot_at_port(face: str = FACE) -> Iterator[RobotAtPort]:
-    """The servos of a shipped face, limp in neutral; what was started is gone afterwards."""
+def robot_at_port(face: str = FACE, session: Path | None = None) -> Iterator[RobotAtPort]:
+    """The servos of a shipped face, limp in neutral; what was started is gone afterwards.
+
+    session: of another robot, beside which this one stands; None: its own.
+    """
     servos = mounted_servos(load_shipped_face(face))
     with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
         folder = Path(name)
-        (folder / "session").mkdir(mode=0o700)
-        robot = RobotAtPort(chain_for(servos, _BAUD_RATE), servos, folder)
+        (folder / "tmp").mkdir()
+        if session is None:
+            session = folder / "session"
+            session.mkdir(mode=0o700)
+        robot = RobotAtPort(chain_for(servos, _BAUD_RATE), servos, folder, session)
         robot.log.touch()
         host = PtyHost(robot.chain, robot.port)
         over = threading.Event()
