@@ -100,8 +100,9 @@ class Playout:
 
     @property
     def n_underruns(self) -> int:
-        """How often a stream had nothing ready in the middle of its speech."""
-        return self._n_underruns
+        """How often there was nothing to play in time: of a stream, or in the loudspeaker."""
+        played = 0 if self.loudspeaker is None else self.loudspeaker.n_underruns
+        return self._n_underruns + played
 
     @property
     def committed_s(self) -> float:
