@@ -161,6 +161,8 @@ class ControlSession:
         loop = asyncio.get_running_loop()
         try:
             return await loop.run_in_executor(self._commands.speaking, speak, what)
+        except MessageError:
+            raise
         except ValueError as error:
             raise MessageError("refused", " ".join(str(error).split())) from error
 

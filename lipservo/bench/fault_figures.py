@@ -1,12 +1,11 @@
 """The campaigns in numbers: faults on a virtual clock, stops and signals on real processes."""
 
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from typing import Any
 
 import numpy as np
 
-from firmware_bridge.process.scheduling import die_with_parent
 from firmware_bridge.simulator.campaigns.fault_campaign import Outcome, cases, play
 from firmware_bridge.simulator.faults import KINDS
 from lipservo.bench.stops.signal_campaign import play_signal, signal_figures
@@ -14,6 +13,7 @@ from lipservo.bench.stops.signal_cases import signal_cases
 from lipservo.bench.stops.stop_campaign import play_batch
 from lipservo.bench.stops.stop_cases import batches, stop_cases
 from lipservo.bench.stops.stop_outcome import StopOutcome, stop_figures
+from lipsync.worker_pool import worker_pool
 
 #: Counts of `Outcome` that must all be 0.
 _MUST_NOT = (
@@ -36,7 +36,7 @@ def campaign_figures(
     """Play one case in `every`; what was survived, and a line for each case that was not."""
     chosen = list(cases(whole=whole))[::every]
     outcomes: list[Outcome] = []
-    with ProcessPoolExecutor(max_workers=2, initializer=die_with_parent) as pool:
+    with worker_pool(2) as pool:
         for outcome in pool.map(play, chosen, chunksize=4):
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))
@@ -59,7 +59,7 @@ def stop_campaign_figures(
     """Play one stop in `every`, two at a time; the figures, and a line for each that failed."""
     chosen = list(stop_cases())[::every]
     outcomes: list[StopOutcome] = []
-    with ProcessPoolExecutor(max_workers=2, initializer=die_with_parent) as pool:
+    with worker_pool(2) as pool:
         for played in as_completed([pool.submit(play_batch, each) for each in batches(chosen)]):
             outcomes += played.result()
             progress(len(outcomes), len(chosen))
@@ -75,7 +75,7 @@ def signal_campaign_figures(
     """
     chosen = list(signal_cases())[::every]
     outcomes = []
-    with ProcessPoolExecutor(max_workers=2, initializer=die_with_parent) as pool:
+    with worker_pool(2) as pool:
         for outcome in pool.map(play_signal, chosen):
             outcomes.append(outcome)
             progress(len(outcomes), len(chosen))

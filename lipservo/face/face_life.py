@@ -64,13 +64,14 @@ def face_life(
             yield life
         return
     with ExitStack() as stack:
-        log = stack.enter_context(LogLines(write=_nowhere if quiet else say))
+        lines = stack.enter_context(LogLines(write=say))
+        log = _nowhere if quiet else lines
         asked = ControlOptions() if control is None else control
         about = {**asked.about, "name": name, "port": port}
         path = asked.path or socket_path(name)
         listener = ControlSocket.bind(path, about, asked.commands, asked.describe, asked.watched_fd)
         stack.enter_context(listener)
-        healths = health_log(name, port, log, os.environ)
+        healths = health_log(name, port, lines, os.environ)
         if healths is not None:
             stack.enter_context(healths)
         links = LifeCycleLinks(

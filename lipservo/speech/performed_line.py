@@ -1,20 +1,20 @@
-"""The sound of a performance, ready to be said: decoded, with silence at both ends."""
+"""The sound of a performance, ready to be said: decoded as it is said, silence at both ends."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio.file import CHUNK_S, Warn, read_sound
+from lipsync.audio.file import Warn, checked_sound, sound_chunks
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.source import SoundError
 from lipsync.offline.performance import Performance, PerformanceError
+from lipsync.offline.performance_file import sound_file
 from lipsync.offline.performed_motion import EASING_S, StoredMotion
 from lipsync.phonemes import PhonemeEvent
 
@@ -32,21 +32,18 @@ class PerformedStream(PlayoutStream):
 
 @dataclass(frozen=True, slots=True)
 class PerformedLine:
-    """The sound of a line, mono (n,) with `EASING_S` of silence before it and after its faces.
+    """A line with `EASING_S` of silence before its sound and after its faces.
 
-    phonemes: counted from the first sample of that silence.
+    sounds: gives the sound between, mono (n,) in pieces, from its beginning at every call. lasts_s:
+    that and the silence after it. phonemes: counted from the first sample of the silence.
     """
 
     name: str
-    samples: Samples
+    sounds: Callable[[], Iterator[Samples]]
+    lasts_s: float
     sample_rate_hz: int
     phonemes: tuple[PhonemeEvent, ...]
     motion: StoredMotion
-
-    @property
-    def duration_s(self) -> float:
-        """With the silence."""
-        return len(self.samples) / self.sample_rate_hz
 
     def stream(self, playout: Playout) -> PerformedStream:
         """An empty stream for the playout, that is to be given the chunks."""
@@ -56,38 +53,68 @@ class PerformedLine:
         return stream
 
     def chunks(self) -> Iterator[Samples]:
-        """The samples, a second at a time."""
-        n_chunk = round(CHUNK_S * self.sample_rate_hz)
-        for start in range(0, len(self.samples), n_chunk):
-            yield self.samples[start : start + n_chunk]
+        """Silence, the sound, a second at a time at most, and silence.
+
+        Raises PerformanceError where the sound is another one than it was, or is damaged late.
+        """
+        n_left = ceil(self.lasts_s * self.sample_rate_hz)
+        yield np.zeros(round(EASING_S * self.sample_rate_hz), np.float32)
+        for chunk in self.sounds():
+            yield chunk[:n_left]
+            n_left -= min(n_left, len(chunk))
+        yield np.zeros(n_left, np.float32)
 
 
 def performed_line(performance: Performance, path: Path, warn: Warn) -> PerformedLine:
     """The line of the performance that was read from `path`.
 
-    warn: as `read_sound` has it. Raises PerformanceError where the sound is missing, another one,
-    damaged, or not as long as the faces.
+    warn: as `checked_sound` has it. Raises PerformanceError where the sound is missing, another
+    one, damaged within its first minute, or not as long as the faces.
     """
-    samples, rate_hz = _decoded(performance, path, warn)
-    sound_s = len(samples) / rate_hz
+    sound = performance.sound
+
+    def sounds() -> Iterator[Samples]:
+        with sound_file(sound, path) as file:
+            try:
+                yield from sound_chunks(file)
+            except SoundError as error:
+                raise PerformanceError(_with_names(str(error), file)) from error
+
+    def _with_names(line: str, file: Path) -> str:
+        return f"{path}: its sound {line.replace(str(file), sound.name)}"
+
+    with sound_file(sound, path) as file:
+        try:
+            rate_hz, sound_s = checked_sound(file, lambda line: warn(_with_names(line, file)))
+        except SoundError as error:
+            raise PerformanceError(_with_names(str(error), file)) from error
     if abs(performance.duration_s - sound_s) > _MOST_APART_S:
         raise PerformanceError(
             f"{path}: damaged: faces for {performance.duration_s:.2f} s, sound for {sound_s:.2f} "
             "s; render it again with `lipservo render`"
         )
-    return line_of(performance, path.name, samples, rate_hz)
+    return _line(performance, path.name, sounds, sound_s, rate_hz)
 
 
 def line_of(
     performance: Performance, name: str, samples: Samples, sample_rate_hz: int
 ) -> PerformedLine:
     """The same of a sound (n,) that is decoded already."""
-    faces_longer_s = performance.duration_s - len(samples) / sample_rate_hz
-    n_before = round(EASING_S * sample_rate_hz)
-    n_after = ceil((max(0.0, faces_longer_s) + EASING_S) * sample_rate_hz)
+    sound_s = len(samples) / sample_rate_hz
+    return _line(performance, name, lambda: iter([samples]), sound_s, sample_rate_hz)
+
+
+def _line(
+    performance: Performance,
+    name: str,
+    sounds: Callable[[], Iterator[Samples]],
+    sound_s: float,
+    sample_rate_hz: int,
+) -> PerformedLine:
     return PerformedLine(
         name,
-        np.pad(samples, (n_before, n_after)),
+        sounds,
+        max(sound_s, performance.duration_s) + EASING_S,
         sample_rate_hz,
         tuple(_later(event) for event in performance.phonemes),
         StoredMotion(performance),
@@ -104,21 +131,6 @@ def performed_in(playout: Playout) -> Callable[[float], tuple[StoredMotion, floa
         return said[0].motion, said[1] - EASING_S
 
     return performed_at
-
-
-def _decoded(performance: Performance, path: Path, warn: Warn) -> tuple[Samples, int]:
-    content = performance.sound.bytes_beside(path)
-    with TemporaryDirectory(prefix="lipservo-") as folder:
-        file = Path(folder) / performance.sound.name
-        file.write_bytes(content)
-
-        def told(line: str) -> str:
-            return f"{path}: its sound {line.replace(str(file), performance.sound.name)}"
-
-        try:
-            return read_sound(file, lambda line: warn(told(line)))
-        except SoundError as error:
-            raise PerformanceError(told(str(error))) from error
 
 
 def _later(event: PhonemeEvent) -> PhonemeEvent:

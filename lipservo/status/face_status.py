@@ -21,7 +21,8 @@ class SpeechStatus:
     face is shown. n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output:
     the loudspeaker, None: nothing is played; output_lost: it is gone; listens_on: where voice
     agents are waited for; speaking: the stream that is being said; n_playout_underruns: how often
-    speech that was to be said had not come in time. arousal: of the voice that is shown, -1 to 1;
+    sound that was to be played was not there in time, a stream's or the device's. arousal: of the
+    voice that is shown, -1 to 1;
     is_resting: after a long silence its servos are let go until somebody speaks; expression: how
     lively it is, where it looks and what affect was set, by name.
     """

@@ -26,6 +26,7 @@ from lipservo.street.daemon import play
 from lipservo.street.motion_options import make_recognizer, make_synthesizer, no_recognizer
 from lipservo.street.run_commands import run_commands
 from lipservo.street.run_request import RunRequest, about_run
+from lipservo.street.sources import warn
 from lipservo.street.speech_status import FallbackRecognizer, speech_status
 from lipservo.street.street import Street, make_street
 from lipservo.street.summary import Summary, Tally
@@ -232,7 +233,7 @@ class _Run:
                 file = TraceFile(self._request.trace, self._trace_header(rate_hz))
                 # Where nobody waits for a tick, none may be dropped.
                 patient = isinstance(clock, ManualClock)
-                watcher = file if patient else BackgroundTrace(file)
+                watcher = file if patient else BackgroundTrace(file, warn)
                 stack.enter_context(watcher)
                 observers.append(watcher)
             if avatars.is_any:

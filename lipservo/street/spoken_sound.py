@@ -9,8 +9,7 @@ from pathlib import Path
 from lipservo.face.assembly import load_settings
 from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import DEFAULT_MICROPHONE, Sound, open_microphone, open_sound
-from lipservo.street.spoken_file import SpokenFile
-from lipservo.street.spoken_text import SpokenWords
+from lipservo.street.speech_queue import SpeechQueue, Spoken, spoken_file, spoken_text
 from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
 from lipsync.audio.half_duplex import ListenedMicrophone
 from lipsync.audio.playout import Playout
@@ -37,7 +36,9 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
         playout = Playout(loudspeaker, microphone)
         first = _first_words(request.sound, playout, start_s, stack)
         if first is not None:
-            stack.callback(first.close)
+            queue = SpeechQueue(playout)
+            stack.callback(queue.close)
+            queue.add(first, request.sound.name)
         yield playout
 
 
@@ -65,11 +66,9 @@ def _entered_loudspeaker(config: str, voice: VoiceOptions, stack: ExitStack) -> 
     return stack.enter_context(LoudspeakerOutput(device, settings.output_offset_ms))
 
 
-def _first_words(
-    sound: Sound, playout: Playout, start_s: float, stack: ExitStack
-) -> SpokenFile | SpokenWords | None:
+def _first_words(sound: Sound, playout: Playout, start_s: float, stack: ExitStack) -> Spoken | None:
     if sound.kind == "text":
-        return SpokenWords(sound.name, sound.language, playout)
+        return spoken_text(sound.name, sound.language, playout)
     if sound.kind not in ("file", "clip"):
         return None
     path = Path(sound.name)
@@ -77,4 +76,4 @@ def _first_words(
         clip = resources.files("lipservo.clips") / "welcome.flac"
         path = stack.enter_context(resources.as_file(clip))
     phonemes = Path(sound.phonemes) if sound.phonemes else None
-    return SpokenFile(path, playout, start_s=start_s, phonemes=phonemes)
+    return spoken_file(path, playout, start_s=start_s, phonemes=phonemes)[0]

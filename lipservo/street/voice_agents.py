@@ -1,17 +1,22 @@
 """Voice agents at a face: where they are waited for, and what they may ask."""
 
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from lipservo.access.token_file import read_token
 from lipservo.agents.listener import bind_listener, url_of
-from lipservo.speech.performed_line import PerformedStream, performed_line
+from lipservo.agents.messages import MessageError
+from lipservo.speech.performed_line import performed_line
 from lipservo.street.sources import warn
-from lipservo.street.spoken_file import SpokenChunks, SpokenFile
-from lipservo.street.spoken_text import SpokenWords
+from lipservo.street.speech_queue import (
+    QueueFullError,
+    SpeechQueue,
+    spoken_chunks,
+    spoken_file,
+    spoken_text,
+)
 from lipservo.street.voice_options import DEFAULT_LISTEN, VoiceOptions
 from lipsync.audio.playout import Playout
 from lipsync.errors import UserError
@@ -22,11 +27,6 @@ if TYPE_CHECKING:
     import socket
 
     from lipservo.speech.speech_side import SpeechSide
-
-#: Texts and files that agents let the face say; the oldest are over by then.
-_MOST_SPOKEN: Final = 64
-#: Performances that are said or wait: each is kept whole, up to five minutes of sound.
-_MOST_PERFORMED: Final = 8
 
 
 def bound_listener(listen: str | None, token_file: str | None) -> "socket.socket | None":
@@ -97,47 +97,48 @@ def voice_agents(
 
 
 class _Spoken:
-    """What agents let the face say besides their streams."""
+    """What agents let the face say besides their streams: one queue of all of it."""
 
     def __init__(self, playout: Playout, options: VoiceOptions, model: FaceModel) -> None:
         self._playout = playout
         self._model = model
         self._folder = Path(options.sounds or ".").resolve()
-        self._spoken: deque[SpokenWords | SpokenChunks] = deque(maxlen=_MOST_SPOKEN)
-        self._performed: deque[PerformedStream] = deque(maxlen=_MOST_PERFORMED)
+        self._queue = SpeechQueue(playout)
 
     def say(self, text: str) -> Mapping[str, object]:
-        """A text. Raises SynthesisError."""
-        self._spoken.append(SpokenWords(text, "", self._playout))
+        """A text. Raises SynthesisError, and MessageError where too much waits."""
+        self._check_room("text")
+        self._queue.add(spoken_text(text, "", self._playout), "text")
         return {}
 
     def play(self, name: str) -> Mapping[str, object]:
-        """A sound file or performance below the folder that the user allowed. Raises UserError."""
+        """A sound file or performance below the folder that the user allowed.
+
+        Whatever can be wrong is known before the face gets it. Raises UserError, and MessageError
+        where too much waits.
+        """
         path = (self._folder / name).resolve()
         if not path.is_relative_to(self._folder):
             raise UserError(f"{name}: lies outside the folder of sounds")
+        # Before the file is read: it may be large, and this may be the ten thousandth time.
+        self._check_room(path.name)
         if path.suffix.lower() == SUFFIX:
-            return self._perform(path)
-        self._spoken.append(SpokenFile(path, self._playout))
-        return {}
-
-    def _perform(self, path: Path) -> Mapping[str, object]:
-        """All that can be wrong is told before the face hears of it."""
-        waiting = [each for each in self._performed if not each.is_over]
-        if len(waiting) == _MOST_PERFORMED:
-            raise UserError(
-                f"{path.name}: {_MOST_PERFORMED} performances are said or wait already; wait, or "
-                "interrupt them"
-            )
-        performance = read_performance(path)
-        performance.check_face(self._model, str(path))
-        line = performed_line(performance, path, warn)
-        stream = line.stream(self._playout)
-        self._performed = deque([*waiting, stream], maxlen=_MOST_PERFORMED)
-        self._spoken.append(SpokenChunks(line.chunks(), stream, self._playout))
-        return {"stream": line.name, "duration_s": round(performance.duration_s, 3)}
+            performance = read_performance(path)
+            performance.check_face(self._model, str(path))
+            line = performed_line(performance, path, warn)
+            spoken = spoken_chunks(line.chunks(), line.stream(self._playout))
+            duration_s = performance.duration_s
+        else:
+            spoken, duration_s = spoken_file(path, self._playout)
+        self._queue.add(spoken, path.name)
+        return {"stream": path.name, "duration_s": round(duration_s, 3)}
 
     def close(self) -> None:
         """Nothing more is read or synthesised."""
-        for each in self._spoken:
-            each.close()
+        self._queue.close()
+
+    def _check_room(self, name: str) -> None:
+        try:
+            self._queue.check_room(name)
+        except QueueFullError as error:
+            raise MessageError("too_many_streams", str(error)) from error

@@ -8,7 +8,7 @@ import json
 import math
 import queue
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
@@ -94,8 +94,10 @@ class BackgroundTrace:
     When the disk is a minute behind, ticks are dropped and the last line says how many.
     """
 
-    def __init__(self, file: TraceFile) -> None:
+    def __init__(self, file: TraceFile, say: Callable[[str], None]) -> None:
+        """say: gets a line, once, when it breaks off; the error is raised at the end."""
         self._file = file
+        self._say = say
         self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
         self._error: TraceError | None = None
         self._dropped = 0
@@ -126,6 +128,7 @@ class BackgroundTrace:
                     self._file.observe(tick)
             except TraceError as error:  # a full disk must not stop the face
                 self._error = error
+                self._say(f"{error}; the face goes on")
 
 
 def _record(number: int, tick: StreetTick) -> dict[str, object]:

@@ -4,6 +4,8 @@ sounddevice is imported only when a device is asked for: a robot that plays file
 a loudspeaker needs no PortAudio.
 """
 
+import contextlib
+import ctypes
 import re
 import threading
 from collections.abc import Iterator, Mapping
@@ -77,8 +79,21 @@ def import_sounddevice() -> ModuleType:
         raise SoundError(
             "no PortAudio library: install it with `apt install libportaudio2`"
         ) from error
+    quiet_alsa()
     module: ModuleType = sounddevice
     return module
+
+
+def quiet_alsa() -> None:
+    """Let ALSA print nothing: a slow computer would fill a log with its lines on underruns.
+
+    They are counted by the flags of each callback, and what cannot be opened is a SoundError. ALSA
+    calls its handler in the thread that plays, which must not wait for Python or a terminal: `abs`
+    of the C library takes what it is given and does nothing. Without ALSA nothing happens.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        nothing = ctypes.cast(ctypes.CDLL(None).abs, ctypes.c_void_p)
+        ctypes.CDLL("libasound.so.2").snd_lib_error_set_handler(nothing)
 
 
 def sound_devices(direction: Direction) -> tuple[SoundDevice, ...]:

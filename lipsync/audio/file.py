@@ -60,10 +60,15 @@ def read_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[Samples,
 
 def checked_rate_hz(path: str | PathLike[str], warn: Warn = ignore) -> int:
     """A file's own sample rate, in hertz, after the checks of `FileSource`. Raises SoundError."""
+    return checked_sound(path, warn)[0]
+
+
+def checked_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[int, float]:
+    """The same, and the length in seconds, to the nearest sample at 16 kHz."""
     path = Path(path)
-    _checked_duration_s(path, warn)
+    duration_s = _checked_duration_s(path, warn)
     with open_sound(path) as sound:
-        return int(sound.samplerate)
+        return int(sound.samplerate), duration_s
 
 
 def sound_chunks(path: str | PathLike[str], start_s: float = 0.0) -> Iterator[Samples]:

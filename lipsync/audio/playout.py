@@ -100,8 +100,9 @@ class Playout:
 
     @property
     def n_underruns(self) -> int:
-        """How often a stream had nothing ready in the middle of its speech."""
-        return self._n_underruns
+        """How often there was nothing to play in time: of a stream, or in the loudspeaker."""
+        played = 0 if self.loudspeaker is None else self.loudspeaker.n_underruns
+        return self._n_underruns + played
 
     @property
     def committed_s(self) -> float:
@@ -187,7 +188,7 @@ class Playout:
         while self.requests:
             request = self.requests.popleft()
             if request.kind == "say" and request.stream is not None:
-                self._playing.append(PlayingStream(request.stream))
+                self._say(request.stream, request.after)
             elif request.kind == "interrupt":
                 is_cut = self._interrupt() or is_cut
             elif request.kind == "clear":
@@ -259,6 +260,18 @@ class Playout:
         n_played = playing.n_played(self._position_s)
         name = playing.stream.name
         self.events.append(PlayoutEvent("underrun", name, self._position_s, n_played))
+
+    def _say(self, stream: PlayoutStream, after: PlayoutStream | None) -> None:
+        if after is not None and after.is_dropped:
+            stream.drop()
+            return
+        place = len(self._playing)
+        if after is not None:
+            # Where it was heard to its end already: what is being said now is not cut in two.
+            place = 1 if self._playing and self._playing[0].segments else 0
+            for number, playing in enumerate(self._playing, 1):
+                place = number if playing.stream is after else place
+        self._playing.insert(place, PlayingStream(stream))
 
     def _interrupt(self) -> bool:
         """Everything ends here; whether anything was being said."""

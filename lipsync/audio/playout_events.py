@@ -28,9 +28,11 @@ class PlayoutEvent:
 class PlayoutRequest:
     """What is asked of the playout.
 
-    say: a new stream, after those that wait. interrupt: silence at once, and everything that was
+    say: a new stream, after those that wait, or right after `after`, of which it is the next part:
+    it is dropped where that was. interrupt: silence at once, and everything that was
     not heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped.
     """
 
     kind: Literal["say", "interrupt", "clear"]
     stream: PlayoutStream | None = None
+    after: PlayoutStream | None = None

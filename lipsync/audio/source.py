@@ -65,6 +65,10 @@ class Loudspeaker(Protocol):
     def latency_s(self) -> float:
         """How long after it was written a sample is heard at the earliest."""
 
+    @property
+    def n_underruns(self) -> int:
+        """How often it had nothing to play, for whatever reason, while sound was to be played."""
+
     def write(self, samples: NDArray[np.float32]) -> None:
         """The next samples (n,) float32 mono of the timeline."""
 

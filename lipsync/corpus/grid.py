@@ -2,7 +2,6 @@
 
 import json
 import os
-import zipfile
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import soundfile
 
+from lipsync.array_archive import UNREADABLE, ArrayArchive
 from lipsync.arrays import Array
 from lipsync.corpus.head_motion import apply_similarity, fit_similarity, refine_mean
 from lipsync.corpus.utterance import Corpus, CorpusError, Utterance, Word
@@ -26,6 +26,8 @@ _UNITS_PER_PIXEL = 64.0
 _TO_FACE_AXES = np.array([1.0, -1.0, -1.0])
 #: Picture and sound of one sentence may differ by this much in length (grid_s1: up to 0.03 s).
 _LENGTH_TOLERANCE_S = 0.25
+#: Points of one sentence, unpacked: minutes of them.
+_MOST_BYTES = 500_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,11 +189,11 @@ def read_landmarks(path: Path, n_landmarks: int) -> Array:
     Raises CorpusError.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            points = file["landmarks_64th_px"]
+        with path.open("rb") as file, ArrayArchive(file, _MOST_BYTES) as archive:
+            points = archive["landmarks_64th_px"]
     except FileNotFoundError:
         raise CorpusError(f"{path}: no such file") from None
-    except (KeyError, ValueError, OSError, zipfile.BadZipFile) as error:
+    except (KeyError, *UNREADABLE) as error:
         raise CorpusError(f"{path}: not a landmark file") from error
     if points.ndim != 3 or points.shape[1:] != (n_landmarks, 3) or len(points) < 2:
         raise CorpusError(

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.lib.npyio import NpzFile
 from numpy.typing import NDArray
 
-from lipsync.damaged_archive import UNREADABLE
+from lipsync.array_archive import UNREADABLE, ArrayArchive
 from lipsync.errors import UserError
 from lipsync.face.former_files import FORMER_VERSION, former_layout, former_members
 from lipsync.markers import PointLayout, layout_of
@@ -30,6 +29,8 @@ Part = TypeVar("Part")
 #: for the one before, which holds the same under other names.
 MODEL_VERSION = 4
 SHIPPED_MODEL = "grid_s1"
+#: Thirty times the shipped one, unpacked.
+_MOST_BYTES = 64_000_000
 _ABOUT = "about"
 _TRAIN_AGAIN = "train it again with `lipservo train`"
 
@@ -44,7 +45,7 @@ class ModelFile:
     name: for messages. about: what it says of itself. layout: the points of its face.
     """
 
-    def __init__(self, name: str, archive: NpzFile) -> None:
+    def __init__(self, name: str, archive: ArrayArchive) -> None:
         self.name = name
         self._archive = archive
         try:
@@ -91,7 +92,7 @@ class ModelFile:
 
     def _members(self) -> dict[str, str]:
         """What an array is called today, and under which name this file keeps it."""
-        stored = self._archive.files
+        stored = self._archive.names
         return former_members(stored) if self._is_former else {name: name for name in stored}
 
     def _damaged(self, error: Exception | None = None) -> ModelError:
@@ -119,14 +120,13 @@ def open_model(path: Path | None = None) -> Iterator[ModelFile]:
         except OSError as error:
             raise ModelError(f"{name}: cannot be read: {error.strerror}") from error
         try:
-            archive = np.load(stream, allow_pickle=False)
+            archive = stack.enter_context(ArrayArchive(stream, _MOST_BYTES))
         except UNREADABLE as error:
             raise ModelError(
-                f"{name}: damaged or not a lipservo model; get a fresh copy or train one again"
+                f"{name}: damaged or not a lipservo model ({error}); get a fresh copy or train one "
+                "again"
             ) from error
-        if not isinstance(archive, NpzFile):
-            raise ModelError(f"{name}: an array, not a lipservo model; train one")
-        yield ModelFile(name, stack.enter_context(archive))
+        yield ModelFile(name, archive)
 
 
 def write_model(

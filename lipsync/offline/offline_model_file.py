@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.damaged_archive import UNREADABLE
-from lipsync.offline.array_archive import opened
+from lipsync.array_archive import UNREADABLE, ArrayArchive
 from lipsync.offline.offline_model import OfflineModel, OfflineModelError
 from lipsync.offline.sound_expectation import SoundExpectation
 from lipsync.offline.state_model import StateModel, Units
@@ -23,6 +22,8 @@ from lipsync.phonemes import PHONEMES
 #: Raised whenever the meaning of a stored field changes.
 OFFLINE_VERSION = 1
 SHIPPED = "grid_s1_offline"
+#: Every frame that was learned from is in it: a hundred times the shipped one, unpacked.
+_MOST_BYTES = 500_000_000
 _KIND = "lipservo offline model"
 _ABOUT = "about"
 #: What of a state model is kept as it is; units and the rate are kept under names of their own.
@@ -75,14 +76,14 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
     name = f"shipped model {SHIPPED}" if path is None else str(path)
     place = resources.files("lipsync.models") / f"{SHIPPED}.npz" if path is None else path
     try:
-        content = place.read_bytes()
+        file = place.open("rb")
     except FileNotFoundError:
         remedy = "reinstall lipservo" if path is None else "make one with `lipservo train-offline`"
         raise OfflineModelError(f"{name}: no such file; {remedy}") from None
     except OSError as error:
         raise OfflineModelError(f"{name}: cannot be read: {error.strerror}") from error
     try:
-        with opened(content) as archive:
+        with file, ArrayArchive(file, _MOST_BYTES) as archive:
             about = json.loads(archive[_ABOUT].tobytes())
             if not isinstance(about, dict) or about.get("kind") != _KIND:
                 raise OfflineModelError(
@@ -93,7 +94,7 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
                     f"{name}: offline model version {about['version']}, this lipservo reads "
                     f"version {OFFLINE_VERSION}; make it again with `lipservo train-offline`"
                 )
-            model = _assembled({key: archive[key] for key in archive.files}, about)
+            model = _assembled({key: archive[key] for key in archive.names}, about)
         _check(model)
         return model
     except OfflineModelError:

@@ -15,6 +15,8 @@ from lipsync.phonemes import PhonemeEvent
 
 #: Faces a second, as the face publishes them.
 RATE_HZ = 100.0
+#: The longest performance that is written or read; `render` takes up to half of it.
+LONGEST_S = 600.0
 #: Of an `Expression`, what may be stored. A smile is a mood of the moment, which nobody knows yet.
 EXPRESSION_NAMES: Final = (
     "neck_pitch_deg", "neck_yaw_deg", "neck_roll_deg", "eye_pitch_deg", "eye_yaw_deg",
@@ -30,35 +32,14 @@ class PerformanceError(UserError):
 class PerformedSound:
     """The sound of a performance, byte for byte the file it was rendered from.
 
-    name: of that file, without folders. sha256: of its bytes, 64 hex digits. content: the bytes;
-    None where the file is kept beside the performance.
+    name: of that file, without folders. sha256: of its bytes, 64 hex digits. content: the bytes
+    that are to be written into the performance file; None where the file stays beside it, and of
+    every performance that was read: `performance_file.sound_file` has them then.
     """
 
     name: str
     sha256: str
     content: bytes | None
-
-    def bytes_beside(self, performance: Path) -> bytes:
-        """The bytes of the sound: those within, or of the file of its name beside `performance`.
-
-        Raises PerformanceError where it is gone, or is another one now.
-        """
-        content = self.content
-        if content is None:
-            place = performance.parent / self.name
-            try:
-                content = place.read_bytes()
-            except OSError as error:
-                raise PerformanceError(
-                    f"{performance}: its sound {place} cannot be read ({error.strerror}); put it "
-                    "there, or render with the sound included"
-                ) from error
-        if hashlib.sha256(content).hexdigest() != self.sha256:
-            raise PerformanceError(
-                f"{performance}: its sound {self.name} is not the one it was rendered from; "
-                "render it again"
-            )
-        return content
 
 
 def performed_sound(path: Path, *, included: bool) -> PerformedSound:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lipsync.arrays import Array
 from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
@@ -25,10 +26,10 @@ class StoredMotion:
     """
 
     def __init__(self, performance: Performance) -> None:
-        self._faces = performance.coefficients.astype(np.float64)
+        self._faces = performance.coefficients
         self._names = tuple(performance.expression)
         columns = [performance.expression[name] for name in self._names]
-        self._expressions = np.array(columns, dtype=np.float64).T
+        self._expressions = np.array(columns, dtype=np.float32).T
         self._last_s = performance.duration_s
 
     def face_at(self, at_s: float, otherwise: Array) -> Array:
@@ -36,7 +37,8 @@ class StoredMotion:
         outside_s = max(-at_s, at_s - self._last_s)
         if outside_s <= 0.0:
             return self._between(self._faces, at_s)
-        return _eased(self._faces[0 if at_s < 0.0 else -1], otherwise, outside_s)
+        end = self._faces[0 if at_s < 0.0 else -1].astype(np.float64)
+        return _eased(end, otherwise, outside_s)
 
     def expression_at(self, at_s: float) -> Expression:
         """What is stored of head, eyes, lids and brows; beyond its ends, its ends."""
@@ -45,12 +47,13 @@ class StoredMotion:
         values = self._between(self._expressions, min(max(0.0, at_s), self._last_s))
         return Expression(**dict(zip(self._names, values.tolist(), strict=True)))
 
-    def _between(self, rows: Array, at_s: float) -> Array:
+    def _between(self, rows: NDArray[np.float32], at_s: float) -> Array:
         frames = at_s * RATE_HZ
         before = min(math.floor(frames), len(rows) - 1)
         after = min(before + 1, len(rows) - 1)
         share = frames - before
-        return np.asarray((1.0 - share) * rows[before] + share * rows[after])
+        pair = rows[[before, after]].astype(np.float64)
+        return np.asarray((1.0 - share) * pair[0] + share * pair[1])
 
 
 class PerformedMotion:

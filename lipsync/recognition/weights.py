@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.damaged_archive import UNREADABLE
+from lipsync.array_archive import UNREADABLE, arrays_of
 from lipsync.errors import UserError
 from lipsync.output_file import written_whole
 from lipsync.phonemes import VISEME_OF
@@ -17,6 +17,8 @@ from lipsync.recognition.features import N_BANDS, FeatureScale
 from lipsync.recognition.network import Layer, NetworkWeights
 
 _FORMAT = 1
+#: Thirty times the shipped ones, unpacked.
+_MOST_BYTES = 64_000_000
 DEFAULT_WEIGHTS = "default"
 #: The weights that come with the package, by name.
 SHIPPED = {DEFAULT_WEIGHTS: "recognizer.npz", "grid": "recognizer_grid.npz"}
@@ -64,9 +66,8 @@ def is_weights(head: bytes) -> bool:
 def load_weights(path: str | PathLike[str]) -> NetworkWeights:
     """Read weights; WeightsError for a file that is missing, damaged or does not fit together."""
     try:
-        # Opened here: where numpy fails to read a file it leaves it open.
-        with Path(path).open("rb") as file, np.lib.npyio.NpzFile(file) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        with Path(path).open("rb") as file:
+            arrays = arrays_of(file, _MOST_BYTES)
     except FileNotFoundError as error:
         raise WeightsError(f"{path}: no such file; check the path") from error
     except UNREADABLE as error:

@@ -24,7 +24,8 @@ def performed_stream(text: SpokenText, performance: Performance, playout: Playou
     """The whole line as a stream that has ended."""
     line = line_of(performance, "text", text.samples, text.sample_rate_hz)
     stream = line.stream(playout)
-    stream.push(line.samples)
+    for chunk in line.chunks():
+        stream.push(chunk)
     stream.end()
     return stream
 

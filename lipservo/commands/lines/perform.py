@@ -46,7 +46,7 @@ from lipservo.street.motion_options import ChosenMotion, MotionOptions
 from lipservo.street.run_face import run_face
 from lipservo.street.run_request import RunRequest
 from lipservo.street.sources import SILENCE, warn
-from lipservo.street.spoken_file import SpokenChunks
+from lipservo.street.speech_queue import SpeechQueue, spoken_chunks
 from lipservo.street.spoken_sound import entered_sound
 from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
 from lipservo.terminal.output import MESSAGES, print_json
@@ -134,7 +134,8 @@ def perform(
         request = replace(request, port=stack.enter_context(servo_port(port, sim, config)))
         playout = stack.enter_context(entered_sound(request))
         assert isinstance(playout, Playout)
-        stack.enter_context(closing(SpokenChunks(line.chunks(), line.stream(playout), playout)))
+        queue = stack.enter_context(closing(SpeechQueue(playout)))
+        queue.add(spoken_chunks(line.chunks(), line.stream(playout)), line.name)
         outcome = run_face(
             request,
             playout,

@@ -65,7 +65,8 @@ def bridge_process(
     rate = asked.rate_hz or settings.rate_hz
     about = {**about_run(asked), "name": settings.name, "port": asked.port}
     with ExitStack() as stack:
-        say = no_log if asked.quiet else stack.enter_context(LogLines(prefix="bridge: "))
+        lines = stack.enter_context(LogLines(prefix="bridge: "))
+        say = no_log if asked.quiet else lines
         end = stack.enter_context(socket.socket(fileno=channel))
         shared = stack.enter_context(StatusBoard.adopt(board))
         watched = stack.enter_context(LiveBoard.adopt(live))
@@ -89,7 +90,7 @@ def bridge_process(
         )
         for index, reason in given_up.items():
             say(f"stays limp: {settings.joints()[index].name}: {reason}")
-        healths = health_log(settings.name, asked.port, say, os.environ)
+        healths = health_log(settings.name, asked.port, lines, os.environ)
         if healths is not None:
             stack.enter_context(healths)
         status = run_bridge(

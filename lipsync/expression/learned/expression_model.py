@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.array_archive import UNREADABLE, arrays_of
 from lipsync.arrays import Array
-from lipsync.damaged_archive import UNREADABLE
 from lipsync.errors import UserError
 from lipsync.expression.learned.pose_mixture import N_AXES, PoseMixture
 from lipsync.output_file import written_whole
@@ -21,6 +21,8 @@ GAZE_POSES = 3
 N_GAZE_INPUTS = N_AXES * HEAD_POSES + 3
 N_LID_INPUTS = GAZE_POSES + 3
 _FORMAT = 1
+#: A thousand times a usual one, unpacked.
+_MOST_BYTES = 16_000_000
 
 
 class ExpressionModelError(UserError):
@@ -83,8 +85,8 @@ def is_expression(head: bytes) -> bool:
 def load_expression(path: Path) -> ExpressionModel:
     """Read a model. Raises ExpressionModelError for one that is missing, damaged or foreign."""
     try:
-        with path.open("rb") as file, np.lib.npyio.NpzFile(file) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        with path.open("rb") as file:
+            arrays = arrays_of(file, _MOST_BYTES)
     except FileNotFoundError:
         raise ExpressionModelError(
             f"{path}: no such file; make one with `lipservo train-expression`"

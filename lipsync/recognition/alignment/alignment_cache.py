@@ -11,7 +11,6 @@ an interrupted run goes on.
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +27,7 @@ from lipsync.recognition.alignment.goodness_of_pronunciation import (
     goodness_of_pronunciation,
 )
 from lipsync.recognition.scripted import read_phonemes
+from lipsync.worker_pool import worker_pool
 
 #: In place of the beams: the phones are those of the corpus's own label files.
 LABELLED = "labelled"
@@ -214,7 +214,7 @@ def _aligned(missing: list[TranscribedUtterance], n_processes: int) -> Iterator[
     if n_processes <= 1 or len(missing) <= 1:
         yield from map(align_utterance, missing)
         return
-    with ProcessPoolExecutor(n_processes) as pool:
+    with worker_pool(n_processes) as pool:
         yield from pool.map(align_utterance, missing, chunksize=4)
 
 

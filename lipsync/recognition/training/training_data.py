@@ -5,7 +5,6 @@ array, every utterance beginning as a stream does, with a fresh level and mean.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 
@@ -29,6 +28,7 @@ from lipsync.recognition.training import augmentation, noise
 from lipsync.recognition.training.augmentation import LabelledSamples, Surroundings
 from lipsync.recognition.training.found_sounds import found
 from lipsync.recognition.training.laughter import laughter_of
+from lipsync.worker_pool import worker_pool
 
 #: Targets of frames that a head cannot know yet; torch's cross entropy passes over them.
 NO_TARGET = -100
@@ -108,7 +108,7 @@ def training_arrays(
             progress(len(arrays))
         return arrays
     # Forked workers see the recordings without copying them.
-    with ProcessPoolExecutor(n_processes, mp_context=get_context("fork")) as pool:
+    with worker_pool(n_processes, get_context("fork")) as pool:
         for array in pool.map(_one_array, jobs):
             arrays.append(array)
             progress(len(arrays))

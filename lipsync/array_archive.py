@@ -1,0 +1,158 @@
+"""Archives of arrays, `.npz` without pickle, read within bounds.
+
+What is packed may be a thousand times larger unpacked, and a header may promise arrays that no
+memory holds. So everything is compared with a bound before it is made: the list of members before
+it is parsed, the size of each member before it is unpacked, and the shape of an array with the
+bytes that are there. Only plain arrays are read: what `numpy.savez` and `savez_compressed` write of
+numbers, booleans and texts.
+"""
+
+import io
+import math
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import IO, Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+#: What reading an archive that is damaged may raise, by where the damage is.
+UNREADABLE: Final = (
+    OSError,
+    ValueError,
+    EOFError,
+    RuntimeError,
+    MemoryError,
+    zlib.error,
+    zipfile.BadZipFile,
+)
+_MOST_MEMBERS: Final = 1_000
+#: Of the list of members at the end of an archive.
+_MOST_LISTED_BYTES: Final = 128 * _MOST_MEMBERS
+#: "PK\5\6", of which the size of the list, and the length of a comment, which NumPy never writes.
+_END: Final = struct.Struct("<4s8xL4xH")
+_END_64_BYTES: Final = 20
+_CHUNK_BYTES: Final = 1 << 20
+#: Magic and length before the header of an array; of version 1 with 2 bytes of length.
+_HEAD_BYTES: Final = 10
+_HEADER: Final = re.compile(
+    r"\{'descr': '([<>|=][biufU]\d{1,6})', 'fortran_order': (True|False), "
+    r"'shape': \(((?:\d{1,12}, ?){0,8}(?:\d{1,12})?)\), \} *\n"
+)
+
+
+class ArrayArchive:
+    """The arrays of a file, by name. Use it as a context manager.
+
+    Raises what `UNREADABLE` names, here and when an array is read; a ValueError says in a few words
+    what is wrong.
+    """
+
+    def __init__(
+        self, file: IO[bytes], most_bytes: int, most_of: Mapping[str, int] | None = None
+    ) -> None:
+        """file: open; the caller closes it. most_bytes: of all arrays together, unpacked.
+
+        most_of: of single ones, by name, less.
+        """
+        _check_list(file)
+        self._zip = zipfile.ZipFile(file)
+        self._members = {
+            member.filename.removesuffix(".npy"): member for member in self._zip.infolist()
+        }
+        if len(self._members) > _MOST_MEMBERS:
+            raise ValueError(f"more than {_MOST_MEMBERS} arrays")
+        # Not only of those that will be read: what nobody reads has no place in an archive either.
+        n_bytes = sum(member.file_size for member in self._zip.infolist())
+        if n_bytes > most_bytes:
+            raise ValueError(f"{_mb(n_bytes)} unpacked, at most {_mb(most_bytes)} are read")
+        for name, most in (most_of or {}).items():
+            member = self._members.get(name)
+            if member is not None and member.file_size > most:
+                size = _mb(member.file_size)
+                raise ValueError(f"{name!r} has {size} unpacked, at most {_mb(most)} are read")
+
+    @property
+    def names(self) -> list[str]:
+        """Of all arrays, in the order in which they are stored."""
+        return list(self._members)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._members
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        """One array, read now. Raises KeyError where there is none of that name."""
+        with self._opened(name) as (file, shape, dtype, order):
+            data = bytearray(math.prod(shape) * dtype.itemsize)
+            held = memoryview(data)
+            n_read = 0
+            while chunk := file.read(_CHUNK_BYTES):
+                held[n_read : n_read + len(chunk)] = chunk
+                n_read += len(chunk)
+            if n_read != len(data):
+                raise ValueError(f"{name!r} is cut short")
+        return (
+            np.ndarray(shape, dtype, buffer=data, order=order) if data else np.empty(shape, dtype)
+        )
+
+    def chunks(self, name: str) -> Iterator[bytes]:
+        """The bytes of an array (n,) uint8, so that it is never in memory as a whole."""
+        with self._opened(name) as (file, shape, dtype, _):
+            if dtype != np.uint8 or len(shape) != 1:
+                raise ValueError(f"{name!r} holds no bytes")
+            while chunk := file.read(_CHUNK_BYTES):
+                yield chunk
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._zip.close()
+
+    @contextmanager
+    def _opened(self, name: str) -> Iterator[tuple[IO[bytes], tuple[int, ...], np.dtype[Any], Any]]:
+        """Where the values of an array begin, its shape, type and order."""
+        member = self._members[name]
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise ValueError(f"{name!r} is packed in a way that NumPy does not write")
+        with self._zip.open(member) as file:
+            head = file.read(_HEAD_BYTES)
+            if head[:8] != b"\x93NUMPY\x01\x00" or len(head) != _HEAD_BYTES:
+                raise ValueError(f"{name!r} is no plain array")
+            n_header = int.from_bytes(head[8:], "little")
+            found = _HEADER.fullmatch(file.read(n_header).decode("latin-1"))
+            if found is None:
+                raise ValueError(f"{name!r} is no plain array")
+            dtype = np.dtype(found[1])
+            shape = tuple(int(each) for each in found[3].replace(",", " ").split())
+            n_bytes = member.file_size - _HEAD_BYTES - n_header
+            if dtype.itemsize == 0 or math.prod(shape) * dtype.itemsize != n_bytes:
+                raise ValueError(f"{name!r} promises {shape} values, and has {n_bytes} bytes")
+            yield file, shape, dtype, "F" if found[2] == "True" else "C"
+
+
+def arrays_of(file: IO[bytes], most_bytes: int) -> dict[str, NDArray[Any]]:
+    """All arrays of an archive. Raises as `ArrayArchive` does."""
+    with ArrayArchive(file, most_bytes) as archive:
+        return {name: archive[name] for name in archive.names}
+
+
+def _check_list(file: IO[bytes]) -> None:
+    """Refuse a list of members that would fill the memory when it is parsed."""
+    end = file.seek(0, io.SEEK_END)
+    file.seek(max(0, end - _END.size - _END_64_BYTES))
+    tail = file.read()
+    if len(tail) < _END.size or tail[-_END.size :][:4] != b"PK\x05\x06":
+        raise ValueError("no archive of arrays")
+    _, n_listed, n_comment = _END.unpack(tail[-_END.size :])
+    if n_comment or tail.startswith(b"PK\x06\x07") or n_listed > _MOST_LISTED_BYTES:
+        raise ValueError("its list of arrays is longer than any of ours")
+    file.seek(0)
+
+
+def _mb(n_bytes: int) -> str:
+    return f"{n_bytes / 1e6:,.1f} MB"
