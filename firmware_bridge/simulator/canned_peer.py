@@ -2,10 +2,10 @@
 
 Run as `python -m firmware_bridge.simulator.canned_peer N SIZE [--on-time]`; prints its port, ends
 when its standard input closes. --on-time: real-time scheduling, where permitted, so that it answers
-at once on a busy computer, too. Servos 1..N are XL330-M288 at 1 Mbaud, seen at 64 moments of a motion of a
-few degrees about the middle of their turn; each question gets the next moment's answer. What is
-read beforehand is SIZE bytes from present_current on; any other span is made at its first question,
-then kept.
+at once on a busy computer, too. Servos 1..N are XL330-M288 at 1 Mbaud, seen at 64 moments of a
+motion of a few degrees about the middle of their turn; each question gets the next moment's answer.
+What is read beforehand is SIZE bytes from present_current on; any other span is made at its first
+question, then kept.
 
 Understood are ping, read, sync read and fast sync read. Writes are answered and remembered, so that
 a bus can arm these servos; goals are not pursued, and sync writes of goals not even looked at.
