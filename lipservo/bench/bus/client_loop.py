@@ -1,13 +1,13 @@
 """A servo loop as one writes it with dynamixel-sdk or rustypot, a process of its own.
 
 Run as `python -m lipservo.bench.bus.client_loop KIND PORT BAUD_RATE N RATE_HZ TARGETS COUNT`, the
-last two inherited descriptors: a socket that goals come through, in degrees, as they come to the bridge; and
-eight bytes of memory in which it counts its rounds. It ends when the socket is closed.
+last two inherited descriptors: a socket that goals come through, in degrees, as they come to the
+bridge; and eight bytes of memory in which it counts its rounds. It ends when the socket closes.
 """
 
-import contextlib
 import gc
 import mmap
+import select
 import socket
 import struct
 import sys
@@ -41,30 +41,34 @@ def make_client(kind: str, port: str, baud_rate: int, n_servos: int) -> ServoCli
     return SdkClient(port, n_servos, reads, baud_rate=baud_rate, in_kernel=in_kernel)
 
 
-def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count: int) -> None:
-    """The newest goals out, and everything back, in every period; no gate, nobody to talk to."""
-    angles = struct.Struct(f"<{n_servos}d")
+def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count: int) -> int:
+    """The newest goals out, and everything back, in every period; no gate, no stop, no status.
+
+    Returns how often an answer was lost, once the socket of the targets is closed.
+    """
+    angles, ready = struct.Struct(f"<{n_servos}d"), select.poll()
     gc.collect()
     gc.freeze()
     with socket.socket(fileno=targets) as end, mmap.mmap(count, 0) as counted:
-        end.setblocking(False)
-        n, due_s, closed = 0, time.monotonic(), False
-        while not closed:
+        ready.register(end, select.POLLIN)
+        n, n_lost, due_s = 0, 0, time.monotonic()
+        while True:
             left_s = due_s - time.monotonic()
             if left_s > 0.0:
                 time.sleep(left_s)
             due_s = max(due_s + 1.0 / rate_hz, time.monotonic())
-            with contextlib.suppress(BlockingIOError):
-                while not closed:
-                    raw = end.recv(_LONGEST)
-                    closed = not raw
-                    if raw:
-                        client.goals = [
-                            _CENTER + round(deg * _PULSES_PER_DEG)
-                            for deg in angles.unpack_from(raw, _HEAD_BYTES)
-                        ]
-            with contextlib.suppress(AnswerLost):
+            while ready.poll(0):
+                raw = end.recv(_LONGEST)
+                if not raw:
+                    return n_lost
+                client.goals = [
+                    _CENTER + round(deg * _PULSES_PER_DEG)
+                    for deg in angles.unpack_from(raw, _HEAD_BYTES)
+                ]
+            try:
                 client.work()
+            except AnswerLost:
+                n_lost += 1
             n += 1
             _COUNT.pack_into(counted, 0, n)
 

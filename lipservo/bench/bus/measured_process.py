@@ -30,7 +30,6 @@ from lipservo.street.sources import SILENCE
 
 N_SERVOS: Final = 10
 RATE_HZ: Final = 100.0
-BAUD_RATE: Final = 1_000_000
 #: The beginning of a turn, in which caches are filled again and answers of before come late.
 _SETTLES_S: Final = 0.2
 _COUNTED_S: Final = 0.6
@@ -132,7 +131,7 @@ class _BridgeTicks:
 
 
 @contextmanager
-def client_process(kind: str, port: str) -> Iterator[MeasuredProcess]:
+def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
     """A loop with dynamixel-sdk or rustypot, standing still; kind: of `client_loop`."""
     with ExitStack() as stack:
         writer, reader = (stack.enter_context(end) for end in channel_pair())
@@ -140,7 +139,7 @@ def client_process(kind: str, port: str) -> Iterator[MeasuredProcess]:
         stack.callback(os.close, count)
         rounds = _CountedRounds(count)
         command = [sys.executable, "-m", "lipservo.bench.bus.client_loop", kind, port]
-        numbers = [BAUD_RATE, N_SERVOS, RATE_HZ, reader.fileno(), count]
+        numbers = [baud_rate, N_SERVOS, RATE_HZ, reader.fileno(), count]
         command += [str(each) for each in numbers]
         process = stack.enter_context(_running(command, [reader.fileno(), count]))
         _wait_until(lambda: rounds.n > RATE_HZ, process)
@@ -149,13 +148,13 @@ def client_process(kind: str, port: str) -> Iterator[MeasuredProcess]:
 
 
 @contextmanager
-def bridge_process(folder: Path, port: str) -> Iterator[MeasuredProcess]:
+def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
     """A `bridge-process` as a daemon starts it, its servos at full strength, standing still.
 
     folder: empty; for its face, its socket, and what it writes.
     """
     face = folder / "face.yaml"
-    face.write_text(_face_yaml())
+    face.write_text(_face_yaml(baud_rate))
     with ExitStack() as stack:
         board = stack.enter_context(StatusBoard.create())
         names = tuple(f"joint_{n + 1}" for n in range(N_SERVOS))
@@ -186,9 +185,9 @@ def bridge_process(folder: Path, port: str) -> Iterator[MeasuredProcess]:
         yield measured
 
 
-def _face_yaml() -> str:
+def _face_yaml(baud_rate: int) -> str:
     """Ten XL330 as they come, every second one mounted the other way round."""
-    lines = ["name: bench", f"rate_hz: {RATE_HZ:g}", f"bus: {{baud_rate: {BAUD_RATE}}}", "servos:"]
+    lines = ["name: bench", f"rate_hz: {RATE_HZ:g}", f"bus: {{baud_rate: {baud_rate}}}", "servos:"]
     for n in range(1, N_SERVOS + 1):
         lines.append(
             f"  joint_{n}: {{id: {n}, model: XL330-M288, positive: opens, min_deg: -40, "

@@ -2,14 +2,16 @@
 
 import statistics
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
+from lipservo.bench.bus import servo_clients
 from lipservo.bench.bus.measured_process import (
-    BAUD_RATE,
     N_SERVOS,
     MeasuredProcess,
     bridge_process,
@@ -18,22 +20,46 @@ from lipservo.bench.bus.measured_process import (
 from lipservo.bench.bus.servo_clients import canned_peer
 from lipservo.face.sim_process import simulated_port
 
-#: What the ratio over each loop is called: cpu_process*_ratio. Peers that answer at once.
-_AT_ONCE: Final = {
-    "sdk": "",
-    "sdk_all_fast": "_all_fast",
-    "sdk_in_turn": "_in_turn",
-    "sdk_waiting": "_waiting",
-    "sdk_in_turn_waiting": "_in_turn_waiting",
-    "rustypot_in_turn": "_rustypot",
-}
-#: The same with servos that take the time of the wire.
-_ON_THE_WIRE: Final = {
-    "sdk": "_wire",
-    "sdk_in_turn": "_wire_in_turn",
-    "rustypot_in_turn": "_wire_rustypot",
-}
-_TURNS, _TURNS_ON_THE_WIRE = 30, 10
+_WIRE_BAUD_RATE: Final = 1_000_000
+_SIMULATED: Final = ("--servos", str(N_SERVOS), "--baud-rate", str(_WIRE_BAUD_RATE), "--on-time")
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The same servos for our process and for others.
+
+    peer: opens their port. loops: what the ratio over each loop of `client_loop` is called.
+    """
+
+    peer: Callable[[], AbstractContextManager[str]]
+    baud_rate: int
+    loops: Mapping[str, str]
+    n_turns: int
+
+
+AT_ONCE = Comparison(
+    partial(canned_peer, N_SERVOS, on_time=True),
+    servo_clients.BAUD_RATE,
+    {
+        "sdk": "cpu_process_ratio",
+        "sdk_all_fast": "cpu_process_all_fast_ratio",
+        "sdk_in_turn": "cpu_process_in_turn_ratio",
+        "sdk_waiting": "cpu_process_waiting_ratio",
+        "sdk_in_turn_waiting": "cpu_process_in_turn_waiting_ratio",
+        "rustypot_in_turn": "cpu_process_ratio_rustypot",
+    },
+    n_turns=30,
+)
+ON_THE_WIRE = Comparison(
+    partial(simulated_port, _SIMULATED),
+    _WIRE_BAUD_RATE,
+    {
+        "sdk": "cpu_process_wire_ratio",
+        "sdk_in_turn": "cpu_process_wire_in_turn_ratio",
+        "rustypot_in_turn": "cpu_process_wire_ratio_rustypot",
+    },
+    n_turns=10,
+)
 
 
 def process_ratios() -> dict[str, float]:
@@ -43,47 +69,41 @@ def process_ratios() -> dict[str, float]:
     a socket, gate, goals written, places read (fast), one servo's health read, supervision, live
     board. The others: goals through the same socket, written; places read (fast); voltage and
     temperature of all read (`GroupSyncRead`; `all_fast`: in one frame, too), or, `in_turn`, the
-    very reads of our tick: one servo's health; no gate, nobody who may stop them, no status.
+    very reads of our tick: one servo's health; no gate, no stop, no status.
 
     User and system time of all threads of a process, by its own clock; medians of the turns, each
-    of some sixty ticks, while the others stand still. Each has a peer of its own, which answers at
-    once, with real-time scheduling where permitted. dynamixel-sdk polls while it waits for it; `waiting`: with a port that sleeps instead,
-    which is not the SDK's. `wire`: with simulated servos that take the time of the wire, 1 Mbaud,
-    as real ones do; the SDK polls all the while.
+    of some sixty ticks, while the others stand still; `least`: of the least turns. Each has a peer
+    of its own, which answers at once, with real-time scheduling where permitted. dynamixel-sdk
+    polls while it waits for it, which is in its figures; `waiting`: with a port that sleeps
+    instead, which is not the SDK's. `wire`: with simulated servos that take the time of 1 Mbaud, as
+    real ones do; the SDK polls all the while.
     """
-    at_once, n_ticks = _medians_us(_AT_ONCE, lambda: canned_peer(N_SERVOS, on_time=True), _TURNS)
-    options = ["--servos", str(N_SERVOS), "--baud-rate", str(BAUD_RATE), "--on-time"]
-    on_the_wire, _ = _medians_us(_ON_THE_WIRE, lambda: simulated_port(options), _TURNS_ON_THE_WIRE)
+    at_once, on_the_wire = _turns_us(AT_ONCE), _turns_us(ON_THE_WIRE)
     figures = {
-        "cpu_process_us": at_once["own"],
-        "cpu_process_wire_us": on_the_wire["own"],
-        "cpu_process_ticks": n_ticks,
+        "cpu_process_us": statistics.median(at_once["own"]),
+        "cpu_process_wire_us": statistics.median(on_the_wire["own"]),
+        "cpu_process_ratio_least": min(at_once["own"]) / min(at_once["sdk"]),
     }
-    for middle_us, names in ((at_once, _AT_ONCE), (on_the_wire, _ON_THE_WIRE)):
-        for kind, name in names.items():
-            if kind in middle_us:
-                figures[f"cpu_process{name}_ratio"] = middle_us["own"] / middle_us[kind]
+    for turns_us, comparison in ((at_once, AT_ONCE), (on_the_wire, ON_THE_WIRE)):
+        own_us = statistics.median(turns_us["own"])
+        for kind, name in comparison.loops.items():
+            if kind in turns_us:
+                figures[name] = own_us / statistics.median(turns_us[kind])
     return figures
 
 
-def _medians_us(
-    kinds: Iterable[str],
-    peer: Callable[[], AbstractContextManager[str]],
-    n_turns: int,
-) -> tuple[dict[str, float], int]:
-    """CPU a tick by loop, `own` among them, the median of the turns; and our ticks in all."""
+def _turns_us(comparison: Comparison) -> dict[str, list[float]]:
+    """CPU a tick of every turn in which servos were driven, by loop, ours called `own`."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-"))
-        ours = bridge_process(Path(folder), stack.enter_context(peer()))
+        port, rate = stack.enter_context(comparison.peer()), comparison.baud_rate
+        ours = bridge_process(Path(folder), port, rate)
         loops: dict[str, MeasuredProcess] = {"own": stack.enter_context(ours)}
-        for kind in kinds:
+        for kind in comparison.loops:
             if "rustypot" not in kind or find_spec("rustypot") is not None:
-                other = client_process(kind, stack.enter_context(peer()))
-                loops[kind] = stack.enter_context(other)
-        for _ in range(n_turns):
+                port = stack.enter_context(comparison.peer())
+                loops[kind] = stack.enter_context(client_process(kind, port, rate))
+        for _ in range(comparison.n_turns):
             for each in loops.values():
                 each.take_turn()
-        middle_us = {
-            name: statistics.median(each.spent_us) for name, each in loops.items() if each.spent_us
-        }
-        return middle_us, loops["own"].n_rounds
+        return {kind: each.spent_us for kind, each in loops.items() if each.spent_us}

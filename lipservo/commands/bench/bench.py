@@ -76,16 +76,18 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
 @app.command()
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
-    """Measure a bridge's tick, and the bare line, on simulated servos.
+    """Measure a bridge's process, its tick, and the bare line, on simulated servos.
 
     Against the wire and dynamixel-sdk; against rustypot too, when that is installed.
     """
     from lipservo.bench.bus import bus_figures as measure
     from lipservo.bench.bus.bus_cpu_figures import cpu_ratios
+    from lipservo.bench.bus.process_cpu_figures import process_ratios
     from lipservo.bench.bus.tick_cpu_figures import tick_ratios
 
     began_s = time.perf_counter()
     parts = (
+        process_ratios,
         tick_ratios,
         cpu_ratios,
         measure.wire_figures,
