@@ -92,7 +92,7 @@ def test_phones_are_written_as_the_ending_says(tmp_path):
 
 
 def test_recognize_prints_columns_for_people():
-    done = lipservo("recognize", CLIP_PATH, "--engine", "pocketsphinx")
+    done = lipservo("recognize", CLIP_PATH, "--engine", "energy")
     assert done.returncode == 0, done.stderr
     start_s, end_s, phoneme = done.stdout.splitlines()[0].split()
     assert (float(start_s), phoneme) == (0.0, "SIL")
@@ -231,7 +231,7 @@ def test_bench_listening_watches_the_mouth_close(corpus):
     assert figures["endurance_hours"] == pytest.approx(0.002)
 
 
-@pytest.mark.parametrize("engine", ["network", "pocketsphinx"])
+@pytest.mark.parametrize("engine", ["network", "energy"])
 def test_replay_names_the_recogniser_that_listened(engine):
     done = lipservo("replay", CLIP_PATH, "--engine", engine, "--json")
     assert done.returncode == 0, done.stderr
