@@ -28,8 +28,8 @@ from lipsync.recognition.ladder_level import (
 #: Sound that a level has heard before it takes over: the level of the voice and the noise floor are
 #: known after it, and every filter is full.
 WARM_UP_S = 3.0
-#: Of sound that waits longer than this the oldest is left out; a microphone keeps no more either.
-LONGEST_WAITING_S = 2.0
+#: Of sound that waits longer than this the oldest is left out; a microphone keeps 2 s.
+LONGEST_WAITING_S = 3.0
 #: There was no backlog for so long when a level is tried again.
 _CALM_S = 1.0
 #: From leaving a level to the first try; doubled each time that it fails or is soon left again.

@@ -155,7 +155,7 @@ class _ShortSilence(SilentSource):
         (MotionOptions(), "strategy expected (lookahead_ms 100, strength 1, smoothness 0)"),
         (
             MotionOptions("energy", strategy="naive"),
-            "strategy naive (strength 1); recogniser pocket",
+            "strategy naive (strength 1); recogniser energy",
         ),
     ],
 )
