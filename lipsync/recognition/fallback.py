@@ -208,7 +208,9 @@ class FallbackRecognizer:
             n_fed += len(chunk)
             waiting_s = end_s - chunk[-1].end_s + now_s - began_s
             pace = self._level.pace
-            if (reason := pace.failing(now_s, waiting_s)) is not None:
+            reason = pace.failing(now_s, waiting_s)
+            # The cheapest that hears anything is late rather than replaced by a closed mouth.
+            if reason is not None and any(n > self._current for n in self._usable[:-1]):
                 is_slow = pace.share > TRIED_SHARE
                 self._fall_back(reason, _LONGEST_WAIT_S if is_slow else _LONGEST_WAIT_BUSY_S)
                 now_s = timer_s()

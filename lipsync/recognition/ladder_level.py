@@ -31,9 +31,9 @@ _HOPELESS_SHARE = 3.0
 TRIED_SHARE = 0.5
 #: In a backlog so many blocks are worked on at once, at a third of the cost (decisions/0038).
 AT_ONCE = 8
-#: So long a backlog may last, of at least so many steps: targets that are late by more than .1 s
-#: are not shown (`lipservo/speech/speech.py`), so the mouth stands still meanwhile.
-_PATIENCE_S, _FEWEST_BEHIND = 3.0, 32
+#: So long a backlog may last, of at least so many steps, if the recogniser had this share of the
+#: time: where it had less, all else is as late, and a cheaper one would not be heard any sooner.
+_PATIENCE_S, _FEWEST_BEHIND, _BLAMED_SHARE = 3.0, 32, 0.5
 #: So many steps are remembered, and so many needed: the first of a process pays for tables that are
 #: made once, and other programs interrupt one step in many, for milliseconds.
 _REMEMBERED, _FEWEST, _FEWEST_TRIED = 9, 5, 3
@@ -54,6 +54,7 @@ class Pace:
         self._shares: deque[float] = deque(maxlen=_REMEMBERED)
         self._behind_since_s: float | None = None
         self._n_behind = 0
+        self._spent_s = 0.0  # since then
 
     @property
     def share(self) -> float:
@@ -75,6 +76,7 @@ class Pace:
 
     def note(self, cost_s: float, sound_s: float) -> None:
         """A step took `cost_s` by the clock for `sound_s` of sound."""
+        self._spent_s += cost_s
         if sound_s > 0.0:
             self._shares.append(cost_s / sound_s)
 
@@ -87,12 +89,13 @@ class Pace:
             self._behind_since_s, self._n_behind = None, 0
             return None
         if self._behind_since_s is None:
-            self._behind_since_s = now_s
+            self._behind_since_s, self._spent_s = now_s, 0.0
         self._n_behind += 1
         if len(self._shares) >= _FEWEST and self.share > _HOPELESS_SHARE:
             return f"takes {self.share:.1f} s for a second of sound, {waiting_s:.1f} s wait"
         behind_s = now_s - self._behind_since_s
-        if self._n_behind >= _FEWEST_BEHIND and behind_s >= _PATIENCE_S:
+        is_to_blame = self._spent_s > _BLAMED_SHARE * behind_s
+        if self._n_behind >= _FEWEST_BEHIND and behind_s >= _PATIENCE_S and is_to_blame:
             return f"did not catch up in {behind_s:.1f} s, {waiting_s:.1f} s of sound wait"
         return None
 

@@ -14,7 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -38,8 +38,6 @@ from lipsync.recognition.speech_file import read_speech
 _LOADS_S: Final = ((8.0, 1.0), (22.0, 2.0), (38.0, 5.0))
 #: Loads that should not take the network away.
 _SHORT_S: Final = 2.0
-#: An ordinary busy computer: so many processes for each core, scheduled as ours is.
-_HOGS_A_CORE: Final = 2
 _RATE_HZ: Final = 100.0
 #: Between two repetitions of the clip.
 _PAUSE_S: Final = 0.6
@@ -59,6 +57,7 @@ _RUN_SLOWED = (
     "from lipservo.bench.hearing.ladder_figures import slow_the_network as slow; "
     f"slow({_SLOWED}); {_RUN}"
 )
+_STOPPED: Final = "stopped before the end: no figures"
 #: Burns for as many seconds as each line says.
 _HOG = """
 import signal, sys, time
@@ -101,24 +100,31 @@ class Ticks:
     gap_mm: Array
     late: NDArray[np.int64]
 
+    def until(self, sound_s: float) -> "Ticks":
+        """Those in which the sound before `sound_s` was heard; afterwards the face is let go."""
+        kept = self.heard_s < sound_s
+        return Ticks(*(getattr(self, each.name)[kept] for each in fields(self)))
+
 
 def ladder_figures(
     minutes: float,
+    n_busy: int,
     folder: Path,
     progress: Callable[[float, float], None],
     is_over: Callable[[], bool],
 ) -> dict[str, object]:
-    """The figures, by name. folder: for the files; is_over: asked often, to end early.
+    """The figures, by name. n_busy: processes for each core, scheduled as ours is.
 
+    folder: for the files; is_over: asked often, to end early.
     Raises LadderError.
     """
     (folder / "session").mkdir(mode=0o700)
     seconds = minutes * 60.0
     sound, is_speech = _speech(folder / "speech.wav", seconds)
-    with _hogs() as burn:
+    with _hogs(n_busy * (os.cpu_count() or 1)) as burn:
         ticks, loads = _under_load(folder, sound, seconds, burn, progress, is_over)
     fallback_s = _slowed(folder, sound, is_over)
-    return {**figures_of(ticks, loads, is_speech), "fallback_s": fallback_s}
+    return {**figures_of(ticks.until(seconds), loads, is_speech), "fallback_s": fallback_s}
 
 
 def figures_of(
@@ -221,7 +227,7 @@ def _under_load(
     ]
     loads: list[Load] = []
     with _face(_RUN, folder, sound, trace) as process:
-        first_s = _first_tick_s(folder, process)
+        first_s = _first_tick_s(folder, process, is_over)
         for at_s, length_s in script:
             _wait_until(first_s + at_s, process, is_over)
             begin_s = time.monotonic()
@@ -241,9 +247,10 @@ def _slowed(folder: Path, sound: Path, is_over: Callable[[], bool]) -> float | N
     with _face(_RUN_SLOWED, folder, short, trace) as process:
         until_s = time.monotonic() + _STARTS_S + _SLOWED_S + _ENDS_S
         _wait_until(until_s, process, is_over, may_end=True)
-    ticks = read_ticks(trace, 0.0)
-    lesser = np.flatnonzero(~ticks.is_network)
-    return float(ticks.time_s[lesser[0]]) if len(lesser) else None
+    ticks = read_ticks(trace, 0.0).until(_SLOWED_S)
+    lesser = np.flatnonzero(~ticks.is_network[:-1])
+    # The tick in which it was left took long: it ended before the next one.
+    return float(ticks.time_s[lesser[0] + 1]) if len(lesser) else None
 
 
 def read_ticks(trace: Path, first_s: float) -> Ticks:
@@ -312,11 +319,11 @@ def _face(code: str, folder: Path, sound: Path, trace: Path) -> Iterator[subproc
 
 
 @contextmanager
-def _hogs() -> Iterator[Callable[[float], None]]:
-    """A function that lets every core be busy for so many seconds, from now on."""
+def _hogs(n_processes: int) -> Iterator[Callable[[float], None]]:
+    """A function that lets so many processes be busy for so many seconds, from now on."""
     busy = [
         subprocess.Popen([sys.executable, "-c", _HOG], stdin=subprocess.PIPE)
-        for _ in range(_HOGS_A_CORE * (os.cpu_count() or 1))
+        for _ in range(n_processes)
     ]
 
     def burn(seconds: float) -> None:
@@ -335,14 +342,18 @@ def _hogs() -> Iterator[Callable[[float], None]]:
                 process.stdin.close()
 
 
-def _first_tick_s(folder: Path, process: subprocess.Popen[bytes]) -> float:
+def _first_tick_s(
+    folder: Path, process: subprocess.Popen[bytes], is_over: Callable[[], bool]
+) -> float:
     """The monotonic time of the face's first tick, of its counts: to some 10 ms."""
     give_up_s = time.monotonic() + _STARTS_S
     found_s: list[float] = []
     while len(found_s) < _N_ASKED:
         if time.monotonic() > give_up_s or process.poll() is not None:
-            said = (folder / "log").read_text(errors="replace")[-500:]
-            raise LadderError(f"the face did not start: {said}")
+            said = (folder / "log").read_text(errors="replace").strip().splitlines()
+            raise LadderError(f"the face did not start: {said[-1] if said else 'says nothing'}")
+        if is_over():
+            raise LadderError(_STOPPED)
         time.sleep(_ASK_S)
         for path in (folder / "session").glob("**/*.sock"):
             try:
@@ -365,7 +376,7 @@ def _wait_until(
     """Raises LadderError where it is to end early, and for a process that ends before its time."""
     while time.monotonic() < time_s:
         if is_over():
-            raise LadderError("stopped before the end: no figures")
+            raise LadderError(_STOPPED)
         if process.poll() is not None:
             if may_end:
                 return

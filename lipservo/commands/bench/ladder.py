@@ -16,6 +16,9 @@ def ladder(
     minutes: Annotated[
         float, typer.Option(min=0.8, max=600.0, help="How long the face listens.")
     ] = 10.0,
+    programs: Annotated[
+        int, typer.Option(min=1, max=64, help="How many programs are busy for each core.")
+    ] = 2,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -29,7 +32,7 @@ def ladder(
 
     began_s = time.perf_counter()
     with (
-        tempfile.TemporaryDirectory(prefix="lipservo-ladder-") as folder,
+        tempfile.TemporaryDirectory(prefix="ladder-") as folder,
         Progress(console=MESSAGES, transient=True, disable=quiet or as_json) as progress,
         stopped_by_signals() as stop,
     ):
@@ -38,10 +41,11 @@ def ladder(
         def advance(done_s: float, whole_s: float) -> None:
             progress.update(steps, completed=done_s, total=whole_s)
 
-        figures = ladder_figures(minutes, Path(folder), advance, stop.is_set)
+        figures = ladder_figures(minutes, programs, Path(folder), advance, stop.is_set)
     result = {
         **figures,
         "minutes": minutes,
+        "programs_per_core": programs,
         "machine": machine_class(),
         "seconds": time.perf_counter() - began_s,
     }

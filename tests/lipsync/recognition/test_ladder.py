@@ -71,6 +71,20 @@ class Network(NetworkRecognizer):
         super().prepare(blocks)
 
 
+class Cheap(EnergyRecognizer):
+    """In the place of the network, so that many cases take little time."""
+
+    latency_s = LATENCY_S
+
+    def __init__(self, computer, _weights):
+        self.computer = computer
+        super().__init__()
+
+    def feed(self, block):
+        self.computer.work(self.computer.share * BLOCK_S)
+        super().feed(block)
+
+
 class Face:
     """A recogniser with the ladder, in a loop at 100 Hz that falls behind as a real one does."""
 
@@ -112,7 +126,7 @@ class Face:
             self.computer.wait_until(tick * BLOCK_S)
 
     def _block(self, n):
-        first = (n * 160) % (len(self.samples) - 160)
+        first = n * 160 % len(self.samples)
         return AudioBlock(self.samples[first : first + 160], n * BLOCK_S)
 
     def when(self, level):
@@ -124,7 +138,7 @@ class Face:
 
 @pytest.fixture(scope="module")
 def clip():
-    """8.6 s that are heard again and again: whole blocks of speech with pauses."""
+    """8.6 s of speech with pauses, in whole blocks, that are heard again and again."""
     sound = soundfile.read(CLIP_PATH, dtype="float32")[0]
     return np.concatenate((sound, np.zeros(160 - len(sound) % 160 + 160, np.float32)))
 
@@ -223,7 +237,7 @@ def test_what_does_not_catch_up_is_left_and_is_back_soon_after(clip, weights):
 def test_it_is_back_in_a_pause_with_its_state_as_if_it_had_never_been_away(clip, weights):
     computer = Computer(slower=[(4.0, 9.0, 40.0)])
     face = Face(computer, clip, weights)
-    face.live_until(40.0)
+    face.live_until(26.0)
     (back_s,) = face.when("network")
     alone = NetworkRecognizer(weights)
     heard = PhonemeTimeline(horizon_s=math.inf)
@@ -275,10 +289,27 @@ def test_a_level_that_raises_is_tried_again_too(clip, weights):
 
 def test_what_is_left_again_and_again_waits_longer_each_time(clip):
     """The computer is busy for 4 s of every 8: the network is not taken up for a moment each."""
-    slower = [(t, t + 4.0, 60.0) for t in np.arange(4.0, 300.0, 8.0)]
+    slower = [(t, t + 4.0, 60.0) for t in np.arange(4.0, 120.0, 8.0)]
     face = Face(Computer(slower=slower), clip, random_weights())
-    face.live_until(300.0)
-    assert len(face.changes) < 2 * 37 / 2
+    face.live_until(120.0)
+    assert len(face.changes) < 2 * 15 * 0.6
+
+
+def test_a_face_that_gets_too_little_of_the_computer_is_late_and_keeps_the_network(clip):
+    """What else the face does takes nearly all of its time: loudness would be as late."""
+    face = Face(Computer(), clip, random_weights())
+    face.live_until(30.0, on_tick=lambda: face.computer.wait_until(face.computer.now_s + 0.5))
+    assert {level for _, level in face.levels} == {"network"}
+
+
+def test_loudness_is_never_replaced_by_a_closed_mouth_for_being_late(clip):
+    computer = Computer(share=10.0)
+    levels = [FallbackLevel("energy", lambda: Cheap(computer, None))]
+    recognizer = FallbackRecognizer(levels, LATENCY_S, timer_s=lambda: computer.now_s)
+    for n in range(100):
+        recognizer.feed_all([AudioBlock(clip[:160], (10 * n + k) * BLOCK_S) for k in range(10)])
+        recognizer.updates()
+    assert recognizer.level == "energy"
 
 
 def test_hours_after_the_beginning_a_change_costs_no_more(clip):
@@ -321,20 +352,6 @@ def test_of_a_minute_that_waits_only_the_last_seconds_are_recognised(clip):
     assert {level for _, level in face.levels} == {"network"}
 
 
-class Cheap(EnergyRecognizer):
-    """In the place of the network, so that many cases take little time."""
-
-    latency_s = LATENCY_S
-
-    def __init__(self, computer, _weights):
-        self.computer = computer
-        super().__init__()
-
-    def feed(self, block):
-        self.computer.work(self.computer.share * BLOCK_S)
-        super().feed(block)
-
-
 @settings(max_examples=12, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(
     st.lists(
@@ -360,8 +377,8 @@ def test_whatever_the_computer_does_nothing_final_changes_and_time_goes_on(loads
     assert final_s > computer.now_s - LATENCY_S - 0.45
 
 
-def test_at_every_change_the_mouth_moves_no_faster_than_in_speech(clip, weights):
-    """Steps of the lips in 10 ms, mouth by mouth, while levels come and go in the middle of words."""
+def test_at_a_change_the_mouth_moves_no_faster_than_in_speech(clip, weights):
+    """Steps of the lips in 10 ms; levels are left in the middle of words."""
     model = load_trained_model()
 
     def widest_step_mm(slower):
@@ -382,10 +399,18 @@ def test_at_every_change_the_mouth_moves_no_faster_than_in_speech(clip, weights)
 
         show.pushed = []
         face.live_until(30.0, show)
-        return float(np.abs(np.diff(gaps_mm)).max()), len(face.changes)
+        steps_mm = np.abs(np.diff(gaps_mm))
+        # Where phonemes of the one meet those of the other, and what is shown at that moment.
+        near = [
+            steps_mm[round((now_s - back_s) * 100) :][:6].max()
+            for now_s in (*face.when("energy"), *face.when("network"))
+            for back_s in (LATENCY_S + 0.03, LATENCY_S + synthesizer.lookahead_s + 0.03)
+        ]
+        return float(steps_mm.max()), max(near, default=0.0), len(face.changes)
 
-    usual_mm, n_none = widest_step_mm([])
-    changed_mm, n_changes = widest_step_mm([(3.1, 6.6, 60.0), (14.3, 18.1, 60.0)])
+    usual_mm, _, n_none = widest_step_mm([])
+    changed_mm, at_change_mm, n_changes = widest_step_mm([(3.1, 6.6, 60.0), (14.3, 18.1, 60.0)])
     assert n_none == 0
     assert n_changes >= 2
-    assert changed_mm <= min(4.5, 1.5 * usual_mm)
+    assert at_change_mm <= 4.5
+    assert changed_mm <= 1.05 * usual_mm
