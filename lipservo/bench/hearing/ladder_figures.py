@@ -49,8 +49,10 @@ _SLOWED_S: Final = 8.0
 #: Around a change the mouth is looked at for so long.
 _AROUND_S: Final = 0.02
 
+#: The whole program. One whose parent died before it could ask for the signal ends by itself.
 _RUN = (
-    "from firmware_bridge.process.scheduling import die_with_parent; die_with_parent(); "
+    "import os; from firmware_bridge.process.scheduling import die_with_parent; "
+    f"die_with_parent(); os.getppid() == {os.getpid()} or os._exit(1); "
     "from lipservo.__main__ import main; main()"
 )
 _RUN_SLOWED = (

@@ -169,7 +169,7 @@ def test_the_banner_names_strategy_and_recogniser(capsys, motion, said):
 
 
 class _Faulty(EnergyRecognizer):
-    def feed(self, block):
+    def feed(self, _block):
         raise FloatingPointError("a fault")
 
 
