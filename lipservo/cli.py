@@ -9,6 +9,7 @@ import typer
 from lipservo.commands.bench import bench
 from lipservo.commands.bench import closures as bench_closures
 from lipservo.commands.bench import face as bench_face
+from lipservo.commands.bench import ladder as bench_ladder
 from lipservo.commands.bench import languages as bench_languages
 from lipservo.commands.bench import line as bench_line
 from lipservo.commands.bench import microphone as bench_microphone
@@ -80,6 +81,7 @@ bench.app.command("recognition")(bench_recognition.recognition)
 bench.app.command("listening")(bench_recognition.listening)
 bench.app.command("readability")(bench_readability.readability)
 bench.app.command("nonspeech")(bench_nonspeech.nonspeech)
+bench.app.command("ladder")(bench_ladder.ladder)
 bench.app.command("languages")(bench_languages.languages)
 bench.app.command("replay")(bench_replay.replay)
 bench.app.command("line")(bench_line.line)

@@ -10,6 +10,7 @@ from lipsync.errors import UserError
 #: Library, as it is imported, and the extra that brings it.
 EXTRA_OF = {
     "gruut": "align",
+    "pocketsphinx": "align",
     "torch": "train",
     "trimesh": "scans",
     "ezc3d": "mocap",

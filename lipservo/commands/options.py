@@ -15,6 +15,7 @@ from lipservo.settings.motion_names import (
     SMOOTHEST,
     STRONGEST,
     Engine,
+    MeasuredEngine,
     Strategy,
 )
 from lipsync.errors import UserError
@@ -165,6 +166,10 @@ _WEIGHTS = typer.Option(
     help="What the network has learned: default, grid, or a file of weights.", show_default=False
 )
 EngineChoice = Annotated[Engine, _ENGINE]
+MeasuredEngineChoice = Annotated[
+    MeasuredEngine,
+    typer.Option(help="Recogniser; pocketsphinx needs the extra align.", show_default=False),
+]
 WeightsChoice = Annotated[str, _WEIGHTS]
 #: The same where the face's YAML may say it; then None is `not typed`.
 FaceEngine = Annotated[Engine | None, _ENGINE]

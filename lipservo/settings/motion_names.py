@@ -5,8 +5,10 @@ Apart from what they name, which takes long to load: the command line and the fa
 
 from typing import Final, Literal, get_args
 
-#: Which recogniser is tried first.
-Engine = Literal["network", "pocketsphinx"]
+#: The best recogniser that is used; energy, the jaw by loudness, is for the smallest computers.
+Engine = Literal["network", "energy"]
+#: What the benchmarks compare; pocketsphinx needs the extra `align`.
+MeasuredEngine = Literal["network", "energy", "pocketsphinx"]
 #: How phonemes become motion: our two, and the two of Wei and Deng.
 Strategy = Literal["expected", "animpho", "priority", "naive"]
 

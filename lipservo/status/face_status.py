@@ -7,6 +7,7 @@ moment is None. docs/architecture.md has the same fields as a table, which a tes
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,8 +15,8 @@ class SpeechStatus:
     """What the speech side knows.
 
     sound: what is heard, by the name of file or device. recognizer: who listens now;
-    fallback_level: how many recognisers were left for it, 0: the one that was asked for;
-    fallback_reasons: why each of them was left. engine, weights, strategy: as asked for. settings:
+    fallback_level: how many better ones are not in use, 0: the best is;
+    fallback_reasons: why each of them is not. engine, weights, strategy: as asked for. settings:
     what the strategy lets its user set, as set last. hears: what is believed about the sound,
     `speech`, `noise` or `silence`. delay_ms: how much later than its sound the
     face is shown. n_phonemes: that moved the mouth; n_lost_sound_blocks: sound not heard. output:
@@ -59,10 +60,11 @@ class Status:
     that holds, and stopped_by: who requested it; stop_report: what the servos said of it
     (`StopReport`), None before they have; can_start: whether a person can start it now; plugged:
     whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
-    name; troubles: a line for each servo that is not driven; jogged: joints that a person jogs;
-    health: how each servo is, as `ServoHealth` has it, None for what was never heard; n_ticks to
-    n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the gate stepped in, over
-    all servos; bridge_pid: the process that drives them. The rest is that of `SpeechStatus`.
+    name; troubles: a line for each servo that is not driven, and one while a lesser recogniser is
+    in use; jogged: joints that a person jogs; health: how each servo is, as `ServoHealth` has it,
+    None for what was never heard; n_ticks to n_rejected_targets: the counts of `BridgeStatus`;
+    *_total: how often the gate stepped in, over all servos; bridge_pid: the process that drives
+    them. The rest is that of `SpeechStatus`.
     """
 
     name: str = ""
@@ -132,8 +134,14 @@ def whole_status(bridge: Mapping[str, object], speech: SpeechStatus | None) -> S
     named = () if speech is None else _SPEECH_NAMES
     parts: dict[str, object] = {name: getattr(speech, name) for name in named}
     parts.update(bridge)
+    if speech is not None and speech.fallback_level > 0:
+        ears = f"recogniser {speech.recognizer} in use: {'; '.join(speech.fallback_reasons)}"
+        parts["troubles"] = (*_listed(bridge.get("troubles", ())), ears)
     for name in ("troubles", "jogged", "health", "fallback_reasons"):
-        listed = parts.get(name, ())
-        assert isinstance(listed, (list, tuple))
-        parts[name] = tuple(listed)
+        parts[name] = _listed(parts.get(name, ()))
     return Status(**parts)  # type: ignore[arg-type]  # checked above, field by field
+
+
+def _listed(value: object) -> tuple[Any, ...]:
+    assert isinstance(value, (list, tuple))
+    return tuple(value)

@@ -40,7 +40,6 @@ from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.network import LATENCY_S
 from lipsync.recognition.weights import DEFAULT_WEIGHTS, SHIPPED, check_weights, find_weights
 
-_POCKETSPHINX_LATENCY_S = 0.09
 _ENERGY_LATENCY_S = 0.05
 #: For `--low-latency`: the best of those with which a goal follows its sound within 150 ms
 #: (docs/benchmarks.md, From microphone to bus).
@@ -208,17 +207,14 @@ def make_recognizer(
 ) -> FallbackRecognizer:
     """The live recogniser: the engine's, and the levels below it that are as quick.
 
-    timer_s: a clock in seconds, to see that a level takes longer than the sound lasts; None where
-    nobody waits for it.
+    timer_s: a clock in seconds, to leave a level that does not keep up with its sound, and to try
+    better ones again; None where nobody waits for it.
     """
     levels = [
         FallbackLevel("network", lambda: _network(weights, latency_s)),
-        FallbackLevel("pocketsphinx", _pocketsphinx),
         FallbackLevel("energy", _energy),
     ]
     first = [level.name for level in levels].index(engine)
-    if latency_s < _POCKETSPHINX_LATENCY_S:
-        del levels[1]
     # The level of sound alone needs 5 ms more than the quickest network.
     return FallbackRecognizer(levels[first:], max(latency_s, _ENERGY_LATENCY_S), timer_s)
 
@@ -232,12 +228,6 @@ def _network(weights: str, latency_s: float) -> LiveRecognizer:
     from lipsync.recognition.network_recognizer import NetworkRecognizer
 
     return NetworkRecognizer(find_weights(weights), latency_s)
-
-
-def _pocketsphinx() -> LiveRecognizer:
-    from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
-
-    return PocketsphinxRecognizer(_POCKETSPHINX_LATENCY_S)
 
 
 def _energy() -> LiveRecognizer:

@@ -3,7 +3,7 @@
 import math
 import socket
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.command_queue import CommandQueue
+from firmware_bridge.process.log_lines import LogLines
 from firmware_bridge.process.runtime_folder import socket_path
 from firmware_bridge.stopping import StopReport
 from lipservo.face.assembly import Face, assemble_face, at_port, check_servos, make_bus
@@ -132,8 +133,8 @@ def run_face(
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         status = run.status()
     took_s = time.perf_counter() - began_s
-    for reason in recognizer.reasons:
-        MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
+    for line in recognizer.take_changes():
+        MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
     assert life.report is not None
     summary = tally.summary(status, heard_s, took_s)
     return RunOutcome(summary, status, life.report, life.signal_number)
@@ -166,6 +167,20 @@ class _SettingObserver:
         del tick
         if changes := self.commands.take_changes():
             self.side.change(changes)
+
+
+@dataclass(frozen=True, slots=True)
+class _RecognizerLog:
+    """A line whenever another recogniser takes over."""
+
+    recognizer: FallbackRecognizer
+    log: Callable[[str], None]
+
+    def observe(self, tick: StreetTick) -> None:
+        """Pass on what changed in this tick."""
+        del tick
+        for line in self.recognizer.take_changes():
+            self.log(line)
 
 
 class _Run:
@@ -229,6 +244,8 @@ class _Run:
             observers: list[TickObserver] = [_SettingObserver(self.commands, self._street.side)]
             if not isinstance(clock, ManualClock):
                 observers.append(ServoWatch(ServoBoard(board, self._street.bridge)))
+                log = stack.enter_context(LogLines(write=self.log))
+                observers.append(_RecognizerLog(self._recognizer, log))
             if self._request.trace is not None:
                 file = TraceFile(self._request.trace, self._trace_header(rate_hz))
                 # Where nobody waits for a tick, none may be dropped.

@@ -23,11 +23,11 @@ def settled_events(
     source: AudioSource,
     engine: Engine,
     weights: str = DEFAULT_WEIGHTS,
-    warn: Callable[[str], None] = lambda _reason: None,
+    warn: Callable[[str], None] = lambda _line: None,
 ) -> Iterator[PhonemeEvent]:
     """Every phoneme of the source with its start and end, as soon as its end is settled.
 
-    `warn` is told once why a recogniser was left for a lesser one. A file is recognised as fast as
+    `warn` gets a line whenever another recogniser takes over. A file is recognised as fast as
     the computer can, and to its end; a microphone until nobody asks any more.
     """
     length_s = source.duration_s
@@ -37,7 +37,7 @@ def settled_events(
     sound = source if length_s is None else SilenceAfter(source)
     ahead, stream = SoundAhead(sound, recognizer), RecognizerStream(recognizer)
     end_s = math.inf if length_s is None else length_s
-    timeline, told_until_s, heard_s, n_warned = PhonemeTimeline(), 0.0, 0.0, 0
+    timeline, told_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
     with sound:
         while heard_s < end_s + recognizer.latency_s + 2 * BLOCK_S:
             heard_s = math.inf if length_s is None else heard_s + BLOCK_S
@@ -45,9 +45,8 @@ def settled_events(
             if length_s is None:
                 heard_s = step.blocks[-1].end_s if step.blocks else 0.0
                 time.sleep(0.0 if step.blocks else _ASK_EVERY_S)
-            for reason in recognizer.reasons[n_warned:]:
-                warn(reason)
-                n_warned += 1
+            for change in recognizer.take_changes():
+                warn(change)
             for update in step.updates:
                 timeline.apply(update)
             for event in _settled(timeline, told_until_s, end_s):

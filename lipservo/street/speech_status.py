@@ -11,7 +11,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 
 #: Recognisers from the best down; each takes over where the one before it fails.
-_LEVELS: Final = ("network", "pocketsphinx", "energy", "neutral")
+_LEVELS: Final = ("network", "energy", "neutral")
 #: In place of who listens, of what it has learned and of the strategy, where all was rendered.
 _NOBODY: Final = "none"
 PERFORMED: Final = "performed"
@@ -26,7 +26,10 @@ class FallbackRecognizer(Protocol):
 
     @property
     def reasons(self) -> tuple[str, ...]:
-        """Why each one before was left, in order."""
+        """Why each better one is not in use, the best first."""
+
+    def take_changes(self) -> list[str]:
+        """What changed since the last call: a line each, in order."""
 
 
 def speech_status(

@@ -36,6 +36,14 @@ class PreparingRecognizer(LiveRecognizer, Protocol):
         """
 
 
+@runtime_checkable
+class BacklogRecognizer(LiveRecognizer, Protocol):
+    """A recogniser that wants to see at once all that waits for it."""
+
+    def feed_all(self, blocks: Sequence[AudioBlock]) -> None:
+        """Hear blocks that follow each other, the oldest first."""
+
+
 @dataclass(frozen=True, slots=True)
 class StreamStep:
     """What one step of a stream brought.
@@ -67,14 +75,18 @@ class RecognizerStream:
     ) -> None:
         """clock_ns: what costs are counted in; other programs' load is no cost of ours."""
         self._recognizer = recognizer
+        self._backlog = recognizer if isinstance(recognizer, BacklogRecognizer) else None
         self._observers = tuple(observers)
         self._clock_ns = clock_ns
 
     def feed(self, blocks: Sequence[AudioBlock]) -> StreamStep:
         """Feed the blocks, ask once for updates, and tell the observers."""
         began_ns = self._clock_ns() if self._observers else 0
-        for block in blocks:
-            self._recognizer.feed(block)
+        if self._backlog is not None:
+            self._backlog.feed_all(blocks)
+        else:
+            for block in blocks:
+                self._recognizer.feed(block)
         updates = self._recognizer.updates()
         cost_ns = self._clock_ns() - began_ns if self._observers else 0
         step = StreamStep(blocks, updates, cost_ns * 1e-9)

@@ -8,6 +8,7 @@ import numpy as np
 
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE
+from lipsync.recognition.alignment.forced_alignment import check_aligner
 from lipsync.video.clip_labels import ClipLabels
 from lipsync.video.clip_report import ClipReport
 from lipsync.video.expected_lips import ExpectedLips
@@ -65,7 +66,12 @@ class _Part:
 def import_videos(
     clips: Sequence[VideoClip], tracker: FaceTracker, advance: Advance
 ) -> VideoImport:
-    """Track, hear, and put picture and sound in time. Raises VideoError where nothing is usable."""
+    """Track, hear, and put picture and sound in time. Raises VideoError where nothing is usable.
+
+    Raises MissingExtraError where there are texts and the extra `align` is not installed.
+    """
+    if any(clip.text is not None for clip in clips):
+        check_aligner()
     reports: dict[str, ClipReport] = {}
     takes = _takes(clips, tracker, advance, reports)
     rate_hz = _common_rate_hz(takes)

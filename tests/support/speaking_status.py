@@ -1,12 +1,12 @@
-"""What a speech side says that has come down to its third recogniser."""
+"""What a speech side says that has come down to its second recogniser."""
 
 from lipservo.status.face_status import SpeechStatus
 
 SPEECH = SpeechStatus(
     sound="talk.wav",
     recognizer="energy",
-    fallback_level=2,
-    fallback_reasons=("network: broken", "pocketsphinx: missing"),
+    fallback_level=1,
+    fallback_reasons=("network: broken",),
     engine="network",
     weights="default",
     strategy="expected",

@@ -14,7 +14,6 @@ from lipservo.bench.motion_figures import (
 )
 from lipservo.bench.readability.robot_lips import ROBOT, calibrated_robot, shown_markers_mm
 from lipservo.face.assembly import Face
-from lipservo.settings.motion_names import ENGINES
 from lipsync.corpus.utterance import Corpus, Utterance
 from lipsync.evaluation.motion.methods import Heard, Method
 from lipsync.evaluation.motion.motion_scores import Listen, check_scorable, true_phonemes
@@ -120,7 +119,7 @@ def reading_rows(
     """The rows of all parts. model_of: one that has learned no sentence of the part's test."""
     listeners: dict[str, Listen] = {
         PHONEMES_TRUE: true_phonemes,
-        PHONEMES_RECOGNIZED: _RememberingListener(live_listener(ENGINES[0])),
+        PHONEMES_RECOGNIZED: _RememberingListener(live_listener()),
     }
     rows: list[Row] = []
     for part in parts:

@@ -7,9 +7,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from lipservo.commands.bench.recognition import recognizer_maker
 from lipservo.commands.learn.recognizer import progress_bar
-from lipservo.commands.options import EngineChoice, Json, Quiet, WeightsChoice
+from lipservo.commands.options import Json, MeasuredEngineChoice, Quiet, WeightsChoice
 from lipservo.terminal.output import RESULTS, machine_class, print_json
 from lipsync.recognition.weights import DEFAULT_WEIGHTS
 
@@ -18,7 +17,7 @@ def languages(
     languages: Annotated[
         str, typer.Option(help="Only these, with commas between: de,fr,ja.", show_default=False)
     ] = "",
-    engine: EngineChoice = "network",
+    engine: MeasuredEngineChoice = "network",
     latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     as_json: Json = False,
@@ -28,6 +27,7 @@ def languages(
 
     Ten sentences each. Phonemes that English lacks are taken for those that look alike on the lips.
     """
+    from lipservo.bench.hearing.measured_recognizer import measured_recognizer
     from lipservo.bench.hearing.spoken_languages import (
         language_scores,
         language_sentences,
@@ -35,7 +35,7 @@ def languages(
     )
 
     chosen = read_languages(languages)
-    make = recognizer_maker(engine, latency_ms / 1e3, weights)
+    make = measured_recognizer(engine, latency_ms / 1e3, weights)
     n_sentences = sum(len(language_sentences()[tag]) for tag in chosen)
     n_done = 0
     with progress_bar(quiet=quiet) as advance, tempfile.TemporaryDirectory() as folder:

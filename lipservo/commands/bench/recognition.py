@@ -1,6 +1,6 @@
 """`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
@@ -8,11 +8,9 @@ from typing import Annotated, Literal, TypeVar
 import typer
 
 from lipservo.commands.learn.recognizer import Advance, progress_bar
-from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsChoice
-from lipservo.settings.motion_names import Engine
+from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
-from lipsync.phonemes import LiveRecognizer
-from lipsync.recognition.weights import DEFAULT_WEIGHTS, find_weights
+from lipsync.recognition.weights import DEFAULT_WEIGHTS
 
 Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
 Limit = Annotated[
@@ -39,7 +37,7 @@ def recognition(
     ] = None,
     limit: Limit = None,
     latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
-    engine: EngineChoice = "network",
+    engine: MeasuredEngineChoice = "network",
     noise: Annotated[
         str | None,
         typer.Option(metavar="KIND:DB", help="white, music, servos (signal to noise), level, ..."),
@@ -69,6 +67,7 @@ def recognition(
 ) -> None:
     """Measure a recogniser, live, against forced alignment of the transcripts."""
     from lipservo.bench.aligned_corpus import aligned, selected
+    from lipservo.bench.hearing.measured_recognizer import measured_recognizer
     from lipservo.bench.hearing.speaker_groups import speaker_groups
     from lipsync.evaluation.recognition.benchmark import measure
     from lipsync.evaluation.recognition.conditions import parse_condition
@@ -76,7 +75,7 @@ def recognition(
     condition = None
     if noise is not None or servo_speeds:
         condition = parse_condition(noise or "", tells_servos=servo_speeds)
-    make = recognizer_maker(engine, latency_ms / 1e3, weights)
+    make = measured_recognizer(engine, latency_ms / 1e3, weights)
     utterances = selected(corpus, speakers, only, limit)
     groups_of = speaker_groups(by, corpus, groups)
     with progress_bar(quiet=quiet) as advance:
@@ -102,7 +101,7 @@ def recognition(
 
 
 def listening(
-    engine: EngineChoice = "network",
+    engine: MeasuredEngineChoice = "network",
     latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
     weights: WeightsChoice = DEFAULT_WEIGHTS,
     corpus: Annotated[
@@ -125,6 +124,7 @@ def listening(
     """Measure false speech, the time that a block costs, how soon the mouth closes and wakes."""
     import numpy as np
 
+    from lipservo.bench.hearing.measured_recognizer import measured_recognizer
     from lipsync.evaluation.recognition.benchmark import (
         block_costs_s,
         false_speech,
@@ -138,12 +138,12 @@ def listening(
         from lipservo.bench.aligned_corpus import aligned, selected
 
         utterances = selected(corpus, speakers, limit=limit)
-    recognizer = recognizer_maker(engine, latency_ms / 1e3, weights)()
+    recognizer = measured_recognizer(engine, latency_ms / 1e3, weights)()
     figures: dict[str, object] = {
         f"false_speech_{name}": false_speech(recognizer, sound)
         for name, sound in quiet_sounds(np.random.default_rng(0)).items()
     }
-    figures |= own_servo_figures(recognizer_maker(engine, latency_ms / 1e3, weights))
+    figures |= own_servo_figures(measured_recognizer(engine, latency_ms / 1e3, weights))
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         speech = read_speech(clip)
     costs_s = block_costs_s(recognizer, speech)
@@ -188,19 +188,6 @@ def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_I
         advance(what, number, len(items))
         yield item
     advance(what, len(items), len(items))
-
-
-def recognizer_maker(
-    engine: Engine, latency_s: float, weights: str
-) -> Callable[[], LiveRecognizer]:
-    """A function that makes the engine itself, without fallback levels: a failure must be seen."""
-    from lipsync.recognition.network_recognizer import NetworkRecognizer
-    from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
-
-    if engine == "pocketsphinx":
-        return lambda: PocketsphinxRecognizer(latency_s)
-    learned = find_weights(weights)
-    return lambda: NetworkRecognizer(learned, latency_s)
 
 
 def _print(figures: dict[str, object], *, as_json: bool) -> None:

@@ -56,8 +56,8 @@ def recognize(
     )
     events = []
 
-    def warn(reason: str) -> None:
-        MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
+    def warn(line: str) -> None:
+        MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
 
     try:
         for event in settled_events(source, engine, weights, warn):

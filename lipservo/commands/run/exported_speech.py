@@ -86,7 +86,7 @@ class SpokenSound:
         if self.script is not None:
             return list(read_phonemes(self.script))
         source = FileSource(self.path)
-        return list(settled_events(source, self.motion.engine, self.motion.weights, _tell_left))
+        return list(settled_events(source, self.motion.engine, self.motion.weights, _log))
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
         """The faces of ascending sound times, as the robot shows them."""
@@ -111,8 +111,8 @@ class SpokenSound:
                     n += 1
                     speech.advance(n * PUBLISH_PERIOD_S)
                 found.append(speech.shown_at(float(time_s))[1])
-        for reason in recognizer.reasons:
-            _tell_left(reason)
+        for change in recognizer.take_changes():
+            _log(change)
         return found
 
 
@@ -126,8 +126,8 @@ def spoken_sound(
     )
 
 
-def _tell_left(reason: str) -> None:
-    MESSAGES.print(f"recogniser left: {reason}", soft_wrap=True)
+def _log(line: str) -> None:
+    MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
 def motion_shapes(spoken: SpokenSound) -> list[MouthCue]:

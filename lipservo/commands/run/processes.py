@@ -169,7 +169,7 @@ def speech_process(
         listener = None if agents is None else socket.socket(fileno=agents)
         serving = voice_agents(listener, side, asked.voice, face.model, control_path, say)
         url = stack.enter_context(serving)
-        n_said = n_servo_ticks = 0
+        n_servo_ticks = 0
         settings: dict[str, float] = {}
         tell_at_s = float("-inf")
         for time_s, _ in ticks(clock, 1.0 / PUBLISH_PERIOD_S):
@@ -189,9 +189,8 @@ def speech_process(
                 frame = side.speech.shown_at(max(0.0, sound_s))[1]
                 at_rest = Frame(sound_s, face.model.rest)
                 avatars.show(time_s, sound_s, at_rest if side.speech.is_cut_off else frame)
-            for reason in recognizer.reasons[n_said:]:
-                say(f"recogniser left: {reason}")
-            n_said = len(recognizer.reasons)
+            for change in recognizer.take_changes():
+                say(change)
             if time_s >= tell_at_s:
                 tell_at_s = time_s + _STATUS_EVERY_S
                 told = speech_status(asked.motion, source, recognizer, side.speech, settings, url)

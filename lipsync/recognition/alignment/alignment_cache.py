@@ -22,7 +22,7 @@ from lipsync.corpus.transcribed import TranscribedUtterance
 from lipsync.errors import UserError
 from lipsync.output_file import check_output, write_whole
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
-from lipsync.recognition.alignment.forced_alignment import FRAMES_PER_S, align
+from lipsync.recognition.alignment.forced_alignment import FRAMES_PER_S, align, check_aligner
 from lipsync.recognition.alignment.goodness_of_pronunciation import (
     goodness_of_pronunciation,
 )
@@ -120,8 +120,8 @@ def align_corpus(
     """Alignments of all utterances by name, failed ones among them.
 
     What the file at `path` and its unfinished twin hold already is taken from there; None keeps no
-    file. `progress` hears each name once. Raises CacheError for a file that cannot be used, and
-    OutputError for one that cannot be written.
+    file. `progress` gets each name once. Raises CacheError for a file that cannot be used,
+    OutputError for one that cannot be written, MissingExtraError without the extra `align`.
     """
     known = _known(path)
     done: dict[str, AlignedUtterance] = {}
@@ -133,6 +133,8 @@ def align_corpus(
     missing = [utterance for utterance in utterances if utterance.name not in done]
     if not missing:
         return {utterance.name: done[utterance.name] for utterance in utterances}
+    if any(utterance.labels is None for utterance in missing):
+        check_aligner()
     with ExitStack() as stack:
         file = None
         if path is not None:

@@ -9,15 +9,18 @@ utterances against 0); such an alignment says so, its accuracy was never compare
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pocketsphinx import Decoder
 
 from lipsync.errors import UserError
+from lipsync.extras import check_extra
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
 from lipsync.recognition.alignment.pronunciation import pronounce
+
+if TYPE_CHECKING:
+    from pocketsphinx import Decoder
 
 FRAMES_PER_S = 100
 Beams = Literal["default", "tight"]
@@ -54,11 +57,14 @@ def align(
     """Align samples (n,) at 16 kHz in [-1, 1] with the words of `text`.
 
     Raises PronunciationError for a word without a pronunciation, AlignmentError for a text without
-    words and for sound that the text does not fit.
+    words and for sound that the text does not fit, MissingExtraError without the extra `align`.
     """
     words = words_of(text)
     if not words:
         raise AlignmentError("the text holds no words; give what is said in the sound")
+    check_aligner()
+    from pocketsphinx import Decoder
+
     pcm = np.rint(np.clip(samples, -1.0, 1.0) * np.float32(32767)).astype(np.int16).tobytes()
     reason = ""
     for beams, options in _BEAMS.items():
@@ -73,13 +79,18 @@ def align(
     raise AlignmentError(f"the text does not fit the sound ({reason}); check both")
 
 
+def check_aligner() -> None:
+    """Raises MissingExtraError where `align` could not work; before a corpus is begun, too."""
+    check_extra("pocketsphinx", "finding when each phone of a text is spoken")
+
+
 def words_of(text: str) -> list[str]:
     """The words of a text in lower case, without punctuation."""
     return _WORD.findall(text.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'"))
 
 
 def _teach(
-    decoder: Decoder, words: list[str], pronouncer: Callable[[str], tuple[str, ...]]
+    decoder: "Decoder", words: list[str], pronouncer: Callable[[str], tuple[str, ...]]
 ) -> tuple[str, ...]:
     """Make sure that the decoder knows all words; returns those that had to be guessed."""
     missing = tuple(word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None)
@@ -89,7 +100,7 @@ def _teach(
 
 
 def _segments(
-    decoder: Decoder, pcm: bytes, words: list[str]
+    decoder: "Decoder", pcm: bytes, words: list[str]
 ) -> list[tuple[str, list[tuple[str, int, int]]]]:
     """(word, its phones as (name, first frame, n frames)) in order."""
     decoder.set_align_text(" ".join(words))
@@ -105,7 +116,7 @@ def _segments(
     return [(w.name, [(p.name, p.start, p.duration) for p in w]) for w in alignment.words()]
 
 
-def _process(decoder: Decoder, pcm: bytes) -> None:
+def _process(decoder: "Decoder", pcm: bytes) -> None:
     decoder.start_utt()
     decoder.process_raw(pcm, no_search=False, full_utt=True)
     decoder.end_utt()

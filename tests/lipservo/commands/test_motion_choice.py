@@ -35,7 +35,7 @@ from lipsync.motion.live_synthesizer import (
 
 FACE = yaml.safe_load((ROOT / "config" / "face_sim.yaml").read_text())
 TYPED = {
-    "engine": "pocketsphinx",
+    "engine": "energy",
     "weights": "grid",
     "strategy": "animpho",
     "lookahead_ms": 50.0,
@@ -69,7 +69,7 @@ def test_every_option_reaches_the_command_that_takes_them(name):
 def test_the_yaml_is_used_where_nothing_is_typed():
     options = motion_options(ChosenMotion(), face_with(TYPED), None)
 
-    assert options == MotionOptions("pocketsphinx", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
+    assert options == MotionOptions("energy", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
 
 
 def test_what_is_typed_goes_before_the_yaml():
@@ -83,7 +83,7 @@ def test_what_is_typed_goes_before_the_yaml():
 
     options = motion_options(ChosenMotion(**TYPED), face_with(other), None)
 
-    assert options == MotionOptions("pocketsphinx", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
+    assert options == MotionOptions("energy", "grid", "animpho", Style(0.05, 0.5, 0.25, 0.75))
 
 
 def test_another_strategy_than_the_yamls_leaves_aside_what_it_has_not():
@@ -120,7 +120,7 @@ def test_what_a_strategy_ignores_is_refused_typed_or_written(strategy, name):
     [
         ({"lookahead_ms": 50.0}, "--lookahead-ms"),
         ({"strategy": "naive"}, "--strategy naive"),
-        ({"engine": "pocketsphinx"}, "--engine pocketsphinx"),
+        ({"engine": "energy"}, "--engine energy"),
     ],
 )
 def test_low_latency_and_what_is_late_contradict_each_other(typed, said):
@@ -129,7 +129,7 @@ def test_low_latency_and_what_is_late_contradict_each_other(typed, said):
     assert str(refused.value) == f"--low-latency and {said} contradict each other; leave one out"
 
 
-@pytest.mark.parametrize("written", [{"engine": "pocketsphinx"}, {"strategy": "priority"}])
+@pytest.mark.parametrize("written", [{"engine": "energy"}, {"strategy": "priority"}])
 def test_low_latency_and_a_yaml_that_is_late_contradict_each_other(written):
     ((name, value),) = written.items()
     with pytest.raises(UserError, match=rf"and the face's `{name}: {value}` contradict"):

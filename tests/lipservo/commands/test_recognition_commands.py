@@ -92,7 +92,7 @@ def test_phones_are_written_as_the_ending_says(tmp_path):
 
 
 def test_recognize_prints_columns_for_people():
-    done = lipservo("recognize", CLIP_PATH, "--engine", "pocketsphinx")
+    done = lipservo("recognize", CLIP_PATH, "--engine", "energy")
     assert done.returncode == 0, done.stderr
     start_s, end_s, phoneme = done.stdout.splitlines()[0].split()
     assert (float(start_s), phoneme) == (0.0, "SIL")
@@ -231,7 +231,7 @@ def test_bench_listening_watches_the_mouth_close(corpus):
     assert figures["endurance_hours"] == pytest.approx(0.002)
 
 
-@pytest.mark.parametrize("engine", ["network", "pocketsphinx"])
+@pytest.mark.parametrize("engine", ["network", "energy"])
 def test_replay_names_the_recogniser_that_listened(engine):
     done = lipservo("replay", CLIP_PATH, "--engine", engine, "--json")
     assert done.returncode == 0, done.stderr
@@ -250,3 +250,48 @@ def test_a_run_log_becomes_a_picture(tmp_path):
     done = lipservo("plot-training", log, "-o", tmp_path / "log.png")
     assert done.returncode == 1
     assert "every line must hold a step and a loss" in done.stderr
+
+
+WITHOUT_POCKETSPHINX = """
+import sys
+sys.modules["pocketsphinx"] = None
+sys.argv[0] = "lipservo"
+from lipservo.__main__ import main
+main()
+"""
+
+
+def without_pocketsphinx(*arguments):
+    command = [sys.executable, "-c", WITHOUT_POCKETSPHINX, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300)
+
+
+def test_a_face_hears_where_pocketsphinx_is_not_installed():
+    done = without_pocketsphinx("replay", CLIP_PATH, "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert (summary["recognizer"], summary["fallback_level"]) == ("network", 0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("align", CLIP_PATH, CLIP_TEXT),
+        ("render", CLIP_PATH, "--text", CLIP_TEXT, "-o", "line.perf"),
+        ("bench", "languages", "--engine", "pocketsphinx"),
+    ],
+)
+def test_what_needs_pocketsphinx_says_so_in_one_line(arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = without_pocketsphinx(*arguments)
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "needs pocketsphinx, which is not installed: `pip install 'lipservo[align]'`" in line
+    assert os.listdir(tmp_path) == []
+
+
+def test_pocketsphinx_is_no_engine_of_a_face():
+    done = lipservo("run", "--engine", "pocketsphinx")
+    assert done.returncode == 2
+    assert "pocketsphinx" in done.stderr
+    assert "network" in done.stderr

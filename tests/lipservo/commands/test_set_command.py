@@ -21,6 +21,8 @@ from lipservo.street.sources import SILENCE, open_sound
 from lipsync.audio.silence import SilentSource
 from lipsync.errors import UserError
 from lipsync.motion.live_synthesizer import Style
+from lipsync.recognition.energy_recognizer import EnergyRecognizer
+from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 
 PATIENCE_S = 60.0
 
@@ -155,8 +157,8 @@ class _ShortSilence(SilentSource):
     [
         (MotionOptions(), "strategy expected (lookahead_ms 100, strength 1, smoothness 0)"),
         (
-            MotionOptions("pocketsphinx", strategy="naive"),
-            "strategy naive (strength 1); recogniser pocket",
+            MotionOptions("energy", strategy="naive"),
+            "strategy naive (strength 1); recogniser energy",
         ),
     ],
 )
@@ -165,3 +167,29 @@ def test_the_banner_names_strategy_and_recogniser(capsys, motion, said):
         run_face(RunRequest("face_jaw", SILENCE, motion), source, ManualClock())
 
     assert said in capsys.readouterr().err
+
+
+class _Faulty(EnergyRecognizer):
+    def feed(self, _block):
+        raise FloatingPointError("a fault")
+
+
+@pytest.mark.parametrize("clock", [ManualClock(), MonotonicClock()])
+def test_a_recogniser_that_is_left_is_one_line_and_a_trouble(capsys, monkeypatch, clock):
+    monkeypatch.setattr(
+        "lipservo.street.run_face.make_recognizer",
+        lambda _engine, timer_s, *_: FallbackRecognizer(
+            [FallbackLevel("network", _Faulty), FallbackLevel("energy", EnergyRecognizer)],
+            0.095,
+            timer_s,
+        ),
+    )
+    with _ShortSilence() as source:
+        outcome = run_face(RunRequest("face_jaw", SILENCE, MotionOptions()), source, clock)
+
+    why = "FloatingPointError: a fault"
+    said = " ".join(capsys.readouterr().err.split())
+    assert said.count("recogniser network left") == 1
+    assert f"recogniser network left: {why}; energy takes over" in said
+    assert outcome.status.troubles == (f"recogniser energy in use: network: {why}",)
+    assert (outcome.status.recognizer, outcome.status.fallback_level) == ("energy", 1)

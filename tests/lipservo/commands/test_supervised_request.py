@@ -45,7 +45,7 @@ def typed(tmp_path_factory):
             "--wav": str(CLIP_PATH),
             "--model": str(model),
             "--rate-hz": "50",
-            "--engine": "pocketsphinx",
+            "--engine": "energy",
             "--weights": "grid",
             "--strategy": "expected",
             "--lookahead-ms": "50",
@@ -55,7 +55,7 @@ def typed(tmp_path_factory):
             "--listen": "none",
             "--live-link": avatar_at,
         }
-        motion = MotionOptions("pocketsphinx", "grid", "expected", Style(0.05, 1.25, 0.25))
+        motion = MotionOptions("energy", "grid", "expected", Style(0.05, 1.25, 0.25))
         wanted = RunRequest(
             config="face_sim",
             sound=Sound("file", str(CLIP_PATH)),
@@ -90,7 +90,7 @@ def test_the_children_receive_all_that_was_typed(typed):
 
     assert received(typed, "bridge") == typed.wanted
     assert received(typed, "speech") == typed.wanted
-    assert (status["engine"], status["weights"]) == ("pocketsphinx", "grid")
+    assert (status["engine"], status["weights"]) == ("energy", "grid")
     assert status["settings"] == {
         "lookahead_ms": 50.0, "strength": 1.25, "smoothness": 0.25, "lip_gap_offset_mm": 0.0,
     }  # fmt: skip
@@ -125,5 +125,5 @@ def test_json_at_the_end_says_what_was_played(typed):
     assert len(told["confirmed"]) == 10
     assert (told["face_status"]["strategy"], told["face_status"]["engine"]) == (
         "expected",
-        "pocketsphinx",
+        "energy",
     )

@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import FrozenInstanceError, asdict, fields
+from dataclasses import FrozenInstanceError, asdict, fields, replace
 
 import pytest
 from places import ROOT
@@ -32,6 +32,14 @@ def test_bridge_and_speech_fill_in_every_field_but_what_only_a_loop_that_stops_k
     assert status.servos == {"jaw": status.servos["jaw"]}
     assert status.fallback_reasons == SPEECH.fallback_reasons
     assert asdict(SPEECH).items() <= status.as_dict().items()
+
+
+def test_a_lesser_recogniser_is_a_trouble_beside_those_of_the_servos():
+    ears = "recogniser energy in use: network: broken"
+    bridge = {"state": "driven", "troubles": ["joint 'jaw' is hot"]}
+    assert whole_status(bridge, SPEECH).troubles == ("joint 'jaw' is hot", ears)
+    heard_by_the_best = whole_status(bridge, replace(SPEECH, fallback_level=0))
+    assert heard_by_the_best.troubles == ("joint 'jaw' is hot",)
 
 
 def test_what_nobody_knows_is_none_and_the_whole_is_json():

@@ -190,11 +190,11 @@ def test_digital_silence_does_not_reach_back_into_the_speech_before_it(weights, 
 
 
 def test_the_network_is_the_default_and_every_rung_can_listen(clip):
-    for engine in ("network", "pocketsphinx"):
+    for engine, n_phonemes in (("network", 5), ("energy", 3)):
         recognizer = make_recognizer(engine)
         assert (recognizer.level, recognizer.reasons) == (engine, ())
         heard = listen(recognizer, clip[: 2 * RATE_HZ])
-        assert len({event.phoneme for event in heard.events}) > 5
+        assert len({event.phoneme for event in heard.events}) >= n_phonemes
 
 
 def test_another_language_is_heard_as_some_phonemes(weights):

@@ -77,10 +77,6 @@ export function troubleLines(status, hasEnded = false) {
     }
   }
   if (status.plugged === false) lines.unshift("The servos' port is gone: look at the plug.");
-  if (status.fallback_level > 0) {
-    const why = status.fallback_reasons?.at(-1);
-    lines.push(`A simpler listener is at work${why ? `: ${why}` : ""}.`);
-  }
   if (status.output_lost) lines.push("The loudspeaker is gone; the mouth waits for it.");
   if (status.n_lost_sound_blocks > 0) {
     lines.push(`${counted(status.n_lost_sound_blocks, "block")} of sound of 10 ms not heard.`);

@@ -1,7 +1,7 @@
-"""The fallback recogniser: pocketsphinx in allphone mode, behind voice activity detection.
+"""A recogniser to compare with: pocketsphinx in allphone mode, behind voice activity detection.
 
-It needs no weights of ours. The detector in front is not optional: pocketsphinx alone called 90 %
-of the frames of faint white noise speech. Nothing else imports pocketsphinx for recognition.
+The detector in front is not optional: pocketsphinx alone called 90 % of the frames of faint white
+noise speech. It needs the extra `align`; no face listens through it (docs/decisions/0038).
 """
 
 from collections import deque

@@ -13,8 +13,8 @@ from speech import (
 )
 
 from lipsync.audio_block import AudioBlock
+from lipsync.evaluation.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.recognition.pocketsphinx_recognizer import PocketsphinxRecognizer
 from lipsync.recognition.scripted import read_phonemes
 from lipsync.textgrid import LabelError
 from lipsync.timeline import PhonemeTimeline
