@@ -33,7 +33,7 @@ TRIED_SHARE = 0.5
 AT_ONCE = 8
 #: So long a backlog may last, of at least so many steps, if the recogniser had this share of the
 #: time: where it had less, all else is as late, and a cheaper one would not be heard any sooner.
-_PATIENCE_S, _FEWEST_BEHIND, _BLAMED_SHARE = 3.0, 32, 0.5
+_PATIENCE_S, _FEWEST_BEHIND, _BLAMED_SHARE = 6.0, 32, 0.5
 #: So many steps are remembered, and so many needed: the first of a process pays for tables that are
 #: made once, and other programs interrupt one step in many, for milliseconds.
 _REMEMBERED, _FEWEST, _FEWEST_TRIED = 9, 5, 3

@@ -5,13 +5,13 @@ programs may take all of it.
 """
 
 import math
-from itertools import pairwise
 
 import numpy as np
 import pytest
 import soundfile
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
+from ladder_face import LATENCY_S, Cheap, Computer, Face, Network
 from small_network import random_weights
 from speech import CLIP_PATH, phoneme_frames
 
@@ -21,119 +21,9 @@ from lipsync.phonemes import SILENCE
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.network_recognizer import NetworkRecognizer
-from lipsync.recognition.streaming import RecognizerStream
 from lipsync.recognition.weights import find_weights
 from lipsync.timeline import PhonemeTimeline
 from lipsync.training.trained_model import load_trained_model
-
-RATE_HZ = 16_000
-LATENCY_S = 0.095
-#: What a second of sound takes of a core here (docs/benchmarks.md).
-USUAL = 0.05
-
-
-class Computer:
-    """Time, and who has the processor.
-
-    share: what a second of sound takes the network. busy: (from, to) when other programs have the
-    processor. slower: what everything takes more of between (from, to, times).
-    """
-
-    def __init__(self, share=USUAL, busy=(), slower=()):
-        self.now_s = 0.0
-        self.share, self.busy, self.slower = share, busy, slower
-        self.n_worked = 0
-
-    def work(self, seconds):
-        for begin_s, end_s, times in self.slower:
-            if begin_s <= self.now_s < end_s:
-                seconds *= times
-        self.wait_until(self.now_s + seconds)
-
-    def wait_until(self, time_s):
-        self.now_s = max(self.now_s, time_s)
-        for begin_s, end_s in self.busy:
-            if begin_s <= self.now_s < end_s:
-                self.now_s = end_s
-
-
-class Network(NetworkRecognizer):
-    """The real one, which takes the time that the computer says."""
-
-    def __init__(self, computer, weights):
-        super().__init__(weights)
-        self.computer = computer
-        self.n_heard_blocks = 0
-
-    def prepare(self, blocks):
-        self.n_heard_blocks += len(blocks)
-        self.computer.work(self.computer.share * BLOCK_S * len(blocks))
-        super().prepare(blocks)
-
-
-class Cheap(EnergyRecognizer):
-    """In the place of the network, so that many cases take little time."""
-
-    latency_s = LATENCY_S
-
-    def __init__(self, computer, _weights):
-        self.computer = computer
-        super().__init__()
-
-    def feed(self, block):
-        self.computer.work(self.computer.share * BLOCK_S)
-        super().feed(block)
-
-
-class Face:
-    """A recogniser with the ladder, in a loop at 100 Hz that falls behind as a real one does."""
-
-    def __init__(self, computer, samples, weights, start_s=0.0, make=Network):
-        self.computer, self.samples, self.start_s = computer, samples, start_s
-        computer.now_s = start_s
-        self.networks = []
-
-        def network():
-            self.networks.append(make(computer, weights))
-            return self.networks[-1]
-
-        self.recognizer = FallbackRecognizer(
-            [FallbackLevel("network", network), FallbackLevel("energy", EnergyRecognizer)],
-            LATENCY_S,
-            timer_s=lambda: computer.now_s,
-        )
-        self.stream = RecognizerStream(self.recognizer)
-        self.timeline = PhonemeTimeline(horizon_s=math.inf)
-        self.n_handed = round(start_s / BLOCK_S)
-        self.levels = []  # (time, level) at each tick
-        self.changes = []
-        self.updates = []
-
-    def live_until(self, time_s, on_tick=lambda: None):
-        tick = round(self.computer.now_s / BLOCK_S)
-        while self.computer.now_s < time_s:
-            n_due = math.floor((self.computer.now_s - self.start_s) / BLOCK_S + 1e-6)
-            n_due += round(self.start_s / BLOCK_S)
-            step = self.stream.feed([self._block(n) for n in range(self.n_handed, n_due)])
-            self.n_handed = n_due
-            for update in step.updates:
-                self.timeline.apply(update)
-            self.updates += step.updates
-            self.changes += self.recognizer.take_changes()
-            self.levels.append((self.computer.now_s, self.recognizer.level))
-            on_tick()
-            tick = max(tick + 1, math.floor(self.computer.now_s / BLOCK_S) + 1)
-            self.computer.wait_until(tick * BLOCK_S)
-
-    def _block(self, n):
-        first = n * 160 % len(self.samples)
-        return AudioBlock(self.samples[first : first + 160], n * BLOCK_S)
-
-    def when(self, level):
-        """The times at which the recogniser changed to this level."""
-        return [
-            now for (_, before), (now, after) in pairwise(self.levels) if before != after == level
-        ]
 
 
 @pytest.fixture(scope="module")
@@ -162,7 +52,7 @@ def test_a_busy_second_or_two_do_not_take_the_network_away(clip, weights, second
     alone = NetworkRecognizer(weights)
     heard = PhonemeTimeline(horizon_s=math.inf)
     for n in range(face.n_handed):
-        alone.feed(face._block(n))
+        alone.feed(face.block(n))
         for update in alone.updates():
             heard.apply(update)
     assert phoneme_frames(face.timeline.events, 780) == phoneme_frames(heard.events, 780)
@@ -198,8 +88,8 @@ def test_one_that_is_a_little_slower_than_its_sound_is_left_when_it_does_not_cat
     face = Face(Computer(share=1.3), clip, random_weights())
     face.live_until(10.0)
 
-    assert 3.0 < face.when("energy")[0] < 6.0
-    assert "did not catch up in 3." in face.changes[0]
+    assert 6.0 < face.when("energy")[0] < 9.0
+    assert "did not catch up in 6." in face.changes[0]
     assert face.timeline.final_until_s > 9.8
 
 
@@ -218,15 +108,15 @@ def test_it_is_tried_ever_more_rarely_and_a_try_costs_a_few_blocks(clip):
 
 
 def test_what_does_not_catch_up_is_left_and_is_back_soon_after(clip, weights):
-    """Forty times as slow for eight seconds: sound comes twice as fast as it is recognised."""
-    busy_until_s = 12.0
+    """Forty times as slow for ten seconds: sound comes twice as fast as it is recognised."""
+    busy_until_s = 14.0
     computer = Computer(slower=[(4.0, busy_until_s, 40.0)])
     face = Face(computer, clip, weights)
     face.live_until(40.0)
 
     (left_s,) = face.when("energy")
     (back_s,) = face.when("network")
-    assert left_s > 7.0
+    assert 10.0 < left_s < busy_until_s
     assert busy_until_s < back_s < busy_until_s + 8.0
     assert face.recognizer.reasons == ()
     left, back = face.changes
@@ -235,14 +125,14 @@ def test_what_does_not_catch_up_is_left_and_is_back_soon_after(clip, weights):
 
 
 def test_it_is_back_in_a_pause_with_its_state_as_if_it_had_never_been_away(clip, weights):
-    computer = Computer(slower=[(4.0, 9.0, 40.0)])
+    computer = Computer(slower=[(4.0, 9.0, 80.0)])
     face = Face(computer, clip, weights)
     face.live_until(26.0)
     (back_s,) = face.when("network")
     alone = NetworkRecognizer(weights)
     heard = PhonemeTimeline(horizon_s=math.inf)
     for n in range(face.n_handed):
-        alone.feed(face._block(n))
+        alone.feed(face.block(n))
         for update in alone.updates():
             heard.apply(update)
     assert heard.event_at(back_s - 0.15).phoneme == SILENCE
@@ -268,7 +158,7 @@ def test_without_a_pause_it_is_back_after_some_seconds_all_the_same(clip):
                 for u in updates
             ]
 
-    face = Face(Computer(slower=[(4.0, 8.0, 40.0)]), clip, random_weights(), make=Awake)
+    face = Face(Computer(slower=[(4.0, 8.0, 80.0)]), clip, random_weights(), make=Awake)
     face.live_until(40.0)
     assert 8.0 < face.when("network")[0] < 28.0
 
@@ -289,7 +179,7 @@ def test_a_level_that_raises_is_tried_again_too(clip, weights):
 
 def test_what_is_left_again_and_again_waits_longer_each_time(clip):
     """The computer is busy for 4 s of every 8: the network is not taken up for a moment each."""
-    slower = [(t, t + 4.0, 60.0) for t in np.arange(4.0, 120.0, 8.0)]
+    slower = [(t, t + 4.0, 80.0) for t in np.arange(4.0, 120.0, 8.0)]
     face = Face(Computer(slower=slower), clip, random_weights())
     face.live_until(120.0)
     assert len(face.changes) < 2 * 15 * 0.6
@@ -409,7 +299,7 @@ def test_at_a_change_the_mouth_moves_no_faster_than_in_speech(clip, weights):
         return float(steps_mm.max()), max(near, default=0.0), len(face.changes)
 
     usual_mm, _, n_none = widest_step_mm([])
-    changed_mm, at_change_mm, n_changes = widest_step_mm([(3.1, 6.6, 60.0), (14.3, 18.1, 60.0)])
+    changed_mm, at_change_mm, n_changes = widest_step_mm([(3.1, 6.6, 80.0), (14.3, 18.1, 80.0)])
     assert n_none == 0
     assert n_changes >= 2
     assert at_change_mm <= 4.5

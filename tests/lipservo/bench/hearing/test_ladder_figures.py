@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from places import short_folder
 
-from lipservo.bench.hearing.ladder_figures import Load, Ticks, figures_of
+from lipservo.bench.hearing.ladder_ticks import Load, Ticks, figures_of
 
 PATIENCE_S = 60.0
 DELAY_S = 0.2
