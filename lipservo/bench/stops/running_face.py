@@ -75,7 +75,7 @@ class RunningFace:
         return {}
 
     def knows_start(self) -> bool:
-        """Whether this program can be started again after a stop; nothing is sent that starts it."""
+        """Whether this program has a start after a stop; nothing is sent that would start it."""
         return "can_start" in self.status()
 
     def look_until_state(self, state: str, timeout_s: float) -> bool:
