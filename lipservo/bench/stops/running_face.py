@@ -29,7 +29,6 @@ _POLL_S: Final = 0.2
 _TOKEN: Final = "token"
 #: The folder that our packages lie in.
 _ROOT: Final = Path(__file__).parents[3]
-_UNKNOWN: Final = "is not known"
 _PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)")
 _AGENTS: Final = re.compile(r"voice agents: (ws://[\d.]+:\d+)")
 
@@ -76,10 +75,8 @@ class RunningFace:
         return {}
 
     def knows_start(self) -> bool:
-        """Whether the word `start` is one that this program knows; asked while it is driven."""
-        with contextlib.suppress(OSError):
-            return _UNKNOWN not in str(self.request("start").get("error", ""))
-        return False
+        """Whether this program has a start after a stop; nothing is sent that would start it."""
+        return "can_start" in self.status()
 
     def look_until_state(self, state: str, timeout_s: float) -> bool:
         """Watch until the status has this state, or its process has ended; whether it has."""

@@ -43,6 +43,8 @@ from lipservo.bench.stops.troubles import (
     n_others,
 )
 
+#: A face that was started again speaks for so long before the next case.
+_SPEAKS_S: Final = 0.7
 _MEETS_S: Final = 10.0
 _WATCH_MEETING_S: Final = 3.0
 
@@ -135,7 +137,7 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
             judge_start(face, outcome)
     elif not face.spent:
         judge_start(face, outcome)  # a frozen face goes on
-    robot.look(1.0)
+    robot.look(_SPEAKS_S)
 
 
 def _meet(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested | None:

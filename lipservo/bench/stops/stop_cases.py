@@ -25,6 +25,13 @@ _MEETINGS_S: Final = {
     Trouble.START_AFTER_STOP: (0.02, 0.15),
     Trouble.START_AT_ONCE: (0.0,),
 }
+#: Of the first conditions, those in which the process that owns the servos is away or is replaced.
+_FOR_MORE_CLIENTS: Final = (
+    Trouble.UNPLUGGED,
+    Trouble.HUNG_BRIDGE,
+    Trouble.FROZEN,
+    Trouble.DURING_RESTART,
+)
 _MOST_OF_A_FACE: Final = 8
 
 
@@ -65,7 +72,7 @@ def stop_cases() -> Iterator[StopCase]:
             yield StopCase(level, trouble, moment_s, client)
     for level, trouble, client in product(
         (StopLevel.SOFT, StopLevel.LIMP),
-        FIRST_TROUBLES,
+        _FOR_MORE_CLIENTS,
         (StopClient.COMMAND, StopClient.PAGE_SCRIPT),
     ):
         yield StopCase(level, trouble, 0.0, client)

@@ -29,14 +29,14 @@ BRAKES_S, _THROUGH_OTHERS_S, _STILL_DEG = 0.4, 0.6, 1.0
 _WATCH_S: Final = 4.0
 _WATCH_SLOW_S: Final = 14.0
 #: A face that has come to its end within that watch, and says so, is watched no longer than this.
-_SETTLED_S: Final = 1.0
+_SETTLED_S: Final = 0.7
 #: A fault of a frozen servo must be in the status within this time.
 _SHOWN_S: Final = 6.0
 _WAITS_S: Final = 15.0
 _SERVED_S: Final = 20.0
 _STARTS_S: Final = 20.0
 _OTHERS_S: Final = 30.0
-_PLUG_OUT_S, _PLUG_IN_S = 0.5, 1.2
+_PLUG_OUT_S, _PLUG_IN_S = 0.4, 1.0
 _HARDWARE_SHOCK: Final = 0x10
 _STATUS_TROUBLES: Final = (Trouble.STATUS_RAISES, Trouble.STATUS_HANGS)
 

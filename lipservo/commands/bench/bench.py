@@ -142,7 +142,7 @@ def faults(
         bool,
         typer.Option(
             "--stops",
-            help="Stops by a person instead, on real processes, 15 s each.",
+            help="Stops by every client in every trouble instead, on real processes, 10 s each.",
         ),
     ] = False,
     signals: Annotated[
