@@ -1,4 +1,4 @@
-"""Who may connect: what is admitted and what is refused, with a token and without, by one policy."""
+"""Who may connect: what one policy admits and refuses, with a token and without."""
 
 import pytest
 from hypothesis import given

@@ -1,4 +1,4 @@
-"""A stop by HTTP: how few files it passes, and that nothing which the dashboard does holds it up."""
+"""A stop by HTTP: how few files it passes, and that nothing else of the dashboard holds it up."""
 
 import asyncio
 import contextlib
@@ -213,7 +213,7 @@ def test_the_bridge_that_is_replaced_is_sent_the_stop_again():
 
 
 def test_a_stop_passes_a_busy_loop_a_full_pool_and_a_slow_upload(tmp_path, monkeypatch):
-    """Twenty clients poll, all threads sleep, the disk takes as long as the test, a peer dribbles."""
+    """Twenty clients poll, all threads wait, the disk takes as long as the test, a peer dribbles."""
     soundfile.write(tmp_path / "sound.wav", 0.1 * np.sin(np.arange(16_000)), 16_000)
     sound = (tmp_path / "sound.wav").read_bytes()
     is_over, in_fsync = threading.Event(), threading.Event()
