@@ -45,7 +45,7 @@ def opened(port, path):
         head += raw.recv(1)
     return raw, int(head.split()[1])
 
-def said(raw, **message):
+def answer_to(raw, **message):
     data = json.dumps(message).encode()
     raw.sendall(bytes([0x81, 0x80 | len(data)]) + bytes(4) + data)
     first, length = raw.recv(1), raw.recv(1)[0]
@@ -58,16 +58,16 @@ def said(raw, **message):
 
 found = {"uid": os.getuid()}
 if what == "everything":
-    asked = [("GET", path) for path in ("/", "/servos", "/api/status", "/api/health", "/metrics",
+    requests = [("GET", path) for path in ("/", "/servos", "/api/status", "/api/health", "/metrics",
         "/docs", "/openapi.json", "/static/stop.js", "/api/lines", "/api/settings", "/api/servos",
         "/api/history", "/api/faults", "/api/calibration", "/twin/head.bin",
         "/_nicegui_ws/socket.io/?EIO=4&transport=polling")]
-    asked += [("POST", path) for path in ("/api/start", "/api/say", "/api/play", "/api/jog",
+    requests += [("POST", path) for path in ("/api/start", "/api/say", "/api/play", "/api/jog",
         "/api/servos/jaw", "/api/interrupt", "/api/look-at", "/api/affect", "/api/lines?name=a.wav",
         "/_nicegui_ws/socket.io/?EIO=4&transport=polling")]
-    asked += [("PATCH", "/api/settings"), ("DELETE", "/api/lines/a.wav")]
+    requests += [("PATCH", "/api/settings"), ("DELETE", "/api/lines/a.wav")]
     found["page"] = {f"{m} {p}": status(page, m, p, "{}" if m != "GET" else None,
-        Content_Type="application/json") for m, p in asked}
+        Content_Type="application/json") for m, p in requests}
     found["page"]["POST stop end"] = status(page, "POST", "/api/stop", '{"end": true}')
     for path in ("/api/twin", "/api/state", "/_nicegui_ws/socket.io/?EIO=4&transport=websocket"):
         found["page"][f"socket {path}"] = opened(page, path)[1]
@@ -78,7 +78,7 @@ if what == "everything":
         {"type": "say", "text": "hello"}, {"type": "play", "file": "a.wav"}, {"type": "start"},
         {"type": "stop", "level": "limp", "end": True}]
     for each in commands:
-        answer = said(raw, id=1, **each)
+        answer = answer_to(raw, id=1, **each)
         found["agents"][str(each)] = 401 if answer.get("code") == "unauthorized" else answer
     found["token"] = []
     for folder, _, names in os.walk(sys.argv[4]):
@@ -87,7 +87,7 @@ elif what == "page stop":
     body = json.dumps({"level": "freeze", "wait_s": 0})
     found["status"] = status(page, "POST", "/api/stop", body, Content_Type="application/json")
 elif what == "control stop":
-    found["answer"] = said(opened(agents, "/control")[0], type="stop", id=1, level="freeze")
+    found["answer"] = answer_to(opened(agents, "/control")[0], type="stop", id=1, level="freeze")
 print(json.dumps(found))
 """
 
@@ -139,8 +139,8 @@ def as_other(daemon, what):
     if os.geteuid() != 0 or setpriv is None or not os.access(python, os.X_OK):
         pytest.skip("needs root, setpriv and /usr/bin/python3 to be another user")
     done = subprocess.run(
-        [setpriv, f"--reuid={OTHER}", f"--regid={OTHER}", "--clear-groups", python, "-c", PROGRAM]
-        + [port_of(daemon.agents), port_of(daemon.page), what, str(daemon.session)],
+        [setpriv, f"--reuid={OTHER}", f"--regid={OTHER}", "--clear-groups", python, "-c", PROGRAM,
+         port_of(daemon.agents), port_of(daemon.page), what, str(daemon.session)],
         cwd="/", timeout=PATIENCE_S, check=False, capture_output=True, text=True,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

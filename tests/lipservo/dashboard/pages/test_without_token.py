@@ -11,7 +11,7 @@ from places import short_folder
 
 
 @pytest.fixture
-def locked(chromium, tmp_path):
+def locked(chromium):
     """A face, and the address of its dashboard as it is printed."""
     del chromium
     folder = short_folder()
