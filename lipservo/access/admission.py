@@ -30,7 +30,7 @@ _MOST_FIELDS: Final = 64
 
 @dataclass(frozen=True, slots=True)
 class Policy:
-    """What a server asks of its clients.
+    """What a server requires of its clients.
 
     token: that they must send; None: those of this computer need none. origins: web pages, as
     `https://kiosk.example`, whose scripts may connect besides the server's own pages.
@@ -202,7 +202,7 @@ def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def _is_own_page(request: Request, policy: Policy) -> bool:
-    """Whether the server's own page asks, or a listed one, or none: a program, or a person."""
+    """Whether it is from a page of the server, a listed one, or none: a program, or a person."""
     origin = request.headers.get("origin")
     if origin in policy.origins:
         return True

@@ -112,7 +112,7 @@ def _check(path: Path) -> None:
         raise UserError(f"{path}: belongs to user {found.st_uid}, not to {os.geteuid()}; {_REMEDY}")
     if stat.S_IMODE(found.st_mode) & ~_MODE:
         mode = f"{stat.S_IMODE(found.st_mode):04o}"
-        raise UserError(f"{path}: mode {mode} lets others at it, 0640 does not; {_REMEDY}")
+        raise UserError(f"{path}: mode {mode} is open to other users, not 0640; {_REMEDY}")
     read_token(str(path))
 
 
@@ -122,9 +122,13 @@ def _token_of(path: Path, users: set[int]) -> str | None:
         fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError:
         return None
-    with os.fdopen(fd, "rb") as file:
+    try:
         found = os.fstat(fd)
         if not stat.S_ISREG(found.st_mode) or found.st_uid not in users:
             return None
-        lines = file.read(_LONGEST_BYTES).decode("utf-8", "replace").splitlines()
+        lines = os.read(fd, _LONGEST_BYTES).decode("utf-8", "replace").splitlines()
+    except OSError:
+        return None
+    finally:
+        os.close(fd)
     return (lines[0].strip() or None) if lines else None

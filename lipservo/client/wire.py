@@ -73,7 +73,7 @@ async def connected(
 
     Parameters
     ----------
-    token : that the face asks for; None: on this computer it is found in the runtime folders, of
+    token : that the face requires; None: on this computer it is found in the runtime folders, of
         another none is sent.
 
     Raises

@@ -54,7 +54,7 @@ class FaceCommands:
     ) -> None:
         """find: where the face listens, called in a thread; raises UserError, ControlError.
 
-        token: what the face's agent server asks for; None: it is found, where the face runs on this
+        token: what the face's agent server requires; None: it is found, where the face runs on this
         computer. control_path: where the face listens, as far as it is known.
         """
         self._find = find

@@ -5,9 +5,11 @@ waits for that: each upload is written in a thread of its own, and there are few
 """
 
 import asyncio
+import contextlib
 import os
 import tempfile
 import threading
+import time
 from collections.abc import AsyncIterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -23,6 +25,8 @@ MOST_AT_ONCE: Final = 4
 #: 0.17 MB/s.
 _STALLED_S: Final = 10.0
 _LONGEST_S: Final = 300.0
+#: What a dashboard that was killed has left behind is removed at the next upload after that.
+_LEFT_S: Final = 3600.0
 
 
 class Uploads:
@@ -80,8 +84,14 @@ class Uploads:
                         raise FaceError("too_large", f"more than {MOST_BYTES // 10**6} MB")
                     await in_thread(coming.write, chunk)
             await in_thread(coming.finish)
-        finally:
-            await asyncio.shield(in_thread(coming.close))
+        except asyncio.CancelledError:
+            # The server ends, and waits for no disk.
+            in_thread(coming.close)
+            raise FaceError("busy", "the dashboard ends; upload it again") from None
+        except BaseException:
+            await in_thread(coming.close)
+            raise
+        await in_thread(coming.close)
         return {"name": place.name, "n_bytes": n_bytes}
 
 
@@ -90,12 +100,20 @@ async def _next_of(chunks: AsyncIterator[bytes]) -> bytes | None:
         return await anext(chunks, None)
 
 
+def _sweep(folder: Path) -> None:
+    for path in folder.glob(f"{COMING}*"):
+        with contextlib.suppress(OSError):
+            if time.time() - path.lstat().st_mtime > _LEFT_S:
+                path.unlink()
+
+
 class _ComingFile:
     """A file that is not whole yet, under another name beside its place. Used in threads."""
 
     def __init__(self, place: Path, *, replace: bool) -> None:
         if place.exists() and not replace:
             raise FaceError("exists", f"{shown(place.name)}: is there already")
+        _sweep(place.parent)
         self._place = place
         self._replace = replace
         # A write goes on in its thread when its client is given up.

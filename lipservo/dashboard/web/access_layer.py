@@ -107,7 +107,7 @@ class AccessLayer:
             ]
             await answer_bytes(send, HTTPStatus.SEE_OTHER, headers, b"")
         elif cors and request.method == "OPTIONS":
-            # A browser asks whether it may, without the token; what follows needs it.
+            # A preflight carries no token; the request that follows needs it.
             await answer_bytes(send, HTTPStatus.NO_CONTENT, [*cors, *_PREFLIGHT_HEADERS], b"")
         elif verdict is not None and _shows_stop(request, policy):
             headers = [(b"content-type", b"text/html; charset=utf-8")]

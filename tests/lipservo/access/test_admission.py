@@ -1,8 +1,11 @@
-"""Who may connect, with a token and without, by the one policy of both servers."""
+"""Who may connect: what one policy admits and refuses, with a token and without."""
+
+import re
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from places import ROOT
 
 from lipservo.access.admission import (
     Policy,
@@ -37,9 +40,9 @@ def with_headers(given, **about):
     return request(**about, **{name.replace("-", "_"): value for name, value in given.items()})
 
 
-def status(asked, token=TOKEN, **how):
+def status(given, token=TOKEN, **how):
     """Of the refusal; None: admitted."""
-    refused = refusal(asked, Policy(token), **how)
+    refused = refusal(given, Policy(token), **how)
     return None if refused is None else int(refused.status)
 
 
@@ -224,3 +227,11 @@ def test_whatever_comes_only_the_token_opens(token, query, headers, is_socket):
     assert refused is None or isinstance(refused, Refusal)
     if token is not None:
         assert isinstance(refused, Refusal)
+
+
+def test_three_pages_state_the_policy_in_the_same_words():
+    tables = {
+        page: re.search(r"^\| request \| needs \|\n(\|.*\n)+", (ROOT / page).read_text(), re.M)[0]
+        for page in ("docs/hardware.md", "docs/dashboard.md", "docs/agents.md")
+    }
+    assert len(set(tables.values())) == 1

@@ -100,7 +100,16 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
         (["run", "--phonemes", "x.TextGrid"], "--phonemes goes with --wav"),
         (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
         (["daemon", "--listen", "none", "--sounds", "."], "--listen none: nobody is there"),
-        (["daemon", "--listen", "0.0.0.0:0"], "0.0.0.0:0: can be reached from other computers"),
+        (
+            ["daemon", "--listen", "0.0.0.0:0", "--open-to-this-computer"],
+            "0.0.0.0:0: can be reached from other computers",
+        ),
+        (
+            ["daemon", "--token-file", "token", "--open-to-this-computer"],
+            "give --token-file or --open-to-this-computer",
+        ),
+        (["run", "--open-to-this-computer"], "goes with --dashboard"),
+        (["daemon", "--listen", "none", "--token-file", "t"], "--listen none: nobody is there"),
         (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
         (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),
         (["daemon", "--token-file", "none.txt"], "none.txt"),

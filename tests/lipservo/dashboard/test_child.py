@@ -58,6 +58,7 @@ def test_it_comes_with_the_face_comes_again_and_goes_with_it(program):
             assert "--token-file token.txt" in told
             assert told.endswith("--open")
 
+            assert "--open-to-this-computer" not in told
             kill(pid)
             wait_for(lambda: len(starts(program)) == 2)
             assert "--open" not in starts(program)[1]
@@ -65,6 +66,15 @@ def test_it_comes_with_the_face_comes_again_and_goes_with_it(program):
             last = starts(program)[1].split()[0]
             assert is_alive(last)
         wait_for(lambda: not is_alive(last))
+
+
+def test_without_a_token_it_is_open_to_this_computer_because_its_face_is(program):
+    control = short_folder() / "tom.sock"
+    control.touch()
+    with bound_dashboard("127.0.0.1:0", None) as listener, dashboard_child(control, listener):
+        wait_for(lambda: len(starts(program)) == 1)
+        assert "--open-to-this-computer" in starts(program)[0]
+        assert "--token-file" not in starts(program)[0]
 
 
 def test_one_that_cannot_be_started_disturbs_nobody(monkeypatch):

@@ -1,6 +1,7 @@
 """Sound files of a face: stored whole and known to be sound, by names that lead nowhere else."""
 
 import asyncio
+import os
 import threading
 
 import numpy as np
@@ -150,6 +151,36 @@ def test_a_few_uploads_come_in_at_a_time_and_one_more_is_refused(folder, sound):
 
     assert asyncio.run(crowd()) == "busy"
     assert len(list(folder.iterdir())) == MOST_AT_ONCE + 1
+
+
+def test_what_a_killed_dashboard_left_is_removed_at_a_later_upload(folder, sound):
+    old, new = folder / ".coming-old.wav", folder / ".coming-new.wav"
+    for path in (old, new):
+        path.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    stored(folder, "hello.wav", sound)
+    assert sorted(path.name for path in folder.iterdir()) == [".coming-new.wav", "hello.wav"]
+
+
+def test_a_server_that_ends_waits_for_no_disk(folder, sound, monkeypatch):
+    """Its tasks are cancelled: one line for the client; nothing is left once the disk is done."""
+    in_fsync, go_on = threading.Event(), threading.Event()
+    monkeypatch.setattr(uploads.os, "fsync", lambda _fd: in_fsync.set() or go_on.wait(60.0))
+
+    async def ended():
+        async def chunks():
+            yield sound
+
+        storing = asyncio.ensure_future(Uploads().store(folder / "hello.wav", chunks()))
+        await asyncio.to_thread(in_fsync.wait, 60.0)
+        storing.cancel()
+        with pytest.raises(FaceError, match="the dashboard ends"):
+            await storing
+        go_on.set()
+        while any(path.name.startswith(".coming-") for path in folder.iterdir()):
+            await asyncio.sleep(0.01)
+
+    asyncio.run(ended())
 
 
 def test_the_event_loop_goes_on_while_a_disk_is_slow(folder, sound, monkeypatch):

@@ -64,6 +64,18 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
             "    max_speed_deg_s: 300\n    max_sped_deg_s: 300",
             "servos.jaw.max_sped_deg_s: unknown setting; did you mean max_speed_deg_s?",
         ),
+        (
+            "rate_hz: 50",
+            "rate_hz: 50\naccess: {origins: [https://kiosk.example/]}",
+            "access.origins.0: 'https://kiosk.example/' is no origin as browsers send it: "
+            "https://kiosk.example or http://localhost:3000, in lower case and without a path",
+        ),
+        (
+            "rate_hz: 50",
+            "rate_hz: 50\naccess: {origins: ['*']}",
+            "access.origins.0: '*' is no origin as browsers send it: "
+            "https://kiosk.example or http://localhost:3000, in lower case and without a path",
+        ),
         ("sign: -1", "sign: 2", "servos.lip.sign: 2 is neither 1 nor -1"),
         ("sign: -1", "sign: true", "servos.lip.sign: True is not a whole number"),
         (
@@ -84,7 +96,7 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
             "rate_hz: 50\nvoice: 3",
             "voice: unknown setting; known here: "
             "name, rate_hz, servos, bus, calibration, prevent, stale, tracking, motion, sound, "
-            "expression, eye_distance_mm",
+            "expression, access, eye_distance_mm",
         ),
         ("name: test face", "name: 3", "name: 3 is not text"),
         ("  jaw:", "  Jaw:", "servos.Jaw: 'Jaw' does not have the form ^[a-z][a-z0-9_]*$"),

@@ -7,6 +7,7 @@ import socket
 import subprocess
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +27,8 @@ from firmware_bridge.process.control_client import ask
 from lipservo.access.token_file import read_token
 from lipservo.client.face_answers import FaceError
 from lipservo.face.sim_process import simulated_port
-from lipservo.street.voice_agents import bound_listener
+from lipservo.street.voice_agents import bound_listener, voice_agents
+from lipservo.street.voice_options import VoiceOptions
 from lipsync.errors import UserError
 
 RATE_HZ = 24_000
@@ -156,6 +158,19 @@ def _answers(url):
 
 def test_nobody_is_waited_for_where_a_face_listens_nowhere():
     assert bound_listener("none", None) is None
+
+
+def test_a_speech_process_that_finds_no_token_any_more_serves_none_and_goes_on(tmp_path):
+    """The folder of a login is gone once its user has logged out; the face goes on."""
+    lines, side = [], SimpleNamespace(voice=object(), speech=SimpleNamespace(delay=None))
+    options = VoiceOptions(token_file=str(tmp_path / "gone"))
+    with (
+        bound_listener("127.0.0.1:0", None) as listener,
+        voice_agents(listener, side, options, None, tmp_path, lines.append) as url,
+    ):
+        assert url is None
+    assert len(lines) == 1
+    assert "none are served" in lines[0]
 
 
 def test_a_second_face_takes_another_port():

@@ -151,3 +151,22 @@ def test_what_cannot_be_written_is_put_back_as_it_was(client, dashboard, monkeyp
     answer = client.patch("/api/settings", json=body)
     assert (answer.status_code, answer.json()) == (409, {"error": "the disk is full"})
     assert dashboard.face.commands.values["strength"] == before
+
+
+def test_an_upload_that_breaks_off_leaves_no_file_and_no_line_in_the_log(
+    dashboard, folder, caplog, capfd
+):
+    """The client goes in the middle of its body."""
+    before = sorted((folder / "sounds").iterdir())
+    host, port = dashboard.address.removeprefix("http://").split(":")
+    with socket.create_connection((host, int(port))) as going:
+        going.sendall(
+            b"POST /api/lines?name=half.wav HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+            b"Content-Length: 1000000\r\n\r\n" + 100_000 * b"a"
+        )
+        wait_for(lambda: sorted((folder / "sounds").iterdir()) != before)
+    wait_for(lambda: sorted((folder / "sounds").iterdir()) == before)
+    with dashboard.client() as client:
+        assert client.get("/api/health").status_code == 200
+    assert caplog.records == []
+    assert "Traceback" not in capfd.readouterr().err

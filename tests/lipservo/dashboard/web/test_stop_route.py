@@ -17,6 +17,7 @@ from watched_face import WatchedFace
 
 from lipservo.dashboard import uploads
 from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.web import stop_route
 from lipservo.dashboard.web.dashboard_app import with_access
 from lipservo.dashboard.web.stop_route import StopRoute
 
@@ -184,6 +185,51 @@ def test_a_client_that_goes_in_the_middle_of_a_body_stops_nothing(face):
     assert face.said == []
 
 
+class SlowBody:
+    """A client that sends one byte of its body, and then no more."""
+
+    def __init__(self):
+        self.begun = asyncio.Event()
+        self.sent = []
+
+    async def receive(self):
+        if self.begun.is_set():
+            await asyncio.Event().wait()
+        self.begun.set()
+        return {"type": "http.request", "body": b"{", "more_body": True}
+
+    async def send(self, message):
+        self.sent.append(message)
+
+
+def test_a_body_that_does_not_come_holds_up_no_other_stop(app, face, monkeypatch):
+    monkeypatch.setattr(stop_route, "_BODY_S", 3600.0)
+
+    async def both():
+        slow = SlowBody()
+        waiting = asyncio.ensure_future(app(scope(), slow.receive, slow.send))
+        await slow.begun.wait()
+        quick = await posted(app, b'{"level": "limp"}')
+        is_waiting = not waiting.done()
+        waiting.cancel()
+        return quick, is_waiting
+
+    assert asyncio.run(both()) == ((200, {"accepted": "limp"}), True)
+    wait_for(lambda: face.said == ["limp"])
+
+
+def test_a_body_that_comes_too_slowly_stops_nothing(app, face, monkeypatch):
+    monkeypatch.setattr(stop_route, "_BODY_S", 0.01)
+
+    async def given_up():
+        slow = SlowBody()
+        await app(scope(), slow.receive, slow.send)
+        return slow.sent[0]["status"]
+
+    assert asyncio.run(given_up()) == 408
+    assert face.said == []
+
+
 def test_the_bridge_that_is_replaced_is_sent_the_stop_again():
     """The first process hangs up without an answer; the next answers, and reports the end."""
     path = short_folder() / "tom.sock"
@@ -213,7 +259,7 @@ def test_the_bridge_that_is_replaced_is_sent_the_stop_again():
 
 
 def test_a_stop_passes_a_busy_loop_a_full_pool_and_a_slow_upload(tmp_path, monkeypatch):
-    """Twenty clients poll, all threads sleep, the disk is as slow as the test, a peer dribbles."""
+    """Twenty clients poll, threads wait, the disk takes as long as the test, a body never ends."""
     soundfile.write(tmp_path / "sound.wav", 0.1 * np.sin(np.arange(16_000)), 16_000)
     sound = (tmp_path / "sound.wav").read_bytes()
     is_over, in_fsync = threading.Event(), threading.Event()
