@@ -32,7 +32,7 @@ def test_a_health_log_without_a_place_is_one_line(tmp_path):
 class FullDisk:
     """In the place of a trace's file."""
 
-    def observe(self, tick):
+    def observe(self, _tick):
         raise TraceError("trace: the trace broke off: No space left on device")
 
 
@@ -43,8 +43,10 @@ def test_a_trace_that_breaks_off_is_one_line_at_once_and_an_error_at_the_end():
         said.append(line)
         is_said.set()
 
-    with pytest.raises(TraceError), BackgroundTrace(FullDisk(), say) as trace:
-        for _ in range(3):
-            trace.observe("a tick")
-        assert is_said.wait(PATIENCE_S)
+    trace = BackgroundTrace(FullDisk(), say)
+    for _ in range(3):
+        trace.observe("a tick")
+    assert is_said.wait(PATIENCE_S)
+    with pytest.raises(TraceError), trace:
+        pass
     assert said == ["trace: the trace broke off: No space left on device; the face goes on"]
