@@ -15,6 +15,8 @@ from typing import Final, Self
 _MOST_WAITING: Final = 1_000
 #: A line that comes again within so long is counted; the count is written afterwards.
 _SAME_S: Final = 10.0
+#: Lines without room are counted for so long.
+_LOST_S: Final = 1.0
 #: So many different lines are remembered for that.
 _MOST_SAME: Final = 64
 #: Lines that may come at once, and a second in the long run.
@@ -26,8 +28,8 @@ _STDERR: Final = 2
 class LogLines:
     """Call it with a line; it returns at once. Use it as a context manager.
 
-    What finds no room is dropped and counted, and the count is written as soon as there is room. A
-    line that is repeated is written once, and once every ten seconds with how often it came.
+    What finds no room is dropped and counted, and the count is written a second later. A line that
+    is repeated is written once, and then every ten seconds with how often it came.
     """
 
     def __init__(
@@ -50,7 +52,8 @@ class LogLines:
         self._same: dict[str, tuple[float, int]] = {}
         self._tokens, self._tokens_s = _MOST_AT_ONCE, clock()
         self._is_new = threading.Condition()
-        self._n_dropped = 0
+        # Lines that found no room, and until when they are only counted.
+        self._n_lost, self._lost_until_s = 0, 0.0
         self._busy = False
         threading.Thread(target=self._write_all, name="log", daemon=True).start()
 
@@ -64,7 +67,8 @@ class LogLines:
                 until_s, n = self._same[line]
                 self._same[line] = until_s, n + 1
             elif len(self._waiting) >= _MOST_WAITING or not self._has_token(now_s):
-                self._n_dropped += 1
+                self._lost_until_s = self._lost_until_s if self._n_lost else now_s + _LOST_S
+                self._n_lost += 1
             else:
                 if len(self._same) < _MOST_SAME:
                     self._same[line] = now_s + _SAME_S, 0
@@ -94,11 +98,8 @@ class LogLines:
                 while not self._waiting:
                     self._is_new.wait(self._until_counts_s())
                     self._tell_counts(self._clock())
-                line, dropped = self._waiting.popleft(), self._n_dropped
-                self._n_dropped = 0
+                line = self._waiting.popleft()
                 self._busy = True
-            if dropped:
-                line = f"({dropped} lines were lost: too many at once) {line}"
             self._write_line(f"{self._prefix}{line}")
 
     def _has_token(self, now_s: float) -> bool:
@@ -113,10 +114,14 @@ class LogLines:
     def _until_counts_s(self) -> float | None:
         """How long until a count is to be written; None: there is none."""
         due_s = [until_s for until_s, n in self._same.values() if n]
+        due_s += [self._lost_until_s] if self._n_lost else []
         return max(0.0, min(due_s) - self._clock()) if due_s else None
 
     def _tell_counts(self, now_s: float) -> None:
         """Of lines whose time is over: write how often they came again, or forget them."""
+        if self._n_lost and now_s >= self._lost_until_s:
+            self._waiting.append(f"({self._n_lost} lines were lost: too many at once)")
+            self._n_lost = 0
         for line, (until_s, n) in list(self._same.items()):
             if now_s < until_s:
                 continue

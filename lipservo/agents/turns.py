@@ -86,7 +86,9 @@ class Turns:
         n_told = self._drop_waiting(owner, "interrupted")
         ours = [each for each in self._said.values() if each.owner is owner]
         others = len(self._said) > len(ours)
-        if any(each.asked != "interrupt" for each in ours) or (self._own_speech and not others):
+        # Its own speech is known by an event, or by what waits: it may not be heard yet.
+        is_own = bool(self._own_speech) or not (self._said or self._playout.is_over)
+        if any(each.asked != "interrupt" for each in ours) or (is_own and not others):
             self._playout.requests.append(PlayoutRequest("interrupt"))
             self._own_speech.clear()
         for each in ours:

@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 from lipservo.bench.face.page_ready import page_ready_s
+from lipservo.bench.face.play_queue import play_figures
 from lipservo.bench.face.served_head import served_head
 from lipservo.bench.face.streams import stream_figures
 from lipsync.audio.file import FileSource
@@ -22,13 +23,15 @@ Progress = Callable[[str, int, int], None]
 
 
 def face_figures(voices: Sequence[Path], seconds: float, progress: Progress) -> dict[str, object]:
-    """Twin, streams, expression, page. voices: sound files of one speaker or several.
+    """Twin, streams, plays, expression, page. voices: sound files of one speaker or several.
 
     Without one, the bundled clip speaks. seconds: how long each window of the streams takes.
     """
     figures: dict[str, object] = dict(asdict(twin_figures(load_face())))
     progress("twin", 1, 1)
     figures |= stream_figures(seconds, lambda done, of: progress("streams", done, of))
+    figures |= play_figures(seconds)
+    progress("plays", 1, 1)
     frames, step_ms = heard(voices)
     figures |= asdict(expression_figures(lambda: LiveExpression(1), frames))
     figures["voice_step_ms"] = step_ms

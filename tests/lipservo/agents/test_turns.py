@@ -97,3 +97,14 @@ def test_a_face_whose_loop_stands_still_takes_no_speech():
         face.turns.open(Outbox(), START, 0.0)
 
     assert refused.value.code == "not_available"
+
+
+def test_what_the_face_is_about_to_say_of_its_own_is_interrupted_before_it_is_heard():
+    face, client = Stepped(), Outbox()
+    speech = PlayoutStream("own", 16_000, 16_000)
+    face.playout.requests.append(PlayoutRequest("say", speech))
+    face.turns.interrupt(client)
+    face.step()
+
+    assert speech.is_dropped
+    assert face.playout.is_over

@@ -1,3 +1,5 @@
+import ctypes
+import subprocess
 import sys
 import threading
 
@@ -87,3 +89,27 @@ def test_portaudio_does_not_start_again_while_another_thread_opens_a_device(monk
     with LoudspeakerOutput(clock=card.clock, is_watched=False):
         other.join()
         assert card.n_looks == 0
+
+
+def test_alsa_prints_nothing():
+    """What it prints of a slow computer would fill a log; see `quiet_alsa`."""
+    script = """
+import ctypes, sys
+from lipsync.audio.devices import quiet_alsa
+alsa = ctypes.CDLL("libasound.so.2")
+if sys.argv[1] == "quiet":
+    quiet_alsa()
+    quiet_alsa()
+device = ctypes.c_void_p()
+assert alsa.snd_pcm_open(ctypes.byref(device), b"no such device", 0, 0) < 0
+"""
+    try:
+        ctypes.CDLL("libasound.so.2")
+    except OSError:
+        pytest.skip("no ALSA: apt install libasound2")
+    said = [
+        subprocess.run([sys.executable, "-c", script, how], capture_output=True, check=True).stderr
+        for how in ("loud", "quiet")
+    ]
+    assert b"no such device" in said[0]
+    assert said[1] == b""

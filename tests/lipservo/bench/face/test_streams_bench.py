@@ -7,6 +7,7 @@ import pytest
 from served_dashboard import served
 
 from lipservo.bench.face.page_ready import browser, page_ready_s
+from lipservo.bench.face.play_queue import play_figures
 from lipservo.bench.face.streams import clients, processor_s
 
 
@@ -33,3 +34,10 @@ def test_a_page_is_ready_when_it_says_so():
     with served() as dashboard:
         text = "document.body && document.body.innerText.includes('/api/stop')"
         assert page_ready_s(f"{dashboard.address}/docs", 1, text) > 0.0
+
+
+def test_five_hundred_plays_at_once_are_eight_and_cost_two_threads():
+    figures = play_figures(2.0)
+    assert figures["play_accepted"] == 8
+    assert figures["play_threads_added"] <= 2
+    assert 0.0 <= figures["play_late_ticks"] <= 1.0

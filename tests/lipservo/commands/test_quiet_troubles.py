@@ -1,0 +1,52 @@
+"""--quiet leaves out the view and messages, not what will be missing afterwards."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import pytest
+import soundfile
+
+from lipservo.traces.trace_writer import BackgroundTrace, TraceError
+
+RUN = [sys.executable, "-m", "lipservo", "run", "--sim", "pty", "--config", "face_four"]
+PATIENCE_S = 30.0
+
+
+def test_a_health_log_without_a_place_is_one_line(tmp_path):
+    sound = tmp_path / "line.wav"
+    soundfile.write(sound, 0.1 * np.sin(np.arange(8_000) / 20.0), 16_000)
+    places = ("HOME", "XDG_STATE_HOME", "LIPSERVO_STATE")
+    done = subprocess.run(
+        [*RUN, "--wav", sound, "--quiet"],
+        env={name: value for name, value in os.environ.items() if name not in places},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0
+    assert done.stderr == "no health log: set HOME, XDG_STATE_HOME or LIPSERVO_STATE\n"
+
+
+class FullDisk:
+    """In the place of a trace's file."""
+
+    def observe(self, _tick):
+        raise TraceError("trace: the trace broke off: No space left on device")
+
+
+def test_a_trace_that_breaks_off_is_one_line_at_once_and_an_error_at_the_end():
+    said, is_said = [], threading.Event()
+
+    def say(line):
+        said.append(line)
+        is_said.set()
+
+    trace = BackgroundTrace(FullDisk(), say)
+    for _ in range(3):
+        trace.observe("a tick")
+    assert is_said.wait(PATIENCE_S)
+    with pytest.raises(TraceError), trace:
+        pass
+    assert said == ["trace: the trace broke off: No space left on device; the face goes on"]
