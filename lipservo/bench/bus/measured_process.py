@@ -208,7 +208,7 @@ def _running(
     try:
         yield process
     finally:
-        process.kill()  # its peer answers nobody else, and holds no servo
+        process.kill()  # its peer has no other client, and holds no servo
         process.wait()
 
 

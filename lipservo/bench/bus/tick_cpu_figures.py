@@ -162,7 +162,7 @@ class OwnTick:
 
 
 class OthersTick:
-    """The same motion as position registers, by somebody else."""
+    """The same motion as position registers, by another client."""
 
     def __init__(self, client: ServoClient) -> None:
         self._client = client

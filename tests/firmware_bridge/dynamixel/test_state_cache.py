@@ -27,7 +27,7 @@ def test_a_change_is_seen_in_the_next_health_and_not_in_the_one_before(name, sho
     np.testing.assert_array_equal(getattr(after, shown)[[0, 2]], getattr(before, shown)[[0, 2]])
 
 
-def test_nobody_writes_into_what_is_handed_out():
+def test_what_is_handed_out_cannot_be_written():
     cache = ServoStateCache(mounted(3))
     handed_out = cache.health(0.0)
 

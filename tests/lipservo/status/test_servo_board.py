@@ -15,7 +15,7 @@ from lipservo.status.servo_board import FACE_STATES, ServoBoard
 JOINTS = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in (1, 2)]
 
 
-def test_a_tick_is_told_as_status_and_report_have_it():
+def test_the_record_of_a_tick_equals_status_and_report():
     clock, channel = ManualClock(), MemoryTargetChannel()
     layout = BoardLayout("bench", "bench", ("joint_1", "joint_2"), FACE_STATES, (), 1, 100.0)
     with SimulatedBus(JOINTS, clock) as bus, LiveBoard.create(layout) as live:
