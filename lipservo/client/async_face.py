@@ -200,12 +200,14 @@ class AsyncFace:
         """How the face is: the fields of docs/architecture.md, "Status". Raises FaceError."""
         return await self._ask("status")
 
-    async def stop(self, level: Literal["soft", "freeze", "limp"] = "soft") -> dict[str, Any]:
+    async def stop(
+        self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
+    ) -> dict[str, Any]:
         """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError.
 
-        A daemon that was stopped waits, limp, for `start`.
+        A daemon that was stopped waits, limp, for `start`; with `end` it ends.
         """
-        return await self._ask("stop", level=level)
+        return await self._ask("stop", level=level, end=end)
 
     async def start(self) -> dict[str, Any]:
         """Drive a stopped face again: it moves. Returns once the start is accepted.

@@ -111,12 +111,14 @@ class Face:
         """How the face is. Raises FaceError."""
         return self.wait_for(self._face.status())
 
-    def stop(self, level: Literal["soft", "freeze", "limp"] = "soft") -> dict[str, Any]:
+    def stop(
+        self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
+    ) -> dict[str, Any]:
         """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError.
 
-        A daemon that was stopped waits, limp, for `start`.
+        A daemon that was stopped waits, limp, for `start`; with `end` it ends.
         """
-        return self.wait_for(self._face.stop(level))
+        return self.wait_for(self._face.stop(level, end=end))
 
     def start(self) -> dict[str, Any]:
         """Drive a stopped face again: it moves. Returns once the start is accepted.

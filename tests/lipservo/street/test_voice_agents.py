@@ -94,7 +94,7 @@ def test_a_daemon_tells_where_it_listens_is_spoken_through_and_stopped(tmp_path,
             assert silent.value.code == "no_loudspeaker"
             played = _said(agent, vowel(0.5))
             assert (played.finished, played.played_s) == (True, pytest.approx(0.5))
-            agent.stop()
+            agent.stop(end=True)
         assert process.wait(PATIENCE_S) == 0
         assert not is_open(url)
         assert faces() == []
@@ -123,7 +123,7 @@ def test_a_speech_process_that_is_shot_while_an_agent_speaks_leaves_a_port_that_
         with lipservo.connect(url) as agent:
             assert _said(agent, vowel(0.3)).finished
             assert agent.status()["listens_on"] == url
-            agent.stop()
+            agent.stop(end=True)
         process.wait(PATIENCE_S)
         assert not is_open(url)
 
