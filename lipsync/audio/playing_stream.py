@@ -88,6 +88,25 @@ class PlayingStream:
         return start_s, float("inf") if end_s is None else end_s, ahead
 
 
+def add_playing(
+    playing: deque[PlayingStream], stream: PlayoutStream, after: PlayoutStream | None
+) -> None:
+    """Put a stream behind those that wait, or behind the part before it, which cuts nothing in two.
+
+    It is dropped where that part was.
+    """
+    if after is not None and after.is_dropped:
+        stream.drop()
+        return
+    place = len(playing)
+    if after is not None:
+        # Where that was heard to its end already: behind what is being said now.
+        place = 1 if playing and playing[0].segments else 0
+        for number, each in enumerate(playing, 1):
+            place = number if each.stream is after else place
+    playing.insert(place, PlayingStream(stream))
+
+
 class KnownPhonemes:
     """Stretches of the timeline whose phonemes are known, each as long as its stream sounds."""
 

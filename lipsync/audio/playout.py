@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lipsync.audio.cutter import BLOCK_SAMPLES
 from lipsync.audio.half_duplex import ListenedMicrophone
-from lipsync.audio.playing_stream import KnownPhonemes, KnownStretch, PlayingStream
+from lipsync.audio.playing_stream import KnownPhonemes, KnownStretch, PlayingStream, add_playing
 from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
 from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.source import Loudspeaker
@@ -101,8 +101,7 @@ class Playout:
     @property
     def n_underruns(self) -> int:
         """How often there was nothing to play in time: of a stream, or in the loudspeaker."""
-        played = 0 if self.loudspeaker is None else self.loudspeaker.n_underruns
-        return self._n_underruns + played
+        return self._n_underruns + (self.loudspeaker.n_underruns if self.loudspeaker else 0)
 
     @property
     def committed_s(self) -> float:
@@ -188,7 +187,7 @@ class Playout:
         while self.requests:
             request = self.requests.popleft()
             if request.kind == "say" and request.stream is not None:
-                self._say(request.stream, request.after)
+                add_playing(self._playing, request.stream, request.after)
             elif request.kind == "interrupt":
                 is_cut = self._interrupt() or is_cut
             elif request.kind == "clear":
@@ -260,18 +259,6 @@ class Playout:
         n_played = playing.n_played(self._position_s)
         name = playing.stream.name
         self.events.append(PlayoutEvent("underrun", name, self._position_s, n_played))
-
-    def _say(self, stream: PlayoutStream, after: PlayoutStream | None) -> None:
-        if after is not None and after.is_dropped:
-            stream.drop()
-            return
-        place = len(self._playing)
-        if after is not None:
-            # Where it was heard to its end already: what is being said now is not cut in two.
-            place = 1 if self._playing and self._playing[0].segments else 0
-            for number, playing in enumerate(self._playing, 1):
-                place = number if playing.stream is after else place
-        self._playing.insert(place, PlayingStream(stream))
 
     def _interrupt(self) -> bool:
         """Everything ends here; whether anything was being said."""

@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 import soundfile
 
-import lipservo
 from firmware_bridge.process.control_client import ask
+from lipservo.client.blocking_face import Face
 from lipservo.client.face_answers import FaceError
 
 _N_PLAYS: Final = 500
@@ -41,7 +41,7 @@ def play_figures(seconds: float) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder, _speaking_face(Path(folder)) as (pid, status):
         url = str(status()["listens_on"])
         time.sleep(_SETTLE_S)
-        with lipservo.connect(url) as face:  # threads that any client costs are no part of it
+        with Face(url, None) as face:  # threads that any client costs are no part of it
             with contextlib.suppress(FaceError):
                 face.play("none.wav")
             before = _n_threads(pid)
@@ -60,7 +60,7 @@ def play_figures(seconds: float) -> dict[str, float]:
 
 def _play(url: str, times: int) -> int:
     accepted = 0
-    with lipservo.connect(url) as face:
+    with Face(url, None) as face:
         for _ in range(times):
             try:
                 face.play("line.wav")
