@@ -25,6 +25,8 @@ from lipservo.bench.stops.stop_clients import Addresses
 START_S: Final = 60.0
 _ANSWER_S: Final = 2.0
 _POLL_S: Final = 0.2
+#: A start may be refused for so long after a stop was confirmed.
+_REFUSED_S: Final = 5.0
 #: Of the runtime folder; that programs of this computer find by themselves.
 _TOKEN: Final = "token"
 #: The folder that our packages lie in.
@@ -77,6 +79,21 @@ class RunningFace:
     def knows_start(self) -> bool:
         """Whether this program has a start after a stop; nothing is sent that would start it."""
         return "can_start" in self.status()
+
+    def start_again(self) -> dict[str, Any]:
+        """Send `start` until it is accepted, for some seconds at most; the last answer.
+
+        A face that lets go of its servos once more refuses it for a moment.
+        """
+        give_up_s = time.monotonic() + _REFUSED_S
+        while True:
+            answer = {}
+            with contextlib.suppress(OSError):
+                answer = self.request("start")
+            is_taken = "accepted" in answer or "already" in str(answer.get("error", ""))
+            if is_taken or time.monotonic() > give_up_s:
+                return answer
+            self.robot.look(_POLL_S)
 
     def look_until_state(self, state: str, timeout_s: float) -> bool:
         """Watch until the status has this state, or its process has ended; whether it has."""

@@ -152,7 +152,7 @@ def _meet(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested 
         _, report = request_stop(path, "limp", _MEETS_S)
         if report is None:
             raise RuntimeError("the stop before the start was not confirmed")
-        answer = face.request("start")
+        answer = face.start_again()
         if answer.get("accepted") != "start":
             raise RuntimeError(f"a stopped face does not start: {answer}")
         robot.look(case.moment_s)

@@ -100,12 +100,8 @@ def judge_waiting(
 
 def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
     """A start drives it again."""
-    answer = {}
-    with contextlib.suppress(OSError):
-        answer = face.request("start")
-    outcome.came_back = answer.get("accepted") == "start" and face.robot.look_until(
-        lambda: bool(face.robot.torque.all()), _STARTS_S
-    )
+    answer = face.start_again()
+    outcome.came_back = face.robot.look_until(lambda: bool(face.robot.torque.all()), _STARTS_S)
     if outcome.came_back:
         outcome.came_back = face.look_until_state("driven", _STARTS_S)
     else:
