@@ -107,6 +107,7 @@ def _play(case: StopCase, face: RunningFace, outcome: StopOutcome, *, has_start:
         if case.trouble in NEED_START:
             requested = _meet(case, face, outcome)
             if requested is None:
+                judge_start(face, outcome)
                 return
         else:
             robot.look(0.0 if case.trouble is Trouble.STARTING else case.moment_s)
@@ -162,7 +163,10 @@ def _meet(case: StopCase, face: RunningFace, outcome: StopOutcome) -> Requested 
         requested = Requested(time.monotonic())
         stopping.send(case.level.value.encode())
         robot.look(case.moment_s)
-        starting.send(b"start")
+        try:
+            starting.send(b"start")
+        except ConnectionError:
+            return None  # all connections end with a confirmed stop
         came_s: dict[str, float] = {}
         answers: dict[str, Answer | None] = {}
         threads = [

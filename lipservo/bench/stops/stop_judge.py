@@ -37,6 +37,7 @@ _SERVED_S: Final = 20.0
 _STARTS_S: Final = 20.0
 _OTHERS_S: Final = 30.0
 _PLUG_OUT_S, _PLUG_IN_S = 0.4, 1.0
+_LOG_END: Final = 500
 _HARDWARE_SHOCK: Final = 0x10
 _STATUS_TROUBLES: Final = (Trouble.STATUS_RAISES, Trouble.STATUS_HANGS)
 
@@ -105,7 +106,9 @@ def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
     if outcome.came_back:
         outcome.came_back = face.look_until_state("driven", _STARTS_S)
     else:
-        outcome.answers.append(f"start: {answer}")
+        status = face.status()
+        outcome.answers += [f"start: {answer}", f"{status.get('state')}: {status.get('servos')}"]
+        outcome.answers.append(f"log: ... {face.robot.last_said[-_LOG_END:]}")
         face.spent = True
 
 
