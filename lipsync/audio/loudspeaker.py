@@ -121,8 +121,8 @@ class LoudspeakerOutput:
 
     @property
     def n_underruns(self) -> int:
-        """How often nothing was written in time, or the device itself had nothing to play."""
-        return self._ring.n_underruns + self._n_device_underruns
+        """How often nothing was written in time while the device asked for more."""
+        return self._ring.n_underruns
 
     @property
     def n_device_underruns(self) -> int:

@@ -101,7 +101,7 @@ class Playout:
     @property
     def n_underruns(self) -> int:
         """How often there was nothing to play in time: of a stream, or in the loudspeaker."""
-        return self._n_underruns + (self.loudspeaker.n_underruns if self.loudspeaker else 0)
+        return self._n_underruns + (self.loudspeaker.n_device_underruns if self.loudspeaker else 0)
 
     @property
     def committed_s(self) -> float:

@@ -66,8 +66,8 @@ class Loudspeaker(Protocol):
         """How long after it was written a sample is heard at the earliest."""
 
     @property
-    def n_underruns(self) -> int:
-        """How often it had nothing to play, for whatever reason, while sound was to be played."""
+    def n_device_underruns(self) -> int:
+        """How often the device itself had nothing to play: the computer was too slow for it."""
 
     def write(self, samples: NDArray[np.float32]) -> None:
         """The next samples (n,) float32 mono of the timeline."""

@@ -17,6 +17,7 @@ class Recorder:
     """A loudspeaker that keeps what was written; it takes nothing back."""
 
     name, is_lost, rate_hz, latency_s = "recorder", False, 16_000, 0.05
+    n_device_underruns = 2
 
     def __init__(self) -> None:
         self.written: list[np.ndarray] = []
@@ -271,3 +272,7 @@ def test_the_next_part_of_what_was_cut_off_is_not_said():
     playout.advance(0.0)
     assert second.is_dropped
     assert playout.is_over
+
+
+def test_underruns_of_the_device_count_too():
+    assert Playout(Recorder()).n_underruns == 2
