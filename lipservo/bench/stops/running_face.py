@@ -26,7 +26,7 @@ START_S: Final = 60.0
 _ANSWER_S: Final = 2.0
 _POLL_S: Final = 0.2
 #: A start may be refused for so long after a stop was confirmed.
-_REFUSED_S: Final = 10.0
+_REFUSED_S: Final = 20.0
 #: Of the runtime folder; that programs of this computer find by themselves.
 _TOKEN: Final = "token"
 #: The folder that our packages lie in.
