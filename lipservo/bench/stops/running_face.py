@@ -26,7 +26,7 @@ START_S: Final = 60.0
 _ANSWER_S: Final = 2.0
 _POLL_S: Final = 0.2
 #: A start may be refused for so long after a stop was confirmed.
-_REFUSED_S: Final = 5.0
+_REFUSED_S: Final = 20.0
 #: Of the runtime folder; that programs of this computer find by themselves.
 _TOKEN: Final = "token"
 #: The folder that our packages lie in.
@@ -83,15 +83,15 @@ class RunningFace:
     def start_again(self) -> dict[str, Any]:
         """Send `start` until it is accepted, for some seconds at most; the last answer.
 
-        A face that lets go of its servos once more refuses it for a moment.
+        A face that lets go of its servos once more, or whose bridge is replaced, refuses it until
+        that is over.
         """
         give_up_s = time.monotonic() + _REFUSED_S
         while True:
             answer = {}
             with contextlib.suppress(OSError):
                 answer = self.request("start")
-            is_taken = "accepted" in answer or "already" in str(answer.get("error", ""))
-            if is_taken or time.monotonic() > give_up_s:
+            if "accepted" in answer or time.monotonic() > give_up_s:
                 return answer
             self.robot.look(_POLL_S)
 

@@ -101,15 +101,15 @@ def judge_waiting(
 
 def judge_start(face: RunningFace, outcome: StopOutcome) -> None:
     """A start drives it again."""
-    answer = face.start_again()
-    outcome.came_back = face.robot.look_until(lambda: bool(face.robot.torque.all()), _STARTS_S)
-    if outcome.came_back:
-        outcome.came_back = face.look_until_state("driven", _STARTS_S)
-    else:
+    is_driven = face.status().get("state") == "driven"
+    answer = {} if is_driven else face.start_again()
+    outcome.came_back = face.robot.look_until(
+        lambda: bool(face.robot.torque.all()), _STARTS_S
+    ) and face.look_until_state("driven", _STARTS_S)
+    if not outcome.came_back:
         status = face.status()
         outcome.answers += [f"start: {answer}", f"{status.get('state')}: {status.get('servos')}"]
         outcome.answers.append(f"log: ... {face.robot.last_said[-_LOG_END:]}")
-        face.spent = True
 
 
 def _watch(face: RunningFace, case: StopCase, requested: Requested, outcome: StopOutcome) -> None:
