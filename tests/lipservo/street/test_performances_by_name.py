@@ -88,7 +88,7 @@ def test_performances_are_played_by_name_refused_in_one_line_and_cut_off(tmp_pat
         assert full in refusal(face, "short.perf", "too_many_streams")
         # In the middle of one: to rest and limp, as ever.
         assert face.status()["speaking"] == "long.perf"
-        face.stop()
+        face.stop(end=True)
         assert process.wait(PATIENCE_S) == 0
     assert "at rest and limp: confirmed by 10 servos" in said(tmp_path)
 
