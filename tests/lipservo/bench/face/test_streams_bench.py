@@ -40,4 +40,4 @@ def test_five_hundred_plays_at_once_are_eight_and_cost_two_threads():
     figures = play_figures(2.0)
     assert figures["play_accepted"] == 8
     assert figures["play_threads_added"] <= 2
-    assert 0.0 <= figures["play_late_ticks"] <= 1.0
+    assert 0.0 <= figures["play_late_ticks"] <= 1.0  # how many, the computer decides
