@@ -49,7 +49,7 @@ def settle(until):
 
 @pytest.mark.parametrize(
     ("program", "n_processes"),
-    [(["-c", STUBBORN], 5), (LIPSERVO, 3), ([*LIPSERVO, "--stops"], 9)],
+    [(["-c", STUBBORN], 5), (LIPSERVO, 3), ([*LIPSERVO, "--stops"], 7)],
     ids=["stubborn", "faults", "stops"],
 )
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
