@@ -126,13 +126,10 @@ class ServoGroup:
         self._to_keep.clear()
         self.limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
         for index in self._not_off(range(len(self._joints))):
-            self._keep_one(index, time_s)
-
-    def _keep_one(self, index: int, time_s: float) -> None:
-        kept = self.gate.keep(index)
-        self.supervision.note_attempt(index, "" if kept else "lost its torque; not again", time_s)
-        if not kept:
-            self._to_keep.append(index)
+            why_not = "" if self.gate.keep(index) else "lost its torque; not again"
+            self.supervision.note_attempt(index, why_not, time_s)
+            if why_not:
+                self._to_keep.append(index)
 
     def hold_position(self, time_s: float) -> None:
         """The goals become the places where the servos stand now, or as near as they can stop.
@@ -150,12 +147,14 @@ class ServoGroup:
 
         One that came back a moment before is slow, and may have a long way to its goal.
         """
-        if self._to_keep:  # one a tick
+        if self._to_keep:  # one a tick; one that is limp stays so, and what ails it is still told
             index = self._to_keep.popleft()
-            self._keep_one(index, time_s)
-            if index not in self._to_keep:
+            if self.gate.keep(index):
+                self.supervision.note_attempt(index, "", time_s)
                 here_deg = self._bus.feedback().positions_deg[index]
                 self.limiter.start_one(index, float(here_deg))
+            else:
+                self._to_keep.append(index)
         if self._to_stay.any():
             heard, near_deg = self._stopping_places()
             for index in np.flatnonzero(self._to_stay & heard).tolist():

@@ -69,6 +69,18 @@ def test_a_frozen_face_whose_servos_say_nothing_just_after_a_replug_has_its_watc
     assert robot.torque_writes(2.5) == []
 
 
+def test_what_ails_a_limp_servo_of_a_frozen_face_is_told():
+    """Found by the stop campaign: asking whether it holds again and again hid its fault."""
+    lost = Fault("torque_lost", servos=(1,), at_s=(1.95,))
+    shock = Fault("shock", servos=(1,), at_s=(5.0,))
+    plug = Fault("unplug", at_s=(2.0,), lasts_s=1.0)
+    robot = Robot(lost, plug, shock, stops=[(2.5, "freeze"), (8.0, "soft")])
+    states = {}
+    robot.live(60.0, {7.5: lambda: states.update(troubles=robot.bridge.troubles)})
+
+    assert any("electrical shock" in line for line in states["troubles"])
+
+
 @pytest.mark.parametrize("level", ["soft", "limp"])
 def test_a_stopped_face_that_waits_is_started_again_and_only_by_a_person(level):
     plug = Fault("unplug", at_s=(5.0,), lasts_s=1.0)
