@@ -300,6 +300,8 @@ class Supervisor:
                 return ""
             case StartFace() if self._is_ending:
                 return START_WHILE_STOPPING
+            case StartFace() if self._level is StopLevel.FREEZE:
+                return "the bridge of the frozen face is being replaced: start it in a moment"
             case StartFace():
                 return "the face is being started already"
             case ServoOrder(name, ServoSwitch.OFF) if name in self._servo_names.values():
