@@ -8,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from firmware_bridge.process import control_client
 from firmware_bridge.stopping import StopLevel
 from lipservo.bench.stops.stop_path import MOST_CALLS, MOST_FILES, counted, stop_path_figures
 from lipservo.bench.stops.traced import MARKER, StopTracer, has_marker
@@ -143,9 +142,6 @@ def test_the_files_of_all_processes_are_counted_once_and_the_calls_each_time():
     assert found["walk"]["bridge-process"] == ["b.py:three", "c.py:CommandQueue.stop"]
 
 
-@pytest.mark.skipif(
-    not hasattr(control_client, "send_stop"), reason="the way of a stop is being built anew"
-)
 def test_a_stop_passes_few_files_and_calls_of_ours_until_it_is_in_the_queue():
     figures = stop_path_figures((StopLevel.FREEZE,))
 
