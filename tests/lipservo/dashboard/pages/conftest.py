@@ -29,7 +29,8 @@ _OF_FAILED_REQUESTS = "Failed to load resource"
 def _served(control, *options):
     """A dashboard of the face at a socket, in a process of its own: (address, process)."""
     command = [sys.executable, "-m", "lipservo", "dashboard", "--control", str(control), *options]
-    command += ["--open-to-this-computer"]
+    if "--token-file" not in options:
+        command += ["--open-to-this-computer"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         try:
             for line in process.stderr:
@@ -37,7 +38,7 @@ def _served(control, *options):
                     break
             else:
                 pytest.fail("the dashboard did not start")
-            yield found[1], process
+            yield found[1].split("/?token=")[0], process
         finally:
             process.terminate()
 
