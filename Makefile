@@ -19,14 +19,14 @@ traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py
 
 # These modules need torch or pipecat, which neither make test nor CI installs: docs/decisions/0016-api-reference.md.
-UNDOCUMENTED := lipservo.client.pipecat_face lipsync.recognition.adaptation.voice_learning \
-	$(addprefix lipsync.recognition.training.,network_training torch_network training_run)
+UNDOCUMENTED := lipservo_client.pipecat_face lipservo_lab.learning.adaptation.voice_learning \
+	$(addprefix lipservo_lab.learning.recognition.,network_training torch_network training_run)
 SITE := site
 docs: $(VENV)/.installed-dev
 	rm -rf $(SITE)
 	$(BIN)/python -W error $(foreach module,$(UNDOCUMENTED),-W "ignore:Couldn't import $(module)") \
 		-m pdoc --docformat markdown --no-show-source --output-directory $(SITE) \
-		calibration firmware_bridge lipservo lipsync $(foreach module,$(UNDOCUMENTED),'!$(subst .,\.,$(module))$$')
+		calibration firmware_bridge lipservo lipservo_client lipservo_lab lipsync $(foreach module,$(UNDOCUMENTED),'!$(subst .,\.,$(module))$$')
 
 check: $(VENV)/.installed-dev
 	$(BIN)/ruff check .
@@ -42,14 +42,14 @@ format: $(VENV)/.installed-dev
 	$(BIN)/ruff format .
 
 clean:
-	rm -rf $(VENV) dist build site *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	rm -rf $(VENV) dist build site *.egg-info client/*.egg-info lab/*.egg-info client/build lab/build .pytest_cache .mypy_cache .ruff_cache
 
-$(VENV)/.installed: pyproject.toml
+$(VENV)/.installed: pyproject.toml client/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dashboard]' --editable ./client
 	touch $@
 
-$(VENV)/.installed-dev: pyproject.toml
+$(VENV)/.installed-dev: pyproject.toml client/pyproject.toml lab/pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]' --editable ./client --editable ./lab
 	touch $(VENV)/.installed $@

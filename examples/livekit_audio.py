@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from lipservo_client.async_face import AsyncFace
+from lipservo_client.face_answers import Played
 
 import lipservo
-from lipservo.client.async_face import AsyncFace
-from lipservo.client.face_answers import Played
 
 
 class AudioFrame(Protocol):

@@ -15,8 +15,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from lipservo_client.async_face import AsyncFace, AsyncSpeech
+
 import lipservo
-from lipservo.client.async_face import AsyncFace, AsyncSpeech
 
 #: The API's `pcm16` is 24 kHz, mono, s16le, as base64.
 RATE_HZ = 24_000

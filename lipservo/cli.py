@@ -1,115 +1,91 @@
-"""All commands of `lipservo`, for its command line and its help."""
+"""All commands of `lipservo`: where each is, and what the help says of it."""
 
 import sys
 from importlib.metadata import version
+from types import MappingProxyType
 from typing import Annotated
 
 import typer
 
-from lipservo.commands.bench import bench
-from lipservo.commands.bench import closures as bench_closures
-from lipservo.commands.bench import face as bench_face
-from lipservo.commands.bench import ladder as bench_ladder
-from lipservo.commands.bench import languages as bench_languages
-from lipservo.commands.bench import line as bench_line
-from lipservo.commands.bench import microphone as bench_microphone
-from lipservo.commands.bench import nonspeech as bench_nonspeech
-from lipservo.commands.bench import readability as bench_readability
-from lipservo.commands.bench import recognition as bench_recognition
-from lipservo.commands.bench import replay as bench_replay
-from lipservo.commands.bench import scans as bench_scans
-from lipservo.commands.bench import shapes as bench_shapes
-from lipservo.commands.bench import sync as bench_sync
-from lipservo.commands.bench import texts as bench_texts
-from lipservo.commands.build import builder, doctor, setup_servos, sim_bus
-from lipservo.commands.calibrate import app as calibrate
-from lipservo.commands.learn import (
-    adaptation,
-    alignment,
-    expression,
-    import_scans,
-    import_video,
-    recognizer,
-    record_corpus,
-    training,
+from lipservo.commands.lazy_group import Command, LazyGroup
+
+_RUN, _BUILD = "lipservo.commands.run", "lipservo.commands.build"
+_SPEAK, _ROBOT, _LINES = "Run a face", "Set up a robot", "Scripted lines"
+_WATCH, _LAB = "Watch and look after", "Measure and learn (lipservo-lab)"
+
+COMMANDS = MappingProxyType(
+    {
+        "run": Command(f"{_RUN}.run:run", "Speech drives the face, live.", _SPEAK),
+        "daemon": Command(f"{_RUN}.run:daemon", "Run until stopped, as a service.", _SPEAK),
+        "say": Command(f"{_RUN}.say:say", "Speak a text, with sound and the face.", _SPEAK),
+        "stop": Command(f"{_RUN}.stop:stop", "Stop every running face: to rest and limp.", _SPEAK),
+        "start": Command(f"{_RUN}.stop:start", "Drive a stopped face again.", _SPEAK),
+        "limp": Command(f"{_RUN}.stop:limp", "Switch torque off at once.", _SPEAK),
+        "status": Command(f"{_RUN}.stop:status", "List the running faces.", _SPEAK),
+        "set": Command(
+            f"{_RUN}.set_value:set_value", "Change a setting of a running face.", _SPEAK, True
+        ),
+        "new-face": Command(f"{_BUILD}.builder:new_face", "Write the YAML of a face.", _ROBOT),
+        "setup-servos": Command(
+            f"{_BUILD}.setup_servos:setup_servos", "Give new servos their ids and limits.", _ROBOT
+        ),
+        "doctor": Command(f"{_BUILD}.doctor:doctor", "Check the port and its servos.", _ROBOT),
+        "jog": Command(f"{_BUILD}.builder:jog", "Move one joint.", _ROBOT, True),
+        "servo": Command(f"{_RUN}.servo:servo", "Switch one servo off or on.", _ROBOT),
+        "calibrate": Command(
+            "lipservo.commands.calibrate.app:app", "Teach the robot a speaker's mouth.", _ROBOT
+        ),
+        "devices": Command(f"{_RUN}.devices:devices", "List microphones and loudspeakers.", _ROBOT),
+        "sim-bus": Command(f"{_BUILD}.sim_bus:sim_bus", "Simulate servos behind a port.", _ROBOT),
+        "lines": Command(
+            "lipservo.commands.lines.app:app", "Render, play and align scripted lines.", _LINES
+        ),
+        "replay": Command(f"{_RUN}.run:replay", "Play a sound as fast as it goes.", _LINES),
+        "export": Command(f"{_RUN}.export:export", "Write mouth shapes for avatars.", _LINES),
+        "dashboard": Command(f"{_RUN}.dashboard:dashboard", "Show a face in a browser.", _WATCH),
+        "health": Command(f"{_RUN}.health:health", "What was logged of the servos.", _WATCH),
+        "trace": Command(f"{_RUN}.trace:app", "Compare recorded runs.", _WATCH),
+        "bench": Command("", "Measure what the documentation claims.", _LAB),
+        "learn": Command("", "Learn models from recordings.", _LAB),
+        "bridge-process": Command(
+            f"{_RUN}.processes:bridge_process", "Own the port; started by daemon.", hidden=True
+        ),
+        "speech-process": Command(
+            f"{_RUN}.processes:speech_process", "Hear and publish; started by daemon.", hidden=True
+        ),
+    }
 )
-from lipservo.commands.lines import offline_training, perform, render
-from lipservo.commands.run import (
-    calibrate_audio,
-    dashboard,
-    devices,
-    export,
-    health,
-    processes,
-    run,
-    say,
-    servo,
-    set_value,
-    stop,
-    trace,
+#: What an old name is now.
+MOVED = MappingProxyType(
+    {
+        "train": "learn face",
+        "train-recognizer": "learn recognizer",
+        "train-offline": "learn offline",
+        "train-expression": "learn expression",
+        "adapt": "learn adapt",
+        "import-video": "learn import-video",
+        "import-scans": "learn import-scans",
+        "record-corpus": "learn record",
+        "plot-training": "learn plot",
+        "render": "lines render",
+        "perform": "lines perform",
+        "align": "lines align",
+        "recognize": "lines recognize",
+        "calibrate-audio": "calibrate audio",
+        "neutral": "calibrate neutral",
+        "trim": "calibrate trim",
+    }
 )
 
-app = typer.Typer(name="lipservo", pretty_exceptions_enable=False)
-for command in (
-    run.run,
-    run.daemon,
-    say.say,
-    run.replay,
-    devices.devices,
-    dashboard.dashboard,
-    export.export,
-    record_corpus.record_corpus,
-    training.train,
-    import_video.import_video,
-    import_scans.import_scans,
-    offline_training.train_offline,
-    render.render,
-    perform.perform,
-    expression.train_expression,
-    alignment.align,
-    recognizer.recognize,
-    recognizer.train_recognizer,
-    recognizer.plot_training,
-    adaptation.adapt,
-):
-    app.command()(command)
-# A number may be negative, which looks like an option.
-_NUMBERS = {"ignore_unknown_options": True}
-app.command("trim", context_settings=_NUMBERS, hidden=True)(calibrate.old_trim)
-app.command("jog", context_settings=_NUMBERS)(builder.jog)
-bench.app.command("recognition")(bench_recognition.recognition)
-bench.app.command("listening")(bench_recognition.listening)
-bench.app.command("readability")(bench_readability.readability)
-bench.app.command("nonspeech")(bench_nonspeech.nonspeech)
-bench.app.command("ladder")(bench_ladder.ladder)
-bench.app.command("languages")(bench_languages.languages)
-bench.app.command("replay")(bench_replay.replay)
-bench.app.command("line")(bench_line.line)
-bench.app.command("closures")(bench_closures.closures)
-bench.app.command("sync")(bench_sync.sync)
-bench.app.command("microphone")(bench_microphone.microphone)
-bench.app.command("face")(bench_face.face)
-bench.app.command("scans")(bench_scans.scans)
-bench.app.command("shapes")(bench_shapes.shapes)
-bench.app.command("texts")(bench_texts.texts)
-app.command("sim-bus")(sim_bus.sim_bus)
-app.command("doctor")(doctor.doctor)
-app.command("neutral")(builder.neutral)
-app.command("setup-servos")(setup_servos.setup_servos)
-app.command("new-face")(builder.new_face)
-app.command("bridge-process", hidden=True)(processes.bridge_process)
-app.command("speech-process", hidden=True)(processes.speech_process)
-app.command("stop")(stop.stop)
-app.command("start")(stop.start)
-app.command("status")(stop.status)
-app.command("limp")(stop.limp)
-app.command("servo")(servo.servo)
-app.command("set", context_settings=_NUMBERS)(set_value.set_value)
-app.command()(health.health)
-app.command("calibrate-audio")(calibrate_audio.calibrate_audio)
-app.add_typer(calibrate.app, name="calibrate")
-app.add_typer(bench.app, name="bench")
-app.add_typer(trace.app, name="trace")
+
+class LipservoGroup(LazyGroup):
+    """The commands at the top."""
+
+    table = COMMANDS
+    moved = MOVED
+
+
+app = typer.Typer(name="lipservo", cls=LipservoGroup, pretty_exceptions_enable=False)
 
 
 @app.callback(invoke_without_command=True)

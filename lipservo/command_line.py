@@ -7,12 +7,11 @@ import typer
 
 from firmware_bridge.errors import BusError
 from firmware_bridge.process.runtime_folder import ControlError
+from lipservo import cli
 from lipservo.face.face_stopped import FaceStopped
 from lipservo.terminal.output import complain
 from lipsync.errors import UserError
 
-#: A person beside the robot waits for these: nothing else is loaded then.
-_AT_ONCE = ("stop", "start", "status", "limp", "set", "servo")
 #: What pydantic says of a value, and what we say.
 _IN_OUR_WORDS = {
     "Input should be a valid number, unable to parse string as a number": "not a number",
@@ -33,7 +32,7 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     arguments = _with_default_microphone(sys.argv[1:] or ["--help"])
     try:
-        status = _commands(arguments)(arguments, prog_name="lipservo", standalone_mode=False)
+        status = cli.app(arguments, prog_name="lipservo", standalone_mode=False)
     except typer.TyperException as error:
         complain(_usage_line(error))
         status = error.exit_code
@@ -55,17 +54,6 @@ def main() -> None:
         complain(str(stopped))
         status = stopped.exit_status
     sys.exit(status or 0)
-
-
-def _commands(arguments: list[str]) -> typer.Typer:
-    """All commands; the few alone that must be there at once."""
-    if arguments[0] in _AT_ONCE:
-        from lipservo.commands.run import at_once
-
-        return at_once.app
-    from lipservo import cli
-
-    return cli.app
 
 
 def _usage_line(error: typer.TyperException) -> str:

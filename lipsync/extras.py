@@ -1,36 +1,37 @@
 """Libraries that only some commands need: which extra brings each, and one line where it is absent.
 
-pyproject.toml lists the same; tests/project/test_dependencies.py compares.
+The pyproject.toml of the program, of lab/ and of client/ list the same;
+tests/project/test_dependencies.py compares.
 """
 
 from importlib.util import find_spec
 
 from lipsync.errors import UserError
 
-#: Library, as it is imported, and the extra that brings it.
+#: Library, as it is imported, and the extra that brings it: of lipservo, or of the one named.
 EXTRA_OF = {
-    "gruut": "align",
-    "pocketsphinx": "align",
-    "torch": "train",
-    "trimesh": "scans",
-    "ezc3d": "mocap",
-    "ai_edge_litert": "video",
-    "av": "video",
-    "cv2": "dots",
-    "mediapipe": "video",
-    "matplotlib": "plots",
-    "rustypot": "bench",
-    "espeakng_loader": "say",
-    "dtaidistance": "offline",
-    "joblib": "offline",
-    "distributed": "cluster",
-    "pipecat": "pipecat",
-    "fastapi": "dashboard",
-    "nicegui": "dashboard",
-    "prometheus_client": "dashboard",
-    "ruamel": "dashboard",
-    "starlette": "dashboard",
-    "uvicorn": "dashboard",
+    "gruut": "lipservo[align]",
+    "pocketsphinx": "lipservo[align]",
+    "torch": "lipservo-lab[train]",
+    "trimesh": "lipservo-lab[scans]",
+    "ezc3d": "lipservo[mocap]",
+    "ai_edge_litert": "lipservo[video]",
+    "av": "lipservo[video]",
+    "cv2": "lipservo[dots]",
+    "mediapipe": "lipservo[video]",
+    "matplotlib": "lipservo[plots]",
+    "rustypot": "lipservo-lab[bench]",
+    "espeakng_loader": "lipservo[say]",
+    "dtaidistance": "lipservo[offline]",
+    "joblib": "lipservo-lab[offline]",
+    "distributed": "lipservo-lab[cluster]",
+    "pipecat": "lipservo-client[pipecat]",
+    "fastapi": "lipservo[dashboard]",
+    "nicegui": "lipservo[dashboard]",
+    "prometheus_client": "lipservo[dashboard]",
+    "ruamel": "lipservo[dashboard]",
+    "starlette": "lipservo[dashboard]",
+    "uvicorn": "lipservo[dashboard]",
 }
 
 
@@ -46,5 +47,5 @@ def check_extra(library: str, purpose: str) -> None:
     if find_spec(library) is None:
         raise MissingExtraError(
             f"{purpose} needs {library}, which is not installed: "
-            f"`pip install 'lipservo[{EXTRA_OF[library]}]'`"
+            f"`pip install '{EXTRA_OF[library]}'`"
         )

@@ -21,6 +21,8 @@ from lipsync.face_mesh import INNER_LIP, IRISES, N_LANDMARKS, OUTER_LIP
 #: Points of this group touch their opposite when the lips do, so their distance is the lip gap.
 INNER_LIP_GROUP = "inner_lip"
 OUTER_LIP_GROUP = "outer_lip"
+#: Lips count as closed at this inner gap; 98 % of P closures in grid_s1 get there.
+CLOSED_GAP_MM = 1.0
 #: What a file of a layout must hold.
 _NEEDED = ("name", "groups", "lip_gap")
 

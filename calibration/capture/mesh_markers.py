@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.calibration import CalibrationError
 from lipsync.arrays import Array
-from lipsync.corpus.head_motion import apply_similarity, fit_similarity
+from lipsync.face.head_motion import apply_similarity, fit_similarity
 from lipsync.markers import MARKERS_47
 from lipsync.video.tracking.face_tracker import FaceTracker, Picture
 

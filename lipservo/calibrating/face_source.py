@@ -27,7 +27,7 @@ from lipsync.errors import UserError
 from lipsync.video.tracking.face_tracker import FaceTracker, Picture
 
 if TYPE_CHECKING:
-    from lipservo.recording.camera_feed import CameraFeed
+    from lipservo.calibrating.camera_feed import CameraFeed
 
 CAMERA: Final = "camera"
 _SECOND: Final = 2
@@ -188,7 +188,7 @@ def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:
 
 
 def _feed(camera: str) -> "CameraFeed":
-    from lipservo.recording.camera import AvCamera
-    from lipservo.recording.camera_feed import CameraFeed
+    from lipservo.calibrating.camera import AvCamera
+    from lipservo.calibrating.camera_feed import CameraFeed
 
     return CameraFeed(AvCamera(camera))

@@ -15,6 +15,9 @@ from pathlib import Path
 from typing import Any, Final, Literal
 from urllib.parse import urlsplit
 
+from lipservo_client.async_face import AsyncFace
+from lipservo_client.face_answers import FaceError
+
 from firmware_bridge.orders import ServoSwitch
 from firmware_bridge.process.control_client import (
     arm_jog,
@@ -26,8 +29,6 @@ from firmware_bridge.process.control_client import (
     switch_servo,
 )
 from firmware_bridge.process.runtime_folder import ControlError
-from lipservo.client.async_face import AsyncFace
-from lipservo.client.face_answers import FaceError
 from lipservo.speech.passing_wish import whole_wish
 from lipsync.errors import UserError, shown
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from lipservo.client.face_answers import FaceError
+from lipservo_client.face_answers import FaceError
+
 from lipservo.settings.settings import FaceSettings, parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipservo.speech.expression_wishes import ExpressionWishes

@@ -10,7 +10,8 @@ import stat
 from pathlib import Path
 from typing import Any, Final
 
-from lipservo.client.face_answers import FaceError
+from lipservo_client.face_answers import FaceError
+
 from lipsync.errors import UserError, shown
 from lipsync.offline.performance_file import SUFFIX as PERFORMANCE_SUFFIX
 from lipsync.offline.performance_file import read_performance

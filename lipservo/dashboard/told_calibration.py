@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from lipservo.client.face_answers import FaceError
+from lipservo_client.face_answers import FaceError
+
 from lipsync.errors import UserError
 
 

@@ -16,7 +16,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from lipservo.client.face_answers import FaceError
+from lipservo_client.face_answers import FaceError
+
 from lipservo.dashboard.sound_lines import COMING, MOST_BYTES, check_sound
 from lipsync.errors import shown
 

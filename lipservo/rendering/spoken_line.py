@@ -77,3 +77,21 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
     if all(event.phoneme == SILENCE for event in phones):
         notes.append("nobody speaks: the mouth stays at rest")
     return Line(phones, samples), tuple(notes)
+
+
+def given_text(text: str) -> str:
+    """The text itself, or what the file of that name holds. Raises LineError."""
+    if not is_file(text):
+        return text
+    try:
+        return Path(text).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise LineError(f"{text}: cannot be read as text (UTF-8): {error}") from error
+
+
+def is_file(text: str) -> bool:
+    """Whether a text is the name of a file; one too long for a name is none."""
+    try:
+        return Path(text).is_file()
+    except OSError:  # a text too long for a file's name
+        return False

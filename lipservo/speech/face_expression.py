@@ -1,18 +1,20 @@
-"""The expression of a face as its YAML asks for it."""
+"""The expression of a face as its YAML asks for it.
 
+A model learned from tracks is played by lipservo-lab: the entry point `lipservo.expressions`.
+"""
+
+from collections.abc import Callable
+from importlib.metadata import entry_points
 from pathlib import Path
-
-import numpy as np
+from typing import cast
 
 from lipservo.settings.settings import FaceSettings
 from lipservo.speech.expression_layer import ExpressionLayer
 from lipservo.speech.expression_servos import expression_servos
 from lipservo.speech.expression_wishes import ExpressionWishes
 from lipservo.speech.heard_voice import HeardVoice
-from lipservo.speech.learned_head import LearnedHead
+from lipsync.errors import UserError
 from lipsync.expression.cue import WholeExpression
-from lipsync.expression.learned.expression_model import load_expression
-from lipsync.expression.learned.learned_expression import LearnedExpression
 from lipsync.expression.live_expression import LiveExpression
 from lipsync.prosody.voice_tracker import VoiceTracker
 
@@ -20,7 +22,7 @@ from lipsync.prosody.voice_tracker import VoiceTracker
 def check_expression(face: FaceSettings, folder: Path | None) -> None:
     """Refuse now what `make_expression` would refuse later. Raises ExpressionModelError."""
     if face.expression.model is not None:
-        load_expression((folder or Path()) / face.expression.model)
+        expression_source(face, folder, face.expression.seed)
 
 
 def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> WholeExpression:
@@ -34,8 +36,17 @@ def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> Who
     source: WholeExpression = LiveExpression(seed, rest_after_s=asked.rest_after_s, **shares)
     if asked.model is None:
         return source
-    model = load_expression((folder or Path()) / asked.model)
-    return LearnedHead(LearnedExpression(model, np.random.default_rng(seed)), source)
+    return _player_of_models()((folder or Path()) / asked.model, seed, source)
+
+
+def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpression]:
+    """What plays a learned model in place of a source. Raises UserError without lipservo-lab."""
+    for point in entry_points(group="lipservo.expressions"):
+        return cast(Callable[[Path, int, WholeExpression], WholeExpression], point.load())
+    raise UserError(
+        "expression: {model: ...} needs lipservo-lab, which is not installed: "
+        "`pip install lipservo-lab`, or remove the key"
+    )
 
 
 def make_expression(face: FaceSettings, folder: Path | None) -> ExpressionLayer:

@@ -9,9 +9,9 @@ import numpy as np
 
 from lipservo.traces.trace_reader import Trace
 from lipsync.arrays import Array
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
+from lipsync.markers import CLOSED_GAP_MM
 
 #: The lag is looked for within this, in steps of a millisecond.
 _MOST_LAG_S, _LAG_STEP_S = 0.25, 0.001

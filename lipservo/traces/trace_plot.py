@@ -8,9 +8,9 @@ import numpy as np
 from lipservo.terminal.pictures import is_picture
 from lipservo.traces.trace_diff import Overlay
 from lipservo.traces.trace_reader import Trace
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
 from lipsync.errors import UserError
 from lipsync.extras import check_extra
+from lipsync.markers import CLOSED_GAP_MM
 from lipsync.output_file import check_output, written_whole
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from lipsync.arrays import Array, Indices
-from lipsync.corpus.head_motion import apply_similarity, fit_similarity
 from lipsync.errors import UserError
+from lipsync.face.head_motion import apply_similarity, fit_similarity
 from lipsync.face.model import FaceModel
 from lipsync.face_mesh import INNER_LIP
 from lipsync.twin.expression_morphs import expression_morphs

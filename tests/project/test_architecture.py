@@ -59,7 +59,9 @@ def starters(pattern):
     for package in ("calibration", "firmware_bridge", "lipservo", "lipsync"):
         for path in (ROOT / package).rglob("*.py"):
             file = path.relative_to(ROOT).as_posix()
-            if not file.startswith("lipservo/bench/") and re.search(pattern, path.read_text()):
+            if not file.startswith("lab/lipservo_lab/bench/") and re.search(
+                pattern, path.read_text()
+            ):
                 found.add(file)
     return found
 

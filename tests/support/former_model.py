@@ -5,9 +5,9 @@ import json
 from pathlib import Path
 
 import numpy as np
+from lipservo_lab.learning.motion.trained_model import TrainedModel
 
 from lipsync.phonemes import PHONEMES
-from lipsync.training.trained_model import TrainedModel
 
 
 def write_former_model(model: TrainedModel, path: Path, version: int = 3) -> None:

@@ -3,11 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+from lipservo_lab.baselines.spline import spline_faces
+from lipservo_lab.corpus.utterance import Utterance
 from small_model import small_model
 from spoken_phonemes import spoken
-
-from lipsync.baselines.spline import spline_faces
-from lipsync.corpus.utterance import Utterance
 
 PHRASE = spoken(("SIL", 0.4), ("M", 0.12), ("AA", 0.2), ("UW", 0.2), ("M", 0.12), ("SIL", 0.4))
 

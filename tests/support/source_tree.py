@@ -11,17 +11,30 @@ MAY_IMPORT = {
     "lipsync": set(),
     "firmware_bridge": set(),
     "calibration": {"lipsync"},
-    "lipservo": {"lipsync", "calibration", "firmware_bridge"},
+    "lipservo_client": set(),
+    "lipservo": {"lipsync", "calibration", "firmware_bridge", "lipservo_client"},
+    "lipservo_lab": {"lipsync", "calibration", "firmware_bridge", "lipservo_client", "lipservo"},
+}
+#: Where each package lies, from the root: those of the wheel in the root itself.
+FOLDER_OF = {name: name for name in MAY_IMPORT} | {
+    "lipservo_client": "client/lipservo_client",
+    "lipservo_lab": "lab/lipservo_lab",
 }
 
 
 def _module_name(path: Path) -> str:
     parts = path.relative_to(ROOT).with_suffix("").parts
+    if parts[0] in ("client", "lab"):
+        parts = parts[1:]
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
 #: Every module, a package's own `__init__` among them, and its file.
-MODULES = {_module_name(path): path for name in MAY_IMPORT for path in (ROOT / name).rglob("*.py")}
+MODULES = {
+    _module_name(path): path
+    for name in MAY_IMPORT
+    for path in (ROOT / FOLDER_OF[name]).rglob("*.py")
+}
 
 
 @cache

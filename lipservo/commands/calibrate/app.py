@@ -1,64 +1,112 @@
-"""`lipservo calibrate`: a sub-command for each step, and the old spellings refused."""
+"""`lipservo calibrate`: a sub-command for each step."""
 
-import shlex
-from typing import Annotated, Any
+from types import MappingProxyType
 
 import typer
-from typer.core import TyperGroup
 
-from lipservo.commands.calibrate import by_files, by_hand, grading, on_servos, single_steps, written
-from lipservo.commands.calibrate.old_spelling import new_spelling
+from lipservo.commands.lazy_group import Command, LazyGroup
 
-_NAMES = (
-    *("plan", "fit", "grade", "measure", "guided", "practise"),
-    *("by-hand", "pose", "lags", "trim", "show"),
-)
-#: Degrees may be negative, which looks like an option.
-_DEGREES = {"ignore_unknown_options": True}
+_HERE = "lipservo.commands.calibrate"
+_FACE = "The mouth"
+_SINGLE = "Single steps"
 
 
-class CalibrateGroup(TyperGroup):
-    """Sub-commands; an option where the name of one belongs is the old spelling, and refused."""
+class CalibrateGroup(LazyGroup):
+    """How a speaker's mouth becomes angles of this robot's servos."""
 
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Raises BadParameter with the new spelling."""
-        is_old = bool(args) and args[0].startswith("-") and args[0] != "--help"
-        if is_old and not ctx.resilient_parsing:  # a shell that completes is told nothing
-            options = {
-                name: [option for parameter in command.params for option in parameter.opts]
-                + [option for parameter in command.params for option in parameter.secondary_opts]
-                for name, command in self.commands.items()
-            }
-            new = new_spelling(args, options)
-            raise typer.BadParameter(f"this has sub-commands: it is now `{new}`", ctx=ctx)
-        return super().parse_args(ctx, args)
+    prefix = "calibrate."
+    table = MappingProxyType(
+        {
+            "plan": Command(
+                f"{_HERE}.by_files:plan",
+                "Write poses to move the robot through.",
+                _FACE,
+                example="poses.csv --config my_face.yaml",
+            ),
+            "fit": Command(
+                f"{_HERE}.by_files:fit",
+                "Fit from poses and the markers seen at them.",
+                _FACE,
+                example="--config my_face.yaml --plan poses.csv --markers markers.csv -o "
+                "my_face.calibration.yaml",
+            ),
+            "grade": Command(
+                f"{_HERE}.grading:grade",
+                "Grade a calibration by other poses.",
+                _FACE,
+                example="my_face.calibration.yaml --config my_face.yaml --plan check.csv --markers "
+                "check_markers.csv",
+            ),
+            "measure": Command(
+                f"{_HERE}.on_servos:measure",
+                "Move the servos, watch the markers, fit.",
+                _FACE,
+                example="--config my_face.yaml --port /dev/ttyUSB0 --tracker markers.csv -o "
+                "my_face.calibration.yaml",
+            ),
+            "guided": Command(
+                f"{_HERE}.on_servos:guided",
+                "Match mouth shapes by eye.",
+                _FACE,
+                example="--config my_face.yaml --port /dev/ttyUSB0 -o my_face.calibration.yaml",
+            ),
+            "practise": Command(
+                f"{_HERE}.on_servos:practise",
+                "Calibrate a simulated robot.",
+                _FACE,
+                example="3 -o practice.calibration.yaml",
+            ),
+            "by-hand": Command(
+                f"{_HERE}.by_hand:by_hand",
+                "Write the map joint by joint.",
+                _FACE,
+                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
+            ),
+            "pose": Command(
+                f"{_HERE}.single_steps:pose",
+                "Hold one pose of a plan.",
+                _SINGLE,
+                example="poses.csv 7 8 --config my_face.yaml --port /dev/ttyUSB0",
+            ),
+            "lags": Command(
+                f"{_HERE}.single_steps:lags",
+                "Measure how late each servo is.",
+                _SINGLE,
+                example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
+            ),
+            "trim": Command(
+                f"{_HERE}.written:trim",
+                "Change one mouth shape by hand.",
+                _SINGLE,
+                takes_numbers=True,
+                example="my_face.calibration.yaml P jaw -1",
+            ),
+            "show": Command(
+                f"{_HERE}.written:show",
+                "Draw what a calibration says.",
+                _SINGLE,
+                example="my_face.calibration.yaml --config my_face.yaml",
+            ),
+            "neutral": Command(
+                "lipservo.commands.build.builder:neutral",
+                "Bring every joint to its neutral.",
+                _SINGLE,
+            ),
+            "audio": Command(
+                "lipservo.commands.run.calibrate_audio:calibrate_audio",
+                "Measure how late a loudspeaker is.",
+                _SINGLE,
+            ),
+        }
+    )
 
 
-app = typer.Typer(cls=CalibrateGroup, invoke_without_command=True)
-app.command(epilog=by_files.PLAN_EXAMPLE)(by_files.plan)
-app.command(epilog=by_files.FIT_EXAMPLE)(by_files.fit)
-app.command(epilog=grading.GRADE_EXAMPLE)(grading.grade)
-app.command(epilog=on_servos.MEASURE_EXAMPLE)(on_servos.measure)
-app.command(epilog=on_servos.GUIDED_EXAMPLE)(on_servos.guided)
-app.command(epilog=on_servos.PRACTISE_EXAMPLE)(on_servos.practise)
-app.command("by-hand", epilog=by_hand.BY_HAND_EXAMPLE)(by_hand.by_hand)
-app.command(epilog=single_steps.POSE_EXAMPLE)(single_steps.pose)
-app.command(epilog=single_steps.LAGS_EXAMPLE)(single_steps.lags)
-app.command(epilog=written.TRIM_EXAMPLE, context_settings=_DEGREES)(written.trim)
-app.command(epilog=written.SHOW_EXAMPLE)(written.show)
+app = typer.Typer(name="calibrate", cls=CalibrateGroup)
 
 
-@app.callback()
+@app.callback(invoke_without_command=True)
 def calibrate(context: typer.Context) -> None:
     """Find how a speaker's mouth becomes angles of this robot's servos (docs/calibration.md)."""
     if context.invoked_subcommand is None:
-        raise typer.BadParameter(f"say what to do: {', '.join(_NAMES)}", ctx=context)
-
-
-def old_trim(
-    context: typer.Context,
-    arguments: Annotated[list[str] | None, typer.Argument()] = None,
-) -> None:
-    """Refused: `lipservo calibrate trim`."""
-    words = shlex.join(["lipservo", "calibrate", "trim", *(arguments or ())])
-    raise typer.BadParameter(f"it is now `{words}`", ctx=context.parent)
+        names = ", ".join(CalibrateGroup.table)
+        raise typer.BadParameter(f"say what to do: {names}", ctx=context)

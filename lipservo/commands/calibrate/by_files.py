@@ -23,12 +23,6 @@ from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.output_file import check_output
 
-PLAN_EXAMPLE = "Example: lipservo calibrate plan poses.csv --config my_face.yaml"
-FIT_EXAMPLE = (
-    "Example: lipservo calibrate fit --config my_face.yaml --plan poses.csv "
-    "--markers markers.csv -o my_face.calibration.yaml"
-)
-
 
 def plan(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The plan to write, CSV.")],

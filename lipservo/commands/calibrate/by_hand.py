@@ -23,11 +23,6 @@ if TYPE_CHECKING:
     from lipservo.face.limp_servos import LimpServos
     from lipsync.arrays import Array
 
-BY_HAND_EXAMPLE = (
-    "Example: lipservo calibrate by-hand my_face.calibration.yaml --config my_face.yaml "
-    "--port /dev/ttyUSB0"
-)
-
 
 @dataclass(slots=True)
 class _Session:

@@ -18,11 +18,6 @@ from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
-GRADE_EXAMPLE = (
-    "Example: lipservo calibrate grade my_face.calibration.yaml --config my_face.yaml "
-    "--plan check.csv --markers check_markers.csv"
-)
-
 
 def grade(
     file: CalibrationFile,

@@ -30,16 +30,6 @@ from lipservo.commands.calibrate.making import (
 )
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
 
-MEASURE_EXAMPLE = (
-    "Example: lipservo calibrate measure --config my_face.yaml --port /dev/ttyUSB0 "
-    "--tracker markers.csv -o my_face.calibration.yaml"
-)
-GUIDED_EXAMPLE = (
-    "Example: lipservo calibrate guided --config my_face.yaml --port /dev/ttyUSB0 "
-    "-o my_face.calibration.yaml"
-)
-PRACTISE_EXAMPLE = "Example: lipservo calibrate practise 3 -o practice.calibration.yaml"
-
 
 def measure(
     output: Output,

@@ -14,14 +14,6 @@ from lipservo.terminal.output import RESULTS, print_json, say_simulated
 if TYPE_CHECKING:
     from lipsync.arrays import Array
 
-POSE_EXAMPLE = (
-    "Example: lipservo calibrate pose poses.csv 7 8 --config my_face.yaml --port /dev/ttyUSB0"
-)
-LAGS_EXAMPLE = (
-    "Example: lipservo calibrate lags my_face.calibration.yaml --config my_face.yaml "
-    "--port /dev/ttyUSB0"
-)
-
 
 def pose(
     plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Poses: `calibrate plan`.")],

@@ -9,9 +9,6 @@ from lipservo.commands.calibrate.calibration_options import CalibrationFile
 from lipservo.commands.options import Json
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
-TRIM_EXAMPLE = "Example: lipservo calibrate trim my_face.calibration.yaml P jaw -1"
-SHOW_EXAMPLE = "Example: lipservo calibrate show my_face.calibration.yaml --config my_face.yaml"
-
 
 def trim(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="The calibration to change.")],

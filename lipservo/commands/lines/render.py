@@ -1,30 +1,24 @@
-"""`render`: sounds become performances, one or a folder of them."""
+"""`lines render`: a sound becomes a performance."""
 
-import os
-from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from lipservo.commands.options import Json, Model, Quiet
+from lipservo.commands.options import Json, Model
 from lipservo.settings.motion_names import STRONGEST
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
-    from distributed import Client
-
     from lipservo.rendering.rendered import Rendering
 
 Method = Literal["heard", "model-based", "live"]
 
 
 def render(
-    audio: Annotated[Path, typer.Argument(help="Sound file, or folder of sound files.")],
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="File to write (.perf), or folder for a folder.")
-    ],
+    audio: Annotated[Path, typer.Argument(help="Sound file.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="File to write (.perf).")],
     text: Annotated[
         str | None,
         typer.Option(help="What is said, or a text file that holds it.", show_default=False),
@@ -60,25 +54,11 @@ def render(
             show_default=False,
         ),
     ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(min=1, help="Processes for a folder; default: one a core."),
-    ] = None,
-    dask: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT",
-            help="Render a folder on the Dask cluster of this scheduler.",
-            show_default=False,
-        ),
-    ] = None,
     as_json: Json = False,
-    quiet: Quiet = False,
 ) -> None:
-    """Render lines to performances: the whole line is heard before the mouth moves.
+    """Render a line to a performance: the whole line is heard before the mouth moves.
 
-    Of a folder, every sound: what is said tells NAME.TextGrid, NAME.json or NAME.txt beside it.
-    Without any of them, and without --text and --textgrid, the recogniser listens.
+    Without --text and --textgrid the recogniser listens. Folders: `lines render-folder`.
     """
     from lipservo.rendering.rendered import Rendering, check_expression_of
     from lipsync.extras import check_extra
@@ -87,30 +67,12 @@ def render(
         check_extra("dtaidistance", "render --method model-based")
     if text is not None and textgrid is not None:
         raise UserError("--text and --textgrid: give one of them")
-    if jobs is not None and dask is not None:
-        raise UserError("--jobs and --dask: give one of them")
     how = Rendering(method, strength, model, offline, not reference_sound, expression)
     if expression is not None:
         check_expression_of(expression)
     if audio.is_dir():
-        if text is not None or textgrid is not None:
-            raise UserError(f"{audio}: is a folder; put texts and TextGrids beside its sounds")
-        n_processes = jobs or os.cpu_count() or 1
-        with ExitStack() as stack:
-            cluster = None if dask is None else stack.enter_context(_cluster(dask))
-            _render_folder(audio, output, how, n_processes, cluster, as_json=as_json, quiet=quiet)
-        return
-    if dask is not None:
-        raise UserError(f"{audio}: is one sound; --dask renders a folder of them")
+        raise UserError(f"{audio}: is a folder; `lipservo lines render-folder` renders its sounds")
     _render_one(audio, text, textgrid, output, how, as_json=as_json)
-
-
-def _cluster(address: str) -> "AbstractContextManager[Client]":
-    from lipservo.rendering.cluster import cluster_at
-    from lipsync.extras import check_extra
-
-    check_extra("distributed", "render --dask")
-    return cluster_at(address)
 
 
 def _render_one(
@@ -122,15 +84,16 @@ def _render_one(
     *,
     as_json: bool,
 ) -> None:
-    from lipservo.rendering.batch import given_text
     from lipservo.rendering.rendered import render as render_line
-    from lipservo.rendering.spoken_line import Script
+    from lipservo.rendering.spoken_line import Script, given_text
     from lipsync.offline.performance_file import is_performance
     from lipsync.output_file import check_output
 
     inputs = [audio, phones, how.model, how.offline]
     check_output(output, replaces=is_performance, kind="performance", inputs=inputs)
-    done = render_line(audio, Script(phones, given_text(text)), output, how)
+    done = render_line(
+        audio, Script(phones, None if text is None else given_text(text)), output, how
+    )
     for note in done.notes:
         MESSAGES.print(f"{audio}: {note}", soft_wrap=True)
     if as_json:
@@ -150,55 +113,3 @@ def _render_one(
         f"{done.seconds:.2f} s",
         soft_wrap=True,
     )
-
-
-def _render_folder(
-    folder: Path,
-    output: Path,
-    how: "Rendering",
-    n_processes: int,
-    cluster: "Client | None",
-    *,
-    as_json: bool,
-    quiet: bool,
-) -> None:
-    from rich.progress import Progress
-
-    from lipservo.rendering.batch import lines_of, render_all
-    from lipservo.rendering.rendered import load_speaker
-    from lipsync.extras import check_extra
-    from lipsync.offline.performance_file import is_performance
-    from lipsync.output_file import OutputError, check_output
-
-    check_extra("joblib", "rendering a folder")
-    lines = lines_of(folder, output)
-    load_speaker(how.model, how.offline)  # a model that is wrong is told once, not for every line
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"{output}: no folder can be made there ({error.strerror})") from error
-    for line in lines:
-        check_output(line.output, replaces=is_performance, kind="performance")
-    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
-        task = progress.add_task("rendering", total=len(lines))
-        rendered, failed = render_all(
-            lines, how, n_processes, lambda: progress.advance(task), cluster
-        )
-    for done in rendered:
-        for note in done.notes:
-            MESSAGES.print(f"{done.output}: {note}", soft_wrap=True)
-    if as_json:
-        print_json(
-            {
-                "output": str(output),
-                "method": how.method,
-                "rendered": len(rendered),
-                "failed": failed,
-                "duration_s": sum(done.duration_s for done in rendered),
-                "seconds": round(sum(done.seconds for done in rendered), 3),
-            }
-        )
-    else:
-        RESULTS.print(f"{output}: {len(rendered)} of {len(lines)} lines rendered", soft_wrap=True)
-    if failed:
-        raise UserError("\n".join(f"not rendered: {reason}" for reason in failed.values()))

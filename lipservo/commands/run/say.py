@@ -35,7 +35,7 @@ from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
-    from lipservo.client.blocking_face import Face
+    from lipservo_client.blocking_face import Face
 
 
 @takes_motion
@@ -87,8 +87,8 @@ def told_through(
     url: str, token_file: Path | None, tell: "Callable[[Face], dict[str, Any]]"
 ) -> dict[str, Any]:
     """What a running face answers; its own options hold. Raises UserError."""
-    from lipservo.client.blocking_face import Face
-    from lipservo.client.face_answers import FaceError
+    from lipservo_client.blocking_face import Face
+    from lipservo_client.face_answers import FaceError
 
     token = read_token(None if token_file is None else str(token_file))
     try:

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any, Final
 
-from lipservo.client.face_answers import FaceError
+from lipservo_client.face_answers import FaceError
+
 from lipservo.dashboard.pages.page_frame import STATIC_URL, card, command, grid, html
 from lipservo.dashboard.told_calibration import told_calibration
 from lipsync.phonemes import VISEME_CLASSES

@@ -7,9 +7,8 @@ from typing import Any, Final
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
+from lipservo_client.face_answers import FaceError
 from starlette.exceptions import HTTPException
-
-from lipservo.client.face_answers import FaceError
 
 #: By the code of a `FaceError`; those of an agent server that are not here say that it is busy.
 _STATUS_OF: Final = {

@@ -4,8 +4,8 @@ import asyncio
 from typing import Any
 
 from fastapi import APIRouter
+from lipservo_client.face_answers import FaceError
 
-from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.servo_remedies import is_stopped, told_servos
 from lipservo.dashboard.told_calibration import told_calibration

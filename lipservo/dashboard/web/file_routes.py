@@ -7,9 +7,9 @@ from typing import Any
 
 from fastapi import APIRouter, HTTPException, Request
 from fastapi.responses import JSONResponse
+from lipservo_client.face_answers import FaceError
 from starlette.requests import ClientDisconnect
 
-from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.saved_settings import own_yaml, saved_settings, with_settings
 from lipservo.dashboard.sound_lines import MOST_BYTES, SoundLines, checked_name

@@ -12,13 +12,13 @@ from functools import partial
 from http import HTTPStatus
 from typing import Any, Final
 
+from lipservo_client.face_answers import FaceError
 from pydantic import ValidationError
 
 from firmware_bridge.process.control_client import send_stop
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy, Refusal, Request, refusal, request_of_scope
 from lipservo.agents.stop_answer import stop_answer
-from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.web.access_layer import cors_headers
 from lipservo.dashboard.web.api_errors import first_error, status_of

@@ -5,6 +5,8 @@ import json
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.calibration_figures import read_seeds
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from typer.testing import CliRunner
 
@@ -14,10 +16,8 @@ from calibration.capture.marker_files import read_capture, read_readings, write_
 from calibration.files.calibration_file import load_calibration
 from calibration.joint_range import JointRange
 from calibration.simulated.robot import SimulatedRobot, draw_robot
-from lipservo.bench.calibration_figures import read_seeds
 from lipservo.cli import app
 from lipsync.markers import MARKERS_47
-from lipsync.training.trained_model import load_trained_model
 
 SERVOS = ("jaw", "lip_protrusion")
 JOINTS = [JointRange("jaw", -2.0, 25.0), JointRange("lip_protrusion", -25.0, 40.0)]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from rich.console import Console
 from small_model import small_model
 
@@ -17,7 +18,6 @@ from calibration.joint_range import JointRange
 from calibration.run.viseme_trim import VisemeTrim
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipservo.calibrating.guided_calibration import guide
-from lipsync.training.trained_model import load_trained_model
 
 RANGES = {
     "jaw": {"id": 1, "drive_mode": 0, "homing_offset": 0, "range_min": 2048, "range_max": 2332},

@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.calibration_figures import calibration_figures
 from small_model import small_model
 
 from calibration.calibration import Following
@@ -13,7 +14,6 @@ from calibration.joint_range import JointRange
 from calibration.run.inverse import ShapeFeatures
 from calibration.run.run_time_map import RunTimeMap, fit_run_time_map
 from firmware_bridge.loop.channel import MemoryTargetChannel
-from lipservo.bench.calibration_figures import calibration_figures
 from lipservo.speech.delay import PUBLISH_PERIOD_S
 from lipservo.speech.speech import Speech
 from lipsync.animpho.synthesizer import PublishedSynthesizer

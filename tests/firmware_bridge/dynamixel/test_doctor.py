@@ -5,6 +5,7 @@ import struct
 
 import pytest
 from dynamixel_chain import BAUD_RATE, MemoryFace
+from lipservo_lab.campaigns.disturbed_transport import Disturbance, DisturbedTransport
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.budget import cycle_s, slow_adapter
@@ -12,7 +13,6 @@ from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.shared_id import shares_id
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.simulator.campaigns.disturbed_transport import Disturbance, DisturbedTransport
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.memory_transport import MemoryTransport
 

@@ -6,6 +6,7 @@ from driven_robot import RATE_HZ, Robot, speech_deg
 from dynamixel_chain import MemoryFace
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lipservo_lab.campaigns.auditor import Auditor
 
 from firmware_bridge.gate.coupling import PreventRule
 from firmware_bridge.loop.bridge import Bridge
@@ -13,7 +14,6 @@ from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.report import FaceState
 from firmware_bridge.loop.settings import BridgeSettings
 from firmware_bridge.orders import ArmJog, JogTo
-from firmware_bridge.simulator.campaigns.auditor import Auditor
 from firmware_bridge.targets import ServoTargets
 
 #: The fastest that a jogged joint may be told to go, in a tick.

@@ -9,13 +9,13 @@ import sys
 
 import httpx
 import pytest
+from lipservo_client.face_answers import FaceError
 from places import short_folder
 from running_daemon import LIPSERVO, PATIENCE_S, wait_for
 from websockets.sync.client import connect
 
 import lipservo
 from firmware_bridge.process.control_client import ask
-from lipservo.client.face_answers import FaceError
 
 OTHER = 65534
 

@@ -17,6 +17,8 @@ from pixel_video import PixelFace, PixelTracker, picture, write_video
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.clock import MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
+from lipservo.calibrating.camera import AvCamera
+from lipservo.calibrating.camera_feed import CameraFeed
 from lipservo.calibrating.face_source import (
     MeshOptions,
     is_mesh_folder,
@@ -25,8 +27,6 @@ from lipservo.calibrating.face_source import (
     tracker_source,
 )
 from lipservo.cli import app
-from lipservo.recording.camera import AvCamera
-from lipservo.recording.camera_feed import CameraFeed
 from lipservo.settings.settings import load_shipped_face, parse_face
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.errors import UserError

@@ -5,13 +5,13 @@ import json
 
 import numpy as np
 import pytest
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from typer.testing import CliRunner
 
 from calibration.files.calibration_file import load_calibration
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.cli import app
 from lipsync.markers import MARKERS_47
-from lipsync.training.trained_model import load_trained_model
 
 MODEL = load_trained_model()
 REST_MM = MODEL.markers_mm(MODEL.rest[None])[0]

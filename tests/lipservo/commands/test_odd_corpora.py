@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import small_corpus
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_corpus import text_grid, write_corpus
 from spoken_phonemes import spoken
 
 from lipservo import command_line
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
-from lipsync.training.trained_model import load_trained_model
 
 #: The bench's arguments that keep it short.
 BRIEF = ("--strategy", LIVE_STRATEGY, "--lookahead-ms", "100", "--json", "-q")

@@ -5,6 +5,7 @@ import random
 import signal
 
 import pytest
+from lipservo_lab.campaigns.disturbed_transport import Disturbance, DisturbedTransport
 from typer.testing import CliRunner
 
 from firmware_bridge.bus import PortGone
@@ -13,7 +14,6 @@ from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.provisioning import wanted_settings
 from firmware_bridge.dynamixel.wire.codec import Instruction
 from firmware_bridge.dynamixel.wire.frames import FrameParser
-from firmware_bridge.simulator.campaigns.disturbed_transport import Disturbance, DisturbedTransport
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.face import chain_for
 from lipservo.cli import app

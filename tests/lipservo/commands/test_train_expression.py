@@ -3,12 +3,12 @@ import json
 import numpy as np
 import pytest
 from expression_tracks import write_tracks
+from lipservo_lab.learning.learned_expression.expression_model import load_expression
+from lipservo_lab.learning.learned_expression.learned_expression import LearnedExpression
 from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipsync.expression.cue import ExpressionCue
-from lipsync.expression.learned.expression_model import load_expression
-from lipsync.expression.learned.learned_expression import LearnedExpression
 
 
 def invoke(*arguments):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_corpus import write_corpus
 from speech import CLIP_PATH
 from spoken_phonemes import spoken
@@ -18,7 +19,6 @@ from lipservo.cli import app
 from lipsync.markers import MARKERS_39, MARKERS_47
 from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.phonemes import PhonemeUpdate
-from lipsync.training.trained_model import load_trained_model
 
 PHONES = spoken(("SIL", 0.4), ("AA", 0.2), ("B", 0.1), ("UW", 0.2), ("SIL", 0.4))
 

@@ -6,9 +6,9 @@ import socket
 import threading
 
 import pytest
+from lipservo_client.face_answers import FaceError
 from places import short_folder
 
-from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_commands import FaceCommands
 from lipservo.dashboard.web.api_models import StopBody
 from lipservo.dashboard.web.stop_route import stop_face

@@ -5,10 +5,10 @@ import contextlib
 import math
 
 import pytest
+from lipservo_client.face_answers import FaceError
 from places import short_folder
 from watched_face import LAYOUT, WatchedFace
 
-from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.web.api_models import StopBody
 from lipservo.dashboard.web.stop_route import stop_face

@@ -2,8 +2,8 @@
 
 import pytest
 import yaml
+from lipservo_client.face_answers import FaceError
 
-from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.saved_settings import own_yaml, saved_settings, with_settings
 from lipservo.settings.settings import load_face
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import lipservo.config
 import numpy as np
 import pytest
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 
 from calibration.calibration import CalibrationError
 from calibration.files.calibration_file import parse_calibration
@@ -20,7 +21,6 @@ from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 from lipsync.phonemes import PHONEMES
-from lipsync.training.trained_model import load_trained_model
 
 ANIMPHOS = load_trained_model().animphos
 FOLDER = Path(lipservo.config.__file__).parent

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from spoken_phonemes import spoken
 
 from lipservo.speech.adjustable_mouth import AdjustableMouth
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
+from lipsync.markers import CLOSED_GAP_MM
 from lipsync.motion.live_synthesizer import STRONGEST, LiveSynthesizer
 from lipsync.phonemes import PhonemeUpdate
-from lipsync.training.trained_model import load_trained_model
 
 MODEL = load_trained_model()
 P_BEGINS_S, P_ENDS_S = 2.0, 2.1

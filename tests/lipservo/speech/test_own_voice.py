@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.sync.closure_events import matched_errors_s, seen_closures
+from lipservo_lab.bench.sync.simulated_loudspeaker import SimulatedLoudspeaker
 from speaking_side import ZERO_S, SpeakingSide
 from spoken_phonemes import spoken
 
-from lipservo.bench.sync.closure_events import matched_errors_s, seen_closures
 from lipsync.audio.playout_events import PlayoutRequest
 from lipsync.audio.playout_stream import PlayoutStream
-from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
+from lipsync.markers import CLOSED_GAP_MM
 
 RATE_HZ = 24_000
 READY_S = 0.6

@@ -8,7 +8,7 @@ from spoken_phonemes import spoken
 from lipservo.speech.performed_line import line_of
 from lipsync.audio.playout_events import PlayoutRequest
 from lipsync.audio.playout_stream import PlayoutStream
-from lipsync.corpus.recorded_closures import CLOSED_GAP_MM
+from lipsync.markers import CLOSED_GAP_MM
 from lipsync.offline.performance import RATE_HZ, Performance, PerformedSound
 from lipsync.offline.performed_motion import EASING_S
 

@@ -1,10 +1,10 @@
 """A robot that nobody speaks to for long lets its servos go, and gets up without a jump."""
 
 import numpy as np
+from lipservo_lab.bench.sync.speaking_robot import Deaf
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.loop.report import FaceState
-from lipservo.bench.sync.speaking_robot import Deaf
 from lipservo.face.assembly import assemble_face, make_bus
 from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipservo.street.street import make_street

@@ -7,6 +7,7 @@ import signal
 import subprocess
 
 import pytest
+from lipservo_client.face_answers import FaceError
 from running_daemon import (
     LIPSERVO,
     PATIENCE_S,
@@ -22,7 +23,6 @@ from written_performance import written_performance
 
 import lipservo
 from firmware_bridge.process.control_client import ask
-from lipservo.client.face_answers import FaceError
 from lipservo.face.sim_process import simulated_port
 
 

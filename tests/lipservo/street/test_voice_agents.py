@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from lipservo_client.face_answers import FaceError
 from running_daemon import (
     LIPSERVO,
     PATIENCE_S,
@@ -25,7 +26,6 @@ from running_daemon import (
 import lipservo
 from firmware_bridge.process.control_client import ask
 from lipservo.access.token_file import read_token
-from lipservo.client.face_answers import FaceError
 from lipservo.face.sim_process import simulated_port
 from lipservo.street.voice_agents import bound_listener, voice_agents
 from lipservo.street.voice_options import VoiceOptions

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from rich.console import Console
 from small_model import small_model
 
@@ -19,7 +20,6 @@ from lipservo.terminal.view import TerminalView
 from lipsync.animpho.other_layout import in_layout
 from lipsync.face.frame import Frame
 from lipsync.markers import MARKERS_39, MARKERS_47
-from lipsync.training.trained_model import load_trained_model
 
 
 def dots(lines: list[str]) -> np.ndarray:

@@ -6,10 +6,26 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lipservo_lab.corpus.grid import read_grid
+from lipservo_lab.learning.expectation.articulation import articulatory_features
+from lipservo_lab.learning.expectation.expectation_training import (
+    TrainingSet,
+    articulation_table,
+    collect_training_set,
+    fit_expectation,
+    joined,
+    phoneme_features,
+)
+from lipservo_lab.learning.expectation.networks import (
+    Schedule,
+    fit,
+    forward,
+    gradients,
+    initial_layers,
+)
 from small_corpus import write_corpus
 from spoken_phonemes import spoken
 
-from lipsync.corpus.grid import read_grid
 from lipsync.expectation.context import UNKNOWN, context_at, contexts, track_of
 from lipsync.expectation.expectation import (
     N_WINDOWS,
@@ -18,16 +34,6 @@ from lipsync.expectation.expectation import (
     timing_features_at,
     window_shares,
 )
-from lipsync.expectation.training.articulation import articulatory_features
-from lipsync.expectation.training.expectation_training import (
-    TrainingSet,
-    articulation_table,
-    collect_training_set,
-    fit_expectation,
-    joined,
-    phoneme_features,
-)
-from lipsync.expectation.training.networks import Schedule, fit, forward, gradients, initial_layers
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, PhonemeEvent
 
 SENTENCE = spoken(("SIL", 0.4), ("B", 0.07), ("AA", 0.2), ("T", 0.1), ("SIL", 0.5))

@@ -4,12 +4,12 @@ from random import Random
 
 import numpy as np
 import pytest
+from lipservo_lab.evaluation.expression.blink_times import blink_intervals_s, blinks_per_min
+from lipservo_lab.evaluation.expression.gaze_shifts import gaze_shifts
+from lipservo_lab.evaluation.expression.shown_expression import cues_of, shown
+from lipservo_lab.evaluation.expression.synthetic_prosody import synthetic_voice
 from scipy import stats
 
-from lipsync.evaluation.expression.blink_times import blink_intervals_s, blinks_per_min
-from lipsync.evaluation.expression.gaze_shifts import gaze_shifts
-from lipsync.evaluation.expression.shown_expression import cues_of, shown
-from lipsync.evaluation.expression.synthetic_prosody import synthetic_voice
 from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
 from lipsync.expression.gaze import STRAIGHT_AHEAD, Gaze, listening_habit, talking_habit
 from lipsync.expression.live_expression import LiveExpression

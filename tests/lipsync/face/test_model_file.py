@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import soundfile
 from former_model import write_former_model
+from lipservo_lab.learning.motion.trained_model import TrainedModel, load_trained_model, save_model
 from speech import CLIP_PATH
 from typer.testing import CliRunner
 
@@ -15,7 +16,6 @@ from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipsync.errors import UserError
 from lipsync.face.model import load_face
 from lipsync.face.model_file import ModelError
-from lipsync.training.trained_model import TrainedModel, load_trained_model, save_model
 
 PARTS = {"face", "expectation", "animphos", "baselines"}
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
@@ -14,7 +15,6 @@ from lipsync.motion.live_synthesizer import LiveSynthesizer, Style, StyleError
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
-from lipsync.training.trained_model import load_trained_model
 
 
 def shipped(style: Style | None = None) -> LiveSynthesizer:

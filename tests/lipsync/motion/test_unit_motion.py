@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
@@ -18,7 +19,6 @@ from lipsync.motion.tick_plan import TICK_S
 from lipsync.motion.unit_motion import UnitMotion
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
-from lipsync.training.trained_model import load_trained_model
 
 MODEL = load_trained_model()
 SMALL = small_model()

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from spoken_phonemes import spoken
 
 from lipsync.animpho.synthesizer import PublishedSynthesizer
@@ -14,7 +15,6 @@ from lipsync.motion.resting_synthesizer import RestingSynthesizer
 from lipsync.motion.scaled_synthesizer import ScaledSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
-from lipsync.training.trained_model import load_trained_model
 
 MODEL = load_trained_model()
 PHONES = (("SIL", 0.4), ("AA", 0.2), ("M", 0.1), ("AA", 0.2), ("SIL", 1.0))

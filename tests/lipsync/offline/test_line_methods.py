@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lipservo_lab.corpus.grid import read_grid
+from lipservo_lab.learning.motion.face_training import train
+from lipservo_lab.learning.offline.offline_training import train_offline
+from lipservo_lab.learning.offline.state_training import Recipe
 from small_corpus import write_corpus
 
-from lipsync.corpus.grid import read_grid
 from lipsync.expectation.context import contexts, track_of
-from lipsync.offline.building.offline_training import train_offline
-from lipsync.offline.building.state_training import Recipe
 from lipsync.offline.cepstra import cepstra
 from lipsync.offline.line_methods import Line, Speaker, heard_line
 from lipsync.recognition.speech_file import read_speech
-from lipsync.training.face_training import train
 
 N_FRAMES = 30
 

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lipservo_lab.corpus.utterance import Utterance
+from lipservo_lab.learning.expectation.articulation import articulatory_features
+from lipservo_lab.learning.offline.sound_training import fit_sound_expectation, with_sound_deviation
 from spoken_phonemes import spoken
 
-from lipsync.corpus.utterance import Utterance
-from lipsync.expectation.training.articulation import articulatory_features
-from lipsync.offline.building.sound_training import fit_sound_expectation, with_sound_deviation
 from lipsync.offline.sound_expectation import line_inputs
 
 ARTICULATION = articulatory_features().astype(np.float32)

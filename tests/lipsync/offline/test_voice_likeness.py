@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from lipservo_lab.learning.offline.voice_training import fit_voice_likeness
 from scipy.signal import lfilter
 
-from lipsync.offline.building.voice_training import fit_voice_likeness
 from lipsync.offline.voice_likeness import mean_cepstrum
 
 

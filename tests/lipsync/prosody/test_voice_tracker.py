@@ -5,11 +5,11 @@ import pytest
 import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lipservo_lab.learning.recognition.noise import band, chords
 from speech import CLIP_PATH
 from synthetic_voice import SAMPLE_RATE_HZ, harmonics, room, voice
 
 from lipsync.prosody.voice_tracker import VoiceTracker
-from lipsync.recognition.training.noise import band, chords
 
 
 def frames_of(samples, tracker=None):

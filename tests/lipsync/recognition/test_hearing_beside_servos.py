@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import soundfile
+from lipservo_lab.evaluation.recognition.benchmark import false_speech
+from lipservo_lab.evaluation.recognition.servo_noise import encoder_readings_deg, servo_noise
+from lipservo_lab.evaluation.recognition.stream_observers import label_frames
 from speech import CLIP_PATH
 
-from lipsync.evaluation.recognition.benchmark import false_speech
-from lipsync.evaluation.recognition.servo_noise import encoder_readings_deg, servo_noise
-from lipsync.evaluation.recognition.stream_observers import label_frames
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.network import LATENCY_S

@@ -12,6 +12,7 @@ import soundfile
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from ladder_face import LATENCY_S, Cheap, Computer, Face, Network
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_network import random_weights
 from speech import CLIP_PATH, phoneme_frames
 
@@ -23,7 +24,6 @@ from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.weights import find_weights
 from lipsync.timeline import PhonemeTimeline
-from lipsync.training.trained_model import load_trained_model
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 import soundfile
 import soxr
+from lipservo_lab.evaluation.recognition.endurance import endure
 from small_network import random_weights
 from speech import CLIP_PATH, phoneme_frames
 
 from lipsync.audio_block import AudioBlock
-from lipsync.evaluation.recognition.endurance import endure
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.batch import settled_phonemes
 from lipsync.recognition.features import LevelNormalizer, LogMelStream, log_mel

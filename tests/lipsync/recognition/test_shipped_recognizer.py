@@ -7,6 +7,16 @@ import numpy as np
 import pytest
 import soundfile
 import soxr
+from lipservo_lab.evaluation.recognition.closing_times import (
+    ClosingBench,
+    closing_times,
+    cut_dead,
+    stop_onsets,
+    vowel_cuts,
+    with_gap,
+)
+from lipservo_lab.evaluation.recognition.recognized_file import recognize_file
+from lipservo_lab.learning.motion.trained_model import load_trained_model
 from places import DATA
 from speech import (
     CLIP_LABELS_PATH,
@@ -18,15 +28,6 @@ from speech import (
 
 from lipservo.street.motion_options import make_recognizer
 from lipsync.audio_block import AudioBlock
-from lipsync.evaluation.recognition.closing_times import (
-    ClosingBench,
-    closing_times,
-    cut_dead,
-    stop_onsets,
-    vowel_cuts,
-    with_gap,
-)
-from lipsync.evaluation.recognition.recognized_file import recognize_file
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.network import StreamingNetwork
@@ -34,7 +35,6 @@ from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.scripted import read_phonemes
 from lipsync.recognition.weights import SHIPPED, load_shipped_weights
 from lipsync.timeline import PhonemeTimeline
-from lipsync.training.trained_model import load_trained_model
 
 RATE_HZ = 16_000
 #: Posteriors that torch gave for frames 100 to 119 of the clip: make_recognizer_posteriors.py.

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_model import small_model
 
-from lipsync.corpus.head_motion import fit_similarity
+from lipsync.face.head_motion import fit_similarity
 from lipsync.face.model import load_face
 from lipsync.face_mesh import INNER_LIP
 from lipsync.markers import MARKERS_47, PointLayout

@@ -5,11 +5,10 @@ import pytest
 
 pytest.importorskip("av", reason="video needs PyAV, the extra `video`")
 
+from lipservo_lab.video.video_clips import find_clips
+from lipservo_lab.video.video_import import import_videos
 from pixel_video import PixelFace, PixelTracker, picture, write_video
 from talking_pixels import gaps_mm, speech
-
-from lipsync.video.video_clips import find_clips
-from lipsync.video.video_import import import_videos
 
 _PAUSE_S = 0.5
 

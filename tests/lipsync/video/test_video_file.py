@@ -6,9 +6,9 @@ import pytest
 pytest.importorskip("av", reason="video needs PyAV, the extra `video`")
 
 import soundfile
+from lipservo_lab.video.video_clips import find_clips
 from pixel_video import PixelFace, picture, write_video
 
-from lipsync.video.video_clips import find_clips
 from lipsync.video.video_file import VideoError, video_duration_s, video_pictures, video_sound
 
 TIMES_S = np.arange(10) * 0.04

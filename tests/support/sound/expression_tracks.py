@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
+from lipservo_lab.learning.learned_expression.expression_model import ExpressionModel
+from lipservo_lab.learning.learned_expression.pose_mixture import PoseMixture
 from synthetic_voice import room, voice
-
-from lipsync.expression.learned.expression_model import ExpressionModel
-from lipsync.expression.learned.pose_mixture import PoseMixture
 
 RATE_HZ = 25.0
 COLUMNS = (

@@ -3,9 +3,9 @@
 import av
 import numpy as np
 from fake_sound_card import install_sound_card
+from lipservo_lab.recording.session import Devices
 
-from lipservo.recording.camera import CameraError
-from lipservo.recording.session import Devices
+from lipservo.calibrating.camera import CameraError
 from lipsync.audio.microphone import MicrophoneSource
 
 STEP_S = 0.01

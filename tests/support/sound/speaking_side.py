@@ -1,18 +1,18 @@
 """A speech side with its own voice, a simulated loudspeaker and no servos: goals are what is seen.
 
-`lipservo.bench.sync.speaking_robot` is the same with servos, and ten times slower.
+`lipservo_lab.bench.sync.speaking_robot` is the same with servos, and ten times slower.
 """
 
 import numpy as np
+from lipservo_lab.bench.sync.simulated_loudspeaker import SimulatedLoudspeaker
+from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, Watched
 
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.loop.channel import MemoryTargetChannel
-from lipservo.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, Watched
 from lipservo.face.assembly import assemble_face
 from lipservo.speech.speech_side import make_speech_side
 from lipservo.street.motion_options import MotionOptions, make_synthesizer
 from lipsync.audio.playout import Playout
-from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
 from lipsync.markers import MARKERS_47
 
 #: The monotonic clock begins anywhere.

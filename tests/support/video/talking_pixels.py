@@ -5,11 +5,11 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+from lipservo_lab.video.clip_labels import label_clip
+from lipservo_lab.video.expected_lips import ExpectedLips
 from pixel_video import PixelFace, picture, write_video
 
 from lipsync.recognition.speech_file import read_speech
-from lipsync.video.clip_labels import label_clip
-from lipsync.video.expected_lips import ExpectedLips
 
 TEXT = "my lips move with every word maple fever five brave bumblebees"
 _FROM = round(4.05 * 16_000)

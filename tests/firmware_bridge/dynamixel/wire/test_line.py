@@ -7,13 +7,8 @@ import pytest
 from dynamixel_chain import MemoryFace
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from firmware_bridge.dynamixel.handshake import identify, identify_all
-from firmware_bridge.dynamixel.wire.line import Line, SpanRead
-from firmware_bridge.dynamixel.wire.pending_answers import PendingAnswers
-from firmware_bridge.dynamixel.wire.span_group import SpanGroup
-from firmware_bridge.simulator.campaigns.disturbed_transport import Disturbance, DisturbedTransport
-from firmware_bridge.simulator.campaigns.line_campaign import (
+from lipservo_lab.campaigns.disturbed_transport import Disturbance, DisturbedTransport
+from lipservo_lab.campaigns.line_campaign import (
     COUNTING,
     DISTURBANCES,
     IDS,
@@ -25,6 +20,11 @@ from firmware_bridge.simulator.campaigns.line_campaign import (
     QuestionedChain,
     ask_many,
 )
+
+from firmware_bridge.dynamixel.handshake import identify, identify_all
+from firmware_bridge.dynamixel.wire.line import Line, SpanRead
+from firmware_bridge.dynamixel.wire.pending_answers import PendingAnswers
+from firmware_bridge.dynamixel.wire.span_group import SpanGroup
 from firmware_bridge.simulator.faults import Fault
 
 #: All four servos asked at once.

@@ -3,11 +3,11 @@
 import shlex
 
 import pytest
+from lipservo.commands.calibrate.old_spelling import new_spelling
 from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipservo.commands.calibrate.app import app as calibrate
-from lipservo.commands.calibrate.old_spelling import new_spelling
 
 SUB_COMMANDS = (
     "plan", "fit", "grade", "measure", "guided", "practise", "by-hand", "pose", "lags", "trim",

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import soundfile
 from fake_sound_card import install_sound_card
+from lipservo_lab.learning.motion.trained_model import save_model
 from places import short_folder
 from small_model import small_model
 from typer.testing import CliRunner
@@ -24,7 +25,6 @@ from lipsync.offline.performance import RATE_HZ, Performance, PerformedSound, pe
 from lipsync.offline.performance_file import write_performance
 from lipsync.offline.performed_motion import EASING_S
 from lipsync.phonemes import PhonemeEvent
-from lipsync.training.trained_model import save_model
 
 DURATION_S = 0.8
 SOUND_RATE_HZ = 22_050

@@ -5,9 +5,9 @@ import socket
 import numpy as np
 import pytest
 import soundfile
+from lipservo_client.face_answers import FaceError
 from served_dashboard import served, wait_for
 
-from lipservo.client.face_answers import FaceError
 from lipservo.dashboard.saved_settings import NewYaml
 from lipservo.settings.settings import load_face
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.sync.simulated_loudspeaker import SimulatedLoudspeaker
 
 from lipsync.audio.delay.measurement import measure_delay
-from lipsync.audio.simulated_loudspeaker import SimulatedLoudspeaker
 from lipsync.audio.source import SoundError
 from lipsync.audio_block import AudioBlock
 

@@ -3,16 +3,16 @@ import json
 import numpy as np
 import pytest
 import soundfile
-from places import ROOT
-from speech import CLIP_LABELS_PATH, CLIP_PATH, phoneme_frames, viseme_accuracy
-
-from lipsync.corpus.transcribed import TranscriptError, of_speakers, read_transcribed
-from lipsync.recognition.alignment.alignment_cache import (
+from lipservo_lab.corpus.alignment_cache import (
     CacheError,
     align_corpus,
     read_alignments,
     unfinished_of,
 )
+from lipservo_lab.corpus.transcribed import TranscriptError, of_speakers, read_transcribed
+from places import ROOT
+from speech import CLIP_LABELS_PATH, CLIP_PATH, phoneme_frames, viseme_accuracy
+
 from lipsync.recognition.alignment.forced_alignment import AlignmentError, align, words_of
 from lipsync.recognition.alignment.goodness_of_pronunciation import (
     DOUBTFUL_SCORE,

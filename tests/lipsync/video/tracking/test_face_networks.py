@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lipservo_lab.video.tracked_lips import tracked_gaps_mm
 from places import ROOT
 from scipy.ndimage import map_coordinates
 
 from lipsync.video.tracking.face_box import FaceBox, box_around, cut_out
 from lipsync.video.tracking.face_detection import detections
 from lipsync.video.tracking.face_tracker import TrackerError
-from lipsync.video.tracking.tracked_lips import tracked_gaps_mm
 from lipsync.video.tracking.trackers import open_tracker
 from lipsync.video.video_file import video_pictures
 

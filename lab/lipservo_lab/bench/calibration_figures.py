@@ -1,0 +1,235 @@
+"""The figures of `lipservo bench calibration`: whole procedures on simulated robots, scored.
+
+Every seed draws a robot (geometry, backlash, lags). What fits sees `move` and `measure` only; the
+score is taken on markers without noise, with the backlash as it lies.
+"""
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import CalibrationError
+from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
+from calibration.fit.measured import MeasuredFit, fit_measured
+from calibration.fit.measured_errors import lips_apart_mm
+from calibration.fit.procedure import Procedure
+from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM
+from calibration.fit.servo_response import identify
+from calibration.hold_out import CLOSED_GAP_MM
+from calibration.joint_range import JointRange
+from calibration.mouth_servos import MouthServos
+from calibration.run.backlash import BacklashCompensation
+from calibration.run.inverse import nearest_poses_deg
+from calibration.simulated.face import JAW
+from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, true_markers_mm
+from calibration.simulated.servos import SimulatedServos
+from lipservo.settings.settings import FaceSettings, load_shipped_face
+from lipservo_lab.bench.sync_figures import SyncErrors, sync_errors
+from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+N_POSES = 60
+#: A shape counts as reachable when the best pose is within this, rms over the lips.
+REACHABLE_MM = 0.5
+#: A person who puts a mouth into a pose by eye, with keys of one degree: off by so much, rms
+#: (assumed, not observed: three key presses, one for a jaw, which moves the lip by 1.6 mm).
+PERSON_DEG, PERSON_JAW_DEG = 3.0, 1.0
+_LARGE_IS_GOOD = ("reachable", "literal_copy_reachable", "gap_r", "closure_touch", "moving_gap_r")
+
+
+@dataclass(frozen=True, slots=True)
+class SeedFigures:
+    """One robot. Names as in the table of docs/benchmarks.md; rms over frames and lip markers."""
+
+    heldout_rms_mm: float
+    heldout_all_markers_rms_mm: float
+    heldout_every_shape_rms_mm: float
+    reachable: float
+    literal_copy_reachable: float
+    guided_rms_mm: float
+    gap_r: float
+    closure_touch: float
+    map_us: float
+    procedure_s: float
+    sync_error_rms_ms: float
+    sync_error_before_rms_ms: float
+    moving_gap_r: float
+
+
+def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
+    """Calibrate one simulated robot from capture to lags, and score it."""
+    servos = MouthServos(
+        joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
+        face_checksum=settings.checksum,
+        positive=tuple(servo.positive for servo in settings.servos.values()),
+    )
+    joints = servos.joints
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    draw = draw_robot(rest_mm, servos.names, seed)
+    robot = SimulatedRobot(draw, noise_seed=seed)
+    late_servos = SimulatedServos.drawn(len(joints), seed)
+
+    began_s = time.perf_counter()
+    procedure = Procedure(model, joints, N_POSES, seed=seed)
+    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    fit = fit_measured(model, capture, servos)
+    following = identify(late_servos.encoders_deg, joints, fit.face.backlash_deg)
+    procedure_s = time.perf_counter() - began_s
+
+    fit = replace(fit, calibration=replace(fit.calibration, following=following))
+    shapes = _score_shapes(model, fit, draw, servos, seed)
+    sync = sync_errors(model, fit.calibration, draw, late_servos, seed)
+    return _figures(shapes, sync, _map_time_us(model, fit), procedure_s)
+
+
+def calibration_figures(seeds: Iterable[int]) -> dict[str, float]:
+    """Medians over the seeds under the names of the table; `worst_` and the worst seed for each."""
+    model, settings = load_face_with_animphos(), load_shipped_face("face_sim")
+    found = [measure_seed(model, settings, seed) for seed in seeds]
+    figures: dict[str, float] = {}
+    for field in fields(SeedFigures):
+        values = [float(getattr(seed, field.name)) for seed in found]
+        figures[field.name] = float(np.median(values))
+        figures[f"worst_{field.name}"] = (min if field.name in _LARGE_IS_GOOD else max)(values)
+    figures["worst_rms_mm"] = figures.pop("worst_heldout_rms_mm")
+    return figures
+
+
+def read_seeds(text: str) -> list[int]:
+    """`3` or `0-19`. Raises CalibrationError for anything else."""
+    parts = text.split("-")
+    if len(parts) > 2 or not all(part.isdecimal() for part in parts):
+        raise CalibrationError(f"--seeds {text}: expected one number or a range such as 0-19")
+    seeds = list(range(int(parts[0]), int(parts[-1]) + 1))
+    if not seeds:
+        raise CalibrationError(f"--seeds {text}: the first is larger than the last")
+    return seeds
+
+
+def _map_time_us(model: FaceWithAnimPhos, fit: MeasuredFit) -> float:
+    """Median time of one `positions_deg`, over ten blocks of a hundred."""
+    frames = model.animphos.frames[:100]
+    times_s = []
+    for _ in range(10):
+        began_s = time.perf_counter()
+        for frame in frames:
+            fit.calibration.positions_deg(frame)
+        times_s.append((time.perf_counter() - began_s) / len(frames))
+    return float(np.median(times_s)) * 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class _ShapeScores:
+    apart_mm: Array
+    all_apart_mm: Array
+    guided_apart_mm: Array
+    reachable: NDArray[np.bool_]
+    literal: NDArray[np.bool_]
+    gap_mm: Array
+    human_gap_mm: Array
+
+
+def _figures(
+    shapes: _ShapeScores, sync: SyncErrors, map_us: float, procedure_s: float
+) -> SeedFigures:
+    closed = shapes.human_gap_mm <= CLOSED_GAP_MM
+    reached = shapes.reachable
+    return SeedFigures(
+        heldout_rms_mm=_rms(shapes.apart_mm[reached]),
+        heldout_all_markers_rms_mm=_rms(shapes.all_apart_mm[reached]),
+        heldout_every_shape_rms_mm=_rms(shapes.apart_mm),
+        reachable=float(reached.mean()),
+        literal_copy_reachable=float(shapes.literal.mean()),
+        guided_rms_mm=_rms(shapes.guided_apart_mm[reached]),
+        gap_r=float(np.corrcoef(shapes.gap_mm, shapes.human_gap_mm)[0, 1]),
+        closure_touch=float((shapes.gap_mm[closed] <= 0.0).mean()),
+        map_us=map_us,
+        procedure_s=procedure_s,
+        sync_error_rms_ms=sync.after_rms_ms,
+        sync_error_before_rms_ms=sync.before_rms_ms,
+        moving_gap_r=sync.gap_r,
+    )
+
+
+def _score_shapes(
+    model: FaceWithAnimPhos, fit: MeasuredFit, draw: RobotDraw, servos: MouthServos, seed: int
+) -> _ShapeScores:
+    """On the held-out frames, sent one after another with backlash made up for as live."""
+
+    def truth(output_deg: Array) -> Array:
+        return true_markers_mm(draw, output_deg)
+
+    limits = servos.limits_deg
+    targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
+    shape_features, lips = fit.names.shape_features, list(MARKERS_47.lips)
+
+    def best_apart_mm(wanted_mm: Array) -> Array:
+        best_deg = nearest_poses_deg(truth, shape_features.of(wanted_mm), shape_features, limits)
+        return lips_apart_mm(truth(best_deg), wanted_mm, lips)
+
+    robot = SimulatedRobot(draw)
+    backlash = BacklashCompensation(fit.face.backlash_deg)
+    seen_mm = np.empty_like(targets_mm)
+    for frame, coefficients in enumerate(fit.held_out):
+        robot.move(backlash.feed(fit.calibration.positions_deg(coefficients)))
+        seen_mm[frame] = robot.true_markers_mm()
+    rest_mm = model.markers_mm(model.rest[None])
+    copies_mm = draw.face.neutral_mm + fit.retargeting.scale * (
+        model.markers_mm(fit.held_out) - rest_mm
+    )
+    guided = _guided_apart_mm(model, fit, draw, servos, targets_mm, seed)
+    return _ShapeScores(
+        apart_mm=lips_apart_mm(seen_mm, targets_mm, lips),
+        all_apart_mm=lips_apart_mm(seen_mm, targets_mm, list(range(len(MARKERS_47.names)))),
+        guided_apart_mm=guided,
+        reachable=best_apart_mm(targets_mm) <= REACHABLE_MM,
+        literal=best_apart_mm(copies_mm) <= REACHABLE_MM,
+        gap_mm=seen_mm[:, MARKERS_47.upper_lip, 1] - seen_mm[:, MARKERS_47.lower_lip, 1],
+        human_gap_mm=np.array([model.lip_gap_mm(frame) for frame in fit.held_out]),
+    )
+
+
+def _guided_apart_mm(
+    model: FaceWithAnimPhos,
+    fit: MeasuredFit,
+    draw: RobotDraw,
+    servos: MouthServos,
+    targets_mm: Array,
+    seed: int,
+) -> Array:
+    """A person makes the landmark poses by eye; the score's targets are the measured ones.
+
+    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual, finds
+    the pose nearest to it, and is off by a few key presses.
+    """
+
+    def truth(output_deg: Array) -> Array:
+        return true_markers_mm(draw, output_deg)
+
+    limits = servos.limits_deg
+    poses = landmark_poses(model)
+    shown_mm = model.markers_mm(np.array([pose.coefficients for pose in poses]))
+    neutral_mm, closed_mm = truth(np.zeros((1, len(servos.joints))))[0], shown_mm[0]
+    right, left = fit.names.corners
+    size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
+    scale = np.full(3, MOST_EXAGGERATION * size)
+    gaps_mm = scale * fit.names.shape_features.gaps_mm(shown_mm)
+    gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
+    wanted = fit.names.shape_features.of(neutral_mm + scale * (shown_mm - closed_mm), gaps_mm)
+    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
+    off_deg = np.where([j.name == JAW for j in servos.joints], PERSON_JAW_DEG, PERSON_DEG)
+    noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
+    made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
+    made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch
+    made = {pose.name: degrees for pose, degrees in zip(poses, made_deg, strict=True)}
+    guided = fit_guided(model, servos, made)
+    angles_deg = np.array([guided.positions_deg(frame) for frame in fit.held_out])
+    return lips_apart_mm(truth(angles_deg), targets_mm, list(MARKERS_47.lips))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

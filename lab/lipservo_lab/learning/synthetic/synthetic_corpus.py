@@ -1,0 +1,109 @@
+"""Synthetic voices as corpora: texts spoken, with the phone times that the voice itself tells.
+
+A folder laid out like grid_s1 a voice, called as the voice: `audio/NAME.flac`,
+`labels/NAME.TextGrid`. Whatever reads a corpus takes the tier `phones` for the reference, so that
+nothing here depends on forced alignment.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import soundfile
+
+from lipservo_lab.learning.synthetic.festival import Festival
+from lipsync.errors import UserError
+from lipsync.output_file import written_whole
+from lipsync.text_to_speech.espeak import Espeak
+from lipsync.text_to_speech.flite import Flite
+from lipsync.text_to_speech.spoken_text import Synthesizer, UnspeakableTextError, Voice
+from lipsync.textgrid import write_tiers
+
+_SYNTHESIZERS: Mapping[str, Callable[[], Synthesizer]] = MappingProxyType(
+    {"espeak": Espeak, "flite": Flite, "festival": Festival}
+)
+#: Words a minute, and for espeak-ng the pitch, of voices that train.
+_RATES_WPM, _PITCHES = (125, 230), (15, 85)
+
+
+class SyntheticVoiceError(UserError):
+    """A voice that is not there; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class SyntheticVoice:
+    """One voice of a synthesiser, written SYNTHESISER:VOICE; espeak-ng's voices are languages."""
+
+    synthesizer: str
+    voice: str
+
+    @property
+    def folder_name(self) -> str:
+        """What its corpus, and so its speaker, is called."""
+        return f"{self.synthesizer}-{self.voice}"
+
+    def at(self, rate_wpm: int, pitch: int) -> Voice:
+        """The voice as the synthesiser wants it; only espeak-ng has a choice of pitch."""
+        if self.synthesizer == "espeak":
+            return Voice(self.voice, "", rate_wpm, pitch)
+        return replace(Voice(name=self.voice), rate_wpm=rate_wpm)
+
+
+def read_voices(listed: str) -> tuple[SyntheticVoice, ...]:
+    """`espeak:en-us,flite:awb,festival:ked`. Raises SyntheticVoiceError for another form."""
+    voices = []
+    for each in listed.split(","):
+        synthesizer, _, voice = each.strip().partition(":")
+        if synthesizer not in _SYNTHESIZERS or not voice:
+            raise SyntheticVoiceError(
+                f"{each.strip()!r} is no SYNTHESISER:VOICE; synthesisers: "
+                f"{', '.join(_SYNTHESIZERS)}; for example flite:awb"
+            )
+        voices.append(SyntheticVoice(synthesizer, voice))
+    return tuple(voices)
+
+
+def write_voice(
+    voice: SyntheticVoice,
+    texts: Sequence[str],
+    folder: Path,
+    *,
+    seed: int | None,
+    progress: Callable[[], None] = lambda: None,
+) -> Path:
+    """Speak the texts into a corpus below `folder`; its own folder.
+
+    What is there already stays. seed: of the rate and pitch of each text, None for those that the
+    voice was made with. A text that the voice cannot speak is left out. Raises SynthesisError where
+    the synthesiser or the voice is not there.
+    """
+    corpus = folder / voice.folder_name
+    for part in ("audio", "labels"):
+        (corpus / part).mkdir(parents=True, exist_ok=True)
+    synthesizer = _SYNTHESIZERS[voice.synthesizer]()
+    for number, text in enumerate(texts):
+        name = f"{voice.folder_name}-{number:04d}"
+        labels = corpus / "labels" / f"{name}.TextGrid"
+        if not labels.exists():
+            rate_wpm, pitch = 175, 50
+            if seed is not None:
+                rng = np.random.default_rng([seed, number])
+                rate_wpm, pitch = int(rng.integers(*_RATES_WPM)), int(rng.integers(*_PITCHES))
+            _speak(synthesizer, voice.at(rate_wpm, pitch), text, corpus, name)
+        progress()
+    return corpus
+
+
+def _speak(synthesizer: Synthesizer, voice: Voice, text: str, corpus: Path, name: str) -> None:
+    try:
+        spoken = synthesizer.speak(text.lower(), voice)
+    except UnspeakableTextError:
+        return
+    with written_whole(corpus / "audio" / f"{name}.flac") as path:
+        soundfile.write(path, spoken.samples, spoken.sample_rate_hz, format="FLAC")
+    phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in spoken.phonemes)
+    # One interval for all words: the times of words are needed by nobody here.
+    whole = ((text, 0.0, spoken.duration_s),)
+    write_tiers(corpus / "labels" / f"{name}.TextGrid", {"words": whole, "phones": phones})

@@ -1,0 +1,159 @@
+"""A group of commands that are imported when they are run, not when they are listed.
+
+Help, a typing error and `lipservo stop` are answered before NumPy could have been loaded. What
+another distribution adds (lipservo-lab) is found by entry points of the group `lipservo.commands`:
+`bench` is a command at the top, `lines.render-folder` one of the group `lines`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points, version
+from types import MappingProxyType
+from typing import Any, ClassVar, Final
+
+import typer
+import typer.main
+from typer.core import TyperGroup
+
+from lipsync.errors import UserError
+
+ENTRY_POINTS: Final = "lipservo.commands"
+_NEGATIVE_NUMBERS: Final = {"ignore_unknown_options": True}
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A command: where it is, and what the help says of it.
+
+    Attributes
+    ----------
+    target
+        `module:name` of a function, or of a `typer.Typer` with commands of its own; empty for a
+        command of lipservo-lab.
+    help
+        One line.
+    section
+        Under which heading of the help.
+    takes_numbers
+        Its arguments may be negative numbers, which look like options.
+    hidden
+        Not listed: for lipservo's own processes.
+    example
+        Arguments that its help shows, without the command itself.
+
+    """
+
+    target: str
+    help: str
+    section: str = "Commands"
+    takes_numbers: bool = False
+    hidden: bool = False
+    example: str = ""
+
+
+class LazyGroup(TyperGroup):
+    """Commands of `table`; of `moved`, what an old name is now."""
+
+    table: ClassVar[Mapping[str, Command]] = MappingProxyType({})
+    moved: ClassVar[Mapping[str, str]] = MappingProxyType({})
+    #: What the names of entry points begin with that add to this group.
+    prefix: ClassVar[str] = ""
+
+    def __init__(self, **attributes: Any) -> None:
+        # Without rich: its help loads every command for a line of each.
+        super().__init__(**{**attributes, "rich_markup_mode": None})
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002
+        """Return the names of the commands that help lists, in order."""
+        names = [name for name, command in self.table.items() if not command.hidden]
+        return names + [name for name in self._added() if name not in self.table]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command, imported now; None for a name that is none.
+
+        Raises
+        ------
+        BadParameter
+            For an old name: with the new one.
+        UserError
+            For a command of a distribution that is not installed, or of another version.
+
+        """
+        if cmd_name in self.moved:
+            raise typer.BadParameter(f"it is now `lipservo {self.moved[cmd_name]}`", ctx=ctx)
+        path = f"{self.prefix.replace('.', ' ')}{cmd_name}"
+        command = self.table.get(cmd_name)
+        if command is not None and command.target:
+            module, _, name = command.target.partition(":")
+            return _made(path, getattr(import_module(module), name), command)
+        added = self._added().get(cmd_name)
+        if added is not None:
+            return _made(path, _loaded(added), Command("", ""))
+        if command is not None:
+            raise UserError(
+                f"{self.prefix}{cmd_name} is part of lipservo-lab, which is not installed: "
+                "`pip install lipservo-lab`, or `pip install -e ./lab` in a checkout"
+            )
+        return None
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """As the base class has it; names near to a mistyped one are offered from the table."""
+        if args and self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            near = get_close_matches(args[0], self.list_commands(ctx))
+            hint = f"; did you mean {', '.join(near)}?" if near else ""
+            ctx.fail(f"No such command {args[0]!r}{hint}")
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands under their headings, out of the table."""
+        sections: dict[str, list[tuple[str, str]]] = {}
+        for name in self.list_commands(ctx):
+            command = self.table.get(name, Command("", "", "Of other distributions"))
+            sections.setdefault(command.section, []).append((name, command.help))
+        for section, rows in sections.items():
+            with formatter.section(section):
+                formatter.write_dl(rows)
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Return the names that begin so."""
+        from typer._click.shell_completion import CompletionItem
+
+        return [
+            CompletionItem(name, help=self.table[name].help if name in self.table else None)
+            for name in self.list_commands(ctx)
+            if name.startswith(incomplete)
+        ]
+
+    def _added(self) -> dict[str, EntryPoint]:
+        """Commands of other distributions in this group, by name."""
+        found = {
+            point.name.removeprefix(self.prefix): point
+            for point in entry_points(group=ENTRY_POINTS)
+            if point.name.startswith(self.prefix)
+        }
+        return {name: found[name] for name in sorted(found) if "." not in name}
+
+
+def _loaded(point: EntryPoint) -> Any:
+    """Raises UserError where it is of another version than this program."""
+    own = version("lipservo")
+    if point.dist is not None and point.dist.version != own:
+        raise UserError(
+            f"{point.dist.name} {point.dist.version} does not fit lipservo {own}: install both "
+            f"of one version, `pip install lipservo=={own} {point.dist.name}=={own}`"
+        )
+    return point.load()
+
+
+def _made(path: str, target: Any, command: Command) -> Any:
+    """A command of click's out of a function, or out of a `typer.Typer`; path: its whole name."""
+    if isinstance(target, typer.Typer):
+        return typer.main.get_group(target)
+    alone = typer.Typer(pretty_exceptions_enable=False)
+    epilog = f"Example: lipservo {path} {command.example}" if command.example else None
+    settings = _NEGATIVE_NUMBERS if command.takes_numbers else None
+    name = path.rpartition(" ")[2]
+    alone.command(name, context_settings=settings, hidden=command.hidden, epilog=epilog)(target)
+    return typer.main.get_command(alone)

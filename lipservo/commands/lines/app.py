@@ -1,0 +1,34 @@
+"""`lipservo lines`: scripted lines rendered, performed, aligned and recognised."""
+
+from types import MappingProxyType
+
+import typer
+
+from lipservo.commands.lazy_group import Command, LazyGroup
+
+_HERE = "lipservo.commands.lines"
+_LAB = "Of whole folders (lipservo-lab)"
+
+
+class LinesGroup(LazyGroup):
+    """Lipservo-lab adds whole folders to these."""
+
+    table = MappingProxyType(
+        {
+            "render": Command(f"{_HERE}.render:render", "Render a sound to a performance."),
+            "perform": Command(f"{_HERE}.perform:perform", "Play a performance on a face."),
+            "align": Command(f"{_HERE}.alignment:align", "Find when each phone of a text is said."),
+            "recognize": Command(
+                f"{_HERE}.recognition:recognize", "Print the phonemes of a sound."
+            ),
+        }
+    )
+    prefix = "lines."
+
+
+app = typer.Typer(name="lines", cls=LinesGroup)
+
+
+@app.callback()
+def lines() -> None:
+    """Scripted lines: the whole line is known before the mouth moves (docs/scripted-lines.md)."""

@@ -1,0 +1,105 @@
+"""`lipservo.connect_async`: an agent with an event loop speaks through a face."""
+
+import asyncio
+import subprocess
+import sys
+
+import pytest
+from lipservo_client.face_answers import FaceError, Played
+from places import ROOT
+from voice_agents.served_face import DELAY_MS, ServedFace, tone
+
+import lipservo
+
+
+@pytest.fixture
+def served():
+    with ServedFace() as face:
+        yield face
+
+
+def test_sentences_one_after_the_other(served):
+    async def talk():
+        async with lipservo.connect_async(served.url) as face:
+            speeches = []
+            for _ in range(3):
+                async with face.stream() as speech:
+                    await speech.write(tone(0.1))
+                    speeches.append(speech)
+            return [await speech.wait() for speech in speeches]
+
+    assert asyncio.run(talk()) == [Played(finished=True, played_s=0.1)] * 3
+
+
+def test_barge_in_from_another_task_ends_the_writing(served):
+    async def talk():
+        async with lipservo.connect_async(served.url) as face, face.stream() as speech:
+
+            async def listen():
+                async for event in face.events():
+                    if event["type"] == "started":
+                        return await face.interrupt()
+
+            listening = asyncio.ensure_future(listen())
+            n_written = 0
+            while await speech.write(tone(0.5)):
+                n_written += 1
+                await asyncio.sleep(0.001)
+            return n_written, await listening
+
+    n_written, played = asyncio.run(talk())
+
+    assert n_written > 0
+    assert not played.finished
+    assert 0.0 < played.played_s < 0.5 * n_written
+
+
+def test_a_client_that_plays_the_sound_gets_the_delay_and_reports(served):
+    async def talk():
+        async with (
+            lipservo.connect_async(served.url) as face,
+            face.stream(playback="client") as speech,
+        ):
+            await speech.write(tone(1.0))
+            await speech.report_played(0.5)
+            played = await speech.wait()
+            return speech.delay_ms, played
+
+    delay_ms, played = asyncio.run(talk())
+
+    assert delay_ms == DELAY_MS
+    assert played.finished
+    assert [n_samples for _, _, n_samples in served.reported] == [12_000]
+
+
+def test_many_commands_at_once_get_each_its_own_answer(served):
+    async def talk():
+        async with lipservo.connect_async(served.url) as face:
+            calls = [face.set("strength", value / 10) for value in range(5)]
+            answers = await asyncio.gather(
+                *calls, face.status(), face.say("hello"), return_exceptions=True
+            )
+            return answers
+
+    *settings, status, said = asyncio.run(talk())
+
+    assert [answer["value"] for answer in settings] == [0.0, 0.1, 0.2, 0.3, 0.4]
+    assert status["state"] == "driven"
+    assert isinstance(said, FaceError)
+
+
+def test_a_client_needs_nothing_but_websockets():
+    """Not the rest of lipservo either, so that a small computer starts it at once."""
+    script = (
+        "import sys, lipservo\n"
+        "lipservo.connect(); lipservo.connect_async()\n"
+        "foreign = {name.split('.')[0] for name in sys.modules} - sys.stdlib_module_names\n"
+        "ours = {name for name in sys.modules if name.startswith('lipservo.')}\n"
+        "print(*sorted(foreign & {'numpy', 'lipsync', 'pydantic', 'firmware_bridge', 'typer'}))\n"
+        "print(*sorted(name for name in ours if not name.startswith('lipservo_client')))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+
+    assert done.stdout == "\n\n"

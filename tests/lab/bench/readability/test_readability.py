@@ -1,0 +1,166 @@
+"""`lipservo bench readability` as its callers see it."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from lipservo_lab.bench.motion_figures import BenchError
+from lipservo_lab.bench.readability.readability_figures import (
+    headline,
+    reading_question,
+    reading_rows,
+    with_line_methods,
+)
+from lipservo_lab.bench.readability.reading_models import asked_parts, given_models
+from lipservo_lab.corpus.grid import read_grid
+from lipservo_lab.corpus.utterance import CorpusError
+from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
+from lipservo_lab.learning.motion.face_training import train
+from lipservo_lab.learning.motion.trained_model import save_model
+from lipservo_lab.learning.offline.offline_training import train_offline
+from lipservo_lab.learning.offline.state_training import Recipe
+from small_corpus import write_corpus
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+from lipsync.textgrid import read_tiers, write_tiers
+
+#: The first slot's word says which phone begins the sentence, the second's which one ends it.
+FIRST, SECOND = ("bee", "ah", "tea", "ooh"), ("one", "two")
+#: Sentences with "ooh" are every fourth.
+TEST, LEARNED = ["s0", "s1", "s4", "s5"], {"s2", "s6"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    path = write_corpus(tmp_path_factory.mktemp("readability") / "c", 16)
+    for number in range(16):
+        label = path / "labels" / f"s{number}.TextGrid"
+        tiers = read_tiers(label)
+        words = ((FIRST[number % 4], 0.4, 0.7), (SECOND[number % 2], 0.7, 1.0))
+        write_tiers(label, {**tiers, "words": words})
+    splits = {"folds": [], "random_test": TEST, "new_words": {"A": ["ooh"]}}
+    (path / "splits.json").write_text(json.dumps(splits))
+    return path
+
+
+@pytest.fixture(scope="module")
+def models(folder, tmp_path_factory) -> Path:
+    """One model for all parts: it has learned no sentence of any test."""
+    path = tmp_path_factory.mktemp("models")
+    save_model(train(read_grid(folder).keep(LEARNED)), path / "known.npz")
+    for name in ("a", "words"):
+        shutil.copy(path / "known.npz", path / f"{name}.npz")
+    return path
+
+
+def bench(*arguments: object) -> dict:
+    typed = ["bench", "readability", *map(str, arguments), "--no-robot", "-q"]
+    done = CliRunner().invoke(app, [*typed, "--json"])
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def test_every_method_look_ahead_and_reader_has_a_row_and_the_headline_is_that_of_100_ms(
+    folder, models, tmp_path
+):
+    found = bench("--corpus", folder, "--models", models, "--plots", tmp_path / "p")
+    keys = {"recorded_known", "known_true", "known_recognized"}
+    keys |= {"recorded_new_a", "new_a_true", "new_a_recognized"}
+    assert keys < set(found)
+    assert found["default_strategy"] == "expected"
+    rows = found["results"]
+    # Two splits, two readers; recorded, and two methods at three look-aheads with both phonemes.
+    assert len(rows) == 2 * 2 * (1 + 2 * 3 * 2)
+    for row in rows:
+        assert set(row) >= {"score", "score_95", "shares", "whole_sentences", "gain", "sentences"}
+        assert row["sentences"] == 4
+        assert set(row["shares"]) == ({"slot 1", "slot 2"} if row["split"] == "known" else {"ooh"})
+    (ours,) = (
+        row["score"]
+        for row in rows
+        if (row["split"], row["strategy"], row["phonemes"]) == ("known", "expected", "true")
+        and (row["lookahead_ms"], row["reader"]) == (100, "components")
+    )
+    assert found["known_true"] == ours
+    assert (tmp_path / "p" / "readability.png").is_file()
+
+
+def test_words_may_be_named_and_are_trained_without_where_no_model_is_given(folder):
+    asked = ["--words", "ooh", "--strategy", "mean-face", "--phonemes", "true"]
+    found = bench("--corpus", folder, *asked, "--lookahead-ms", "0")
+    assert [(r["split"], r["strategy"], r["reader"]) for r in found["results"]] == [
+        ("new_words", strategy, reader)
+        for strategy in ("recorded", "mean-face")
+        for reader in ("components", "lips")
+    ]
+    assert set(found) == {
+        *("recorded_new_words", "results", "skipped"),
+        *("default_strategy", "machine", "seconds"),
+    }
+
+
+def test_a_table_is_printed(folder, models):
+    typed = ["--strategy", "mean-face", "--phonemes", "true", "--no-robot", "-q"]
+    done = CliRunner().invoke(
+        app,
+        ["bench", "readability", "--corpus", str(folder), "--models", str(models), *typed],
+    )
+    assert done.exit_code == 0, done.output
+    assert "mean-face" in done.stdout
+    assert "new_a" in done.stdout
+
+
+def test_what_the_robot_shows_is_in_the_headline_as_the_reader_of_lips_reads_it():
+    row = {"split": "known", "phonemes": "recognized", "strategy": "expected"}
+    row |= {"lookahead_ms": 100, "face": "face_sim"}
+    rows = [row | {"reader": r, "score": s} for r, s in (("components", 0.1), ("lips", 0.2))]
+    assert headline(rows) == {"robot_known_recognized": 0.2}
+
+
+def test_methods_of_render_are_read_too(folder, models):
+    corpus = read_grid(folder).labelled()
+    parts = asked_parts(folder, corpus, None)
+    asked = reading_question("heard,mean-face,model-based", "200", "true", robot=False)
+    recipe = Recipe(n_components=3, n_states=10)
+
+    ready = with_line_methods(
+        asked,
+        lambda: OfflineModels(
+            lambda model: train_offline(corpus.keep(set(model.training_sentences)), model, recipe)
+        ),
+    )
+    rows = reading_rows(
+        corpus, parts, given_models(models, parts), ready, lambda _, items: items, print
+    )
+
+    assert [row["strategy"] for row in rows if row["reader"] == "lips"] == 2 * [
+        "recorded", "mean-face", "model-based", "heard"
+    ]  # fmt: skip
+
+
+def test_no_model_is_made_where_no_method_of_render_is_asked_for():
+    asked = reading_question("expected", "0,200", "true", robot=False)
+
+    assert with_line_methods(asked, lambda: pytest.fail("was made")) is asked
+
+
+def test_look_aheads_are_checked_without_a_live_method():
+    with pytest.raises(BenchError, match="0 to 1000 ms"):
+        reading_question("heard", "5000", "true", robot=False)
+
+
+def test_what_cannot_be_asked_says_why(folder, models):
+    with pytest.raises(BenchError, match="unknown strategy 'x'"):
+        reading_question("expected,x", "100", "true", robot=False)
+    with pytest.raises(BenchError, match="unknown phonemes 'heard'"):
+        reading_question("expected", "100", "true,heard", robot=False)
+    corpus = read_grid(folder)
+    with pytest.raises(BenchError, match="--words names no word"):
+        asked_parts(folder, corpus, " , ")
+    with pytest.raises(CorpusError, match="every labelled sentence holds one of these words"):
+        asked_parts(folder, corpus, "one,two")
+    parts = asked_parts(folder, corpus, "tea")
+    with pytest.raises(BenchError, match=r"words.npz: was trained on 2 of the sentences .*\(s2"):
+        given_models(models, parts)

@@ -1,0 +1,49 @@
+"""Closures by what is heard: a worked example, and the bundled clip through its command."""
+
+import json
+
+import numpy as np
+import pytest
+from lipservo_lab.evaluation.motion.measures import closes
+from lipservo_lab.evaluation.recognition.closure_hits import Closure, closure_figures
+from speech import CLIP_LABELS_PATH
+from typer.testing import CliRunner
+
+from lipservo.cli import app
+from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.scripted import read_phonemes
+
+
+def test_a_phone_is_met_where_the_lips_come_near_enough_within_40_ms_of_it():
+    times_s = np.arange(100) / 100
+    gaps_mm = np.where(np.arange(100) == 46, 0.9, 8.0)
+    assert closes(PhonemeEvent("M", 0.50, 0.60), times_s, gaps_mm)
+    assert not closes(PhonemeEvent("M", 0.51, 0.60), times_s, gaps_mm)
+    assert closes(PhonemeEvent("F", 0.50, 0.60), times_s, gaps_mm + 3.6)
+    assert not closes(PhonemeEvent("P", 0.50, 0.60), times_s, gaps_mm + 3.6)
+
+
+def test_lips_alone_and_lip_with_teeth_are_counted_apart():
+    met = [("P", True), ("M", False), ("V", True)]
+    closures = [Closure(PhonemeEvent(p, 0.0, 0.1), was_met) for p, was_met in met]
+    assert closure_figures(closures) == {
+        "closures": 2, "closures_met": 1, "closure_hits": 0.5,
+        "labiodentals": 1, "labiodentals_met": 1, "labiodental_hits": 1.0,
+    }  # fmt: skip
+
+
+def test_the_closures_of_the_bundled_clip_are_those_that_were_spoken():
+    done = CliRunner().invoke(app, ["bench", "closures", "--json", "-q"])
+    assert done.exit_code == 0, done.output
+    figures = json.loads(done.stdout)
+    spoken = [e.phoneme for e in read_phonemes(CLIP_LABELS_PATH)]
+    assert figures["closures"] == sum(p in ("P", "B", "M") for p in spoken)
+    assert figures["labiodentals"] == sum(p in ("F", "V") for p in spoken)
+    assert len(figures["missed"]) == (
+        figures["closures"] + figures["labiodentals"]
+        - figures["closures_met"] - figures["labiodentals_met"]
+    )  # fmt: skip
+    assert figures["closure_hits"] == pytest.approx(figures["closures_met"] / figures["closures"])
+    assert figures["closure_hits"] > 0.6
+    assert 100.0 < figures["fastest_lip_mm_s"] < 500.0
+    assert figures["fast_steps_per_s"] < 0.2  # one in 8 s; there were four in ten
