@@ -9,7 +9,7 @@ from types import FrameType
 INTERRUPTED = 130
 #: Commands that keep up with sound. Their products of matrices are small: shared among threads, as
 #: BLAS would have it, they wait for each other on a busy computer, 56 ms in place of 0.1.
-_KEEP_UP = ("run", "daemon", "replay", "recognize", "bridge-process", "speech-process")
+_KEEP_UP = ("run", "daemon", "replay", "bridge-process", "speech-process")
 _BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
@@ -18,7 +18,7 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # Nothing moves yet and nothing is open: leave at once, without a traceback of imports.
         signal.signal(signal.SIGINT, _leave)
-    if sys.argv[1:2] and sys.argv[1] in _KEEP_UP:
+    if sys.argv[1:2] and (sys.argv[1] in _KEEP_UP or sys.argv[1:3] == ["lines", "recognize"]):
         for name in _BLAS_THREADS:  # read when NumPy is loaded
             os.environ.setdefault(name, "1")
     from lipservo import command_line

@@ -17,7 +17,7 @@ from lipsync.offline.performance_file import SUFFIX as PERFORMANCE_SUFFIX
 from lipsync.offline.performance_file import read_performance
 
 MOST_BYTES: Final = 50_000_000
-#: What libsndfile reads, by the endings that people give it, and what `lipservo render` writes.
+#: What libsndfile reads, by the endings that people give it, and what `lines render` writes.
 SUFFIXES: Final = (".wav", ".flac", ".ogg", ".opus", ".mp3", ".aif", ".aiff", PERFORMANCE_SUFFIX)
 _LONGEST_NAME_BYTES: Final = 200
 _MOST_LISTED: Final = 1000

@@ -39,7 +39,7 @@ class ExpressionSettings(Strict):
 
     eye_contact: share of the time in which the face looks at whoever it speaks with. rest_after_s:
     after so long a silence the servos are let go until somebody speaks. model: learned from tracks
-    (`lipservo train-expression`), a file from the folder of the YAML.
+    (`lipservo learn expression`), a file from the folder of the YAML.
     """
 
     amount: Annotated[float, within(0.0, LIVELIEST)] = 1.0

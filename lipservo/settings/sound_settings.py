@@ -17,7 +17,7 @@ class SoundSettings(Strict):
     """Devices by their names, or parts of them; the command line goes before it.
 
     output, input: None = the system's default. output_offset_ms: by device name or part of it, how
-    much later than the device says sound leaves it; `lipservo calibrate-audio` finds it.
+    much later than the device says sound leaves it; `lipservo calibrate audio` finds it.
     """
 
     output: Text | None = None

@@ -91,7 +91,7 @@ def performed_line(performance: Performance, path: Path, warn: Warn) -> Performe
     if abs(performance.duration_s - sound_s) > _MOST_APART_S:
         raise PerformanceError(
             f"{path}: damaged: faces for {performance.duration_s:.2f} s, sound for {sound_s:.2f} "
-            "s; render it again with `lipservo render`"
+            "s; render it again with `lipservo lines render`"
         )
     return _line(performance, path.name, sounds, sound_s, rate_hz)
 

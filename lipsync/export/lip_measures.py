@@ -89,6 +89,6 @@ def _points(model: FaceModel, landmarks: Sequence[int]) -> list[int]:
     if missing:
         raise MeasureError(
             f"layout {model.layout.name} has no landmark {missing[0]}, which an avatar's mouth is "
-            "measured by; take a model with a shipped layout (`lipservo train --markers 47`)"
+            "measured by; take a model with a shipped layout (`lipservo learn face --markers 47`)"
         )
     return [model.layout.landmarks.index(n) for n in landmarks]

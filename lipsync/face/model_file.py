@@ -32,7 +32,7 @@ SHIPPED_MODEL = "grid_s1"
 #: Thirty times the shipped one, unpacked.
 _MOST_BYTES = 64_000_000
 _ABOUT = "about"
-_TRAIN_AGAIN = "train it again with `lipservo train`"
+_TRAIN_AGAIN = "train it again with `lipservo learn face`"
 
 
 class ModelError(UserError):
@@ -115,7 +115,9 @@ def open_model(path: Path | None = None) -> Iterator[ModelFile]:
         try:
             stream = stack.enter_context(place.open("rb"))
         except FileNotFoundError:
-            remedy = "reinstall lipservo" if path is None else "train one with `lipservo train`"
+            remedy = (
+                "reinstall lipservo" if path is None else "train one with `lipservo learn face`"
+            )
             raise ModelError(f"{name}: no such model file; {remedy}") from None
         except OSError as error:
             raise ModelError(f"{name}: cannot be read: {error.strerror}") from error

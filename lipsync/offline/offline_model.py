@@ -33,5 +33,5 @@ class OfflineModel:
         if face.checksum != self.face_checksum:
             raise OfflineModelError(
                 f"{name}: made for face model {self.face_checksum}, this face is {face.checksum}; "
-                "make one with `lipservo train-offline CORPUS --model FACE -o FILE`"
+                "make one with `lipservo learn offline CORPUS --model FACE -o FILE`"
             )

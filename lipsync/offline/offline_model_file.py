@@ -78,7 +78,7 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
     try:
         file = place.open("rb")
     except FileNotFoundError:
-        remedy = "reinstall lipservo" if path is None else "make one with `lipservo train-offline`"
+        remedy = "reinstall lipservo" if path is None else "make one with `lipservo learn offline`"
         raise OfflineModelError(f"{name}: no such file; {remedy}") from None
     except OSError as error:
         raise OfflineModelError(f"{name}: cannot be read: {error.strerror}") from error
@@ -87,12 +87,12 @@ def load_offline_model(path: Path | None = None) -> OfflineModel:
             about = json.loads(archive[_ABOUT].tobytes())
             if not isinstance(about, dict) or about.get("kind") != _KIND:
                 raise OfflineModelError(
-                    f"{name}: no offline model; make one with `lipservo train-offline`"
+                    f"{name}: no offline model; make one with `lipservo learn offline`"
                 )
             if about["version"] != OFFLINE_VERSION:
                 raise OfflineModelError(
                     f"{name}: offline model version {about['version']}, this lipservo reads "
-                    f"version {OFFLINE_VERSION}; make it again with `lipservo train-offline`"
+                    f"version {OFFLINE_VERSION}; make it again with `lipservo learn offline`"
                 )
             model = _assembled({key: archive[key] for key in archive.names}, about)
         _check(model)

@@ -79,10 +79,10 @@ class Performance:
         if face.checksum != self.face_checksum:
             raise PerformanceError(
                 f"{name}: rendered for face model {self.face_checksum}, this face is "
-                f"{face.checksum}; render it again with `lipservo render --model`"
+                f"{face.checksum}; render it again with `lipservo lines render --model`"
             )
         if self.coefficients.shape[1] != face.n_components:
             raise PerformanceError(
                 f"{name}: damaged: {self.coefficients.shape[1]} coefficients a face, its model has "
-                f"{face.n_components}; render it again with `lipservo render`"
+                f"{face.n_components}; render it again with `lipservo lines render`"
             )

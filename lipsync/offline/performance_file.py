@@ -47,7 +47,7 @@ _CHUNK_BYTES: Final = 1 << 20
 _MOST_DEG = 180.0
 _KIND = "lipservo performance"
 _ABOUT, _SOUND = "about", "sound"
-_RENDER_AGAIN = "render it again with `lipservo render`"
+_RENDER_AGAIN = "render it again with `lipservo lines render`"
 
 
 def write_performance(performance: Performance, path: Path) -> None:
@@ -202,7 +202,9 @@ def _opened(path: Path) -> Iterator[ArrayArchive]:
     try:
         # A pipe in its place would be waited for without end.
         if path.exists() and not path.is_file():
-            raise PerformanceError(f"{path}: is no file; name one that `lipservo render` wrote")
+            raise PerformanceError(
+                f"{path}: is no file; name one that `lipservo lines render` wrote"
+            )
         with path.open("rb") as file, ArrayArchive(file, _MOST_BYTES, _MOST_OF) as archive:
             yield archive
     except PerformanceError:

@@ -1,4 +1,4 @@
-"""Phonemes with times in JSON: rows as neural synthesisers give them, and `lipservo align -o`."""
+"""Phonemes with times in JSON: rows as neural synthesisers give them, and `lines align -o`."""
 
 import unicodedata
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ _PAUSES = frozenset((SILENCE, "sil", "sp", "pau", "", "^", "$"))
 
 
 def is_phone_tiers(document: Row) -> bool:
-    """What `lipservo align -o NAME.json` writes."""
+    """What `lipservo lines align -o NAME.json` writes."""
     return "phones" in document
 
 

@@ -28,7 +28,7 @@ from lipsync.textgrid import LabelError, is_textgrid
 _LARGEST_BYTES = 64 * 2**20
 _KNOWN = (
     "known are: TextGrid, Polly speech marks, Azure viseme events, HeadTTS, "
-    "rows of phoneme with start and end, and phones as `lipservo align -o` writes them"
+    "rows of phoneme with start and end, and phones as `lipservo lines align -o` writes them"
 )
 #: Where a document may hold its rows.
 _ROWS = ("phonemes", "alignments", "visemes", "events", "tokens")

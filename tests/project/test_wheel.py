@@ -156,15 +156,15 @@ def test_the_wheel_alone_runs_the_main_job(alone):
 @pytest.mark.packaging
 def test_the_wheel_alone_hears_without_pocketsphinx(alone, short_clip):
     assert "pocketsphinx" not in alone.python("import sys, lipservo.cli; print(*sys.modules)")
-    assert "SIL" in alone.succeeds("recognize", short_clip)
-    assert "SIL" in alone.succeeds("recognize", short_clip, "--engine", "energy")
+    assert "SIL" in alone.succeeds("lines", "recognize", short_clip)
+    assert "SIL" in alone.succeeds("lines", "recognize", short_clip, "--engine", "energy")
 
 
 @pytest.mark.packaging
 def test_the_wheel_alone_renders_a_line_and_performs_it(alone, short_clip):
     line = alone.folder / "line.perf"
-    alone.succeeds("render", short_clip, "-o", line)
-    told = json.loads(alone.succeeds("perform", line, "--mute", "--json"))
+    alone.succeeds("lines", "render", short_clip, "-o", line)
+    told = json.loads(alone.succeeds("lines", "perform", line, "--mute", "--json"))
     assert told["stop"]["complete"]
 
 
@@ -199,11 +199,19 @@ def test_an_absent_extra_is_one_line_that_names_it(alone, short_clip):
     log = alone.folder / "log.jsonl"
     log.write_text('{"step": 1, "loss": 2.0}\n')
     for extra, arguments in {
-        "align": ("align", short_clip, SAID),
-        "train": ("train-recognizer", alone.folder, "-o", alone.folder / "w.npz"),
-        "plots": ("plot-training", log, "-o", alone.folder / "log.png"),
-        "video": ("import-video", alone.folder, "-o", alone.folder / "corpus"),
-        "offline": ("render", short_clip, "-o", log.with_name("l.perf"), "--method", "model-based"),
+        "align": ("lines", "align", short_clip, SAID),
+        "train": ("learn", "recognizer", alone.folder, "-o", alone.folder / "w.npz"),
+        "plots": ("learn", "plot", log, "-o", alone.folder / "log.png"),
+        "video": ("learn", "import-video", alone.folder, "-o", alone.folder / "corpus"),
+        "offline": (
+            "lines",
+            "render",
+            short_clip,
+            "-o",
+            log.with_name("l.perf"),
+            "--method",
+            "model-based",
+        ),
     }.items():
         done = alone.lipservo(*arguments)
         (line,) = done.stderr.splitlines()
@@ -216,9 +224,11 @@ def test_an_absent_extra_is_one_line_that_names_it(alone, short_clip):
 def test_with_its_extra_align_finds_words_and_guesses_others(alone, wheel, short_clip):
     """Last, for it changes the environment."""
     alone.install(f"{wheel}[align]")
-    assert "HH" in alone.succeeds("align", short_clip, SAID)
+    assert "HH" in alone.succeeds("lines", "align", short_clip, SAID)
     said = (ROOT / "lipservo" / "clips" / "welcome.txt").read_text()
     told = json.loads(
-        alone.succeeds("align", ROOT / "lipservo" / "clips" / "welcome.flac", said, "--json")
+        alone.succeeds(
+            "lines", "align", ROOT / "lipservo" / "clips" / "welcome.flac", said, "--json"
+        )
     )
     assert told["guessed"] == ["lipservo"]

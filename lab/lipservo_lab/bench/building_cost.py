@@ -26,7 +26,7 @@ _BYTES_OF_PEAK = 1 if sys.platform == "darwin" else 1024
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """build_s: by the clock, as `lipservo train-offline` takes, reading and listening included.
+    """build_s: by the clock, as `lipservo learn offline` takes, reading and listening included.
 
     build_processor_s: of all its threads. build_mb: peak resident memory, 10^6 bytes.
     """
@@ -44,7 +44,7 @@ def building_cost(folder: Path, model: TrainedModel, *, skip_bad: bool) -> Cost:
     with tempfile.TemporaryDirectory() as place:
         face, made = Path(place) / "face.npz", Path(place) / "offline.npz"
         save_model(model, face)
-        train = [sys.executable, "-m", "lipservo", "train-offline", str(folder), "--quiet"]
+        train = [sys.executable, "-m", "lipservo", "learn", "offline", str(folder), "--quiet"]
         train += ["--model", str(face), "--output", str(made)]
         return cost_of([*train, "--skip-bad"] if skip_bad else train)
 

@@ -8,7 +8,7 @@ class ClipReport:
     """One clip, or one part of a long one.
 
     left_out: why a corpus has nothing of it; None where it has. notes: what was put right or is
-    doubtful. phonemes: `text` or `recognised`. text_score: as `lipservo align` has it.
+    doubtful. phonemes: `text` or `recognised`. text_score: as `lipservo lines align` has it.
     shift_ms: how much later than the picture the sound was found; corrected_ms: by how much it was
     put right. gap_r: correlation of the lip gap that is seen with the one that the shipped model
     expects of the sound, after the correction. Angles: the head's, medians over the pictures.

@@ -17,7 +17,9 @@ def invoke(*arguments):
 
 def test_the_methods_of_render_are_scored_with_a_model_of_the_same_sentences(tmp_path):
     corpus, face = write_corpus(tmp_path / "corpus", 8), tmp_path / "face.npz"
-    invoke("train", corpus, "-o", face, "--phonemes", "true", "--components", 4, "--json", "-q")
+    invoke(
+        "learn", "face", corpus, "-o", face, "--phonemes", "true", "--components", 4, "--json", "-q"
+    )
 
     answer = invoke(
         "bench", "motion", "--corpus", corpus, "--model", face, "--strategy", "catmull-rom",

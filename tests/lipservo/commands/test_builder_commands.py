@@ -40,7 +40,7 @@ def test_doctor_finds_a_healthy_face_healthy(port):
 def test_jog_and_neutral_move_through_the_gate(port):
     done = lipservo("jog", "jaw", "5", "--port", port, "--hold-s", "0.3")
     assert done.stdout.strip() == "jaw stands at 5.0 deg", done.stderr
-    done = lipservo("neutral", "--port", port)
+    done = lipservo("calibrate", "neutral", "--port", port)
     assert "jaw stands at 0.0 deg" in done.stdout, done.stderr
 
 

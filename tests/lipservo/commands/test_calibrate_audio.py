@@ -22,7 +22,7 @@ def _measured(monkeypatch):
 
 
 def calibrate(*arguments):
-    return CliRunner().invoke(app, ["calibrate-audio", *map(str, arguments)])
+    return CliRunner().invoke(app, ["calibrate", "audio", *map(str, arguments)])
 
 
 @pytest.mark.usefixtures("_measured")

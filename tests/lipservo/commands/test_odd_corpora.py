@@ -39,7 +39,7 @@ def trained(lipservo, tmp_path):
 
     def run(folder: Path) -> Path:
         path = tmp_path / f"{folder.name}.npz"
-        status, _, said = lipservo("train", folder, "-o", path, "-q")
+        status, _, said = lipservo("learn", "face", folder, "-o", path, "-q")
         assert status == 0, said
         return path
 
@@ -52,7 +52,7 @@ def refused(lipservo, tmp_path):
 
     def run(folder: Path) -> str:
         path = tmp_path / "refused.npz"
-        status, _, said = lipservo("train", folder, "-o", path, "-q")
+        status, _, said = lipservo("learn", "face", folder, "-o", path, "-q")
         assert status == 1
         assert not list(tmp_path.glob("refused*"))
         return said
@@ -142,7 +142,9 @@ def test_frames_without_a_face_are_named_or_left_out_with_their_sentence(
     np.savez(path, landmarks_64th_px=points)
     assert said in refused(folder)
     model = tmp_path / "m.npz"
-    status, printed, _ = lipservo("train", folder, "-o", model, "--skip-bad", "--json", "-q")
+    status, printed, _ = lipservo(
+        "learn", "face", folder, "-o", model, "--skip-bad", "--json", "-q"
+    )
     assert status == 0
     assert json.loads(printed)["skipped"] == 1
     status, printed, said_again = lipservo(

@@ -205,7 +205,7 @@ def test_wav_and_mic_together_are_refused():
 def test_train_writes_a_model_that_a_calibration_and_a_replay_accept(tmp_path, short_clip):
     folder = write_corpus(tmp_path / "corpus", 8)
     model = tmp_path / "model.npz"
-    done = lipservo("train", folder, "-o", model, "--json")
+    done = lipservo("learn", "face", folder, "-o", model, "--json")
     assert done.returncode == 0, done.stderr
     figures = json.loads(done.stdout)
     assert figures["sentences"] == 8
@@ -225,11 +225,11 @@ def test_train_names_the_bad_file_and_goes_on_with_skip_bad(tmp_path):
     folder = write_corpus(tmp_path / "corpus", 4)
     (folder / "audio" / "s2.flac").unlink()
     model = tmp_path / "model.npz"
-    done = lipservo("train", folder, "-o", model)
+    done = lipservo("learn", "face", folder, "-o", model)
     assert done.returncode == 1
     assert "s2.flac" in done.stderr
     assert not model.exists()
-    done = lipservo("train", folder, "-o", model, "--skip-bad", "--json")
+    done = lipservo("learn", "face", folder, "-o", model, "--skip-bad", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["skipped"] == 1
 

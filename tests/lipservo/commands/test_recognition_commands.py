@@ -29,7 +29,7 @@ def lipservo(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def test_recognize_tells_the_whole_sound_once_in_order(tmp_path):
     grid = tmp_path / "clip.TextGrid"
-    done = lipservo("recognize", CLIP_PATH, "--json", "-o", grid)
+    done = lipservo("lines", "recognize", CLIP_PATH, "--json", "-o", grid)
     assert done.returncode == 0, done.stderr
     events = [json.loads(line) for line in done.stdout.splitlines()]
     assert events[0]["start_s"] == 0.0
@@ -47,11 +47,11 @@ def refused(*arguments: object) -> str:
     return line
 
 
-@pytest.mark.parametrize("command", ["recognize", "replay"])
+@pytest.mark.parametrize("command", ["lines recognize", "replay"])
 def test_weights_that_were_asked_for_and_are_damaged_are_refused(tmp_path, command):
     damaged = tmp_path / "damaged.npz"
     damaged.write_bytes(b"no weights")
-    said = refused(command, CLIP_PATH, "--weights", damaged)
+    said = refused(*command.split(), CLIP_PATH, "--weights", damaged)
     assert f"{damaged}: damaged or no weights file" in said
 
 
@@ -70,29 +70,29 @@ def test_a_file_cut_short_is_named_once_and_played_all_the_same(tmp_path):
     cut = tmp_path / "cut.wav"
     soundfile.write(cut, soundfile.read(CLIP_PATH)[0][:64_000], 16_000)
     cut.write_bytes(cut.read_bytes()[: 44 + 2 * 22_400])
-    for command in ("recognize", "replay"):
-        done = lipservo(command, cut, "--json")
+    for command in ("lines recognize", "replay"):
+        done = lipservo(*command.split(), cut, "--json")
         assert done.returncode == 0, done.stderr
         assert done.stderr.count("cut short: its header promises 4.00 s, the file holds 1.40") == 1
 
 
 def test_phones_are_written_as_the_ending_says(tmp_path):
     path = tmp_path / "clip.json"
-    done = lipservo("recognize", CLIP_PATH, "--json", "-o", path)
+    done = lipservo("lines", "recognize", CLIP_PATH, "--json", "-o", path)
     assert done.returncode == 0, done.stderr
     told = [list(json.loads(line).values()) for line in done.stdout.splitlines()]
     assert json.loads(path.read_text()) == {"phones": told}
     assert "name it .TextGrid (Praat) or .json" in refused(
-        "recognize", CLIP_PATH, "-o", tmp_path / "clip.txt"
+        "lines", "recognize", CLIP_PATH, "-o", tmp_path / "clip.txt"
     )
     assert "name it .TextGrid (Praat) or .json" in refused(
-        "align", CLIP_PATH, "hello", "-o", tmp_path / "clip"
+        "lines", "align", CLIP_PATH, "hello", "-o", tmp_path / "clip"
     )
     assert os.listdir(tmp_path) == ["clip.json"]
 
 
 def test_recognize_prints_columns_for_people():
-    done = lipservo("recognize", CLIP_PATH, "--engine", "energy")
+    done = lipservo("lines", "recognize", CLIP_PATH, "--engine", "energy")
     assert done.returncode == 0, done.stderr
     start_s, end_s, phoneme = done.stdout.splitlines()[0].split()
     assert (float(start_s), phoneme) == (0.0, "SIL")
@@ -101,7 +101,7 @@ def test_recognize_prints_columns_for_people():
 
 def test_align_writes_words_and_phones(tmp_path):
     grid = tmp_path / "clip.TextGrid"
-    done = lipservo("align", CLIP_PATH, CLIP_TEXT, "-o", grid, "--json")
+    done = lipservo("lines", "align", CLIP_PATH, CLIP_TEXT, "-o", grid, "--json")
     assert done.returncode == 0, done.stderr
     words = [label for label, _, _ in read_tier(grid, "words") if label]
     assert words == words_of(CLIP_TEXT)
@@ -116,7 +116,7 @@ def test_align_writes_words_and_phones(tmp_path):
     [("hello 12", "word '12' has no pronunciation"), ("...", "the text holds no words")],
 )
 def test_align_explains_a_text_that_cannot_be_aligned(text, said):
-    done = lipservo("align", CLIP_PATH, text)
+    done = lipservo("lines", "align", CLIP_PATH, text)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert said in line
@@ -126,14 +126,16 @@ def test_align_refuses_a_text_that_was_not_said(tmp_path):
     """Pocketsphinx finds a way through this one."""
     other = "the quick brown fox jumps over the lazy dog and then goes home to sleep a while"
     grid = tmp_path / "clip.TextGrid"
-    assert "this text is not what is said there" in refused("align", CLIP_PATH, other, "-o", grid)
+    assert "this text is not what is said there" in refused(
+        "lines", "align", CLIP_PATH, other, "-o", grid
+    )
     assert not grid.exists()
 
 
 def test_align_doubts_a_text_with_a_part_that_was_not_said():
     less = CLIP_TEXT.replace("maple, fever, five", "")
     assert less != CLIP_TEXT
-    done = lipservo("align", CLIP_PATH, less, "--json")
+    done = lipservo("lines", "align", CLIP_PATH, less, "--json")
     assert done.returncode == 0, done.stderr
     assert "the text fits badly" in done.stderr
     assert -3.5 <= json.loads(done.stdout)["score"] < -1.5
@@ -156,7 +158,7 @@ def test_align_tells_which_transcripts_of_a_folder_were_not_said(corpus):
     lines = (corpus / "transcripts.txt").read_text().splitlines()
     lines[1] = f"4-1-0000 {'BUY MY BIG BROWN PIE ' * 5}"
     (corpus / "transcripts.txt").write_text("\n".join(lines[:2]))
-    done = lipservo("align", corpus, "-o", corpus / "a.jsonl", "--json")
+    done = lipservo("lines", "align-folder", corpus, "-o", corpus / "a.jsonl", "--json")
     assert done.returncode == 0, done.stderr
     told = json.loads(done.stdout)
     assert told["utterances"] == 2
@@ -243,11 +245,11 @@ def test_a_run_log_becomes_a_picture(tmp_path):
     log.write_text(
         '{"step": 50, "loss": 2.0}\n{"step": 100, "loss": 1.5, "clean_delay7_viseme_all": 0.7}\n'
     )
-    done = lipservo("plot-training", log, "-o", tmp_path / "log.png")
+    done = lipservo("learn", "plot", log, "-o", tmp_path / "log.png")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
     log.write_text('{"step": 50}\n')
-    done = lipservo("plot-training", log, "-o", tmp_path / "log.png")
+    done = lipservo("learn", "plot", log, "-o", tmp_path / "log.png")
     assert done.returncode == 1
     assert "every line must hold a step and a loss" in done.stderr
 
@@ -276,8 +278,8 @@ def test_a_face_hears_where_pocketsphinx_is_not_installed():
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("align", CLIP_PATH, CLIP_TEXT),
-        ("render", CLIP_PATH, "--text", CLIP_TEXT, "-o", "line.perf"),
+        ("lines", "align", CLIP_PATH, CLIP_TEXT),
+        ("lines", "render", CLIP_PATH, "--text", CLIP_TEXT, "-o", "line.perf"),
         ("bench", "languages", "--engine", "pocketsphinx"),
     ],
 )

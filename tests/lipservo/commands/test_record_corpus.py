@@ -18,7 +18,7 @@ CAMERA = "lavfi:testsrc=size=64x48:rate=30"
 
 
 def record_corpus(*arguments):
-    return CliRunner().invoke(app, ["record-corpus", *map(str, arguments)])
+    return CliRunner().invoke(app, ["learn", "record", *map(str, arguments)])
 
 
 def test_the_list_is_printed_without_any_device():
@@ -54,7 +54,8 @@ def test_bad_input_is_refused_in_one_line(tmp_path, monkeypatch, arguments, comp
 def test_a_signal_in_a_take_leaves_nothing_half(tmp_path, number):
     process = subprocess.Popen(
         [
-            sys.executable, SUPPORT / "delivering_card.py", "record-corpus", "-o", tmp_path / "me",
+            sys.executable, SUPPORT / "delivering_card.py", "learn", "record",
+            "-o", tmp_path / "me",
             "--camera", CAMERA, "--json",
         ],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=ROOT, text=True,

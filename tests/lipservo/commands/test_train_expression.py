@@ -12,7 +12,7 @@ from lipsync.expression.cue import ExpressionCue
 
 
 def invoke(*arguments):
-    return CliRunner().invoke(app, ["train-expression", *map(str, arguments)])
+    return CliRunner().invoke(app, ["learn", "expression", *map(str, arguments)])
 
 
 @pytest.fixture(scope="module")

@@ -36,8 +36,8 @@ def test_the_papers_own_model_is_trained_calibrated_and_plays(corpus, tmp_path):
     """Five components of 39 markers, from the recordings to the servo of a jaw."""
     path, calibration = tmp_path / "paper.npz", tmp_path / "face_jaw.calibration.yaml"
     made = lipservo(
-        "train", corpus, "-o", path, "--components", 5, "--markers", 39, "--phonemes", "true",
-        "--json",
+        "learn", "face", corpus, "-o", path, "--components", 5, "--markers", 39, "--phonemes",
+        "true", "--json",
     )  # fmt: skip
     assert made.exit_code == 0, made.output
     said = json.loads(made.stdout)
@@ -68,7 +68,9 @@ def test_the_papers_own_model_is_trained_calibrated_and_plays(corpus, tmp_path):
 @pytest.mark.parametrize("n_components", [1, 3, 12])
 def test_a_model_of_any_number_of_components_closes_the_lips(corpus, tmp_path, n_components):
     path = tmp_path / "m.npz"
-    made = lipservo("train", corpus, "-o", path, "--components", n_components, "--phonemes", "true")
+    made = lipservo(
+        "learn", "face", corpus, "-o", path, "--components", n_components, "--phonemes", "true"
+    )
     assert made.exit_code == 0, made.output
     model = load_trained_model(path)
     assert model.n_components == n_components
@@ -87,7 +89,7 @@ def test_a_mesh_given_by_a_file_is_learned_and_scored(corpus, tmp_path):
     points["groups"]["skin"] = [10, 6, 168]
     layout, path = tmp_path / "mesh.json", tmp_path / "m.npz"
     layout.write_text(json.dumps(points))
-    made = lipservo("train", corpus, "-o", path, "--markers", layout, "--phonemes", "true")
+    made = lipservo("learn", "face", corpus, "-o", path, "--markers", layout, "--phonemes", "true")
     assert made.exit_code == 0, made.output
     assert load_trained_model(path).mean_mm.shape == (50, 3)
     scored = lipservo(
@@ -115,7 +117,9 @@ def test_a_mesh_given_by_a_file_is_learned_and_scored(corpus, tmp_path):
 def test_what_cannot_be_trained_is_refused_in_one_line(corpus, tmp_path, arguments, said):
     if arguments == ("--components", 141):
         corpus = write_corpus(tmp_path / "short", 1)
-    done = lipservo("train", corpus, "-o", tmp_path / "m.npz", *arguments, "--phonemes", "true")
+    done = lipservo(
+        "learn", "face", corpus, "-o", tmp_path / "m.npz", *arguments, "--phonemes", "true"
+    )
     assert done.exit_code == 1
     assert said in str(done.exception)
     assert "\n" not in str(done.exception)

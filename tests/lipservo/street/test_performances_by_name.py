@@ -77,9 +77,9 @@ def test_performances_are_played_by_name_refused_in_one_line_and_cut_off(tmp_pat
         face.interrupt()
         wait_for(lambda: face.status()["speaking"] is None)
 
-        done = run("perform", "long.perf", "--through", url, "--json")
+        done = run("lines", "perform", "long.perf", "--through", url, "--json")
         assert json.loads(done.stdout)["stream"] == "long.perf"
-        done = run("perform", "none.perf", "--through", url)
+        done = run("lines", "perform", "none.perf", "--through", url)
         assert done.returncode != 0
         assert len(done.stderr.splitlines()) == 1
         for _ in range(7):
@@ -112,7 +112,7 @@ def test_a_daemon_at_a_port_that_performs_ends_limp_whatever_happens(tmp_path, m
         # What it said is not taken up; it performs again when it is asked.
         wait_for(lambda: status(process).get("speaking") is None)
         perform_and_wait(process)
-        second = run("perform", line, "--config", "face_sim", "--port", port, "--mute")
+        second = run("lines", "perform", line, "--config", "face_sim", "--port", port, "--mute")
         assert second.returncode != 0
         assert "Traceback" not in second.stderr
         assert status(process)["speaking"] == "long.perf"

@@ -160,7 +160,7 @@ def test_calibrate_audio_finds_the_delay_of_the_sink_and_writes_it(sink, tmp_pat
     """The sink says itself how late it is: next to nothing is left."""
     face = tmp_path / "face.yaml"
     face.write_text(FACE)
-    command = [sys.executable, "-m", "lipservo", "calibrate-audio", "--config", face, "--json"]
+    command = [sys.executable, "-m", "lipservo", "calibrate", "audio", "--config", face, "--json"]
     done = subprocess.run(
         command, cwd=ROOT, env=sink.environment, capture_output=True, text=True, check=False
     )

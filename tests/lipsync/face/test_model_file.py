@@ -85,7 +85,7 @@ def test_a_part_that_is_not_there_is_named_with_the_command_that_makes_it(shippe
             archive.writestr(name, content)
     face = load_face(path)
     make_synthesizer(face, MotionOptions(), path)
-    with pytest.raises(ModelError, match=r"holds no part 'animphos'; .*`lipservo train`"):
+    with pytest.raises(ModelError, match=r"holds no part 'animphos'; .*`lipservo learn face`"):
         make_synthesizer(face, MotionOptions(strategy="priority"), path)
 
 
@@ -122,6 +122,8 @@ def test_a_file_of_version_3_is_the_same_model_and_plays(shipped, sound, tmp_pat
 def test_older_files_are_refused_with_the_command_that_makes_them_anew(shipped, tmp_path, version):
     path = tmp_path / "old.npz"
     write_former_model(shipped, path, version)
-    with pytest.raises(UserError, match=rf"model version {version}, .*`lipservo train`") as refused:
+    with pytest.raises(
+        UserError, match=rf"model version {version}, .*`lipservo learn face`"
+    ) as refused:
         load_face(path)
     assert "\n" not in str(refused.value)

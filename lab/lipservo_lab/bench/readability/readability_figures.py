@@ -61,7 +61,7 @@ HEADLINE_LOOKAHEAD_MS = round(DEFAULT_LOOKAHEAD_S * 1e3)
 class ReadingQuestion:
     """What is to be read: whose motion, with which phonemes, and whether the robot plays it too.
 
-    line_methods: those of `lipservo render`, which need models of their own.
+    line_methods: those of `lipservo lines render`, which need models of their own.
     """
 
     methods: tuple[Method, ...]

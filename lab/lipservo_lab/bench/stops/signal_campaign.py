@@ -269,7 +269,7 @@ def _judge_killed(
     if case.then == "limp":
         after = robot.start("limp", "--port", str(robot.port))
     else:
-        after = robot.start("neutral", "--config", FACE, "--port", str(robot.port))
+        after = robot.start("calibrate", "neutral", "--config", FACE, "--port", str(robot.port))
     robot.look_until(lambda: after.poll() is not None, _WORKS_S)
     if after.poll() != 0:
         outcome.broken.append(f"`{case.then}` ended with {after.poll()}: {robot.last_said[-300:]}")

@@ -119,7 +119,7 @@ def _performance(robot: RobotAtPort) -> Path:
 
 
 def _perform(robot: RobotAtPort) -> list[str]:
-    return _at_port("perform", str(_performance(robot)), "--mute")(robot)
+    return _at_port("lines", "perform", str(_performance(robot)), "--mute")(robot)
 
 
 def _write_performance(robot: RobotAtPort) -> None:
@@ -145,7 +145,7 @@ COMMANDS: Final = {
         Command("say", _at_port("say", "--mute", _LONG_TEXT)),
         Command("perform", _perform, _write_performance),
         Command("jog", _at_port("jog", "jaw", "10", "--hold-s", "30")),
-        Command("neutral", _at_port("neutral"), _stand_away),
+        Command("neutral", _at_port("calibrate", "neutral"), _stand_away),
         Command("new-face", _new_face, _without_current_limits, answers="jaw\nopens\ny\n"),
         Command("calibrate-typed", _calibrate_at_port("measure", "--tracker", "typed")),
         Command("calibrate-guided", _calibrate_at_port("guided")),

@@ -82,7 +82,7 @@ def motion(
         bool,
         typer.Option(
             "--offline",
-            help="Score the methods of `lipservo render` too: the published one and ours.",
+            help="Score the methods of `lipservo lines render` too: the published one and ours.",
         ),
     ] = False,
     plots: Annotated[

@@ -17,7 +17,7 @@ Limit = Annotated[
     int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
 ]
 Cache = Annotated[
-    Path | None, typer.Option(help="File of alignments, as `lipservo align` writes it.")
+    Path | None, typer.Option(help="File of alignments, as `lipservo lines align` writes it.")
 ]
 _Item = TypeVar("_Item")
 

@@ -64,7 +64,7 @@ def adapt(
     Every fifth sentence is not learned from but graded on; weights that do not hear the voice
     better are refused. Needs the extra `train` (torch). Use them with `run --weights my.npz`.
     """
-    check_extra("torch", "adapt")
+    check_extra("torch", "learn adapt")
     from lipservo_lab.corpus.transcribed import read_transcribed
     from lipservo_lab.evaluation.recognition.settled_score import settled_score
     from lipservo_lab.learning.adaptation.voice import VoiceError, only_speaker, read_voice

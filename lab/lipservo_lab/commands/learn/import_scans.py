@@ -53,7 +53,7 @@ def import_scans(
     NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt says what is said, else
     it is recognised; NAME.markers.csv tells named points. docs/own-face.md says more.
     """
-    check_extra("trimesh", "import-scans")
+    check_extra("trimesh", "learn import-scans")
     check_extra("matplotlib", "the picture sheet of import-scans")
     from lipservo.terminal.pictures import check_picture
     from lipservo_lab.output_folder import check_output_folder
@@ -190,7 +190,7 @@ def _about(
 
 
 def _in_words(output: Path, picture: Path, about: dict[str, Any], *, is_corpus: bool) -> str:
-    then = f", then `lipservo train {output} -o face.npz`" if is_corpus else ""
+    then = f", then `lipservo learn face {output} -o face.npz`" if is_corpus else ""
     return (
         f"{output}: {about['used_scans']} scans of {about['used_takes']} takes on "
         f"{about['points']} points, {about['left_out_scans']} left out; {about['error_mm']:.2f} mm "

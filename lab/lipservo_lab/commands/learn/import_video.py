@@ -35,7 +35,7 @@ def import_video(
     from lipsync.video.tracking.trackers import open_tracker
 
     began_s = time.perf_counter()
-    check_extra("av", "import-video")
+    check_extra("av", "learn import-video")
     check_extra("matplotlib", "the picture sheet of import-video")
     check_corpus_folder(output)
     clips = find_clips(source)
@@ -83,5 +83,5 @@ def _in_words(output: Path, about: dict[str, Any], seconds: float) -> str:
         f"{about['frame_rate_hz']:g} pictures a second, {about['left_out']} left out{texts}; sound "
         f"{about['median_shift_ms']:+d} ms from the picture (median); tracked by "
         f"{about['tracker']}; {seconds:.0f} s; look at {output / 'faces.png'}, then "
-        f"`lipservo train {output} -o face.npz`"
+        f"`lipservo learn face {output} -o face.npz`"
     )

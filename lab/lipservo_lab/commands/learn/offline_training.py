@@ -45,7 +45,7 @@ def train_offline(
 ) -> None:
     """Learn what `render` needs beside a face model: states and units, and what sound tells.
 
-    CORPUS is a folder as `lipservo train` takes it; give the face model that was made of it.
+    CORPUS is a folder as `lipservo learn face` takes it; give the face model that was made of it.
     """
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.learning.offline.offline_training import train_offline as train_model

@@ -94,7 +94,7 @@ def train_recognizer(
     quiet: Quiet = False,
 ) -> None:
     """Learn the recogniser's weights (needs the extra `train`: torch)."""
-    check_extra("torch", "train-recognizer")
+    check_extra("torch", "learn recognizer")
     from lipservo_lab.corpus.transcribed import read_names
     from lipservo_lab.learning.recognition.training_plan import TrainingPlan
     from lipservo_lab.learning.recognition.training_run import TrainingRun, run_training

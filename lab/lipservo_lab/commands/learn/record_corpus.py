@@ -56,8 +56,8 @@ def record_corpus(
 ) -> None:
     """Record yourself reading sentences, with camera and microphone.
 
-    Each sentence becomes NAME.mkv, NAME.wav and NAME.txt, which `lipservo import-video` reads:
-    docs/own-face.md, "Record yourself". Space begins and ends a take; nothing is kept half.
+    Each sentence becomes NAME.mkv, NAME.wav and NAME.txt, which `lipservo learn import-video`
+    reads: docs/own-face.md, "Record yourself". Space begins and ends a take; nothing is kept half.
     """
     from lipservo_lab.recording.sentence_list import (
         read_sentences,
@@ -124,7 +124,7 @@ def record_corpus(
         RESULTS.print(
             f"{output}: {len(there)} of {len(asked)} sentences recorded; "
             + (
-                f"`lipservo import-video {output} -o CORPUS` goes on"
+                f"`lipservo learn import-video {output} -o CORPUS` goes on"
                 if len(there) == len(asked)
                 else "the same command goes on with the rest"
             ),

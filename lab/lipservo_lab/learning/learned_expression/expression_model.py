@@ -89,7 +89,7 @@ def load_expression(path: Path) -> ExpressionModel:
             arrays = arrays_of(file, _MOST_BYTES)
     except FileNotFoundError:
         raise ExpressionModelError(
-            f"{path}: no such file; make one with `lipservo train-expression`"
+            f"{path}: no such file; make one with `lipservo learn expression`"
         ) from None
     except UNREADABLE as error:
         raise ExpressionModelError(

@@ -22,7 +22,7 @@ class TrainingError(UserError):
 
 @dataclass(frozen=True, slots=True)
 class TrainingPlan:
-    """How to learn; the defaults are those of `lipservo train-recognizer`.
+    """How to learn; the defaults are those of `lipservo learn recognizer`.
 
     closure_weight: of a frame of P B M or F V in the loss of the viseme classes. A closure that is
     missed is seen by everybody, one too many by few, so missing one costs more.

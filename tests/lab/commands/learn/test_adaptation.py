@@ -1,4 +1,4 @@
-"""`lipservo adapt`, as it is typed: weights that hear a voice better, or one line and no file."""
+"""`learn adapt`, as it is typed: weights that hear a voice better, or one line and no file."""
 
 import json
 import shutil
@@ -47,7 +47,9 @@ def adapt(tmp_path):
 
     def run(folder, *options, output=written):
         given = ("--weights", str(small), "--copies", "0", "--jobs", "1", "-q", *options)
-        return CliRunner().invoke(app, ["adapt", str(folder), "-o", str(output), *given]), written
+        return CliRunner().invoke(
+            app, ["learn", "adapt", str(folder), "-o", str(output), *given]
+        ), written
 
     return run
 
@@ -74,7 +76,7 @@ def test_weights_that_hear_the_voice_better_are_written_and_can_be_used(adapt, v
         provenance = json.loads(str(file["provenance"]))
     assert (provenance["voice"], provenance["steps"]) == ("voice", 40)
     heard = CliRunner().invoke(
-        app, ["recognize", str(CLIP_PATH), "--weights", str(written), "--json"]
+        app, ["lines", "recognize", str(CLIP_PATH), "--weights", str(written), "--json"]
     )
     assert heard.exit_code == 0
 

@@ -1,4 +1,4 @@
-"""`lipservo import-scans` as it is typed: what it prints, writes, and refuses."""
+"""`lipservo learn import-scans` as it is typed: what it prints, writes, and refuses."""
 
 import json
 import re
@@ -52,7 +52,7 @@ def write_folder(folder, points=TEMPLATE.vertices_mm, n=3):
 def refused(capsys, tmp_path, *arguments):
     """The one line that says why; nothing is left behind."""
     before = sorted(tmp_path.rglob("*"))
-    status, out, err = lipservo(capsys, "import-scans", *arguments, "--quiet")
+    status, out, err = lipservo(capsys, "learn", "import-scans", *arguments, "--quiet")
     assert status != 0
     assert out == ""
     assert sorted(tmp_path.rglob("*")) == before
@@ -140,7 +140,7 @@ def test_unregistered_scans_become_a_corpus_and_lost_ones_are_bridged(tmp_path, 
     (folder / "take.TextGrid").write_text(text_grid([("SIL", 0.2), ("AA", 0.1), ("SIL", 0.2)]))
 
     status, out, err = lipservo(
-        capsys, "import-scans", folder, "-o", corpus, "--rate-hz", 10, "--json", "--quiet"
+        capsys, "learn", "import-scans", folder, "-o", corpus, "--rate-hz", 10, "--json", "--quiet"
     )
 
     assert status == 0, err

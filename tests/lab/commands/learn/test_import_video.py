@@ -1,4 +1,4 @@
-"""`lipservo import-video` as it is typed: what it prints, writes, and refuses."""
+"""`lipservo learn import-video` as it is typed: what it prints, writes, and refuses."""
 
 import json
 
@@ -33,7 +33,7 @@ def test_a_folder_becomes_a_corpus_with_a_picture_sheet(tmp_path, capsys):
     clips.mkdir()
     write_clip(clips / "good.mkv")
     write_pictures(clips / "nobody.mkv")
-    status, out, err = lipservo(capsys, "import-video", clips, "-o", corpus, "-q")
+    status, out, err = lipservo(capsys, "learn", "import-video", clips, "-o", corpus, "-q")
     assert status == 0
     assert "1 clips, 0.1 minutes at 25 pictures a second, 1 left out; 1 without text" in out
     assert "left out: nobody: no face in any picture" in err
@@ -44,7 +44,9 @@ def test_a_folder_becomes_a_corpus_with_a_picture_sheet(tmp_path, capsys):
 
 def test_where_nothing_is_usable_the_status_is_not_0_and_nothing_is_written(tmp_path, capsys):
     clip = write_pictures(tmp_path / "nobody.mkv")
-    status, _, err = lipservo(capsys, "import-video", clip, "-o", tmp_path / "corpus", "-q")
+    status, _, err = lipservo(
+        capsys, "learn", "import-video", clip, "-o", tmp_path / "corpus", "-q"
+    )
     assert status == 1
     assert "no clip can be used: nobody: no face in any picture" in err
     assert [path.name for path in tmp_path.iterdir()] == ["nobody.mkv"]

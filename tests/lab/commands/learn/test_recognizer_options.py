@@ -23,7 +23,7 @@ def test_bad_input_is_refused_in_one_line_and_nothing_is_written(tmp_path, optio
     done = CliRunner().invoke(
         app,
         [
-            *("train-recognizer", str(tmp_path), "-o", str(tmp_path / "my.npz")),
+            *("learn", "recognizer", str(tmp_path), "-o", str(tmp_path / "my.npz")),
             *("--folder", str(tmp_path / "run"), "-q", *given),
         ],
     )

@@ -175,7 +175,7 @@ def test_the_command_joins_folders(tmp_path):
     model, arguments = tmp_path / "m.npz", ["--phonemes", "true", "--json", "-q"]
     done = CliRunner().invoke(
         app,
-        ["train", str(one), str(two), "-o", str(model), "--weight", "two=0.5", *arguments],
+        ["learn", "face", str(one), str(two), "-o", str(model), "--weight", "two=0.5", *arguments],
     )
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
@@ -188,7 +188,8 @@ def test_the_command_joins_folders(tmp_path):
     assert len(seen_in_training(trained, read_grid(one).utterances)) == 6
     for wrong in ("two", "two=much", "=2"):
         refused = CliRunner().invoke(
-            app, ["train", str(one), str(two), "-o", str(model), "--weight", wrong, *arguments]
+            app,
+            ["learn", "face", str(one), str(two), "-o", str(model), "--weight", wrong, *arguments],
         )
         assert refused.exit_code == 2
         assert "write NAME=W" in refused.output + str(refused.exception)

@@ -42,7 +42,7 @@ def invoke(*arguments):
 
 
 def refusal(*arguments):
-    done = invoke("perform", "--mute", *arguments)
+    done = invoke("lines", "perform", "--mute", *arguments)
     assert done.exit_code != 0
     assert done.stdout == ""
     text = str(done.exception)
@@ -88,7 +88,7 @@ def stored(values, at_s):
 
 def test_the_motion_sent_is_that_of_the_file(written, tmp_path):
     path, trace = written(), tmp_path / "trace"
-    done = invoke("perform", path, "--mute", "--trace", trace, "--rate-hz", 100, "--json")
+    done = invoke("lines", "perform", path, "--mute", "--trace", trace, "--rate-hz", 100, "--json")
     told = json.loads(done.stdout)
     seen = read_trace(trace)
     faces = performance_of(None).coefficients
@@ -118,7 +118,7 @@ def test_the_motion_sent_is_that_of_the_file(written, tmp_path):
 
 
 def test_a_sound_beside_the_performance_serves_as_well(written):
-    done = invoke("perform", written(included=False), "--mute", "--json")
+    done = invoke("lines", "perform", written(included=False), "--mute", "--json")
 
     assert json.loads(done.stdout)["phonemes"] == 2
 
@@ -128,9 +128,9 @@ def test_the_loudspeaker_is_found_before_anything_moves(written, monkeypatch):
     path = written()
 
     assert "no single loudspeaker 'no such'" in str(
-        invoke("perform", path, "--output", "no such").exception
+        invoke("lines", "perform", path, "--output", "no such").exception
     )
-    both = invoke("perform", path, "--mute", "--output", "HDMI")
+    both = invoke("lines", "perform", path, "--mute", "--output", "HDMI")
     assert both.exit_code == 2
     assert "not both" in both.output
     assert card.outputs == []
@@ -139,7 +139,7 @@ def test_the_loudspeaker_is_found_before_anything_moves(written, monkeypatch):
 def test_sigterm_brings_the_mouth_to_rest_and_lets_the_servos_go(written):
     path = written(30.0)
     process = subprocess.Popen(
-        [sys.executable, "-m", "lipservo", "perform", path, "--mute", "--json"],
+        [sys.executable, "-m", "lipservo", "lines", "perform", path, "--mute", "--json"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -40,7 +40,7 @@ def test_the_sound_of_a_performance_leaves_the_loudspeaker_whole(tmp_path):
         )
         try:
             done = subprocess.run(
-                [sys.executable, "-m", "lipservo", "perform", path, "--json"],
+                [sys.executable, "-m", "lipservo", "lines", "perform", path, "--json"],
                 env=server.environment,
                 timeout=PATIENCE_S,
                 check=False,

@@ -25,10 +25,12 @@ def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("lines")
     corpus, face, offline = folder / "corpus", folder / "face.npz", folder / "offline.npz"
     write_corpus(corpus, 12)
-    trained = invoke("train", corpus, "-o", face, "--phonemes", "true", "--components", 4, "-q")
+    trained = invoke(
+        "learn", "face", corpus, "-o", face, "--phonemes", "true", "--components", 4, "-q"
+    )
     assert trained.exit_code == 0, trained.output
     done = invoke(
-        "train-offline", corpus, "-o", offline, "--model", face,
+        "learn", "offline", corpus, "-o", offline, "--model", face,
         "--states", 20, "--components", 4, "--json", "-q",
     )  # fmt: skip
     assert done.exit_code == 0, done.output
@@ -59,7 +61,7 @@ def test_the_same_corpus_gives_the_same_file(made, tmp_path):
     corpus, face, offline, _ = made
     again = tmp_path / "again.npz"
     invoke(
-        "train-offline", corpus, "-o", again, "--model", face,
+        "learn", "offline", corpus, "-o", again, "--model", face,
         "--states", 20, "--components", 4, "-q",
     )  # fmt: skip
 
@@ -70,15 +72,17 @@ def test_a_corpus_may_have_more_points_than_the_face_but_not_fewer(made, tmp_pat
     corpus, face, _, _ = made
     smaller, output = tmp_path / "face_39.npz", tmp_path / "offline.npz"
     recipe = ["--components", 4, "-q"]
-    invoke("train", corpus, "-o", smaller, "--phonemes", "true", "--markers", 39, *recipe)
+    invoke("learn", "face", corpus, "-o", smaller, "--phonemes", "true", "--markers", 39, *recipe)
     recipe += ["--states", 20, "-o", output]
 
-    fewer = invoke("train-offline", corpus, "--model", face, "--markers", 39, *recipe)
+    fewer = invoke("learn", "offline", corpus, "--model", face, "--markers", 39, *recipe)
     assert fewer.exit_code != 0
     assert "its points are not those of the face model" in str(fewer.exception)
     assert not output.exists()
 
-    dense = invoke("train-offline", corpus, "--model", smaller, "--markers", 47, "--json", *recipe)
+    dense = invoke(
+        "learn", "offline", corpus, "--model", smaller, "--markers", 47, "--json", *recipe
+    )
     assert dense.exit_code == 0, dense.output
     assert json.loads(dense.stdout)["points"] == 47
     assert len(load_offline_model(output).states.mean_mm) == 39 * 3
@@ -89,7 +93,17 @@ def test_a_line_becomes_a_performance(made, tmp_path, method):
     sound, labels = one(made)
     output = tmp_path / "line.perf"
     done = invoke(
-        "render", sound, "--textgrid", labels, "-o", output, "--method", method, "--json", *of(made)
+        "lines",
+        "render",
+        sound,
+        "--textgrid",
+        labels,
+        "-o",
+        output,
+        "--method",
+        method,
+        "--json",
+        *of(made),
     )
     said = json.loads(done.stdout)
     found = read_performance(output)
@@ -112,7 +126,9 @@ def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
             shutil.copy(path, lines / path.name)
     both = [tmp_path / "serial", tmp_path / "parallel"]
     for folder, jobs in zip(both, (1, 2), strict=True):
-        done = invoke("render", lines, "-o", folder, "--jobs", jobs, "--json", "-q", *of(made))
+        done = invoke(
+            "lines", "render-folder", lines, "-o", folder, "--jobs", jobs, "--json", "-q", *of(made)
+        )
         assert json.loads(done.stdout)["rendered"] == 3
 
     for number in range(3):
@@ -133,7 +149,16 @@ def test_a_folder_on_a_cluster_of_two_workers_is_the_same_as_one_by_one(
             shutil.copy(path, lines / path.name)
     (lines / "broken.wav").write_bytes(b"no sound")
     monkeypatch.chdir(tmp_path)  # where no worker is
-    asked = ["render", "lines", "--json", "-q", "--expression", "face_head", *of(made)]
+    asked = [
+        "lines",
+        "render-folder",
+        "lines",
+        "--json",
+        "-q",
+        "--expression",
+        "face_head",
+        *of(made),
+    ]
     invoke(*asked, "-o", "serial", "--jobs", 1)
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
@@ -152,7 +177,7 @@ def test_a_folder_on_a_cluster_of_two_workers_is_the_same_as_one_by_one(
 def test_head_and_eyes_are_stored_when_a_face_is_named(made, tmp_path):
     sound, labels = one(made)
     plain, whole = tmp_path / "plain.perf", tmp_path / "whole.perf"
-    asked = ["render", sound, "--textgrid", labels, *of(made)]
+    asked = ["lines", "render", sound, "--textgrid", labels, *of(made)]
     invoke(*asked, "-o", plain)
     invoke(*asked, "-o", whole, "--expression", "face_head")
     found = read_performance(whole)
@@ -167,7 +192,9 @@ def test_a_cluster_that_is_not_there_leaves_no_folder(made, tmp_path):
     lines.mkdir()
     shutil.copy(one(made)[0], lines)
 
-    assert "is no HOST:PORT" in refusal("render", lines, "-o", output, "--dask", "nowhere")
+    assert "is no HOST:PORT" in refusal(
+        "lines", "render-folder", lines, "-o", output, "--dask", "nowhere"
+    )
     assert not output.exists()
 
 
@@ -177,7 +204,18 @@ def test_a_bad_line_is_told_and_leaves_the_others(made, tmp_path):
     for path in one(made):
         shutil.copy(path, lines / path.name)
     (lines / "broken.wav").write_bytes(b"no sound")
-    done = invoke("render", lines, "-o", tmp_path / "out", "--jobs", 1, "--json", "-q", *of(made))
+    done = invoke(
+        "lines",
+        "render-folder",
+        lines,
+        "-o",
+        tmp_path / "out",
+        "--jobs",
+        1,
+        "--json",
+        "-q",
+        *of(made),
+    )
 
     assert done.exit_code != 0
     assert "broken.wav" in str(done.exception)
@@ -202,16 +240,16 @@ def test_mistakes_are_told_in_one_line_and_leave_no_file(made, tmp_path):
     short = tmp_path / "short.wav"
     soundfile.write(short, np.full(1600, 0.1, np.float32), 16_000)
 
-    assert "at most 300 s" in refusal("render", long, "-o", output, *of(made))
-    assert "no words" in refusal("render", sound, "--text", " ", "-o", output, *of(made))
-    assert "silen" in refusal("render", silent, "-o", output, *of(made))
+    assert "at most 300 s" in refusal("lines", "render", long, "-o", output, *of(made))
+    assert "no words" in refusal("lines", "render", sound, "--text", " ", "-o", output, *of(made))
+    assert "silen" in refusal("lines", "render", silent, "-o", output, *of(made))
     both = ["--text", "hello", "--textgrid", labels]
-    assert "give one of them" in refusal("render", sound, *both, "-o", output, *of(made))
+    assert "give one of them" in refusal("lines", "render", sound, *both, "-o", output, *of(made))
     assert "give the labels of this sound" in refusal(
-        "render", short, "--textgrid", labels, "-o", output, *of(made)
+        "lines", "render", short, "--textgrid", labels, "-o", output, *of(made)
     )
     assert "made for face model" in refusal(
-        "render", sound, "-o", output, "--textgrid", labels, "--offline", made[2]
+        "lines", "render", sound, "-o", output, "--textgrid", labels, "--offline", made[2]
     )
     assert not output.exists()
 
@@ -220,7 +258,16 @@ def test_a_text_that_was_not_said_is_refused(made, tmp_path):
     sound, _ = one(made)
     output = tmp_path / "line.perf"
 
-    refusal("render", sound, "--text", "the quick brown fox jumps over it", "-o", output, *of(made))
+    refusal(
+        "lines",
+        "render",
+        sound,
+        "--text",
+        "the quick brown fox jumps over it",
+        "-o",
+        output,
+        *of(made),
+    )
 
     assert not output.exists()
 
@@ -229,7 +276,7 @@ def test_a_corpus_too_small_for_the_states_asked_is_refused(made, tmp_path):
     corpus, face, _, _ = made
     output = tmp_path / "offline.npz"
 
-    text = refusal("train-offline", corpus, "-o", output, "--model", face, "--states", 300, "-q")
+    text = refusal("learn", "offline", corpus, "-o", output, "--model", face, "--states", 300, "-q")
 
     assert "too few for 300 states" in text
     assert not output.exists()
@@ -242,7 +289,7 @@ def test_an_offline_model_of_another_kind_or_damaged_is_refused(made, tmp_path):
     damaged.write_bytes(offline.read_bytes()[:-2000])
     for wrong in (face, damaged, labels, tmp_path / "none.npz"):
         text = refusal(
-            "render", sound, "--textgrid", labels, "-o", tmp_path / "x.perf",
+            "lines", "render", sound, "--textgrid", labels, "-o", tmp_path / "x.perf",
             "--model", face, "--offline", wrong,
         )  # fmt: skip
         assert str(wrong) in text
