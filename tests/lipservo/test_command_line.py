@@ -94,4 +94,4 @@ def test_a_shell_completes_its_commands(tmp_path: Path):
         text=True,
         timeout=60,
     )
-    assert sorted(done.stdout.split()) == ["calibrate", "calibrate-audio"]
+    assert sorted(done.stdout.split()) == ["calibrate"]

@@ -1,4 +1,4 @@
-"""The tables of docs/architecture.md name files and names that exist."""
+"""Pages name files that exist, and the tables of docs/architecture.md names in them."""
 
 import re
 
@@ -11,6 +11,12 @@ from lipservo.cli import app
 from lipservo.traces.trace_reader import read_trace
 
 TEXT = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *ROOT.glob("*/README.md")]
+#: A path into our own folders, with an ending or as a folder.
+OUR_PATH = (
+    r"(?:calibration|client|config|examples|firmware_bridge|lab|lipservo|lipsync|tests)"
+    r"/[\w./-]*(?:\.\w+|/)"
+)
 #: Tables whose last column names what to look for in each file, and how many rows they have.
 READING = {"Ten files to read, in this order": 10, "Which files a change touches": 10}
 
@@ -46,52 +52,14 @@ def test_every_file_to_read_or_to_touch_has_what_it_is_said_to_have(title):
             assert defines(text, symbol) or (file.endswith(".md") and found), (file, symbol)
 
 
-def test_every_path_that_the_page_names_exists():
-    paths = [each for each in spans(TEXT) if re.fullmatch(r"[a-z_]+/[\w./]*", each)]
+@pytest.mark.parametrize(
+    "page", [page.relative_to(ROOT).as_posix() for page in PAGES if page.name != "CHANGELOG.md"]
+)
+def test_every_path_that_a_page_names_exists(page):
+    text = (ROOT / page).read_text("utf-8")
+    named = [each for each in spans(text) if re.fullmatch(OUR_PATH, each)]
 
-    assert len(paths) > 50
-    assert {each for each in paths if not (ROOT / each).exists()} == set()
-
-
-def starters(pattern):
-    """The files of the packages, benches aside, in which a pattern stands."""
-    found = set()
-    for package in ("calibration", "firmware_bridge", "lipservo", "lipsync"):
-        for path in (ROOT / package).rglob("*.py"):
-            file = path.relative_to(ROOT).as_posix()
-            if not file.startswith("lab/lipservo_lab/bench/") and re.search(
-                pattern, path.read_text()
-            ):
-                found.add(file)
-    return found
-
-
-def told_files(header):
-    """The files in the table of processes, threads or sockets whose header begins like this."""
-    section = TEXT.split(f"\n| {header} | file |")[1].split("\n\n")[0]
-    return {each for each in spans(section) if each.endswith(".py")}
-
-
-def test_every_thread_is_told():
-    assert starters(
-        r"threading\.Thread\(|\(threading\.Thread[,)]|\.(?:In|Out)putStream\("
-    ) == told_files("thread")
-
-
-def test_every_socket_is_told():
-    makers = starters(r"socket\.socketpair\(|socket\.socket\(socket\.AF_")
-    # The other end of the control socket, and whoever looks whether it listens.
-    clients = {f"firmware_bridge/process/{name}.py" for name in ("control_client", "socket_files")}
-    assert makers - clients == told_files("socket")
-
-
-def test_every_process_is_told():
-    starting = starters(r"subprocess\.Popen\(")
-    told = {"lipservo/face/sim_process.py", "lipservo/dashboard/child.py"}
-    assert starting == {"firmware_bridge/process/child.py", *told}
-    assert told_files("process") >= told
-    for command in ("bridge-process", "speech-process", "sim-bus", "dashboard"):
-        assert f"`lipservo {command}`" in TEXT
+    assert {each for each in named if not (ROOT / each).exists()} == set()
 
 
 def test_the_sample_that_is_followed_goes_where_the_page_says(tmp_path):

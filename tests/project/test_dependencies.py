@@ -1,4 +1,4 @@
-"""Whatever the four packages import is declared in pyproject.toml, and the other way round."""
+"""Whatever a distribution imports is declared in its pyproject.toml, and the other way round."""
 
 import ast
 import re
@@ -10,8 +10,19 @@ from places import ROOT
 
 from lipsync.extras import EXTRA_OF, MissingExtraError, check_extra
 
-PACKAGES = ("calibration", "firmware_bridge", "lipservo", "lipsync")
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+#: Of each distribution: its folder, and the packages in it.
+DISTRIBUTIONS = {
+    "lipservo": (ROOT, ("calibration", "firmware_bridge", "lipservo", "lipsync")),
+    "lipservo-client": (ROOT / "client", ("lipservo_client",)),
+    "lipservo-lab": (ROOT / "lab", ("lipservo_lab",)),
+}
+OUR_PACKAGES = {package for _, packages in DISTRIBUTIONS.values() for package in packages}
+PROJECTS = {
+    name: tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    for name, (folder, _) in DISTRIBUTIONS.items()
+}
+#: The packages of the card: every robot has them.
+OF_THE_CARD = {"numpy", "scikit-learn", "pyserial", "dynamixel-sdk", "sounddevice", "pyyaml"}
 #: Where a distribution is not called as the library in it.
 DISTRIBUTION_OF = {
     "cv2": "opencv-python-headless",
@@ -25,57 +36,76 @@ DISTRIBUTION_OF = {
 
 def distributions(requirements: list[str]) -> set[str]:
     names = {re.split(r"[\[<>=]", each)[0].strip().lower() for each in requirements}
-    return names - {"lipservo"}
+    return names - set(DISTRIBUTIONS)
 
 
-MANDATORY = distributions(PROJECT["dependencies"])
-EXTRAS = {name: distributions(each) for name, each in PROJECT["optional-dependencies"].items()}
+MANDATORY = {name: distributions(each["dependencies"]) for name, each in PROJECTS.items()}
+EXTRAS = {
+    f"{name}[{extra}]": distributions(each)
+    for name, project in PROJECTS.items()
+    for extra, each in project["optional-dependencies"].items()
+}
 
 
 def distribution(library: str) -> str:
     return DISTRIBUTION_OF.get(library, library.replace("_", "-"))
 
 
-def imported_libraries() -> dict[str, str]:
-    """Every library of somebody else's that is imported anywhere, and one file that does."""
+def imported_libraries(name: str) -> dict[str, str]:
+    """Every library of somebody else's that a distribution imports, and one file that does."""
     found = {}
-    for package in PACKAGES:
-        for path in (ROOT / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                modules = []
-                if isinstance(node, ast.Import):
-                    modules = [alias.name for alias in node.names]
-                elif isinstance(node, ast.ImportFrom):
-                    modules = [node.module or ""]
-                for library in {module.split(".")[0] for module in modules}:
-                    found[library] = str(path.relative_to(ROOT))
-    ours = {*PACKAGES, *sys.stdlib_module_names}
+    folder, packages = DISTRIBUTIONS[name]
+    for path in (path for package in packages for path in (folder / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            modules = []
+            if isinstance(node, ast.Import):
+                modules = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                modules = [node.module or ""]
+            for library in {module.split(".")[0] for module in modules}:
+                found[library] = str(path.relative_to(ROOT))
+    ours = {*OUR_PACKAGES, *sys.stdlib_module_names}
     return {library: path for library, path in found.items() if library not in ours}
 
 
-def test_every_imported_library_is_declared():
+@pytest.mark.parametrize("name", DISTRIBUTIONS)
+def test_every_imported_library_is_declared(name):
     undeclared = {
         library: path
-        for library, path in imported_libraries().items()
-        if distribution(library) not in MANDATORY and library not in EXTRA_OF
+        for library, path in imported_libraries(name).items()
+        if distribution(library) not in MANDATORY[name] and library not in EXTRA_OF
     }
+    undeclared.pop("numpy", None) if name == "lipservo-client" else None  # only where it is given
     assert undeclared == {}
 
 
 def test_every_library_of_an_extra_is_in_that_extra_and_not_mandatory():
     for library, extra in EXTRA_OF.items():
         assert distribution(library) in EXTRAS[extra]
-        assert distribution(library) not in MANDATORY
+        assert distribution(library) not in MANDATORY["lipservo"]
 
 
 def test_everything_declared_is_imported():
-    used = {distribution(library) for library in imported_libraries()}
-    for_users = {name: each for name, each in EXTRAS.items() if name not in ("dev", "docs")}
-    assert MANDATORY.union(*for_users.values()) - used == set()
+    used = {distribution(library) for name in DISTRIBUTIONS for library in imported_libraries(name)}
+    for_users = [each for name, each in EXTRAS.items() if name not in _FOR_US]
+    assert set().union(*MANDATORY.values(), *for_users) - used == set()
+
+
+_FOR_US = ("lipservo[dev]", "lipservo[docs]")
+
+
+def test_the_program_needs_every_package_of_the_card():
+    assert MANDATORY["lipservo"] >= OF_THE_CARD
+
+
+def test_the_three_are_of_one_version_and_need_each_other_by_it():
+    (version,) = {project["version"] for project in PROJECTS.values()}
+    assert f"lipservo-client=={version}" in PROJECTS["lipservo"]["dependencies"]
+    assert f"lipservo=={version}" in PROJECTS["lipservo-lab"]["dependencies"]
 
 
 def test_an_absent_library_is_one_line_that_names_its_extra(monkeypatch):
-    monkeypatch.setitem(EXTRA_OF, "no_such_library", "align")
+    monkeypatch.setitem(EXTRA_OF, "no_such_library", "lipservo[align]")
     with pytest.raises(MissingExtraError) as raised:
         check_extra("no_such_library", "aligning")
     assert str(raised.value) == (

@@ -8,12 +8,11 @@ from importlib import resources
 from pathlib import Path
 
 import pytest
-import typer
+from every_command import every_command
 
 from firmware_bridge.process.port_holders import END_OF_HUNG
 from firmware_bridge.process.runtime_folder import SERVICE_FOLDER
 from firmware_bridge.stopping import ExitStatus
-from lipservo.cli import app
 
 CONFIG = resources.files("lipservo.config")
 UNIT = (CONFIG / "lipservo.service").read_text()
@@ -32,7 +31,7 @@ def command_of(key):
 def test_the_command_lines_of_the_unit_are_understood(key):
     """Parsed, not run; an unknown option or a bad value raises."""
     name, *arguments = command_of(key)
-    command = typer.main.get_command(app).commands[name]
+    command = dict(every_command())[f"lipservo {name}"]
 
     assert command.make_context(name, arguments).params
 

@@ -14,6 +14,7 @@ _SERVOS, _OTHER = "Servos and stops", "Calibration, faces and pictures"
 class BenchGroup(LazyGroup):
     """Each prints figures that the documentation gives."""
 
+    prefix = "bench."
     table = MappingProxyType(
         {
             "motion": Command(f"{_BENCH}.motion:motion", "Motion against recordings.", _MOTION),
@@ -60,6 +61,7 @@ class BenchGroup(LazyGroup):
 class LearnGroup(LazyGroup):
     """Each writes a model, or recordings that a model is learned from."""
 
+    prefix = "learn."
     table = MappingProxyType(
         {
             "face": Command(f"{_LEARN}.training:train", "A face model from recordings."),

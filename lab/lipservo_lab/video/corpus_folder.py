@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import soundfile
+
 from lipservo_lab.output_folder import check_output_folder, folder_written_whole
 from lipservo_lab.video.tracked_lips import RIGID
 from lipservo_lab.video.video_import import Sentence, VideoImport
-
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.face_mesh import INNER_LIP, IRISES, N_LANDMARKS, OUTER_LIP
 from lipsync.textgrid import write_tiers

@@ -7,9 +7,9 @@ between the pictures' time stamps, never the pictures themselves.
 from dataclasses import dataclass
 
 import numpy as np
-from lipservo_lab.video.face_track import FaceTrack
 from numpy.typing import NDArray
 
+from lipservo_lab.video.face_track import FaceTrack
 from lipsync.arrays import Array, Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.video.video_file import VideoSound

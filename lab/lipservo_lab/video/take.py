@@ -9,7 +9,6 @@ from lipservo_lab.video.face_track import FaceTrack, track_face
 from lipservo_lab.video.picture_rate import usual_step_s
 from lipservo_lab.video.track_quality import track_fault
 from lipservo_lab.video.video_clips import VideoClip
-
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.phonemes import SILENCE
 from lipsync.video.tracking.face_tracker import FaceTracker

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from lipservo_lab.video.face_track import FaceTrack
 from numpy.typing import NDArray
 
+from lipservo_lab.video.face_track import FaceTrack
 from lipsync.arrays import Array
 
 #: Pairs of points as far to the speaker's right as to the left: outer eye corners, temples, ears.

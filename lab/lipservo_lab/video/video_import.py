@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+
 from lipservo_lab.video.clip_labels import ClipLabels
 from lipservo_lab.video.clip_report import ClipReport
 from lipservo_lab.video.expected_lips import ExpectedLips
@@ -15,7 +16,6 @@ from lipservo_lab.video.take import Take, record_take
 from lipservo_lab.video.track_quality import quality_of, track_fault
 from lipservo_lab.video.tracked_lips import tracked_gaps_mm
 from lipservo_lab.video.video_clips import VideoClip
-
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.alignment.forced_alignment import check_aligner

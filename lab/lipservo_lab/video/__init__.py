@@ -1,0 +1,1 @@
+"""Videos of a talking face become a corpus: faces tracked, sound and picture put in time."""
