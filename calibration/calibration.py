@@ -1,17 +1,50 @@
-"""The map from one model's face motion to one robot's servo angles."""
+"""The map from one model's face motion to one robot's servo angles, and the rules that it keeps."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.coupling_rule import CouplingRule, keep_rules
-from calibration.grade import Grade, LearntLips, VisemeReach
-from calibration.hold_out import HoldOutErrors
+from calibration.grade import Grade, HoldOutErrors, LearntLips, VisemeReach
 from lipsync.arrays import Array, Indices
 from lipsync.errors import UserError
-from lipsync.face.model import FaceModel
+
+_SAME_DEG = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class CouplingRule:
+    """sum_s weights_s x angle_s <= at_most_deg, e.g. lips that would run into each other.
+
+    weights: (n_servos,), 0 for a joint that has no part in it; at_most_deg >= 0: neutral is free.
+    """
+
+    weights: Array
+    at_most_deg: float
+
+
+def keep_rules(rules: Sequence[CouplingRule], positions_deg: Array) -> Array:
+    """(n_servos,) within the limits -> the same, scaled towards neutral until no rule is broken.
+
+    The joints of a broken rule go back by the same share of their way, which stays within limits
+    that hold 0. Where that breaks another rule in turn, all joints go back together.
+    """
+    for rule in rules:
+        reached_deg = float(rule.weights @ positions_deg)
+        if reached_deg > rule.at_most_deg + _SAME_DEG:
+            share = rule.at_most_deg / reached_deg
+            positions_deg = np.where(rule.weights != 0.0, share * positions_deg, positions_deg)
+    for rule in rules:
+        reached_deg = float(rule.weights @ positions_deg)
+        if reached_deg > rule.at_most_deg + _SAME_DEG:
+            positions_deg = positions_deg * (rule.at_most_deg / reached_deg)
+    return positions_deg
+
+
+if TYPE_CHECKING:
+    from lipsync.face.model import FaceModel
 
 _REMEDY = "run `lipservo calibrate fit --config FACE -o FILE`, or `measure` on its servos"
 _OTHER_MODEL = (
@@ -160,7 +193,7 @@ def linear_calibration_parts(n_servos: int, n_components: int) -> tuple[Array, A
 
 
 def check_calibration(
-    calibration: Calibration, model: FaceModel, servo_names: Sequence[str], face_checksum: str
+    calibration: Calibration, model: "FaceModel", servo_names: Sequence[str], face_checksum: str
 ) -> None:
     """Raises CalibrationError, with the remedy, unless made for this model and this very face.
 

@@ -1,7 +1,101 @@
-"""What a calibration is worth: measured on the robot where it was, else by the learnt face."""
+"""What a calibration is worth: errors on motion left out of the fit, reach by viseme class, grade.
+
+Measured on the robot where it was, else estimated by the learnt face.
+"""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+#: The human's lips count as closed at this gap, as in training.
+CLOSED_GAP_MM = 1.0
+#: Openings of the speaker that a mouth which closes too soon loses, in millimetres.
+SMALL_GAPS_MM = (2.0, 4.0)
+
+
+@dataclass(frozen=True, slots=True)
+class HoldOutErrors:
+    """Errors over frames of AnimPhos that the fit never saw.
+
+    A marker's error is its distance in space; rms runs over frames and markers.
+    """
+
+    n_frames: int
+    marker_rms_mm: float
+    lip_rms_mm: float
+    """The 20 lip markers alone."""
+    nearest_lip_rms_mm: float
+    """The same for the best angles of each frame: what no calibration of this face can beat."""
+    gap_rms_mm: float
+    """Difference in the distance of the middle inner-lip points."""
+    gap_correlation: float
+    """Of the same distance; 0 where it never changes."""
+    n_closures: int
+    """Frames with the human's lips closed."""
+    closed_gap_mm: float
+    """The robot's gap in 95 % of those is at most this; 0 without closures."""
+    clipped_share: float
+    """Part of the frames, 0..1, in which some servo stood at a limit."""
+    joint_rms_deg: tuple[float, ...]
+    """For each servo, against the best angles of each frame."""
+    each_marker_rms_mm: Mapping[str, float] = field(default_factory=dict)
+    """For each marker by its name; empty where none was measured."""
+    gap_slope: float | None = None
+    """Openings made over openings asked for; None where it was not looked at."""
+    small_gaps_kept: float | None = None
+    """Part of the speaker's small openings that are at least half made; None: not looked at."""
+
+
+def measure_hold_out(
+    human_mm: Array,
+    robot_mm: Array,
+    nearest_mm: Array,
+    joint_errors_deg: Array,
+    clipped: NDArray[np.bool_],
+) -> HoldOutErrors:
+    """From markers (n, 47, 3) of the human, the calibrated face and the best reachable face.
+
+    joint_errors_deg: (n, n_servos); clipped: (n,).
+    """
+    human_gap_mm, robot_gap_mm = _gap_mm(human_mm), _gap_mm(robot_mm)
+    closed = human_gap_mm <= CLOSED_GAP_MM
+    lips = list(MARKERS_47.lips)
+    moves = min(human_gap_mm.std(), robot_gap_mm.std()) > 0.0
+    return HoldOutErrors(
+        n_frames=len(human_mm),
+        marker_rms_mm=_rms(np.linalg.norm(robot_mm - human_mm, axis=2)),
+        lip_rms_mm=_rms(np.linalg.norm((robot_mm - human_mm)[:, lips], axis=2)),
+        nearest_lip_rms_mm=_rms(np.linalg.norm((nearest_mm - human_mm)[:, lips], axis=2)),
+        gap_rms_mm=_rms(robot_gap_mm - human_gap_mm),
+        gap_correlation=float(np.corrcoef(human_gap_mm, robot_gap_mm)[0, 1]) if moves else 0.0,
+        n_closures=int(closed.sum()),
+        closed_gap_mm=float(np.quantile(robot_gap_mm[closed], 0.95)) if closed.any() else 0.0,
+        clipped_share=float(clipped.mean()),
+        joint_rms_deg=tuple(_rms(column) for column in joint_errors_deg.T),
+        each_marker_rms_mm=each_marker_rms_mm(MARKERS_47.names, robot_mm - human_mm),
+    )
+
+
+def each_marker_rms_mm(marker_names: Sequence[str], off_mm: Array) -> dict[str, float]:
+    """(n, n_markers, 3), how far each marker is off -> rms over the frames, by name."""
+    rms_mm = np.sqrt(np.mean(np.sum(off_mm**2, axis=2), axis=0))
+    return dict(zip(marker_names, rms_mm.tolist(), strict=True))
+
+
+def _gap_mm(markers_mm: Array) -> Array:
+    """(n, 47, 3) -> (n,)."""
+    between = markers_mm[:, MARKERS_47.upper_lip] - markers_mm[:, MARKERS_47.lower_lip]
+    return np.asarray(np.linalg.norm(between, axis=1))
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,3 +172,50 @@ def lips_off_mm(grade: Grade, lips: LearntLips | None) -> float:
     no calibration was told).
     """
     return math.hypot(grade.lip_rms_mm, 0.0 if lips is None else lips.doubt_mm)
+
+
+#: A small opening of which less than this is made is lost.
+_HALF_MADE = 0.5
+#: Of openings that are nearly all the same nobody can say how they follow.
+_LEAST_SPREAD_MM = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class GapFigures:
+    """None where no frame can tell.
+
+    slope: openings made over openings asked for; closed_mm: how far lips stay apart in 95 % of the
+    frames in which the speaker's are closed; small_kept: the part of small openings that are at
+    least half made.
+    """
+
+    slope: float | None
+    closed_mm: float | None
+    small_kept: float | None
+
+
+def gap_figures(
+    asked_mm: Array, made_mm: Array, human_gap_mm: Array, shares: Array | None = None
+) -> GapFigures:
+    """(n,) each: openings beyond the robot's own closed gap, NaN where nobody saw; the speaker's.
+
+    shares: (n,), of speech that each frame stands for; None: all the same.
+    """
+    known = np.isfinite(made_mm)
+    weights = np.ones(len(made_mm)) if shares is None else shares
+    asked, made, human = asked_mm[known], made_mm[known], human_gap_mm[known]
+    closed, small = human <= CLOSED_GAP_MM, is_small(human)
+    is_told = len(asked) > 2 and float(np.ptp(asked)) > _LEAST_SPREAD_MM
+    slope = np.polyfit(asked, made, 1, w=np.sqrt(weights[known]))[0] if is_told else None
+    kept = made[small] >= _HALF_MADE * asked[small]
+    return GapFigures(
+        slope=None if slope is None else float(slope),
+        closed_mm=max(0.0, float(np.quantile(made[closed], 0.95))) if closed.any() else None,
+        small_kept=float(np.average(kept, weights=weights[known][small])) if small.any() else None,
+    )
+
+
+def is_small(human_gap_mm: Array) -> NDArray[np.bool_]:
+    """(n,): whether the speaker's lips are a little open."""
+    least_mm, most_mm = SMALL_GAPS_MM
+    return np.asarray((human_gap_mm >= least_mm) & (human_gap_mm <= most_mm))

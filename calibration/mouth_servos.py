@@ -1,12 +1,31 @@
 """The servos of one mouth as its face YAML describes them: what every fit needs to know of them."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.coupling_rule import CouplingRule
-from calibration.joint_range import JointRange
+from calibration.calibration import CalibrationError, CouplingRule
 from lipsync.arrays import Array
+
+
+@dataclass(frozen=True, slots=True)
+class JointRange:
+    """One servo as a calibration sees it, in joint degrees; 0 = its neutral = closed mouth.
+
+    Raises CalibrationError unless min_deg <= 0 <= max_deg, both finite.
+    """
+
+    name: str
+    min_deg: float
+    max_deg: float
+
+    def __post_init__(self) -> None:
+        if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:
+            raise CalibrationError(
+                f"servo {self.name!r}: needs min_deg <= 0 <= max_deg, "
+                f"got {self.min_deg} and {self.max_deg}"
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,11 @@
-"""What the user can mend."""
+"""Errors that the user can mend, among them a library of an extra that is not installed.
+
+The pyproject.toml of the program, of lab/ and of client/ list the same;
+tests/project/test_dependencies.py compares.
+"""
 
 import reprlib
+from importlib.util import find_spec
 
 _SHORT = reprlib.Repr()
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 60
@@ -18,3 +23,46 @@ class UserError(ValueError):
 def shown(value: object) -> str:
     """A value from somebody's file as a message may show it: short, whatever it holds."""
     return _SHORT.repr(value)
+
+
+#: Library, as it is imported, and the extra that brings it: of lipservo, or of the one named.
+EXTRA_OF = {
+    "gruut": "lipservo[align]",
+    "pocketsphinx": "lipservo[align]",
+    "torch": "lipservo-lab[train]",
+    "trimesh": "lipservo-lab[scans]",
+    "ezc3d": "lipservo[mocap]",
+    "ai_edge_litert": "lipservo[video]",
+    "av": "lipservo[video]",
+    "cv2": "lipservo[dots]",
+    "mediapipe": "lipservo[video]",
+    "matplotlib": "lipservo[plots]",
+    "rustypot": "lipservo-lab[bench]",
+    "espeakng_loader": "lipservo[say]",
+    "dtaidistance": "lipservo[offline]",
+    "joblib": "lipservo-lab[offline]",
+    "distributed": "lipservo-lab[cluster]",
+    "pipecat": "lipservo-client[pipecat]",
+    "fastapi": "lipservo[dashboard]",
+    "nicegui": "lipservo[dashboard]",
+    "prometheus_client": "lipservo[dashboard]",
+    "ruamel": "lipservo[dashboard]",
+    "starlette": "lipservo[dashboard]",
+    "uvicorn": "lipservo[dashboard]",
+}
+
+
+class MissingExtraError(UserError):
+    """A library is not installed that this command needs; one line that names its extra."""
+
+
+def check_extra(library: str, purpose: str) -> None:
+    """Raises MissingExtraError unless `library` is installed, one of `EXTRA_OF`.
+
+    purpose: what needs it, in words. Loads nothing, so that it can be asked before the work.
+    """
+    if find_spec(library) is None:
+        raise MissingExtraError(
+            f"{purpose} needs {library}, which is not installed: "
+            f"`pip install '{EXTRA_OF[library]}'`"
+        )

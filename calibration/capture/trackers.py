@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.dots_folder import is_dots_folder, read_dots_folder
+from calibration.capture.dots import is_dots_folder, read_dots_folder
 from calibration.capture.marker_files import median_place, read_readings
 from lipsync.arrays import Array
 from lipsync.output_file import write_whole

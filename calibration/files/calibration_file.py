@@ -1,5 +1,9 @@
-"""Calibrations on disk: YAML that a person can read, written whole or not at all."""
+"""Calibrations on disk: YAML that a person can read, written whole or not at all.
 
+It is read value by value, so that every mistake names the place where it is.
+"""
+
+import sys
 from dataclasses import fields
 from pathlib import Path
 
@@ -16,20 +20,106 @@ from calibration.calibration import (
     linear_calibration_parts,
     pairs,
 )
-from calibration.files.calibration_text import CALIBRATION_VERSION, calibration_text
-from calibration.files.file_checksum import check_checksum
-from calibration.files.file_place import Place
-from calibration.files.grade_text import parse_coverage, parse_grade, parse_learnt_lips
-from calibration.hold_out import HoldOutErrors
+from calibration.files.calibration_text import (
+    CALIBRATION_VERSION,
+    SAFE_LOADER,
+    calibration_text,
+    check_checksum,
+)
+from calibration.grade import Grade, HoldOutErrors, LearntLips, VisemeReach
 from lipsync.arrays import Array
+from lipsync.errors import shown
 from lipsync.output_file import write_whole
 from lipsync.phonemes import VISEME_CLASSES
 from lipsync.yaml_depth import is_nested_deeper
 
-#: Older ones lack what came with the next: calibration_text.py says what.
-READABLE_VERSIONS = (1, 2, 3, 4, 5)
-#: libyaml's reader where PyYAML has it: 7 ms for a calibration instead of 70.
-_SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_MAX = sys.float_info.max
+
+
+class Place:
+    """One value of the file and the keys that led to it.
+
+    Every read is checked; what is wrong raises CalibrationError, which names the keys.
+    """
+
+    def __init__(self, value: object, path: str) -> None:
+        self._value = value
+        self.path = path
+
+    @property
+    def _where(self) -> str:
+        return self.path or "the file"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The keys below this place."""
+        if not isinstance(self._value, dict) or not self._value:
+            raise CalibrationError(f"{self._where} should hold `key: value` lines")
+        for key in self._value:
+            if not isinstance(key, str):
+                raise CalibrationError(f"{self._where}: the key {shown(key)} is no text")
+        return tuple(self._value)
+
+    def at(self, key: str) -> "Place":
+        """What lies under a key."""
+        path = f"{self.path}.{key}" if self.path else key
+        if key not in self.names or not isinstance(self._value, dict):
+            raise CalibrationError(f"{path} is missing")
+        return Place(self._value[key], path)
+
+    def text(self) -> str:
+        """Some text."""
+        if not isinstance(self._value, str):
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected text in quotes")
+        return self._value
+
+    def number(self) -> float:
+        """A finite number."""
+        value = self._value
+        if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _MAX:
+            return float(value)
+        raise CalibrationError(f"{self.path} is {shown(value)}, expected a finite number")
+
+    def has(self, key: str) -> bool:
+        """Whether there is such a key."""
+        return key in self.names
+
+    def count(self) -> int:
+        """A whole number, not negative."""
+        if isinstance(self._value, bool) or not isinstance(self._value, int) or self._value < 0:
+            raise CalibrationError(
+                f"{self.path} is {shown(self._value)}, expected a whole number >= 0"
+            )
+        return self._value
+
+    def flag(self) -> bool:
+        """True or false."""
+        if not isinstance(self._value, bool):
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected true or false")
+        return self._value
+
+    def whole(self) -> int:
+        """A whole number of either sign."""
+        if isinstance(self._value, bool) or not isinstance(self._value, int):
+            raise CalibrationError(f"{self.path} is {shown(self._value)}, expected a whole number")
+        return self._value
+
+    def places(self) -> list["Place"]:
+        """What a list holds, one at least."""
+        values = self._value
+        if not isinstance(values, list) or not values:
+            raise CalibrationError(f"{self.path} should be a list")
+        return [Place(value, f"{self.path}[{i}]") for i, value in enumerate(values)]
+
+    def numbers(self, n: int | None = None) -> Array:
+        """(n,), or at least one where n is None."""
+        values = self._value
+        if not isinstance(values, list) or not values:
+            raise CalibrationError(f"{self.path} should be a list of numbers")
+        if n is not None and len(values) != n:
+            raise CalibrationError(f"{self.path} holds {len(values)} numbers, expected {n}")
+        return np.array([Place(v, f"{self.path}[{i}]").number() for i, v in enumerate(values)])
+
 
 #: A calibration needs five levels.
 _DEEPEST = 20
@@ -53,11 +143,6 @@ def save_calibration(calibration: Calibration, path: Path) -> None:
     if path.exists():
         write_whole(path.with_name(path.name + PREVIOUS_SUFFIX), path.read_bytes())
     write_whole(path, text)
-
-
-def is_calibration(head: bytes) -> bool:
-    """Whether a file that begins so is a calibration, damaged or not."""
-    return b"model_checksum:" in head
 
 
 def load_calibration(path: Path) -> Calibration:
@@ -84,7 +169,7 @@ def parse_calibration(text: str, source: str) -> Calibration:
     try:
         if is_nested_deeper(text, _DEEPEST):
             raise CalibrationError(f"{source}: is nested too deep to be a calibration")
-        content = yaml.load(text, Loader=_SAFE_LOADER)
+        content = yaml.load(text, Loader=SAFE_LOADER)
     except CalibrationError:
         raise
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2024-13-01
@@ -102,7 +187,7 @@ def parse_calibration(text: str, source: str) -> Calibration:
 
 def _parse(file: Place) -> Calibration:
     version = file.at("version").count()
-    if version not in READABLE_VERSIONS:
+    if version != CALIBRATION_VERSION:
         raise CalibrationError(
             f"version {version}, this lipservo reads version {CALIBRATION_VERSION}"
         )
@@ -113,11 +198,8 @@ def _parse(file: Place) -> Calibration:
         if not servo.at("min_deg").number() <= 0.0 <= servo.at("max_deg").number():
             raise CalibrationError(f"{servo.path}: needs min_deg <= 0 <= max_deg")
     weights = np.array([servo.at("weights").numbers(len(rest)) for servo in servos])
-    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
-    if version > 1:
-        rest_deg = np.array([servo.at("rest_deg").number() for servo in servos])
-    # Until version 3 the quadratic weights were called bends.
-    key = "quadratic_weights" if version > 3 else "bends"
+    quadratic_weights, _, x_range = linear_calibration_parts(*weights.shape)
+    key = "quadratic_weights"
     if any(servo.has(key) for servo in servos):
         n_pairs = len(pairs(len(rest))[0])
         quadratic_weights = np.array([servo.at(key).numbers(n_pairs) for servo in servos])
@@ -128,14 +210,14 @@ def _parse(file: Place) -> Calibration:
         weights=weights,
         quadratic_weights=quadratic_weights,
         rest=rest,
-        rest_deg=rest_deg,
+        rest_deg=np.array([servo.at("rest_deg").number() for servo in servos]),
         x_range=x_range,
         min_deg=np.array([servo.at("min_deg").number() for servo in servos]),
         max_deg=np.array([servo.at("max_deg").number() for servo in servos]),
-        errors=_parse_errors(file.at("hold_out"), servos, version),
+        errors=_parse_errors(file.at("hold_out"), servos),
         model_checksum=file.at("model_checksum").text(),
         face_checksum=file.at("face_checksum").text(),
-        origin=_parse_origin(file, servos) if version > 1 else Origin("simulated face"),
+        origin=_parse_origin(file, servos),
         following=_parse_following(servos),
         touch=_parse_touch(file, names),
         coverage=parse_coverage(file),
@@ -234,7 +316,7 @@ def _parse_hand_poses(file: Place, names: tuple[str, ...]) -> dict[str, Array]:
     }
 
 
-def _parse_errors(hold_out: Place, servos: list[Place], version: int) -> HoldOutErrors:
+def _parse_errors(hold_out: Place, servos: list[Place]) -> HoldOutErrors:
     return HoldOutErrors(
         n_frames=hold_out.at("n_frames").count(),
         marker_rms_mm=hold_out.at("marker_rms_mm").number(),
@@ -246,7 +328,7 @@ def _parse_errors(hold_out: Place, servos: list[Place], version: int) -> HoldOut
         closed_gap_mm=hold_out.at("closed_gap_mm").number(),
         clipped_share=hold_out.at("clipped_share").number(),
         joint_rms_deg=tuple(servo.at("hold_out_rms_deg").number() for servo in servos),
-        each_marker_rms_mm=_parse_each_marker(hold_out) if version > 2 else {},
+        each_marker_rms_mm=_parse_each_marker(hold_out),
         **{
             key: hold_out.at(key).number()
             for key in ("gap_slope", "small_gaps_kept")
@@ -264,3 +346,56 @@ def _parse_each_marker(hold_out: Place) -> dict[str, float]:
     if len(each.names) != n_markers:
         raise CalibrationError(f"{each.path} holds {len(each.names)} markers, expected {n_markers}")
     return {name: each.at(name).number() for name in each.names}
+
+
+def parse_learnt_lips(file: Place) -> LearntLips | None:
+    """Raises CalibrationError."""
+    if not file.has("learnt_lips"):
+        return None
+    lips = file.at("learnt_lips")
+    return LearntLips(
+        left_out_rms_mm=lips.at("left_out_rms_mm").number(),
+        noise_mm=lips.at("noise_mm").number(),
+        own_gap_mm=lips.at("own_gap_mm").number(),
+        stop=lips.at("stop").flag(),
+    )
+
+
+def parse_grade(file: Place) -> Grade | None:
+    """Raises CalibrationError."""
+    if not file.has("grade"):
+        return None
+    grade = file.at("grade")
+    return Grade(
+        n_poses=grade.at("n_poses").count(),
+        lip_rms_mm=grade.at("lip_rms_mm").number(),
+        gap_rms_mm=grade.at("gap_rms_mm").number(),
+        closed_gap_mm=grade.at("closed_gap_mm").number(),
+        gap_slope=grade.at("gap_slope").number(),
+        small_gaps_kept=_number_at(grade, "small_gaps_kept"),
+    )
+
+
+def parse_coverage(file: Place) -> dict[str, VisemeReach]:
+    """Raises CalibrationError."""
+    if not file.has("coverage"):
+        return {}
+    coverage = file.at("coverage")
+    return {viseme: _parse_reach(coverage.at(viseme)) for viseme in coverage.names}
+
+
+def _parse_reach(reach: Place) -> VisemeReach:
+    return VisemeReach(
+        reachable=reach.at("reachable").number(),
+        off_mm=reach.at("off_mm").number(),
+        gap_slope=_number_at(reach, "gap_slope"),
+        closed_gap_mm=_number_at(reach, "closed_gap_mm"),
+        small_gaps_kept=_number_at(reach, "small_gaps_kept"),
+        at_limit=_number_at(reach, "at_limit"),
+        n_measured=reach.at("n_measured").count() if reach.has("n_measured") else 0,
+        measured_mm=_number_at(reach, "measured_mm"),
+    )
+
+
+def _number_at(place: Place, key: str) -> float | None:
+    return place.at(key).number() if place.has(key) else None

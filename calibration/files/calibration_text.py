@@ -1,19 +1,61 @@
-"""A calibration as YAML that a person can read: how every part of it is written."""
+"""A calibration as YAML that a person can read: how every part of it is written.
 
-from collections.abc import Callable
+Its last line is a checksum over what it says: a digit that changed on the way is noticed. Comments
+and spaces do not count, and neither do trims, which a person may write by hand.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, fields
+from typing import Final
 
 import numpy as np
+import yaml
 
-from calibration.calibration import Calibration, Following, Touch
-from calibration.files.file_checksum import with_checksum
-from calibration.files.grade_text import coverage_lines, grade_lines, learnt_lips_lines
-from calibration.hold_out import HoldOutErrors
+from calibration.calibration import Calibration, CalibrationError, Following, Touch
+from calibration.grade import Grade, HoldOutErrors, LearntLips, VisemeReach
 from lipsync.arrays import Array
+from lipsync.phonemes import VISEME_CLASSES
 
-#: Raised whenever the meaning of a field changes. Version 1 had linear maps that are 0 at rest,
-#: version 2 no error of each marker and nothing of the servos' own settings, version 3 another
-#: name for the quadratic weights, version 4 no centres and no grade.
+#: libyaml's reader where PyYAML has it: ten times as fast.
+SAFE_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_KEY: Final = "checksum"
+#: What a hand may change.
+_NOT_COUNTED: Final = (_KEY, "trim")
+
+
+def with_checksum(text: str) -> str:
+    """The file's text with a last line that holds its checksum."""
+    checksum = _checksum(yaml.load(text, Loader=SAFE_LOADER))
+    return f'{text}{_KEY}: "{checksum}"  # over all but trims, which may be changed by hand\n'
+
+
+def check_checksum(content: object, source: str) -> None:
+    """Raises CalibrationError where a file says something else than when it was written.
+
+    content: as parsed. A file without a checksum, as older ones are, passes.
+    """
+    if not isinstance(content, dict) or _KEY not in content:
+        return
+    if content[_KEY] != _checksum(content):
+        raise CalibrationError(
+            f"{source}: has changed since it was written, and not in its trims: its checksum does "
+            f"not fit. Go back to a copy of it, or calibrate again; a change that is meant counts "
+            f"once the line `{_KEY}:` is deleted"
+        )
+
+
+def _checksum(content: object) -> str:
+    """16 hex digits."""
+    counted = content
+    if isinstance(content, dict):
+        counted = {key: value for key, value in content.items() if key not in _NOT_COUNTED}
+    text = json.dumps(counted, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+#: Raised whenever the meaning of a field changes; a file of another version is refused.
 CALIBRATION_VERSION = 5
 
 _HEADER = """\
@@ -176,4 +218,53 @@ def _four(value: float) -> str:
 
 def _yaml_float(text: str) -> str:
     """YAML 1.1 takes 1e-05 for a word; 1.0e-05 is a number."""
+    return text if "." in text else text.replace("e", ".0e")
+
+
+_HEAD: Final = "coverage:  # of each viseme class, on the face as learnt; measured_mm on the robot"
+
+
+def learnt_lips_lines(lips: LearntLips | None) -> list[str]:
+    """Nothing where nothing was learnt."""
+    if lips is None:
+        return []
+    parts = ", ".join(f"{name}: {_shown(value)}" for name, value in _known(lips))
+    return [f"learnt_lips: {{{parts}}}"]
+
+
+def grade_lines(grade: Grade | None) -> list[str]:
+    """Nothing where nothing was measured."""
+    if grade is None:
+        return []
+    head = "grade:  # measured on the robot, at poses of speech that were never fitted"
+    return [head, *(f"  {name}: {_shown(value)}" for name, value in _known(grade))]
+
+
+def coverage_lines(coverage: Mapping[str, VisemeReach]) -> list[str]:
+    """A line for each viseme class."""
+    if not coverage:
+        return []
+    phonemes = {viseme[0]: " ".join(viseme) for viseme in VISEME_CLASSES}
+    lines = [_HEAD]
+    for viseme, reach in coverage.items():
+        parts = [(n, v) for n, v in _known(reach) if reach.n_measured or n != "n_measured"]
+        told = ", ".join(f"{name}: {_shown(value)}" for name, value in parts)
+        lines.append(f"  {viseme}: {{{told}}}  # {phonemes.get(viseme, '')}")
+    return lines
+
+
+def _known(part: Grade | LearntLips | VisemeReach) -> Iterable[tuple[str, float]]:
+    for field in fields(part):
+        value = getattr(part, field.name)
+        if value is not None:
+            yield field.name, value
+
+
+def _shown(value: float) -> str:
+    """Numbers to 4 significant digits. YAML 1.1 takes 1e-05 for a word; 1.0e-05 is a number."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int):
+        return str(value)
+    text = f"{value:.4g}"
     return text if "." in text else text.replace("e", ".0e")

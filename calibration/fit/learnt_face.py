@@ -6,11 +6,15 @@ from functools import partial
 import numpy as np
 from sklearn.linear_model import RidgeCV
 
-from calibration.calibration import Calibration, CalibrationError, linear_calibration_parts
-from calibration.coupling_rule import CouplingRule
-from calibration.fit.correspondence import RobotMouth, correspond
-from calibration.hold_out import HoldOutErrors, measure_hold_out
-from calibration.joint_range import JointRange
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    CouplingRule,
+    linear_calibration_parts,
+)
+from calibration.fit.retargeting import RobotMouth, correspond
+from calibration.grade import HoldOutErrors, measure_hold_out
+from calibration.mouth_servos import JointRange
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array

@@ -13,6 +13,7 @@ import numpy as np
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
+from calibration.calibration import CouplingRule
 from calibration.capture.capture import (
     STALL_DEG,
     Arrived,
@@ -20,23 +21,23 @@ from calibration.capture.capture import (
     CapturedPose,
     Measure,
     Move,
+    PosePlan,
     Robot,
     gather,
+    joined,
+    least_poses,
+    plan_around,
+    plan_poses,
     read_kept,
     take_poses,
 )
-from calibration.capture.capture_plan import PosePlan, joined, least_poses, plan_around, plan_poses
-from calibration.capture.joint_life import MOST_LOOKS, doubtful_joints, second_look
+from calibration.capture.joint_health import MOST_LOOKS, doubtful_joints, second_look
 from calibration.capture.sanity import check_capture
-from calibration.coupling_rule import CouplingRule
-from calibration.fit.correspondence import correspond
-from calibration.fit.lip_contact import gap_heights_mm
 from calibration.fit.measured import MeasuredFit, mouth_of, retargeting_of, split_frames
 from calibration.fit.measured_grade import graded, graded_poses
-from calibration.fit.retargeting import Retargeting, widest_pose_deg
+from calibration.fit.retargeting import Retargeting, correspond, gap_heights_mm, widest_pose_deg
 from calibration.fit.robot_face import fit_robot_face
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
+from calibration.mouth_servos import JointRange, MouthServos
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 

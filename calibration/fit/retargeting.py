@@ -4,22 +4,215 @@ Markers correspond by name. The wanted gap of the lips is the robot's own closed
 times (the speaker's gap less the speaker's closed gap); scale is the ratio of the widest gaps that
 the two reach, at most 1.3. The rest of the mouth is the speaker's motion at that scale, laid on the
 robot's neutral. A skin drawn by a few horns cannot copy a speaker's point by point, so the shape to
-aim for is that of the robot's own nearest pose; lip gaps weigh most.
+aim for is that of the robot's own nearest pose, found by bounded least squares, many at once; lip
+gaps weigh most.
 
 Only where the speaker closes are lips asked to go past contact, by as much as the learnt gap may be
 wrong there: more is force, not closure.
 """
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.calibration import CalibrationError
-from calibration.fit.correspondence import RobotMouth
-from calibration.fit.lip_contact import gap_heights_mm
-from calibration.hold_out import CLOSED_GAP_MM
+from calibration.calibration import CalibrationError, CouplingRule, keep_rules
+from calibration.grade import CLOSED_GAP_MM
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
+from lipsync.markers import MARKERS_47
+
+#: (n, n_servos) degrees -> (n, n_markers, 3) millimetres.
+MarkersOf = Callable[[Array], Array]
+
+#: Weights of a millimetre: lips are looked at, cheeks and chin only help; whether lips touch shows
+#: most, so the lip gaps count on top of the lips themselves.
+_LIP_WEIGHT, _SKIN_WEIGHT, _GAP_WEIGHT = 1.0, 0.3, 4.0
+#: Millimetres a degree away from neutral is worth: decides between poses that look the same. From
+#: 0.005 to 0.05 no error on grid_s1 changes by 0.005 mm.
+NEUTRAL_WEIGHT_MM_PER_DEG = 0.02
+#: A millimetre for each degree by which a coupling rule is broken: more than the lips weigh.
+_RULE_WEIGHT_MM_PER_DEG = 5.0
+#: Enough for angles within 0.001 degree of where they would end, measured on grid_s1.
+_ROUNDS = 4
+_SWEEPS = 60
+_DIFFERENCE_DEG = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class ShapeFeatures:
+    """What counts of a shape. lips: indices of lip markers; gaps: (n_gaps, 2), upper and lower."""
+
+    lips: tuple[int, ...]
+    gaps: tuple[tuple[int, int], ...]
+
+    def of(self, markers_mm: Array, gaps_mm: Array | None = None) -> Array:
+        """(n, n_markers, 3) -> (n, n_features): weighted positions, then weighted lip gaps.
+
+        gaps_mm: (n, n_gaps, 3), where other gaps are wanted than those of the markers.
+        """
+        weight = np.full((markers_mm.shape[1], 1), _SKIN_WEIGHT)
+        weight[list(self.lips)] = _LIP_WEIGHT
+        if gaps_mm is None:
+            gaps_mm = self.gaps_mm(markers_mm)
+        parts = (weight * markers_mm, _GAP_WEIGHT * gaps_mm)
+        return np.concatenate([part.reshape(len(markers_mm), -1) for part in parts], axis=1)
+
+    def gaps_mm(self, markers_mm: Array) -> Array:
+        """(n, n_markers, 3) -> (n, n_gaps, 3): upper minus lower."""
+        upper, lower = ([pair[i] for pair in self.gaps] for i in (0, 1))
+        return np.asarray(markers_mm[:, upper] - markers_mm[:, lower])
+
+
+def gap_heights_mm(markers_mm: Array, gaps: tuple[tuple[int, int], ...]) -> Array:
+    """(n, n_markers, 3) -> (n, n_gaps): upper above lower."""
+    upper, lower = ([pair[i] for pair in gaps] for i in (0, 1))
+    return np.asarray(markers_mm[:, upper, 1] - markers_mm[:, lower, 1])
+
+
+def nearest_poses_deg(
+    markers_of: MarkersOf,
+    wanted: Array,
+    shape_features: ShapeFeatures,
+    limits_deg: tuple[Array, Array],
+    *,
+    rules: Sequence[CouplingRule] = (),
+    steady_mm_per_deg: float = 0.0,
+) -> Array:
+    """Features (n, n_features) of shapes -> (n, n_servos) within the limits, keeping the rules.
+
+    Gauss-Newton from neutral. steady_mm_per_deg: what a degree of difference to the neighbouring
+    frames costs, where the n frames follow one another.
+    """
+    n_servos = len(limits_deg[0])
+    angles_deg = np.zeros((len(wanted), n_servos))
+    for _ in range(_ROUNDS):
+        reached = shape_features.of(markers_of(angles_deg))
+        slopes = shape_slopes(markers_of, shape_features, angles_deg, reached)
+        missing = wanted - reached + np.einsum("nks,ns->nk", slopes, angles_deg)
+        cost = np.einsum("nks,nkt->nst", slopes, slopes)
+        cost += NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos)
+        pull = np.einsum("nks,nk->ns", slopes, missing)
+        for rule in rules:
+            broken = (angles_deg @ rule.weights > rule.at_most_deg) * _RULE_WEIGHT_MM_PER_DEG**2
+            cost += broken[:, None, None] * np.outer(rule.weights, rule.weights)
+            pull += broken[:, None] * rule.weights * rule.at_most_deg
+        if steady_mm_per_deg:
+            padded = np.concatenate([angles_deg[:1], angles_deg, angles_deg[-1:]])
+            cost += steady_mm_per_deg**2 * np.eye(n_servos)
+            pull += steady_mm_per_deg**2 * (padded[:-2] + padded[2:]) / 2
+        angles_deg = bounded_minimum(cost, pull, *limits_deg)
+    return angles_deg
+
+
+def shape_slopes(
+    markers_of: MarkersOf, shape_features: ShapeFeatures, angles_deg: Array, reached: Array
+) -> Array:
+    """(n, n_features, n_servos): change of the features by degree, as forward differences."""
+    columns = [
+        (shape_features.of(markers_of(angles_deg + step)) - reached) / _DIFFERENCE_DEG
+        for step in _DIFFERENCE_DEG * np.eye(angles_deg.shape[1])
+    ]
+    return np.stack(columns, axis=2)
+
+
+def bounded_minimum(matrices: Array, rights: Array, lower: Array, upper: Array) -> Array:
+    """The x that minimises x'Ax/2 - b'x with lower <= x <= upper, for n problems at once.
+
+    matrices: (n, k, k), positive definite; rights: (n, k); lower, upper: (k,). Coordinate descent:
+    each coordinate in turn goes to its own bounded minimum, which converges for such problems.
+    """
+    x = np.clip(np.linalg.solve(matrices, rights[..., None])[..., 0], lower, upper)
+    for _ in range(_SWEEPS):
+        for i in range(len(lower)):
+            slope = np.einsum("nk,nk->n", matrices[:, i], x) - rights[:, i]
+            x[:, i] = np.clip(x[:, i] - slope / matrices[:, i, i], lower[i], upper[i])
+    return np.asarray(x)
+
+
+#: Upper and lower; the middle one says how open a mouth is.
+_GAP_NAMES = (
+    ("inner_lip_13", "inner_lip_14"),
+    ("inner_lip_82", "inner_lip_87"),
+    ("inner_lip_312", "inner_lip_317"),
+)
+_MIDDLE_GAP = _GAP_NAMES[0]
+_CORNERS = ("outer_lip_61", "outer_lip_291")
+#: Without these nobody knows how open and how wide a mouth is.
+LIPS_NEEDED = frozenset((*_MIDDLE_GAP, *_CORNERS))
+
+
+@dataclass(frozen=True, slots=True)
+class Correspondence:
+    """Which markers both know. human: indices into the model's markers, in the robot's order."""
+
+    marker_names: tuple[str, ...]
+    human: tuple[int, ...]
+    shape_features: ShapeFeatures
+    corners: tuple[int, int]
+
+
+def correspond(marker_names: Sequence[str]) -> Correspondence:
+    """Find what the robot's markers are called in the speaker's face: the same.
+
+    Raises CalibrationError for names that no model knows, or without the middle and the corners of
+    the lips, which say how open and how wide a mouth is.
+    """
+    names = tuple(marker_names)
+    unknown = [name for name in names if name not in MARKERS_47.names]
+    if unknown:
+        raise CalibrationError(
+            f"marker {unknown[0]!r} is none of a speaker's; known: {', '.join(MARKERS_47.names)}"
+        )
+    for name in (*_MIDDLE_GAP, *_CORNERS):
+        if name not in names:
+            raise CalibrationError(f"marker {name!r} is needed and was not captured")
+    human = tuple(MARKERS_47.names.index(name) for name in names)
+    lips = tuple(i for i, h in enumerate(human) if h in MARKERS_47.lips)
+    gaps = tuple(
+        (names.index(upper), names.index(lower))
+        for upper, lower in _GAP_NAMES
+        if upper in names and lower in names
+    )
+    right, left = (names.index(name) for name in _CORNERS)
+    return Correspondence(names, human, ShapeFeatures(lips, gaps), (right, left))
+
+
+@dataclass(frozen=True, slots=True)
+class RobotMouth:
+    """A face as far as it is known, what is looked at in it, and what its joints may do.
+
+    stopped_of: the markers where lips stop each other, which markers_of lets overlap.
+    """
+
+    markers_of: MarkersOf
+    names: Correspondence
+    limits_deg: tuple[Array, Array]
+    rules: tuple[CouplingRule, ...] = ()
+    stopped_of: MarkersOf | None = None
+
+    def seen_mm(self, poses_deg: Array) -> Array:
+        """(n, n_servos) -> (n, n_markers, 3), where a tracker would see them."""
+        return (self.stopped_of or self.markers_of)(poses_deg)
+
+    def neutral_mm(self) -> Array:
+        """(n_markers, 3), all joints at 0."""
+        return np.asarray(self.markers_of(np.zeros((1, len(self.limits_deg[0]))))[0])
+
+    def nearest_deg(self, wanted: Array) -> Array:
+        """Features (n, n_features) of shapes -> (n, n_servos), the poses that come nearest."""
+        shape_features = self.names.shape_features
+        return nearest_poses_deg(
+            self.markers_of, wanted, shape_features, self.limits_deg, rules=self.rules
+        )
+
+    def kept_deg(self, free_deg: Array) -> Array:
+        """(n, n_servos) -> the same within limits and rules, as the live path keeps them."""
+        within_deg: Array = np.clip(free_deg, *self.limits_deg)
+        if not self.rules:
+            return within_deg
+        return np.array([keep_rules(self.rules, degrees) for degrees in within_deg])
+
 
 #: Where nobody saw lips stop each other they are asked to go so far past the closed gap.
 PRESS_MM = 1.2
@@ -86,12 +279,6 @@ class Retargeting:
     def asked_open_mm(self, from_rest: Array) -> Array:
         """(n, n_components) -> (n, n_gaps): the openings wanted beyond the robot's closed gap."""
         return np.maximum(self.copies_mm(from_rest)[1][..., 1] - self.closed_mm, 0.0)
-
-    def off_copy_mm(self, from_rest: Array) -> float:
-        """How far the shapes aimed for are from literal copies, rms over frames and lips."""
-        off_mm = self.targets_mm(from_rest) - self.copies_mm(from_rest)[0]
-        lips = list(self.mouth.names.shape_features.lips)
-        return float(np.sqrt(np.mean(np.sum(off_mm[:, lips] ** 2, axis=2))))
 
     def copies_mm(self, from_rest: Array) -> tuple[Array, Array]:
         """(n, n_components) -> literal copies (n, n_markers, 3), and gaps (n, n_gaps, 3)."""

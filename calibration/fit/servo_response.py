@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from calibration.calibration import CalibrationError, Following
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import JointRange
 from lipsync.arrays import Array
 
 #: Send goals (n, n_servos), one each 1 / rate_hz, and give back the encoders at the same instants.

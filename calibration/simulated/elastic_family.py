@@ -1,26 +1,139 @@
-"""Elastic robots by seed: how many servos, what they are called, where they pull, how weak.
+"""Elastic robots built as a face's YAML says: where its joints pull, how far, how weak.
 
-Names, limits, kinds of joints and which way they are mounted are drawn; none is told to what fits
-but names, limits and the word for what a positive angle does, as a face's YAML tells them.
+What the joints are called and what a positive angle does is enough to make a robot that is built
+so; what that leaves open is shared out among the places that are left. All else is drawn from a
+seed, and none of it is told to what fits.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calibration.joint_range import JointRange
+from calibration.joint_motion import CLOSE, DOWN, UP, Channel, JointMotion, joint_motion, words
 from calibration.mouth_servos import MouthServos
-from calibration.simulated.elastic_robot import ElasticDraw, Rod
-from calibration.simulated.elastic_skin import N_PAIRS, ElasticSkin, elastic_skin
-from calibration.simulated.four_bar import FourBar
-from calibration.simulated.pull_kinds import KINDS, OPPOSITES, pulls_of
+from calibration.simulated.elastic_robot import (
+    N_PAIRS,
+    ElasticDraw,
+    ElasticSkin,
+    FourBar,
+    Rod,
+    elastic_skin,
+)
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
 
-N_SERVOS = (1, 4, 6, 8, 10, 12)
-#: Of the robots with an even number of servos that are drawn most.
-_SHARES = (0.08, 0.12, 0.2, 0.25, 0.25, 0.1)
+
+@dataclass(frozen=True, slots=True)
+class PullKind:
+    """A joint: its word, where it pulls (landmarks), which way, whose lip, how far it may turn."""
+
+    word: str
+    pulls: tuple[tuple[int, tuple[float, float, float]], ...]
+    limits_deg: tuple[float, float]
+    lip: int = 0
+    """1 upper, -1 lower, 0 neither."""
+
+
+_OUT = (0.9, 0.0, -0.44)
+_IN = (-0.9, 0.0, -0.44)
+_UP, _DOWN, _FORWARD = (0.0, 1.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, 1.0)
+KINDS: Mapping[str, PullKind] = {
+    "jaw": PullKind("opens", (), (-3.0, 24.0)),
+    "upper": PullKind("raises", ((39, _UP), (269, _UP), (0, _UP)), (-35.0, 35.0), 1),
+    "lower": PullKind("lowers", ((181, _DOWN), (405, _DOWN), (17, _DOWN)), (-35.0, 35.0), -1),
+    "corners": PullKind("widens", ((61, _IN), (291, _OUT)), (-30.0, 35.0)),
+    "upper_l": PullKind("raises", ((269, _UP),), (-35.0, 35.0), 1),
+    "upper_r": PullKind("raises", ((39, _UP),), (-35.0, 35.0), 1),
+    "upper_m": PullKind("raises", ((0, _UP),), (-30.0, 30.0), 1),
+    "lower_l": PullKind("lowers", ((405, _DOWN),), (-35.0, 38.0), -1),
+    "lower_r": PullKind("lowers", ((181, _DOWN),), (-35.0, 38.0), -1),
+    "lower_m": PullKind("lowers", ((17, _DOWN),), (-30.0, 30.0), -1),
+    "out_l": PullKind("widens", ((291, _OUT),), (-30.0, 35.0)),
+    "out_r": PullKind("widens", ((61, _IN),), (-30.0, 35.0)),
+    "smile": PullKind("raises", ((291, _UP), (61, _UP)), (-30.0, 30.0)),
+    "up_l": PullKind("raises", ((291, _UP),), (-30.0, 30.0)),
+    "up_r": PullKind("raises", ((61, _UP),), (-30.0, 30.0)),
+    "pucker": PullKind(
+        "protrudes", ((0, _FORWARD), (17, _FORWARD), (39, _FORWARD), (269, _FORWARD)), (-20.0, 40.0)
+    ),
+}
+
+#: By side: left, right, middle, both.
+_OF_CHANNEL: Mapping[Channel, tuple[str, str, str, str]] = {
+    "jaw": ("jaw", "jaw", "jaw", "jaw"),
+    "upper_lip": ("upper_l", "upper_r", "upper_m", "upper"),
+    "lower_lip": ("lower_l", "lower_r", "lower_m", "lower"),
+    "corner_out": ("out_l", "out_r", "corners", "corners"),
+    "corner_up": ("up_l", "up_r", "smile", "smile"),
+    "protrusion": ("pucker", "pucker", "pucker", "pucker"),
+}
+_SIDES = ("left", "right", "middle", "both")
+#: Several of one channel whose names tell no side share these out.
+_SHARED: Mapping[Channel, tuple[str, ...]] = {
+    "upper_lip": ("upper_l", "upper_r", "up_l", "up_r", "upper_m"),
+    "lower_lip": ("lower_l", "lower_r", "lower_m"),
+    "corner_out": ("out_l", "out_r"),
+    "corner_up": ("up_l", "up_r"),
+}
+#: For joints of which nothing is known.
+_ANY = ("upper", "lower", "corners", "pucker", "smile")
+
+
+@dataclass(frozen=True, slots=True)
+class Pull:
+    """What one joint of a face does. sign: -1 where a positive angle does the kind's opposite.
+
+    is_guess: whether name and word leave open what it moves.
+    """
+
+    kind: str
+    sign: int
+    is_guess: bool = False
+
+
+def pulls_of(names: Sequence[str], positive: Sequence[str]) -> tuple[Pull, ...]:
+    """One for each joint of a mouth, of any names and words. positive: one word a joint, or none.
+
+    The first joint that opens is the jaw. Two joints may pull at one place.
+    """
+    said = positive or [""] * len(names)
+    known = [joint_motion(name, word) for name, word in zip(names, said, strict=True)]
+    read = [motion or _by_word(word) for motion, word in zip(known, said, strict=True)]
+    taken: list[str] = []
+    pulls = []
+    for motion, was_known in zip(read, known, strict=True):
+        kind = _kind_of(motion, read, taken)
+        taken.append(kind)
+        sign = 1 if motion is None else motion.sign
+        pulls.append(Pull(kind, sign, was_known is None))
+    return tuple(pulls)
+
+
+def _by_word(word: str) -> JointMotion | None:
+    """What goes up is the upper lip, what goes down the lower one."""
+    told = words(word)
+    if bool(told & UP) == bool(told & (DOWN | CLOSE)):
+        return None
+    return JointMotion("upper_lip" if told & UP else "lower_lip", "both", 1)
+
+
+def _kind_of(
+    motion: JointMotion | None, all_read: Sequence[JointMotion | None], taken: list[str]
+) -> str:
+    if motion is None:
+        free = [kind for kind in _ANY if kind not in taken]
+        return free[0] if free else _ANY[len(taken) % len(_ANY)]
+    if motion.channel == "jaw" and "jaw" in taken:
+        return "lower"
+    if motion.side == "both" and motion.channel in _SHARED:
+        alike = [each for each in all_read if each and each.channel == motion.channel]
+        free = [kind for kind in _SHARED[motion.channel] if kind not in taken]
+        if len(alike) > 1 and free:
+            return free[0]
+    return _OF_CHANNEL[motion.channel][_SIDES.index(motion.side)]
+
+
 _WEAK_LEFT = 0.7
 _DOTS_MM, _NEUTRAL_GAP_MM, _PLAY_DEG = (0.0, 1.5), (0.0, 0.8), (0.8, 1.2)
 _SIZE, _ARM_MM, _ROD_N_PER_MM = (0.88, 1.15), (8.0, 12.0), (4.0, 12.0)
@@ -28,66 +141,6 @@ _SAG_DEG, _DRIFT_DEG, _ZERO_DEG = (0.0, 0.5), 0.3, 1.0
 #: The jaw and its servo give way by a degree to so many newton-millimetres.
 _JAW_NMM_PER_DEG = (300.0, 900.0)
 _BEHIND_MM, _ABOVE_MM = 85.0, 36.0
-#: Servos that are mounted the other way round than the next builder's.
-_MIRRORED = 0.3
-
-
-_SETS: Mapping[int, tuple[str, ...]] = {
-    1: ("jaw",),
-    4: ("jaw", "upper", "lower", "corners"),
-    6: ("jaw", "upper", "lower", "out_l", "out_r", "pucker"),
-    8: ("jaw", "upper_l", "upper_r", "lower_l", "lower_r", "out_l", "out_r", "pucker"),
-    10: (
-        "jaw", "upper_l", "upper_r", "lower_l", "lower_r", "out_l", "out_r", "up_l", "up_r",
-        "pucker",
-    ),
-    12: (
-        "jaw", "upper_l", "upper_m", "upper_r", "lower_l", "lower_m", "lower_r", "out_l", "out_r",
-        "up_l", "up_r", "pucker",
-    ),
-}  # fmt: skip
-#: How builders call such joints.
-_NAMES: Mapping[str, tuple[str, ...]] = {
-    "jaw": ("mandible", "m1_jaw", "kiefer", "jaw_pitch"),
-    "upper": ("top_lip", "m2_top", "oberlippe", "lip_up"),
-    "lower": ("bottom_lip", "m3_bottom", "unterlippe", "lip_down"),
-    "corners": ("smile", "m4_smile", "winkel", "mouth_wide"),
-    "upper_l": ("top_lip_l", "m2", "oberlippe_links", "lip_up_port"),
-    "upper_r": ("top_lip_r", "m3", "oberlippe_rechts", "lip_up_starboard"),
-    "upper_m": ("top_lip_mid", "m11", "oberlippe_mitte", "lip_up_mid"),
-    "lower_l": ("bottom_lip_l", "m4", "unterlippe_links", "lip_down_port"),
-    "lower_r": ("bottom_lip_r", "m5", "unterlippe_rechts", "lip_down_starboard"),
-    "lower_m": ("bottom_lip_mid", "m12", "unterlippe_mitte", "lip_down_mid"),
-    "out_l": ("cheek_l", "m6", "winkel_links", "wide_port"),
-    "out_r": ("cheek_r", "m7", "winkel_rechts", "wide_starboard"),
-    "up_l": ("smile_l", "m8", "laecheln_links", "smile_port"),
-    "up_r": ("smile_r", "m9", "laecheln_rechts", "smile_starboard"),
-    "pucker": ("kiss", "m10", "kuss", "pucker"),
-}
-
-
-def draw_elastic_robot(
-    rest_mm: Array, seed: int, n_servos: int | None = None
-) -> tuple[ElasticDraw, MouthServos]:
-    """The robot of a seed, and what its face YAML says. rest_mm: (47, 3), a closed mouth.
-
-    n_servos: one of N_SERVOS, where not the seed decides.
-    """
-    rng = np.random.default_rng([seed, 17])
-    drawn = int(rng.choice(N_SERVOS, p=_SHARES))
-    kinds = _SETS[n_servos or drawn]
-    names = tuple(_NAMES[kind][int(seed) % 4] for kind in kinds)
-    draw, limits_deg = _drawn(rest_mm, kinds, names, rng)
-    # Of a generator of its own: all else of a seed is as if no servo were mirrored.
-    is_mirrored = np.random.default_rng([seed, 31]).random(len(kinds)) < _MIRRORED
-    joints, words = [], []
-    for name, kind, limits, mirrored in zip(names, kinds, limits_deg, is_mirrored, strict=True):
-        low, high = (-limits[1], -limits[0]) if mirrored else limits
-        joints.append(JointRange(name, float(low), float(high)))
-        word = KINDS[kind].word
-        words.append(OPPOSITES[word] if mirrored else word)
-    servos = MouthServos(tuple(joints), f"elastic-{seed}", (), tuple(words))
-    return replace(draw, signs=np.where(is_mirrored, -1.0, 1.0)), servos
 
 
 def elastic_robot_of(rest_mm: Array, servos: MouthServos, seed: int) -> ElasticDraw:
@@ -97,7 +150,7 @@ def elastic_robot_of(rest_mm: Array, servos: MouthServos, seed: int) -> ElasticD
     """
     pulls = pulls_of(servos.names, servos.positive)
     kinds = [pull.kind for pull in pulls]
-    draw, _ = _drawn(rest_mm, kinds, servos.names, np.random.default_rng([seed, 37]))
+    draw, _ = robot_of_kinds(rest_mm, kinds, servos.names, np.random.default_rng([seed, 37]))
     signs = np.array([float(pull.sign) for pull in pulls])
     four_bar = draw.four_bar
     if draw.jaw >= 0:
@@ -108,7 +161,7 @@ def elastic_robot_of(rest_mm: Array, servos: MouthServos, seed: int) -> ElasticD
     return replace(draw, signs=signs, four_bar=four_bar)
 
 
-def _drawn(
+def robot_of_kinds(
     rest_mm: Array, kinds: Sequence[str], names: tuple[str, ...], rng: np.random.Generator
 ) -> tuple[ElasticDraw, Array]:
     """A robot of these kinds of joints, none mounted mirrored, and its limits (n_servos, 2)."""

@@ -4,10 +4,9 @@ from collections.abc import Callable, Sequence
 
 from calibration.calibration import CalibrationError
 from calibration.mouth_servos import MouthServos
-from calibration.simulated.elastic_family import elastic_robot_of
-from calibration.simulated.elastic_robot import ElasticFace, ElasticRobot
+from calibration.simulated.elastic_family import elastic_robot_of, pulls_of
+from calibration.simulated.elastic_robot import ElasticFace
 from calibration.simulated.face import POSITIVE_DIRECTIONS, marker_positions_mm, simulated_face
-from calibration.simulated.pull_kinds import pulls_of
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from calibration.simulated.robot_family import RobotFamily
 from lipsync.arrays import Array
@@ -24,7 +23,7 @@ def family_of(servos: MouthServos) -> RobotFamily:
 
 def practice_robot(
     rest_mm: Array, servos: MouthServos, seed: int, family: RobotFamily | None = None
-) -> SimulatedRobot | ElasticRobot:
+) -> SimulatedRobot:
     """The robot of a seed that has the joints of this face. rest_mm: (47, 3), a closed mouth.
 
     family: None for `family_of`. Raises CalibrationError without joints, and for a family that
@@ -32,7 +31,7 @@ def practice_robot(
     """
     _check_joints(servos)
     if (family or family_of(servos)) is RobotFamily.ELASTIC:
-        return ElasticRobot(ElasticFace(elastic_robot_of(rest_mm, servos, seed)), noise_seed=seed)
+        return SimulatedRobot(ElasticFace(elastic_robot_of(rest_mm, servos, seed)), noise_seed=seed)
     try:
         return SimulatedRobot(draw_robot(rest_mm, servos.names, seed), noise_seed=seed)
     except ValueError as error:

@@ -7,6 +7,7 @@ Not simulated: gravity, load, lips that stop each other (they may overlap), skin
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -37,6 +38,11 @@ class RobotDraw:
     face: SimulatedFace
     zero_deg: Array
     backlash_deg: Array
+    noise_stream: tuple[int, ...] = ()
+
+    def seen_mm(self, output_deg: Array, _n_moves: int) -> Array:
+        """(n_servos,), angles behind the backlash -> (47, 3), without noise."""
+        return np.asarray(true_markers_mm(self, output_deg[None])[0])
 
 
 def draw_robot(rest_mm: Array, servo_names: Sequence[str], seed: int) -> RobotDraw:
@@ -73,29 +79,51 @@ def _other_pull(pull: Array, rng: np.random.Generator) -> Array:
     return np.asarray(rng.uniform(*_STRENGTH) * weight ** rng.uniform(*_SKIN) * turned)
 
 
+class Skin(Protocol):
+    """The face of a simulated robot, of either family."""
+
+    @property
+    def backlash_deg(self) -> Array:
+        """(n_servos,), of its gears."""
+
+    @property
+    def noise_stream(self) -> tuple[int, ...]:
+        """With the seed of a tracker's noise: families do not share it."""
+
+    def seen_mm(self, output_deg: Array, n_moves: int) -> Array:
+        """(n_servos,), angles behind the backlash, after so many moves -> (47, 3), exact."""
+
+
 class SimulatedRobot:
-    """Servos with backlash behind a skin, and a noisy tracker before it."""
+    """Servos with backlash behind a skin of either family, and a noisy tracker before it."""
 
     def __init__(
         self,
-        draw: RobotDraw,
+        skin: Skin,
         *,
         noise_seed: int = 0,
         noise_mm: float = SENSOR_NOISE_MM,
     ) -> None:
-        """All servos at 0, in the middle of their backlash."""
-        self._draw = draw
-        self._noise = np.random.default_rng(noise_seed)
+        """Cold, all servos at 0, in the middle of their backlash."""
+        self._skin = skin
+        self._noise = np.random.default_rng([noise_seed, *skin.noise_stream])
         self._noise_mm = noise_mm
-        self._output_deg = np.zeros(len(draw.zero_deg))
+        self._output_deg = np.zeros(len(skin.backlash_deg))
+        self._n_moves = 0
 
     def move(self, positions_deg: Array) -> Array:
         """Go there and settle; the encoders then, (n_servos,). Backlash: the horn lags behind."""
-        half_deg = self._draw.backlash_deg / 2
+        half_deg = self._skin.backlash_deg / 2
         self._output_deg = np.clip(
             self._output_deg, positions_deg - half_deg, positions_deg + half_deg
         )
+        self._n_moves += 1
         return np.asarray(positions_deg, dtype=np.float64).copy()
+
+    @property
+    def output_deg(self) -> Array:
+        """(n_servos,): where the horns stand, for the bench."""
+        return self._output_deg.copy()
 
     def measure(self) -> Array:
         """(47, 3): one look of the tracker."""
@@ -103,7 +131,7 @@ class SimulatedRobot:
 
     def true_markers_mm(self) -> Array:
         """(47, 3): where the markers are, which nobody who calibrates is told."""
-        return np.asarray(true_markers_mm(self._draw, self._output_deg[None])[0])
+        return self._skin.seen_mm(self._output_deg, self._n_moves)
 
 
 def true_markers_mm(draw: RobotDraw, output_deg: Array) -> Array:

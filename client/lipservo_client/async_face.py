@@ -1,19 +1,143 @@
-"""A face to speak through, for programs with an event loop."""
+"""A face to speak through, for programs with an event loop, and the WebSocket that it goes over."""
 
 import asyncio
 import contextlib
 import itertools
-from collections.abc import AsyncGenerator
+import json
+from collections.abc import AsyncGenerator, Callable
+from http import HTTPStatus
 from typing import Any, Final, Literal, Self
 
-from lipservo_client.face_answers import Event, FaceError, Played, error_of, played_of
-from lipservo_client.pcm_bytes import Pcm, pcm_bytes
-from lipservo_client.wire import Wire, connected
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
 
+from lipservo_client.local_token import found_tokens
+from lipservo_client.protocol import (
+    PROTOCOL,
+    Event,
+    FaceError,
+    Pcm,
+    Played,
+    error_of,
+    pcm_bytes,
+    played_of,
+)
+
+#: A chunk is sent in pieces: the face takes messages of up to 1 MB.
+_PIECE_BYTES: Final = 1 << 16
 #: An answer that takes longer will not come.
 PATIENCE_S: Final = 10.0
 #: Events that a slow reader of `events` finds; the oldest are lost beyond it.
 _MOST_EVENTS: Final = 1024
+
+
+class Wire:
+    """A connection whose events are read at all times, since the face drops who does not read."""
+
+    def __init__(
+        self,
+        socket: ClientConnection,
+        on_event: Callable[[Event], None],
+        on_close: Callable[[FaceError], None],
+    ) -> None:
+        self._socket = socket
+        self._on_event = on_event
+        self._on_close = on_close
+        self._reading = asyncio.get_running_loop().create_task(self._read())
+
+    async def send(self, kind: str, **fields: object) -> None:
+        """A message. Raises FaceError once the connection is gone."""
+        given = {name: value for name, value in fields.items() if value is not None}
+        await self._send(json.dumps({"type": kind, **given}))
+
+    async def send_audio(self, data: bytes) -> None:
+        """Samples; waits while the face takes them slower. Raises FaceError."""
+        for first in range(0, len(data), _PIECE_BYTES):
+            await self._send(data[first : first + _PIECE_BYTES])
+
+    async def close(self) -> None:
+        """Hang up; what was said whole is said to its end."""
+        await self._socket.close()
+        await self._reading
+
+    async def _send(self, message: str | bytes) -> None:
+        try:
+            await self._socket.send(message)
+        except ConnectionClosed as error:
+            raise _gone(error) from error
+
+    async def _read(self) -> None:
+        try:
+            while True:
+                with contextlib.suppress(ValueError):
+                    event = json.loads(await self._socket.recv())
+                    if isinstance(event, dict) and isinstance(event.get("type"), str):
+                        self._on_event(event)
+        except ConnectionClosed as error:
+            self._on_close(_gone(error))
+
+
+async def connected(
+    url: str,
+    token: str | None,
+    on_event: Callable[[Event], None],
+    on_close: Callable[[FaceError], None],
+    patience_s: float,
+) -> Wire:
+    """Connect to a face.
+
+    Parameters
+    ----------
+    token : that the face requires; None: on this computer it is found in the runtime folders, of
+        another none is sent.
+
+    Raises
+    ------
+    FaceError
+        unauthorized, refused, not_answering.
+
+    """
+    tokens = [token] if token is not None else await asyncio.to_thread(found_tokens, url)
+    for each in tokens[:-1]:
+        with contextlib.suppress(_UnauthorizedError):
+            return Wire(await _opened(url, each, patience_s), on_event, on_close)
+    last = tokens[-1] if tokens else None
+    return Wire(await _opened(url, last, patience_s), on_event, on_close)
+
+
+class _UnauthorizedError(FaceError):
+    """The token is another, or none was sent."""
+
+
+async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
+    """Raises FaceError."""
+    headers = None if token is None else {"Authorization": f"Bearer {token}"}
+    try:
+        return await connect(
+            url,
+            additional_headers=headers,
+            compression=None,
+            open_timeout=patience_s,
+            close_timeout=patience_s,
+        )
+    except InvalidStatus as error:
+        answer = error.response
+        why = bytes(answer.body or b"").decode("utf-8", "replace").strip()
+        line = f"{url}: {why or answer.status_code}"
+        if answer.status_code == HTTPStatus.UNAUTHORIZED:
+            raise _UnauthorizedError("unauthorized", line) from error
+        raise FaceError("refused", line) from error
+    except (InvalidURI, InvalidHandshake) as error:
+        raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
+    except (OSError, TimeoutError) as error:
+        hint = "is a face running that takes speech?"
+        raise FaceError("not_answering", f"{url}: nobody answers there; {hint}") from error
+
+
+def _gone(error: ConnectionClosed) -> FaceError:
+    reason = error.rcvd.reason if error.rcvd is not None else ""
+    code, _, rest = reason.partition(":")
+    return FaceError(code or "disconnected", rest.strip() or "the face has hung up")
 
 
 class AsyncSpeech:
@@ -141,15 +265,31 @@ class AsyncFace:
         self._speeches: dict[str, AsyncSpeech] = {}
         self._listeners: list[asyncio.Queue[Event | None]] = []
         self._lost: FaceError | None = None
+        self._greeting: asyncio.Future[object] | None = None
         self._control: Wire | None = None
         self._connecting = asyncio.Lock()
         self._asked: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self.wire: Wire
 
     async def __aenter__(self) -> Self:
+        """Raises FaceError: unauthorized, refused, not_answering, bad_protocol."""
         url = f"{self._url}/stream"
+        self._greeting = asyncio.get_running_loop().create_future()
         self.wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
-        await self.wire.send("hello")
+        try:
+            await self.wire.send("hello", protocol=PROTOCOL)
+            async with asyncio.timeout(PATIENCE_S):
+                version = await self._greeting
+            if version != PROTOCOL:
+                differ = f"the face speaks protocol {version}, this lipservo-client {PROTOCOL}"
+                remedy = "install the lipservo-client of the face's version"
+                raise FaceError("bad_protocol", f"{url}: {differ}; {remedy}")
+        except TimeoutError as error:
+            await self.wire.close()
+            raise FaceError("not_answering", f"{url}: the face does not answer") from error
+        except BaseException:
+            await self.wire.close()
+            raise
         return self
 
     async def __aexit__(self, *exc: object) -> None:
@@ -270,6 +410,12 @@ class AsyncFace:
                 answer.set_exception(error)
 
     def _hear(self, event: Event) -> None:
+        if self._greeting is not None and not self._greeting.done():
+            if event["type"] == "error":
+                self._greeting.set_exception(error_of(event))
+            elif event["type"] == "hello":
+                self._greeting.set_result(event.get("protocol", "unknown"))
+            return
         speech = self._speeches.get(str(event.get("stream")))
         if speech is not None:
             speech.hear(event)
@@ -281,6 +427,8 @@ class AsyncFace:
 
     def _lose(self, error: FaceError) -> None:
         self._lost = error
+        if self._greeting is not None and not self._greeting.done():
+            self._greeting.set_exception(error)
         for speech in self._speeches.values():
             speech.lose(error)
         self._hand_on(None)

@@ -7,8 +7,7 @@ from concurrent.futures import CancelledError
 from typing import Any, Final, Literal, Self, TypeVar
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.face_answers import Event, Played
-from lipservo_client.pcm_bytes import Pcm
+from lipservo_client.protocol import Event, Pcm, Played
 
 #: Between two looks whether there is still somebody who could answer.
 _LOOK_S: Final = 0.5

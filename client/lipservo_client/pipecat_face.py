@@ -21,7 +21,7 @@ from pipecat.frames.frames import (
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.face_answers import FaceError, Played
+from lipservo_client.protocol import FaceError, Played
 
 
 class PipecatFace(FrameProcessor):

@@ -9,13 +9,14 @@ docs/hardware.md, "Who may connect over TCP", is the same for people.
 
 import hashlib
 import hmac
-import ipaddress
 from collections.abc import Iterable, Mapping, MutableMapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.cookies import CookieError, SimpleCookie
 from typing import Any, Final
 from urllib.parse import parse_qsl, urlencode, urlsplit
+
+from lipservo_client.local_token import host_address, is_loopback
 
 _SAFE: Final = ("GET", "HEAD")
 #: Programs ask there; everything else is a page, which a person may open by a link.
@@ -173,32 +174,17 @@ def is_same_token(given: str, token: str) -> bool:
     return hmac.compare_digest(given.encode("utf-8", "replace"), token.encode())
 
 
-def is_loopback(host: str) -> bool:
-    """Whether a host, by name or address, is this computer as it sees itself."""
-    address = _address(host)
-    return host.lower() == "localhost" if address is None else address.is_loopback
-
-
 def is_plain_host(host: str) -> bool:
     """Whether a `Host` header is an address or `localhost`: no page makes that lead elsewhere."""
     try:
         name = urlsplit(f"//{host}").hostname or ""
     except ValueError:
         return False
-    return name.lower() == "localhost" or _address(name) is not None
+    return name.lower() == "localhost" or host_address(name) is not None
 
 
 def _is_from_this_computer(request: Request) -> bool:
     return is_loopback(request.peer) and _FORWARDED.isdisjoint(request.headers)
-
-
-def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    try:
-        address = ipaddress.ip_address(host)
-    except ValueError:
-        return None
-    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
-    return mapped or address
 
 
 def _is_own_page(request: Request, policy: Policy) -> bool:

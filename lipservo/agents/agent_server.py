@@ -22,18 +22,18 @@ from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from lipservo.agents.agent_settings import AgentSettings, Speak
 from lipservo.agents.control_session import Commands, ControlSession
-from lipservo.agents.handshake import (
+from lipservo.agents.listener import (
     HEALTH_PATHS,
     STREAM_PATH,
+    AgentSettings,
     Handshake,
+    Speak,
     handshake,
     request_of,
+    url_of,
 )
-from lipservo.agents.listener import url_of
-from lipservo.agents.message_rate import MessageRate
-from lipservo.agents.outbox import Outbox
+from lipservo.agents.messages import Outbox
 from lipservo.agents.stream_session import StreamSession
 from lipservo.agents.turns import Turns
 from lipsync.audio.playout import Playout
@@ -296,3 +296,21 @@ async def _close(server: Server, clients: Iterable[ServerConnection]) -> None:
     server.close()
     with contextlib.suppress(TimeoutError):
         await asyncio.wait_for(server.wait_closed(), 2.0 * _CLOSING_S)
+
+
+class MessageRate:
+    """A bucket that holds a second's worth of messages and fills up steadily."""
+
+    def __init__(self, per_s: float) -> None:
+        self._per_s = per_s
+        self._left = per_s
+        self._asked_s = 0.0
+
+    def wait_s(self, now_s: float) -> float:
+        """One more message has come at monotonic `now_s`: how long to wait before the next."""
+        if self._asked_s:
+            filled = (now_s - self._asked_s) * self._per_s
+            self._left = min(self._per_s, self._left + filled)
+        self._asked_s = now_s
+        self._left -= 1.0
+        return max(0.0, -self._left / self._per_s)

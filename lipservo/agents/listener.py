@@ -1,19 +1,59 @@
-"""The address at which voice agents find a face."""
+"""How voice agents come in: the bounds that a user settles, the address, and each HTTP request.
+
+The policy is `lipservo/access/admission.py`, which the dashboard's server has too; here are the
+paths, the number of clients, and the way in that a stop always has.
+"""
 
 import contextlib
 import errno
 import os
 import socket
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from http import HTTPStatus
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal
+from urllib.parse import urlsplit
 
-from lipservo.access.admission import is_loopback
-from lipservo.access.kernel_sockets import tcp_sockets
+from lipservo_client.local_token import is_loopback, tcp_sockets
+
+from lipservo.access.admission import Policy, Refusal, Request, merged_headers, refusal
 from lipsync.errors import UserError, shown
 
+#: Says a text, or plays a file; gives what is told of it, such as its length. Called in a thread of
+#: its own. A ValueError is told to the client as it stands.
+Speak = Callable[[str], Mapping[str, object] | None]
 _BACKLOG: Final = 16
 _HIGHEST_PORT: Final = 65_535
 _PROC: Final = Path("/proc")
+STREAM_PATH, CONTROL_PATH = "/stream", "/control"
+#: Answered to a plain GET, for programs that watch over a service.
+HEALTH_PATHS: Final = frozenset({"/", "/status"})
+
+
+@dataclass(frozen=True, slots=True)
+class AgentSettings:
+    """The bounds of an `AgentServer`.
+
+    policy: who may connect.
+    when_busy: what becomes of a stream while somebody else's is said. most_streams: that are said
+    or wait, of all clients together. messages_per_s: of one client; more wait in its own socket.
+    first_message_s: a client that has said nothing by then is disconnected. stalled_s: a stream
+    that gets no audio for so long is ended. position_s: between two
+    positions that are told unasked. ping_s: a client is asked so often whether it is there, and has
+    as long to answer.
+    """
+
+    policy: Policy = field(default_factory=Policy)
+    when_busy: Literal["refuse", "queue"] = "refuse"
+    most_connections: int = 8
+    most_streams: int = 8
+    most_message_bytes: int = 1 << 20
+    messages_per_s: float = 2000.0
+    first_message_s: float = 10.0
+    stalled_s: float = 60.0
+    position_s: float = 0.25
+    ping_s: float = 20.0
 
 
 def bind_listener(spec: str, token: str | None) -> socket.socket:
@@ -66,3 +106,49 @@ def _holder_of(port: int) -> str:
                     name = (folder / "comm").read_text().strip()
                     return f" by process {folder.name} ({name})"
     return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Handshake:
+    """refused: an HTTP answer instead of a WebSocket. may_only_stop: why a client may no more."""
+
+    refused: Refusal | None = None
+    may_only_stop: Refusal | None = None
+
+
+def request_of(target: str, headers: Iterable[tuple[str, str]], peer: str) -> Request:
+    """The request for a WebSocket. target: of its first line. Raises ValueError."""
+    split = urlsplit(target)
+    merged = merged_headers(headers)
+    is_websocket = merged.get("upgrade", "").lower() == "websocket"
+    return Request("GET", split.path, split.query, merged, is_websocket, peer)
+
+
+def handshake(request: Request, settings: AgentSettings, n_connected: int) -> Handshake:
+    """Decide about a request: full access, none, or a stop and nothing else.
+
+    `/control` is open to a stop where everything else would be refused for a missing token on this
+    computer, or because there are too many clients.
+    """
+    refused = _refused(request, settings, n_connected)
+    if refused is None or request.path != CONTROL_PATH or not request.is_websocket:
+        return Handshake(refused)
+    if refusal(request, settings.policy, is_stop=True) is None:
+        return Handshake(None, may_only_stop=refused)
+    return Handshake(refused)
+
+
+def _refused(request: Request, settings: AgentSettings, n_connected: int) -> Refusal | None:
+    refused = refusal(request, settings.policy)
+    if refused is not None:
+        return refused
+    if request.path in HEALTH_PATHS and "upgrade" not in request.headers:
+        return None
+    if request.path not in (STREAM_PATH, CONTROL_PATH):
+        return Refusal(HTTPStatus.NOT_FOUND, f"there are {STREAM_PATH} and {CONTROL_PATH}")
+    if not request.is_websocket:
+        return Refusal(HTTPStatus.UPGRADE_REQUIRED, "this is a WebSocket; use ws://")
+    if n_connected >= settings.most_connections:
+        most = f"{settings.most_connections} clients are connected already"
+        return Refusal(HTTPStatus.SERVICE_UNAVAILABLE, most)
+    return None

@@ -1,15 +1,26 @@
-"""What a client may say in text: JSON objects with a `type`, checked field by field.
+"""What goes over a voice agent's connection: its messages and samples, and the events for it.
 
-Types that are not known are ignored, and so are fields that are not: clients are older or newer.
+Texts are JSON objects with a `type`, checked field by field. Types that are not known are ignored,
+and so are fields that are not: clients are older or newer. Samples are bytes of PCM, and a message
+may be cut at any byte. What waits to be sent is bounded, so that a slow reader costs only itself.
 """
 
+import asyncio
+import base64
+import binascii
 import json
+from collections import deque
+from collections.abc import Mapping
 from typing import Annotated, Final, Literal, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 
+#: The version of docs/agents.md that this face speaks; a client of another is told so.
+PROTOCOL: Final = 1
 #: Where a stream's samples are played: by the face's own loudspeaker, or by who sends them.
 Playback = Literal["server", "client"]
 Name = Annotated[str, Field(min_length=1, max_length=128)]
@@ -19,6 +30,15 @@ _LONGEST_TEXT: Final = 20_000
 _LONGEST_S: Final = 10_000.0
 #: A face is at rest and limp within seconds; after a pulled plug within half a minute.
 LONGEST_WAIT_S: Final = 30.0
+Samples = NDArray[np.float32]
+
+_WIDTH: Final = {"s16le": 2, "f32le": 4}
+_FULL_SCALE: Final = 32_768.0
+_MOST_WAITING: Final = 256
+#: Of which the next makes up for a lost one: these make room.
+_REPLACEABLE: Final = frozenset({"position", "phoneme"})
+
+Event = Mapping[str, object]
 
 
 class MessageError(ValueError):
@@ -37,9 +57,10 @@ _Kind = TypeVar("_Kind", bound=_Message)
 
 
 class Hello(_Message):
-    """I am here, and may be silent for long."""
+    """I am here, and may be silent for long. protocol: the client's version; None: not said."""
 
     type: Literal["hello"]
+    protocol: int | None = None
 
 
 class Start(_Message):
@@ -210,3 +231,84 @@ def _checked(kind: type[_Kind], fields: dict[str, object]) -> _Kind:
         where = str(first["loc"][0]) if first["loc"] else "message"
         reason = f"{where}: {first['msg']}"
         raise MessageError("bad_message", f"{fields['type']}: {reason}") from None
+
+
+class PcmDecoder:
+    """Little-endian mono PCM: the half of a sample waits for its other half."""
+
+    def __init__(self, sample_format: Literal["s16le", "f32le"]) -> None:
+        self._format = sample_format
+        self._width = _WIDTH[sample_format]
+        self._rest = b""
+
+    @property
+    def n_left_bytes(self) -> int:
+        """Bytes of a sample whose rest has not come."""
+        return len(self._rest)
+
+    def n_samples(self, data: bytes) -> int:
+        """How many samples `decode` would give."""
+        return (len(self._rest) + len(data)) // self._width
+
+    def decode(self, data: bytes) -> Samples:
+        """Samples (n,) float32 in [-1, 1]. What is no number counts as silence."""
+        data = self._rest + data
+        n_bytes = len(data) // self._width * self._width
+        data, self._rest = data[:n_bytes], data[n_bytes:]
+        if self._format == "s16le":
+            return np.frombuffer(data, dtype="<i2").astype(np.float32) / np.float32(_FULL_SCALE)
+        given = np.frombuffer(data, dtype="<f4").astype(np.float32)
+        return np.clip(np.nan_to_num(given, nan=0.0, posinf=1.0, neginf=-1.0), -1.0, 1.0)
+
+
+def decode_base64(text: str) -> bytes:
+    """The bytes. Raises ValueError for what is no base64."""
+    try:
+        return base64.b64decode(text, validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise ValueError("data: not base64") from error
+
+
+class Outbox:
+    """Events for one client, first in, first out. Of one event loop."""
+
+    def __init__(self) -> None:
+        self._events: deque[Event] = deque()
+        self._filled = asyncio.Event()
+        #: Set when an event had to be lost that may not be: the client does not read.
+        self.overflowed = asyncio.Event()
+        self._is_closed = False
+
+    def put(self, event: Event) -> None:
+        """Send it when the client reads."""
+        if self._is_closed:
+            return
+        if len(self._events) >= _MOST_WAITING and not self._make_room():
+            if event["type"] not in _REPLACEABLE:
+                self.overflowed.set()
+            return
+        self._events.append(event)
+        self._filled.set()
+
+    def error(self, code: str, message: str, **about: object) -> None:
+        """Tell the client what went wrong."""
+        self.put({"type": "error", "code": code, "message": message, **about})
+
+    def close(self) -> None:
+        """The client has gone: nothing is kept for it any more."""
+        self._is_closed = True
+        self._events.clear()
+
+    async def take(self) -> str:
+        """The next event, as JSON; waits for one."""
+        while not self._events:
+            self._filled.clear()
+            await self._filled.wait()
+        return json.dumps(self._events.popleft(), default=str)
+
+    def _make_room(self) -> bool:
+        for n, event in enumerate(self._events):
+            if event["type"] in _REPLACEABLE:
+                del self._events[n]
+                return True
+        return False

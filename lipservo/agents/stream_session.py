@@ -4,8 +4,8 @@ import asyncio
 import time
 from collections.abc import Callable
 
-from lipservo.agents.agent_stream import AgentStream
 from lipservo.agents.messages import (
+    PROTOCOL,
     Audio,
     Clear,
     End,
@@ -13,14 +13,14 @@ from lipservo.agents.messages import (
     Interrupt,
     Mark,
     MessageError,
+    Outbox,
     Position,
     Start,
     StreamMessage,
+    decode_base64,
     stream_message,
 )
-from lipservo.agents.outbox import Outbox
-from lipservo.agents.pcm import decode_base64
-from lipservo.agents.turns import Turns
+from lipservo.agents.turns import AgentStream, Turns
 from lipsync.audio.playout import Playout
 
 #: A chunk is resampled in pieces of so long, and other clients are served in between.
@@ -60,7 +60,7 @@ class StreamSession:
     async def _do(self, said: StreamMessage) -> None:
         match said:
             case Hello():
-                self._outbox.put({"type": "hello", "protocol": 1, "delay_ms": self._delay_ms()})
+                self._greet(said)
             case Start():
                 self._begin(said)
             case Audio():
@@ -77,6 +77,13 @@ class StreamSession:
                 self._turns.clear(self._outbox)
             case Position():
                 self._hear_position(said)
+
+    def _greet(self, hello: Hello) -> None:
+        if hello.protocol not in (None, PROTOCOL):
+            differ = f"this client speaks protocol {hello.protocol}, the face {PROTOCOL}"
+            remedy = "install the lipservo-client of the face's version"
+            raise MessageError("bad_protocol", f"{differ}; {remedy}")
+        self._outbox.put({"type": "hello", "protocol": PROTOCOL, "delay_ms": self._delay_ms()})
 
     def _begin(self, start: Start) -> None:
         if self._open is not None and not self._open.speech.ended:

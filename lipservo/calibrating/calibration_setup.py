@@ -9,8 +9,7 @@ from pathlib import Path
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from calibration.fit.procedure import Procedure
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
+from calibration.mouth_servos import JointRange, MouthServos
 from firmware_bridge.clock import MonotonicClock
 from lipservo.face.held_face import SPEED_DEG_S, HeldFace
 from lipservo.face.servos import bus_for, mouth_rules

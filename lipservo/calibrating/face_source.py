@@ -5,29 +5,28 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from calibration.calibration import CalibrationError
-from calibration.capture.camera_tracker import CameraTracker
-from calibration.capture.coloured_dots import PROTRUSION_IS_UNSEEN
-from calibration.capture.dots_folder import DotsFolder, is_dots_folder
-from calibration.capture.mesh_folder import MeshFolder
-from calibration.capture.mesh_markers import PROTRUSION_IS_GUESSED, one_face
-from calibration.capture.pose_pictures import holds_pictures
+from calibration.capture.dots import (
+    PROTRUSION_IS_UNSEEN,
+    DotsFolder,
+    holds_pictures,
+    is_dots_folder,
+)
+from calibration.capture.face_mesh import PROTRUSION_IS_GUESSED, CameraTracker, MeshFolder, one_face
 from calibration.capture.trackers import FileTracker, ReadPose, Tracker
 from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
+from lipservo.calibrating.camera import AvCamera, CameraFeed
 from lipservo.calibrating.measured_calibration import tracker_of
 from lipservo.face.held_face import HeldFace
 from lipservo.terminal.output import MESSAGES
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.video.tracking.face_tracker import FaceTracker, Picture
-
-if TYPE_CHECKING:
-    from lipservo.calibrating.camera_feed import CameraFeed
 
 CAMERA: Final = "camera"
 _SECOND: Final = 2
@@ -98,7 +97,7 @@ def tracker_source(
         eye_distance_mm = _eye_distance_mm(setup, mesh)
         tracker = mesh.open_tracker()
         with ExitStack() as stack:
-            feed = stack.enter_context(_feed(mesh.camera))
+            feed = stack.enter_context(CameraFeed(AvCamera(mesh.camera)))
             say(PROTRUSION_IS_GUESSED)
             clock = MonotonicClock()
 
@@ -153,7 +152,7 @@ def _told_once(read: ReadPose) -> ReadPose:
     return readings
 
 
-def next_picture(feed: "CameraFeed", clock: Clock) -> Picture:
+def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
     """The first picture that is taken from now on. Raises CameraError.
 
     A device may hold a few older ones back; after so many the next one counts, whatever its time
@@ -185,10 +184,3 @@ def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:
             "the robot's eyes, or write `eye_distance_mm:` into the face's YAML"
         )
     return found
-
-
-def _feed(camera: str) -> "CameraFeed":
-    from lipservo.calibrating.camera import AvCamera
-    from lipservo.calibrating.camera_feed import CameraFeed
-
-    return CameraFeed(AvCamera(camera))

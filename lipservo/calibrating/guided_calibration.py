@@ -9,19 +9,19 @@ from rich.table import Table
 from rich.text import Text
 
 from calibration.capture.capture import Move
-from calibration.fit.guided import fit_guided, landmark_poses
-from calibration.fit.guided_session import (
+from calibration.fit.guided import (
     KEYS,
     GuidedSession,
+    fit_guided,
     keep_poses,
     kept_poses,
+    landmark_poses,
     start_session,
 )
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import JointRange
 from calibration.simulated.practice_robot import markers_of_face
-from lipservo.calibrating.calibration_result import CalibrationResult
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, today
-from lipservo.calibrating.servo_lags import with_lags
+from lipservo.calibrating.measured_calibration import CalibrationResult, with_lags
 from lipservo.face.servos import servo_memories
 from lipservo.terminal.keys import read_key
 from lipservo.terminal.mouth_drawing import draw_mouth

@@ -1,17 +1,28 @@
-"""Poses that a person made with the fingers, and what a calibration learns from them.
+"""What a person puts into a calibration: poses made with the fingers, a touch pose, trims.
 
 `touched` becomes the touch pose; `widest` and `rounded` bound the joints that open and narrow the
-mouth; all are kept in the file, as places of the lip gap that somebody has seen and felt.
+mouth; all are kept in the file, as places of the lip gap that somebody has seen and felt. Encoders
+are read live while the fingers pose, and a key keeps the pose that the hands hold. What was made
+stays when the face is calibrated again.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final, Protocol
 
 import numpy as np
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
 
 from calibration.calibration import Calibration, CalibrationError, Touch
+from calibration.files.calibration_file import load_calibration
 from calibration.mouth_servos import MouthServos
+from firmware_bridge.stopping import named_by_reason
+from lipservo.face.limp_servos import LOOK_EVERY_S, LimpPose, LimpServos
 from lipsync.arrays import Array
 
 CLOSED, WIDEST, ROUNDED, TOUCHED = "closed", "widest", "rounded", "touched"
@@ -127,3 +138,165 @@ def pose_lines(before: Calibration, after: Calibration) -> list[str]:
                 f"{after.servo_names[worst]} {-off_deg[worst]:.1f}`"
             )
     return lines
+
+
+_KEEP, _LEAVE_OUT, _BACK, _STOP = (" ", "\n", "\r"), "x", "b", "q"
+_KEYS = "space or Enter: keep   x: leave this pose out   b: back   q: stop"
+_BAR = 31
+
+
+class Keys(Protocol):
+    """Single keys of a person or a script."""
+
+    def next_key(self, timeout_s: float) -> str | None:
+        """The next key, or None after so long."""
+
+
+@dataclass(slots=True)
+class Posing:
+    """Where a person is, and what was made: angles (n_servos,) by the name of the pose.
+
+    keep: told of all that was made after each pose. undivided: what happens in it is not broken
+    off by a signal.
+    """
+
+    poses: Sequence[HandPose]
+    made_deg: dict[str, Array]
+    keep: Callable[[Mapping[str, Array]], None]
+    undivided: Callable[[], AbstractContextManager[object]]
+    note: str = ""
+    current: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Begin with the first that was not made in an earlier session."""
+        names = [pose.name for pose in self.poses]
+        self.current = next((n for n, name in enumerate(names) if name not in self.made_deg), 0)
+
+
+def pose_by_hand(
+    servos: LimpServos, mouth: MouthServos, posing: Posing, keys: Keys, console: Console
+) -> Mapping[str, Array]:
+    """Let a person make the poses; what was made, once all are or the person stops.
+
+    The servos are limp already. Raises PortGone.
+    """
+    with Live(console=console, transient=True, auto_refresh=False) as live:
+        while posing.current < len(posing.poses):
+            with posing.undivided():
+                seen = servos.look()
+            live.update(_page(posing, mouth, seen), refresh=True)
+            key = keys.next_key(LOOK_EVERY_S)
+            if key is None:
+                continue
+            posing.note = ""
+            if key == _STOP:
+                break
+            if key in _KEEP:
+                with posing.undivided():
+                    _keep(servos, mouth, posing)
+                if posing.note:
+                    console.print(posing.note, soft_wrap=True, highlight=False)
+            elif key == _LEAVE_OUT:
+                posing.current += 1
+            elif key == _BACK:
+                posing.current = max(0, posing.current - 1)
+    return posing.made_deg
+
+
+def _keep(servos: LimpServos, mouth: MouthServos, posing: Posing) -> None:
+    """Keep the pose that is held, or note why not."""
+    held = servos.steady_pose()
+    obstacles = held.obstacles | beyond_limits(mouth, held.positions_deg)
+    name = posing.poses[posing.current].name
+    if obstacles:
+        posing.note = f"{name} is not kept: {named_by_reason(obstacles)}"
+        return
+    posing.made_deg[name] = held.positions_deg
+    posing.keep(posing.made_deg)
+    posing.current += 1
+
+
+def _page(posing: Posing, mouth: MouthServos, seen: LimpPose) -> RenderableType:
+    pose = posing.poses[posing.current]
+    table = Table.grid(padding=(0, 2))
+    outside = beyond_limits(mouth, seen.positions_deg)
+    for n, joint in enumerate(mouth.joints):
+        here_deg = float(seen.positions_deg[n])
+        why = seen.obstacles.get(joint.name, "outside its limits" if joint.name in outside else "")
+        bar = _bar(here_deg, joint.min_deg, joint.max_deg)
+        table.add_row(joint.name, f"{here_deg:7.1f} deg", bar, Text(why, style="bold yellow"))
+    title = f"{posing.current + 1} of {len(posing.poses)}, {pose.name}: {pose.instruction}"
+    return Group(
+        Text(title, style="bold"), table, Text(posing.note, style="yellow"), Text(_KEYS, "dim")
+    )
+
+
+def _bar(here_deg: float, min_deg: float, max_deg: float) -> str:
+    """Where a joint is between its limits, in characters that every terminal has."""
+    if not np.isfinite(here_deg) or max_deg <= min_deg:
+        return "." * _BAR
+    share = (here_deg - min_deg) / (max_deg - min_deg)
+    place = round(float(np.clip(share, 0.0, 1.0)) * (_BAR - 1))
+    return "." * place + "o" + "." * (_BAR - 1 - place)
+
+
+#: A trim that goes farther than its joint can turn belongs to other limits.
+_REMEDY: Final = "set them anew with `lipservo calibrate trim`"
+
+
+def with_hand_made(
+    fresh: Calibration, servos: MouthServos, output: Path
+) -> tuple[Calibration, list[str]]:
+    """A fresh calibration with trims, hand poses and touch pose of the file it replaces.
+
+    The second part says, for a person, what was kept and what was not, and why.
+    """
+    if not output.exists():
+        return fresh, []
+    try:
+        before = load_calibration(output)
+    except CalibrationError as error:
+        return fresh, [f"trims and hand poses, if it had any, are not kept: {error}"]
+    if set(before.servo_names) != set(fresh.servo_names):
+        had = before.trim or before.hand_poses
+        why = f"{output} was of other servos: its trims and hand poses are not kept; {_REMEDY}"
+        return fresh, [why] if had else []
+    order = [before.servo_names.index(name) for name in fresh.servo_names]
+    kept, lines = _with_trims(fresh, before, order)
+    if before.touch is not None and fresh.touch is None:
+        touch = replace(before.touch, positions_deg=before.touch.positions_deg[order])
+        kept = replace(kept, touch=touch)
+        lines.append("the touch pose is kept")
+    if not before.hand_poses:
+        return kept, lines
+    was, now = before.origin.servo_memories, fresh.origin.servo_memories
+    if was and now and [was[n] for n in order] != list(now):
+        lines.append(
+            "hand poses are not kept: the servos were set up anew since; `lipservo calibrate "
+            "by-hand` makes them again"
+        )
+        return kept, lines
+    poses = {name: deg[order] for name, deg in before.hand_poses.items()}
+    cap_ma = 0.0 if before.touch is None else before.touch.current_cap_ma
+    lines.append(f"hand poses are kept: {', '.join(poses)}")
+    return with_hand_poses(kept, servos, poses, cap_ma), lines
+
+
+def _with_trims(
+    fresh: Calibration, before: Calibration, order: list[int]
+) -> tuple[Calibration, list[str]]:
+    span_deg = fresh.max_deg - fresh.min_deg
+    trims: dict[str, Array] = {}
+    lost: list[str] = []
+    for viseme, degrees in before.trim.items():
+        added_deg = degrees[order]
+        if np.all(np.abs(added_deg) <= span_deg):
+            trims[viseme] = added_deg
+        else:
+            lost.append(viseme)
+    lines = [f"trims are kept: {', '.join(trims)}"] if trims else []
+    if lost:
+        lines.append(
+            f"trims of {', '.join(lost)} are not kept: farther than the joints turn; {_REMEDY}"
+        )
+    return replace(fresh, trim={**fresh.trim, **trims}), lines

@@ -1,25 +1,163 @@
-"""`lipservo calibrate measure`: the face's own servos, and whoever sees the markers on them."""
+"""Calibrations that are measured: on the face's own servos, from files, or on a simulated robot.
 
-from collections.abc import Callable
+The last part of each is how late the servos follow, which `lipservo calibrate lags` finds alone.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from calibration.calibration import CalibrationError
+from calibration.calibration import (
+    Calibration,
+    CalibrationError,
+    Following,
+    ServoMemory,
+    check_calibration,
+    check_servo_memories,
+)
 from calibration.capture.capture import Capture, Robot
 from calibration.capture.trackers import FileTracker, SeenByComputation, Tracker, TypedTracker
-from calibration.simulated.practice_robot import markers_of_face
-from calibration.simulated.robot import SENSOR_NOISE_MM
+from calibration.fit.jaw import fit_jaw, jaw_agreement, jaw_markers
+from calibration.fit.learnt_face import fit_calibration
+from calibration.fit.measured import MeasuredFit, fit_measured
+from calibration.fit.procedure import take_grade
+from calibration.fit.retargeting import LIPS_NEEDED
+from calibration.fit.servo_response import identify
+from calibration.simulated.practice_robot import (
+    family_of,
+    guessed_joints,
+    markers_of_face,
+    practice_robot,
+)
+from calibration.simulated.robot import SENSOR_NOISE_MM, SimulatedRobot
+from calibration.simulated.robot_family import RobotFamily
+from calibration.simulated.servos import SimulatedServos
 from firmware_bridge.dynamixel.control_table import servo_models
-from lipservo.calibrating.calibration_result import CalibrationResult, fit_capture
-from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, progress_bar
-from lipservo.calibrating.servo_lags import with_lags
+from lipservo.calibrating.calibration_setup import (
+    CalibrationSetup,
+    held_servos,
+    progress_bar,
+    today,
+)
 from lipservo.face.held_face import HeldFace
-from lipservo.face.servos import servo_memories
+from lipservo.face.servos import servo_memories, simulated_wire
 from lipservo.terminal.keys import read_line
 from lipservo.terminal.output import MESSAGES
 from lipsync.arrays import Array
 from lipsync.markers import MARKERS_47
+
+#: What one camera from the front does not see.
+PROTRUSION = "protrusion"
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationResult:
+    """fit: None where nothing was measured, or a jaw alone."""
+
+    calibration: Calibration
+    fit: MeasuredFit | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def backlash_deg(self) -> Array:
+        """(n_servos,), 0 where nothing is known."""
+        return backlash_of(self.calibration)
+
+    def graded_by(self, setup: CalibrationSetup, on: Robot) -> "CalibrationResult":
+        """The same with a grade, measured at ten poses of speech; a jaw alone gets none."""
+        if self.fit is None:
+            return self
+        fit = take_grade(self.fit, setup.servos, self.fit.face.marker_names, on)
+        found = fit.calibration
+        calibration = replace(self.calibration, grade=found.grade, coverage=found.coverage)
+        return CalibrationResult(calibration, fit, fit.warnings)
+
+    def seen_by(self, setup: CalibrationSetup) -> "CalibrationResult":
+        """The same; its file says what was not measured."""
+        if setup.sees_forward:
+            return self
+        origin = replace(self.calibration.origin, not_measured=PROTRUSION)
+        return replace(self, calibration=replace(self.calibration, origin=origin))
+
+    def with_following(self, following: Following) -> "CalibrationResult":
+        """The same, with lags."""
+        return replace(self, calibration=replace(self.calibration, following=following))
+
+    def with_memories(self, memories: Sequence[ServoMemory | None]) -> "CalibrationResult":
+        """The same with what the servos hold in themselves, where all of them said so."""
+        known = tuple(memory for memory in memories if memory is not None)
+        if len(known) != len(self.calibration.servo_names):
+            return self
+        origin = replace(self.calibration.origin, servo_memories=known)
+        return replace(self, calibration=replace(self.calibration, origin=origin))
+
+
+def backlash_of(calibration: Calibration) -> Array:
+    """(n_servos,) degrees, 0 where the calibration knows none."""
+    if calibration.following is None:
+        return np.zeros(len(calibration.servo_names))
+    return calibration.following.backlash_deg
+
+
+def fit_capture(setup: CalibrationSetup, capture: Capture) -> CalibrationResult:
+    """A capture of this face, from wherever, to its calibration.
+
+    One servo and no lips among the markers: the jaw alone.
+    """
+    servos = setup.servos
+    lips = LIPS_NEEDED & set(capture.marker_names)
+    if len(servos.joints) == 1 and jaw_markers(capture.marker_names) and not lips:
+        jaw, warnings = fit_jaw(setup.model, capture, servos, date=today(), accept=setup.accept)
+        return CalibrationResult(jaw, None, warnings).seen_by(setup)
+    fit = fit_measured(setup.model, capture, servos, date=today(), accept=setup.accept)
+    return CalibrationResult(fit.calibration, fit, fit.warnings).seen_by(setup)
+
+
+def jaw_check(setup: CalibrationSetup, calibration: Calibration) -> float | None:
+    """Correlation of the joint that opens with the speaker's jaw; None without such a joint."""
+    positive = setup.servos.positive
+    if "opens" not in positive:
+        return None
+    return jaw_agreement(setup.model, calibration, positive.index("opens"))
+
+
+def with_lags(
+    setup: CalibrationSetup, face: HeldFace, result: CalibrationResult
+) -> CalibrationResult:
+    """The same, with the lags of servos that are held."""
+    return result.with_following(_measured_following(setup, face, result.calibration))
+
+
+def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibration:
+    """The same map with the lags, speeds and bandwidths that this face's servos have now.
+
+    Backlash stays as it was: it comes from the markers. Raises CalibrationError for a calibration
+    of another face or model, or of servos that were set up anew since.
+    """
+    names = setup.servos.names
+    check_calibration(calibration, setup.model, names, setup.settings.checksum)
+    if setup.settings.bus.kind == "simulated":
+        bus, clock = simulated_wire(setup.settings)
+        with bus, HeldFace(setup.settings, bus, clock) as face:
+            following = _measured_following(setup, face, calibration)
+    else:
+        check_servo_memories(calibration, servo_memories(setup.settings))
+        with held_servos(setup) as face:
+            following = _measured_following(setup, face, calibration)
+    return replace(calibration, following=following)
+
+
+def _measured_following(
+    setup: CalibrationSetup, face: HeldFace, calibration: Calibration
+) -> Following:
+    joints = setup.servos.joints
+    with progress_bar(setup, "chirps", len(joints)) as done:
+        return identify(
+            face.drive, joints, backlash_of(calibration), rate_hz=face.rate_hz, progress=done
+        )
+
 
 #: What a person who types is asked for: the least that says how open and how wide a mouth is, and
 #: the chin.
@@ -139,3 +277,62 @@ def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
 
 def _say(line: str) -> None:
     MESSAGES.print(line, soft_wrap=True, highlight=False)
+
+
+def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
+    """Nothing is measured: the simulated face, and the lags of servos simulated to the byte.
+
+    A face with a port gets no lags here: `lipservo calibrate lags` asks its own servos.
+    """
+    servos = setup.servos
+    if family_of(servos) is RobotFamily.ELASTIC:
+        raise CalibrationError(
+            f"the simulated face has no such servos as {', '.join(servos.names)}; `lipservo "
+            "calibrate practise SEED` calibrates a simulated robot with joints of any names"
+        )
+    fitted = CalibrationResult(
+        fit_calibration(setup.model, servos.joints, servos.face_checksum, rules=servos.rules)
+    )
+    if not setup.lags or setup.settings.bus.kind != "simulated":
+        return fitted
+    bus, clock = simulated_wire(setup.settings)
+    with bus, HeldFace(setup.settings, bus, clock) as face:
+        return with_lags(setup, face, fitted)
+
+
+def practise_in_memory(
+    setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
+) -> CalibrationResult:
+    """A simulated robot drawn from a seed, in memory and at once. family: as `practice_robot`."""
+    robot = _drawn_robot(setup, seed, family)
+    on = Robot(robot.move, robot.measure)
+    capture = capture_face(setup, MARKERS_47.names, on, seed=seed)
+    result = fit_capture(setup, capture).graded_by(setup, on)
+    if not setup.lags:
+        return result
+    joints = setup.servos.joints
+    servos = SimulatedServos.drawn(len(joints), seed)
+    return result.with_following(identify(servos.encoders_deg, joints, result.backlash_deg))
+
+
+def practise_over_wire(
+    setup: CalibrationSetup, seed: int, family: RobotFamily | None = None
+) -> CalibrationResult:
+    """The servos at a port, behind the skin of a robot drawn from a seed."""
+    robot = _drawn_robot(setup, seed, family)
+    tracker = SeenByComputation(MARKERS_47.names, lambda _: robot.measure())
+    return calibrate_on_servos(setup, lambda _: tracker, robot.move, seed)
+
+
+def _drawn_robot(setup: CalibrationSetup, seed: int, family: RobotFamily | None) -> SimulatedRobot:
+    rest_mm = setup.model.markers_mm(setup.model.rest[None])[0]
+    robot = practice_robot(rest_mm, setup.servos, seed, family)
+    guessed = guessed_joints(setup.servos, family)
+    if guessed:
+        MESSAGES.print(
+            f"what moves at {', '.join(guessed)} is guessed: neither the name nor the word of "
+            "`positive` in the face's YAML says it",
+            soft_wrap=True,
+            highlight=False,
+        )
+    return robot

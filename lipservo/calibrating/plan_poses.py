@@ -1,14 +1,24 @@
-"""`lipservo calibrate pose`: servos moved to poses of a plan, for markers recorded by hand."""
+"""Robots that something else moves: poses of a plan, and a second visit that grades the fit.
+
+`lipservo calibrate pose` moves servos to the poses of a plan, for markers recorded by hand.
+`calibrate fit --check-plan` writes ten poses of speech that nothing was fitted to, and
+`calibrate grade` measures by them.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from calibration.calibration import CalibrationError
-from calibration.capture.capture_plan import PosePlan
-from calibration.capture.marker_files import read_numbered_plan
+from calibration.calibration import Calibration, CalibrationError
+from calibration.capture.capture import Capture, PosePlan
+from calibration.capture.marker_files import read_numbered_plan, read_recorded
+from calibration.capture.sanity import check_frame
+from calibration.fit.measured import MeasuredFit
+from calibration.fit.measured_grade import graded, graded_poses, read_check_plan, write_check_plan
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos
+from lipservo.calibrating.face_source import ReadAll
 from lipsync.arrays import Array
 
 
@@ -68,3 +78,79 @@ def stand_in_poses(
             face.move(plan.start_deg[row])
             arrived(row, face.move(plan.goals_deg[row]))
             face.hold_while(wait)
+
+
+def check_face(setup: CalibrationSetup, calibration: Calibration, source: str) -> None:
+    """Raises CalibrationError for a calibration of another face."""
+    if calibration.face_checksum != setup.servos.face_checksum:
+        raise CalibrationError(
+            f"{source}: is of another face than {setup.settings.name!r}; name its face with "
+            "--config"
+        )
+
+
+def grade_by_files(
+    setup: CalibrationSetup,
+    calibration: Calibration,
+    plan: Path,
+    markers: Path,
+    *,
+    axes: str,
+    read: ReadAll | None,
+) -> tuple[Calibration, tuple[str, ...]]:
+    """The calibration with the grade that the markers give it, and warnings.
+
+    plan: as `fit --check-plan` wrote it. Raises CalibrationError.
+    """
+    poses = read_check_plan(plan, calibration)
+    rows, capture = read_recorded(plan, markers, calibration.servo_names, axes=axes, read=read)
+    seen = _in_order(capture, poses.marker_names, markers)
+    recorded = [i for i, name in enumerate(seen.marker_names) if name in capture.marker_names]
+    usual_mm = _usual_mm(seen.markers_mm)[recorded]
+    names = tuple(seen.marker_names[i] for i in recorded)
+    sizes = check_frame(names, usual_mm, setup.model, accept=setup.accept)
+    calibration, lines = graded(calibration, poses, seen, np.array(rows))
+    return calibration, (*capture.stalled, *sizes, *lines)
+
+
+def write_check_poses(
+    setup: CalibrationSetup,
+    calibration: Calibration,
+    fit: MeasuredFit | None,
+    path: Path,
+    output: Path,
+) -> str:
+    """Write them for the calibration that was saved as `output`; a line that says how to go on.
+
+    A jaw alone has no lips to be graded: no file then. Raises OutputError.
+    """
+    if fit is None:
+        return f"{path} is not written: a jaw alone has no lips to be graded"
+    poses = graded_poses(replace(fit, calibration=calibration), setup.servos)
+    write_check_plan(poses, calibration, path)
+    return (
+        f"{path}: {len(poses)} poses to grade it by. Reach each from the side it names (`lipservo "
+        f"calibrate pose {path}` does), record the markers, then `lipservo calibrate grade "
+        f"{output} --plan {path} --markers FILE`"
+    )
+
+
+def _in_order(capture: Capture, names: tuple[str, ...], markers: Path) -> Capture:
+    """The same markers as in the fit; one that is not there now counts as lost."""
+    unknown = [name for name in capture.marker_names if name not in names]
+    if unknown:
+        raise CalibrationError(
+            f"{markers}: marker {unknown[0]!r} was not captured for the fit; known: "
+            f"{', '.join(names)}"
+        )
+    seen_mm = np.full((len(capture), len(names), 3), np.nan)
+    seen_mm[:, [names.index(name) for name in capture.marker_names]] = capture.markers_mm
+    return replace(capture, marker_names=names, markers_mm=seen_mm)
+
+
+def _usual_mm(markers_mm: Array) -> Array:
+    """(n, n_markers, 3) -> (n_markers, 3), NaN for one never seen."""
+    usual_mm = np.full(markers_mm.shape[1:], np.nan)
+    seen = np.asarray(np.isfinite(markers_mm).any(axis=0)).all(axis=1)
+    usual_mm[seen] = np.nanmedian(markers_mm[:, seen], axis=0)
+    return usual_mm

@@ -1,4 +1,4 @@
-"""The dashboard beside a face that starts it: a process that comes, goes and comes again.
+"""The dashboard beside a face that starts it: its address, and a process that is started again.
 
 The face waits for nothing of it: one thread looks after it, and whatever becomes of it is a line.
 """
@@ -13,7 +13,14 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
+from urllib.parse import urlencode
 
+from lipservo.agents.listener import bind_listener, url_of
+from lipsync.errors import UserError
+
+HOST: Final = "127.0.0.1"
+FIRST_PORT: Final = 8080
+_TRIES: Final = 20
 #: Between two looks whether the face listens, or the dashboard lives.
 _LOOK_S: Final = 0.2
 #: A dashboard that has died is started again after this, and after twice as long each time, unless
@@ -22,6 +29,27 @@ _RESTART_S: Final = 5.0
 _LONGEST_RESTART_S: Final = 60.0
 _WELL_S: Final = 60.0
 _END_S: Final = 2.0
+
+
+def bound_dashboard(listen: str | None, token: str | None) -> socket.socket:
+    """listen: HOST:PORT; None: 8080 of this computer, or the next port that is free.
+
+    Raises UserError: no such address, one beyond loopback without a token, one that is taken.
+    """
+    if listen is not None:
+        return bind_listener(listen, token)
+    for port in range(FIRST_PORT, FIRST_PORT + _TRIES):
+        try:
+            return bind_listener(f"{HOST}:{port}", token)
+        except UserError:
+            continue
+    return bind_listener(f"{HOST}:0", token)
+
+
+def address_of(listener: socket.socket, token: str | None = None) -> str:
+    """What to type into a browser. token: that opens the page; it becomes a cookie there."""
+    address = url_of(listener).replace("ws://", "http://", 1)
+    return address if token is None else f"{address}/?{urlencode({'token': token})}"
 
 
 @contextlib.contextmanager

@@ -1,7 +1,10 @@
 """The dashboard's hold on a running face: what it is told, thirty times a second, and commands.
 
 The dashboard is a client of a face like any other. What it reads is memory that the face writes
-anyway, and a status that it asks for twice a second; if all of it hangs, no face does.
+anyway, and a status that it asks for twice a second; if all of it hangs, no face does. Commands go
+by the face's control socket and by its agent server. A stop is sent elsewhere, in the event loop
+(`web/stop_route.py`); here is kept where to. Commands raise FaceError, one line, with a code of
+docs/agents.md: refused, not_answering, not_available.
 """
 
 import asyncio
@@ -9,20 +12,43 @@ import contextlib
 import math
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import urlsplit
 
-from firmware_bridge.process.control_client import ask, watch
+from lipservo_client.async_face import AsyncFace
+from lipservo_client.protocol import FaceError
+
+from firmware_bridge.orders import ServoSwitch
+from firmware_bridge.process.control_client import (
+    arm_jog,
+    ask,
+    change_settings,
+    end_jog,
+    jog_servo,
+    start_face,
+    switch_servo,
+    watch,
+)
 from firmware_bridge.process.runtime_folder import ControlError
-from lipservo.dashboard.face_commands import FaceCommands
-from lipservo.dashboard.moments import NO_LAYOUT, BoardReader, Moment
-from lipservo.dashboard.twin_frame import RATE_HZ, encode
+from lipservo.dashboard.live_frames import NO_LAYOUT, RATE_HZ, BoardReader, Moment, encode
 from lipservo.face.assembly import load_settings
+from lipservo.speech.passing_wish import whole_wish
 from lipservo.status.live_board import BoardLayout, LiveBoard
-from lipsync.errors import UserError
+from lipsync.errors import UserError, shown
 
+Answer = Mapping[str, Any]
+#: Agents answer `say` and `play` once they have the words or the file, not once these are said.
+_SAYING_S: Final = 12.0
+#: Stops that wait for the report of the end; the control socket has room for 16 clients.
+_MOST_WAITING: Final = 8
+#: Between two statuses while a face is started.
+_LOOK_EVERY_S: Final = 0.1
+#: States of a face that is being brought up; any other is the end of it.
+_ON_ITS_WAY: Final = ("the bridge starts", "driven")
 STATUS_EVERY_S: Final = 0.5
 #: A status older than this is no longer shown as one.
 STATUS_OLD_S: Final = 1.0
@@ -33,9 +59,10 @@ _WATCH_EVERY_S: Final = 2.0
 HISTORY_S: Final = 30
 
 
-class FaceLink(FaceCommands):
+class FaceLink:
     """One face, seen and commanded. Its tasks run within `async with link.running()`.
 
+    control_path: where the face listens, or listened last: a stop is sent there without a look-up.
     layout: names of servos, states, phonemes, of the face that was seen last. moment: the newest.
     status: the face's newest answer, None before the first. trouble: why there is none just now.
     history: encoded frames of the last seconds. on_moment: called at every tick. origins: of web
@@ -49,13 +76,26 @@ class FaceLink(FaceCommands):
         control_path: Path | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        super().__init__(find, token, control_path)
+        """find: where the face listens, called in a thread; raises UserError, ControlError.
+
+        token: what the face's agent server requires; None: it is found, where the face runs on this
+        computer. control_path: where the face listens, as far as it is known.
+        """
+        self._find = find
+        self._token = token
         self._clock = clock
+        self.control_path = control_path
+        self.status: dict[str, Any] | None = None
+        self._n_waiting = 0
+        self._locating: asyncio.Task[Path] | None = None
+        self._finding = ThreadPoolExecutor(1, thread_name_prefix="dashboard find")
+        self._starting = ThreadPoolExecutor(2, thread_name_prefix="dashboard start")
+        self._others = ThreadPoolExecutor(2, thread_name_prefix="dashboard command")
+        self._asking = ThreadPoolExecutor(1, thread_name_prefix="dashboard status")
         self._started_s = clock()
         self._status_s = float("-inf")
         self._watched_s = float("-inf")
         self._reader: BoardReader | None = None
-        self._asking = ThreadPoolExecutor(1, thread_name_prefix="dashboard status")
         self.layout: BoardLayout = NO_LAYOUT
         self.moment = Moment(0, 0.0)
         self.frame = encode(self.moment, self.layout)
@@ -76,24 +116,14 @@ class FaceLink(FaceCommands):
         """Whether the face has said within the last second how it is."""
         return self.trouble is None and self.status_age_s < STATUS_OLD_S + STATUS_EVERY_S
 
-    @property
-    def servos_gone(self) -> bool:
-        """The side that drives the servos has told nothing for a while."""
-        return self.moment.servos_gone
-
-    @property
-    def speech_gone(self) -> bool:
-        """The side that hears has told nothing for a while."""
-        return self.moment.speech_gone
-
     def certainty(self) -> dict[str, Any]:
         """How sure what is known is; up: the face answers and its servo side ticks."""
         is_new = self.status_age_s < float("inf")
         return {
-            "up": self.answers and not self.servos_gone,
+            "up": self.answers and not self.moment.servos_gone,
             "face_answers": self.answers,
-            "servos_gone": self.servos_gone,
-            "speech_gone": self.speech_gone,
+            "servos_gone": self.moment.servos_gone,
+            "speech_gone": self.moment.speech_gone,
             "age_s": round(self.status_age_s, 3) if is_new else None,
             "trouble": self.trouble,
         }
@@ -109,7 +139,6 @@ class FaceLink(FaceCommands):
                 task.cancel()
             await asyncio.gather(*tasks, return_exceptions=True)
             self.close()
-            self._asking.shutdown(wait=False, cancel_futures=True)
             self._put_away()
 
     def look(self) -> None:
@@ -124,6 +153,158 @@ class FaceLink(FaceCommands):
         self.history.append(self.frame)
         for tell in self.on_moment:
             tell()
+
+    async def located(self) -> Path:
+        """Find the face anew, where none listens at `control_path`; it is kept there."""
+        if self._locating is None or self._locating.done():
+            self._locating = asyncio.create_task(self._located())
+        return await asyncio.shield(self._locating)
+
+    @contextlib.contextmanager
+    def waiting_for_end(self, wait_s: float) -> Iterator[float]:
+        """How long a stop waits for the report of the end; 0: so many wait for one already."""
+        if not wait_s or self._n_waiting >= _MOST_WAITING:
+            yield 0.0
+            return
+        self._n_waiting += 1
+        try:
+            yield wait_s
+        finally:
+            self._n_waiting -= 1
+
+    async def start(self, wait_s: float = 0.0) -> Answer:
+        """Start a stopped face; it moves.
+
+        Parameters
+        ----------
+        wait_s : so long until it is driven; 0: the answer says that the start is accepted.
+
+        Returns
+        -------
+        {"accepted": "start"}; with `wait_s` also `state`, `servos` and `troubles` of its status
+        when every servo is driven, when it has come to another state, or when the time is over.
+
+        """
+        answer = dict(await self._returned(start_face, self._starting))
+        if not wait_s:
+            return {"accepted": answer.get("accepted")}
+        loop = asyncio.get_running_loop()
+        give_up_s = loop.time() + wait_s
+        status: Answer = {}
+        while loop.time() < give_up_s:
+            await asyncio.sleep(_LOOK_EVERY_S)
+            with contextlib.suppress(FaceError):
+                status = await self._returned(_asked_status, self._starting)
+                states = set(dict(status.get("servos") or {}).values())
+                if status.get("state") not in _ON_ITS_WAY or states == {"driven"}:
+                    break
+        known = {name: status.get(name) for name in ("state", "servos", "troubles")}
+        return {"accepted": answer.get("accepted"), **known}
+
+    async def interrupt(self) -> None:
+        """Silence now: what the face says or plays is dropped."""
+        async with self._speech_side() as face:
+            await face.interrupt()
+
+    async def change(self, values: Mapping[str, float]) -> Answer:
+        """Other values of settings: all of them, or none."""
+        if not values:
+            raise FaceError("refused", "name at least one setting")
+        for name, value in values.items():
+            if not math.isfinite(value):
+                raise FaceError("refused", f"{shown(name)}: {value} is no number to set")
+        return await self._returned(lambda path: change_settings(path, dict(values)))
+
+    async def servo(self, name: str, what: str) -> Answer:
+        """One servo: off, on or reboot."""
+        if what not in set(ServoSwitch):
+            raise FaceError("refused", f"{shown(what)}: there are off, on, reboot")
+        return await self._returned(lambda path: switch_servo(path, name, ServoSwitch(what)))
+
+    async def jog_arm(self) -> Answer:
+        """Single servos may be moved by hand from now on; to be renewed within 3 s."""
+        return await self._returned(arm_jog)
+
+    async def jog(self, name: str, deg: float) -> Answer:
+        """One servo to an angle of its joint, within its limits; renews."""
+        if not math.isfinite(deg):
+            raise FaceError("refused", f"{shown(name)}: {deg} is no angle")
+        return await self._returned(lambda path: jog_servo(path, name, deg))
+
+    async def jog_end(self) -> Answer:
+        """The face goes on as before."""
+        return await self._returned(end_jog)
+
+    async def look_at(self, yaw_deg: float | None, pitch_deg: float | None = None) -> Answer:
+        """Look there, yaw to its own left and pitch upwards; None: at nothing in particular."""
+        if yaw_deg is None:
+            return await self.change({"look_weight": 0.0})
+        angles = {"look_yaw_deg": yaw_deg, "look_pitch_deg": pitch_deg or 0.0}
+        return await self.change(whole_wish(angles, time.monotonic()))
+
+    async def affect(self, valence: float, arousal: float, tau_s: float) -> Answer:
+        """A mood, -1 to 1 each, which fades with the time constant `tau_s`."""
+        mood = {"affect_valence": valence, "affect_arousal": arousal, "affect_tau_s": tau_s}
+        return await self.change(whole_wish(mood, time.monotonic()))
+
+    async def say(self, text: str) -> Answer:
+        """A text, in the face's own voice."""
+        async with self._speech_side() as face:
+            return await face.say(text)
+
+    async def play(self, file: str) -> Answer:
+        """A sound file of the folder that the face plays from."""
+        async with self._speech_side() as face:
+            return await face.play(file)
+
+    def close(self) -> None:
+        """Nothing more is sent; what waits fails."""
+        for pool in (self._finding, self._starting, self._others, self._asking):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    async def _located(self) -> Path:
+        loop = asyncio.get_running_loop()
+        try:
+            self.control_path = await loop.run_in_executor(self._finding, self._find)
+        except (OSError, UserError, ControlError) as error:
+            raise not_answering(error) from error
+        return self.control_path
+
+    @contextlib.asynccontextmanager
+    async def _speech_side(self) -> AsyncIterator[AsyncFace]:
+        """The face's agent server, for one call. Raises FaceError."""
+        url = (self.status or {}).get("listens_on")
+        if url is None:
+            hint = "it speaks when it was started by `lipservo daemon`, with --play"
+            raise FaceError("not_available", f"the face takes no speech: {hint}")
+        try:
+            async with asyncio.timeout(_SAYING_S), AsyncFace(_reached(url), self._token) as face:
+                yield face
+        except TimeoutError as error:
+            raise FaceError("not_answering", "the face's speech side does not answer") from error
+
+    async def _returned(
+        self, call: Callable[[Path], Answer], pool: ThreadPoolExecutor | None = None
+    ) -> Answer:
+        """The face's answer. call: speaks to it, at a path, in a thread."""
+        loop = asyncio.get_running_loop()
+        answer = await loop.run_in_executor(pool or self._others, partial(self._called, call))
+        if "error" in answer:
+            raise FaceError("refused", str(answer["error"]))
+        return answer
+
+    def _called(self, call: Callable[[Path], Answer]) -> Answer:
+        """In a thread: where the face was last, or wherever it is by now."""
+        path = self.control_path
+        try:
+            if path is None:
+                return call(self._find())
+            try:
+                return call(path)
+            except (FileNotFoundError, ConnectionError):
+                return call(self._find())
+        except (OSError, UserError, ControlError) as error:
+            raise not_answering(error) from error
 
     async def _look(self) -> None:
         due_s = self._clock()
@@ -146,7 +327,7 @@ class FaceLink(FaceCommands):
             path = self.control_path
             if path is None or self._must_find:
                 path = self._find()
-            answer = ask(path, "status", _STATUS_PATIENCE_S)
+            answer = dict(_asked_status(path))
         except TimeoutError:
             return "the face hangs: it does not answer", None
         except (OSError, UserError, ControlError) as error:
@@ -191,6 +372,30 @@ class FaceLink(FaceCommands):
         if self._reader is not None:
             self._reader.close()
             self._reader = None
+
+
+def not_answering(error: Exception) -> FaceError:
+    """What is told of a face that cannot be spoken to."""
+    if isinstance(error, TimeoutError):
+        why = "the face hangs; `lipservo stop --limp` lets its servos go"
+    elif isinstance(error, PermissionError):
+        why = "this user may not command the face"
+    else:
+        why = f"no face answers: {' '.join(str(error).split())}"
+    return FaceError("not_answering", why)
+
+
+def _asked_status(path: Path) -> Answer:
+    return ask(path, "status", _STATUS_PATIENCE_S)
+
+
+def _reached(url: str) -> str:
+    """A server that listens at every address of this computer is asked at loopback."""
+    split = urlsplit(url)
+    if split.hostname in ("0.0.0.0", "::"):
+        host = "127.0.0.1" if split.hostname == "0.0.0.0" else "[::1]"
+        return f"{split.scheme}://{host}:{split.port}"
+    return url
 
 
 def _told(value: Any) -> Any:

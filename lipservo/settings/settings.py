@@ -17,40 +17,30 @@ from pydantic import (
 
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.joints import Joint
-from lipservo.settings.access_settings import AccessSettings
-from lipservo.settings.expression_settings import ExpressionSettings, ServoExpression
-from lipservo.settings.gate_settings import PreventSettings, StaleSettings, TrackingSettings
-from lipservo.settings.motion_settings import MotionSettings
-from lipservo.settings.setting_types import (
+from lipservo.settings.sections import (
     Acceleration,
+    AccessSettings,
     BaudRate,
     CalibrationName,
     Degrees,
+    ExpressionSettings,
     JointName,
     Milliamperes,
+    MotionSettings,
+    PreventSettings,
     RateHz,
+    ServoExpression,
     ServoId,
     Sign,
+    SoundSettings,
     Speed,
+    StaleSettings,
     Strict,
     Text,
+    TrackingSettings,
     within,
 )
-from lipservo.settings.sound_settings import SoundSettings
-from lipservo.settings.strict_yaml import SettingsError, read_mapping
-from lipservo.settings.validation_errors import explain
-
-__all__ = [
-    "BusSettings",
-    "FaceSettings",
-    "ServoSettings",
-    "SettingsError",
-    "calibration_file",
-    "load_face",
-    "load_shipped_face",
-    "parse_face",
-    "shipped_faces",
-]
+from lipservo.settings.strict_yaml import SettingsError, explain, read_mapping
 
 _CALIBRATION_SUFFIX = ".calibration.yaml"
 

@@ -1,13 +1,18 @@
-"""YAML for humans who mistype: a mapping or one clear line, and no key given twice.
+"""YAML for humans who mistype: a mapping or one clear line for each error, no key given twice.
 
 Numbers are those of YAML 1.2 (https://yaml.org/spec/1.2.2/#1032-tag-resolution): `011` is 11 and
-`3e2` is 300, where YAML 1.1, which PyYAML reads, has 9 and a text; and a date is a text.
+`3e2` is 300, where YAML 1.1, which PyYAML reads, has 9 and a text; and a date is a text. Errors of
+pydantic are said in the words of the person who wrote the file.
 """
 
 import re
 from collections.abc import Iterator
+from difflib import get_close_matches
+from typing import get_args
 
 import yaml
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from lipsync.errors import UserError, shown
 from lipsync.yaml_depth import is_nested_deeper
@@ -19,6 +24,22 @@ _DEEPEST = 20
 _INT = "tag:yaml.org,2002:int"
 _FLOAT = "tag:yaml.org,2002:float"
 _REPLACED = (_INT, _FLOAT, "tag:yaml.org,2002:timestamp")
+_WANTED = {
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "float_type": "a number",
+    "finite_number": "a finite number",
+    "string_type": "text",
+    "mapping_type": "settings of its own (`key: value` lines)",
+    "dict_type": "settings of its own (`key: value` lines)",
+    "model_type": "settings of its own (`key: value` lines)",
+    "invalid_key": "a key of text",
+}
+
+
+#: More would hide the first.
+_MOST_LINES = 20
+_LONGEST_KEY = 60
 
 
 class SettingsError(UserError):
@@ -120,3 +141,57 @@ def _explain(error: Exception, file_name: str) -> str:
     if isinstance(error, yaml.YAMLError):
         return f"{file_name}: not YAML: {' '.join(str(error).split())}"
     return f"{file_name}: not YAML: a value in it is not what its tag (`!!`) says"
+
+
+def explain(error: ValidationError, schema: type[BaseModel], file_name: str) -> list[str]:
+    """Say each error in one line: path from the file down, what is wrong, what is allowed."""
+    lines = [
+        f"{_path(file_name, detail)}: {line}"
+        for detail in error.errors(include_url=False)
+        for line in _lines(detail, schema)
+    ]
+    n_more = len(lines) - _MOST_LINES
+    return lines if n_more <= 0 else [*lines[:_MOST_LINES], f"{file_name}: and {n_more} more"]
+
+
+def _path(file_name: str, detail: ErrorDetails) -> str:
+    """Join file and keys with dots; pydantic marks a bad mapping key by a last part "[key]"."""
+    return ".".join(
+        [file_name, *(str(part)[:_LONGEST_KEY] for part in detail["loc"] if part != "[key]")]
+    )
+
+
+def _lines(detail: ErrorDetails, schema: type[BaseModel]) -> Iterator[str]:
+    kind, value = detail["type"], detail["input"]
+    if kind == "missing":
+        yield "is missing"
+    elif kind == "extra_forbidden":
+        *path, key = detail["loc"]
+        yield f"unknown setting; {_nearest(str(key), _keys_at(tuple(path), schema))}"
+    elif kind == "literal_error":
+        allowed = detail["ctx"]["expected"].replace("'", "").replace(" or ", ", ")
+        yield f"{shown(value)} is not known here; use one of {allowed}"
+    elif kind == "string_pattern_mismatch":
+        yield f"{shown(value)} does not have the form {detail['ctx']['pattern']}"
+    elif kind == "string_too_short":
+        yield "is empty"
+    elif kind == "value_error":
+        yield from str(detail["ctx"]["error"]).splitlines()
+    elif kind in _WANTED:
+        yield f"{shown(value)} is not {_WANTED[kind]}"
+    else:
+        yield detail["msg"]
+
+
+def _nearest(key: str, known: list[str]) -> str:
+    nearest = get_close_matches(key, known, n=1)
+    return f"did you mean {nearest[0]}?" if nearest else f"known here: {', '.join(known)}"
+
+
+def _keys_at(path: tuple[int | str, ...], kind: object) -> list[str]:
+    """List the settings known at `path` below `kind`: a model, or a mapping or tuple of them."""
+    if not (isinstance(kind, type) and issubclass(kind, BaseModel)):
+        return _keys_at(path[1:], next(each for each in get_args(kind)[::-1] if each is not ...))
+    if not path:
+        return list(kind.model_fields)
+    return _keys_at(path[1:], kind.model_fields[str(path[0])].annotation)

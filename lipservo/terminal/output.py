@@ -1,17 +1,61 @@
-"""How results and messages leave the program."""
+"""How results, messages and progress leave the program."""
 
 import contextlib
 import json
 import platform
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final, cast
 
-from rich.console import Console
+if TYPE_CHECKING:
+    from rich.console import Console
+
+#: What is done, how many, of how many.
+Advance = Callable[[str, int, int], None]
+#: What rich leaves out of a text.
+_CONTROLS: Final = dict.fromkeys(map(ord, "\a\b\v\f\r"))
+
+
+class _LazyConsole:
+    """A console of rich, made when one is needed: a plain line of `lipservo stop` needs none."""
+
+    def __init__(self, *, stderr: bool) -> None:
+        self._stderr = stderr
+        self._made: Console | None = None
+
+    def print(self, *objects: object, **options: Any) -> None:
+        """As `rich.console.Console.print`."""
+        is_line = len(objects) == 1 and type(objects[0]) is str and options.get("soft_wrap", False)
+        is_plain = not any(value for name, value in options.items() if name != "soft_wrap")
+        if self._made is None and is_line and is_plain:
+            stream = sys.stderr if self._stderr else sys.stdout
+            stream.write(f"{objects[0]}\n".translate(_CONTROLS))
+            stream.flush()
+        else:
+            self._console().print(*objects, **options)
+
+    def _console(self) -> "Console":
+        if self._made is None:
+            from rich.console import Console
+
+            self._made = Console(stderr=self._stderr, markup=False, emoji=False, highlight=False)
+        return self._made
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._console(), name)
+
+    def __enter__(self) -> "Console":
+        return self._console().__enter__()
+
+    def __exit__(self, *exc: Any) -> None:
+        self._console().__exit__(*exc)
+
 
 #: Results go to stdout; everything else, progress and logs and complaints, to stderr. Names that
 #: people gave to files and joints are printed as they are: `[a].wav` is no markup, `:b:` no emoji.
-RESULTS = Console(markup=False, emoji=False, highlight=False)
-MESSAGES = Console(stderr=True, markup=False, emoji=False, highlight=False)
+RESULTS = cast("Console", _LazyConsole(stderr=False))
+MESSAGES = cast("Console", _LazyConsole(stderr=True))
 
 
 def complain(text: str) -> None:
@@ -40,3 +84,20 @@ def machine_class() -> str:
     import os
 
     return f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+@contextmanager
+def progress_bar(*, quiet: bool) -> Iterator[Advance]:
+    """A function (what, how many are done, of how many) that draws bars on stderr."""
+    from rich.progress import Progress, TimeRemainingColumn
+
+    columns = (*Progress.get_default_columns()[:-1], TimeRemainingColumn())
+    with Progress(*columns, console=MESSAGES, transient=True, disable=quiet) as progress:
+        tasks = {}
+
+        def advance(what: str, n_done: int, n_all: int) -> None:
+            if what not in tasks:
+                tasks[what] = progress.add_task(what, total=n_all)
+            progress.update(tasks[what], completed=n_done, total=n_all)
+
+        yield advance

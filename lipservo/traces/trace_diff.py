@@ -1,17 +1,26 @@
-"""Where two traces differ in motion: degrees of servos, millimetres of lips, milliseconds.
+"""Where two traces differ in motion: degrees of servos, millimetres of lips, ms; and a picture.
 
-Both are laid over one another by sound time, so that another delay alone is no difference.
+Both are laid over one another by sound time, so that another delay alone is no difference. The
+picture needs matplotlib, the extra `plots`.
 """
 
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lipservo.traces.trace_reader import Trace
+from lipservo.terminal.pictures import is_picture
+from lipservo.traces.trace_file import Trace
 from lipsync.arrays import Array
 from lipsync.errors import UserError
+from lipsync.extras import check_extra
 from lipsync.face.model import FaceModel
 from lipsync.markers import CLOSED_GAP_MM
+from lipsync.output_file import check_output, written_whole
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 #: The lag is looked for within this, in steps of a millisecond.
 _MOST_LAG_S, _LAG_STEP_S = 0.25, 0.001
@@ -21,6 +30,9 @@ _STILL_MM = 0.05
 _SAME_CLOSURE_S = 0.25
 #: Worst moments that are told are so far apart.
 _APART_S = 0.3
+#: The servos that differ most, one panel each.
+_SERVOS = 3
+_SUFFIXES = (".png", ".svg")
 
 
 class IncomparableError(UserError):
@@ -298,3 +310,60 @@ def _ends_apart_s(a: Trace, b: Trace) -> float:
 def _at(from_s: Array, values: Array, times_s: Array) -> Array:
     """(n, k) at other times, on straight lines."""
     return np.stack([np.interp(times_s, from_s, column) for column in values.T], axis=1)
+
+
+def check_plot(path: Path) -> None:
+    """See that there is something to draw with, and a place for it.
+
+    Raises UserError for another kind of picture, OutputError, MissingExtraError.
+    """
+    if path.suffix not in _SUFFIXES:
+        raise UserError(f"{path}: --plot draws {' or '.join(_SUFFIXES)}")
+    check_extra("matplotlib", "--plot")
+    check_output(path, replaces=_is_drawing, kind="PNG or SVG picture")
+
+
+def _is_drawing(head: bytes) -> bool:
+    return is_picture(head) or (head.startswith(b"<?xml") and b"svg" in head)
+
+
+def draw_difference(path: Path, first: Trace, second: Trace, laid: Overlay) -> None:
+    """Lip gaps, how far lips are apart, and the servos that differ most, against sound time."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    apart_deg = np.abs(laid.sent_deg[1] - laid.sent_deg[0]).max(axis=0)
+    servos = np.argsort(apart_deg)[::-1][:_SERVOS].tolist()
+    figure, axes = plt.subplots(
+        2 + len(servos), 1, sharex=True, figsize=(11, 4 + 1.8 * len(servos)), layout="constrained"
+    )
+    gap, apart = axes[0], axes[1]
+    for trace, curve, style in zip((first, second), laid.gaps_mm, ("-", "--"), strict=True):
+        gap.plot(laid.sound_s, curve, style, label=trace.name, linewidth=1.2)
+    gap.axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.6, linestyle=":")
+    gap.set_ylabel("lip gap, mm")
+    gap.legend(fontsize=8)
+    _name_phonemes(gap, laid)
+    apart.fill_between(laid.sound_s, laid.lips_mm, color="tab:red", linewidth=0.0)
+    apart.set_ylabel("lips apart,\nmm rms")
+    for axis, servo in zip(axes[2:], servos, strict=True):
+        for curve, style in zip(laid.sent_deg, ("-", "--"), strict=True):
+            axis.plot(laid.sound_s, curve[:, servo], style, linewidth=1.0)
+        axis.set_ylabel(f"{first.servos[servo]},\ndeg", fontsize=8)
+    axes[-1].set_xlabel("sound time, s")
+    with written_whole(path) as file:
+        figure.savefig(file, dpi=110, format=path.suffix[1:])
+    plt.close(figure)
+
+
+def _name_phonemes(axis: "Axes", laid: Overlay) -> None:
+    """Those of the first trace above the axis, on two lines in turn."""
+    place = axis.get_xaxis_transform()
+    before, n = "", 0
+    for time_s, (phoneme, _) in zip(laid.sound_s.tolist(), laid.phonemes, strict=True):
+        if phoneme != before:
+            axis.text(time_s, 1.02 + 0.08 * (n % 2), phoneme, fontsize=6, transform=place)
+            n += 1
+        before = phoneme

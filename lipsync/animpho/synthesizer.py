@@ -11,9 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
 from lipsync.animpho.selection import Choice, PrioritySelection, SelectionStrategy
-from lipsync.animpho.trajectory import Trajectory, ease
+from lipsync.animpho.trajectory import (
+    Trajectory,
+    blend,
+    choose_connected,
+    ease,
+    sample_derivatives,
+    translate,
+)
 from lipsync.animpho.units import AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.expectation.context import PhonemeTrack, track_of

@@ -1,10 +1,61 @@
-"""A stretch of motion between two times, defined by samples and their derivatives."""
+"""Samples of AnimPhos joined to the motion so far, and the curve through them.
+
+Samples are numbered 1..5 as in the paper in the formulas, 0..4 in the code.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
+
+
+def choose_connected(units: AnimPhoUnits, previous: int, chosen: int) -> int:
+    """b_t: the AnimPho that really follows a_{t-1} and moves most like a_t. Wei and Deng, eq. (3).
+
+    a_t itself when it follows a_{t-1}, or when nothing does (the last AnimPho of a sentence).
+    """
+    followers = units.successors[previous]
+    if len(followers) == 0 or chosen in followers:
+        return chosen
+    difference = units.samples[followers] - units.samples[chosen]
+    return int(followers[np.argmin((difference**2).sum(axis=(1, 2)))])
+
+
+def translate(animpho: Array, start: Array) -> Array:
+    """b'_t: the AnimPho (5, n_components) moved so that it begins at `start` (n_components,)."""
+    return np.asarray(animpho + (start - animpho[0]))
+
+
+def remaining(animpho: Array, share: float) -> Array:
+    """What is left of an AnimPho after a share of it, 0 to below 1, at five times anew: (5, n)."""
+    if share <= 0.0:
+        return animpho
+    at = np.linspace(share, 1.0, SAMPLES_PER_ANIMPHO) * (SAMPLES_PER_ANIMPHO - 1)
+    number = np.minimum(at.astype(np.int64), SAMPLES_PER_ANIMPHO - 2)
+    part = (at - number)[:, None]
+    return np.asarray((1.0 - part) * animpho[number] + part * animpho[number + 1])
+
+
+def blend(connected: Array, chosen: Array, joined_by: float = 1.0) -> Array:
+    """m_t: begins as b'_t, ends as a_t; both (5, n_components). Wei and Deng, eq. (4).
+
+    joined_by: by which share of it m_t has become a_t; in the paper at its end.
+    """
+    weight = np.linspace(0.0, 1.0, SAMPLES_PER_ANIMPHO)[:, None]
+    weight = np.minimum(1.0, weight / joined_by)
+    return (1.0 - weight) * connected + weight * chosen
+
+
+def sample_derivatives(samples: Array, first: Array) -> Array:
+    """d_t per sample spacing (5, n_components), `first` carried over. Wei and Deng, eq. (5)."""
+    derivatives = np.empty_like(samples)
+    derivatives[0] = first
+    derivatives[1:-1] = (samples[2:] - samples[:-2]) / 2.0
+    derivatives[-1] = samples[-1] - samples[-2]
+    return derivatives
+
 
 #: Two sums of the same times differ by less than this; a joint is not past the end.
 _ROUNDING_S = 1e-9

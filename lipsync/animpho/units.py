@@ -1,4 +1,13 @@
-"""AnimPhos, the animation units of Wei and Deng: five frames each, and what follows what."""
+"""AnimPhos, the animation units of Wei and Deng: five frames each, and what follows what.
+
+Their tables of zeros and ones are `IndexLists`: which AnimPhos follow one, which belong to a
+phoneme.
+
+`in_layout` shows a face at other points than it was trained with: robots are calibrated at 47
+named markers. A model of more points has them among its own; where one has no inner lips, they are
+taken to move with the outer ones: a lip keeps its thickness, and both meet half-way between the
+outer lips when the mouth is at rest.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -8,13 +17,45 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.animpho.index_lists import IndexLists
 from lipsync.arrays import Array
-from lipsync.face.model import FaceModel, read_face
-from lipsync.face.model_file import ModelFile, open_model
+from lipsync.face.model import FaceModel, ModelFile, open_model, read_face
+from lipsync.markers import LayoutError, PointLayout
 from lipsync.phonemes import PHONEMES
 
 Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class IndexLists:
+    """A list of indices for each of n rows, stored end to end (the 0/1 tables of the paper).
+
+    starts: (n + 1,); indices: (starts[-1],), ascending within a row.
+    """
+
+    starts: Indices
+    indices: Indices
+
+    @classmethod
+    def from_pairs(cls, rows: Indices, columns: Indices, n_rows: int) -> "IndexLists":
+        """From the table's non-zero places, given in any order and any number of times."""
+        pairs = np.unique(np.stack([rows, columns], axis=1), axis=0).astype(np.int64)
+        starts = np.searchsorted(pairs[:, 0], np.arange(n_rows + 1)).astype(np.int64)
+        return cls(starts, np.ascontiguousarray(pairs[:, 1]))
+
+    def __len__(self) -> int:
+        return len(self.starts) - 1
+
+    def __getitem__(self, row: int) -> Indices:
+        return self.indices[self.starts[row] : self.starts[row + 1]]
+
+    def transposed(self, n_rows: int) -> "IndexLists":
+        """The same table read by columns; n_rows is the number of columns here."""
+        return IndexLists.from_pairs(self.indices, self.rows(), n_rows)
+
+    def rows(self) -> Indices:
+        """The row of every stored index."""
+        return np.repeat(np.arange(len(self)), np.diff(self.starts))
+
 
 #: The part of a model file that holds AnimPhos.
 ANIMPHO_PART = "animphos"
@@ -129,3 +170,56 @@ def _check(
             raise ValueError("a table points outside the AnimPhos")
     if m == 0 or not len(phoneme_table.indices):
         raise ValueError("it holds no AnimPhos")
+
+
+#: For each point of the inner lips the outer one that it moves with, and the one opposite to it.
+_OUTER_OF_INNER = {
+    78: (61, 61), 308: (291, 291),
+    82: (37, 84), 13: (0, 17), 312: (267, 314),
+    87: (84, 37), 14: (17, 0), 317: (314, 267),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class FaceInOtherLayout(FaceWithAnimPhos):
+    """The same face at other points: the same coefficients, AnimPhos and checksum.
+
+    The rows of its basis are no longer orthonormal: it makes markers, and reads none.
+    """
+
+    own_checksum: str
+
+    @property
+    def checksum(self) -> str:
+        """That of the model it was made from."""
+        return self.own_checksum
+
+
+def in_layout(model: FaceWithAnimPhos, layout: PointLayout) -> FaceWithAnimPhos:
+    """The face at the points of a layout. Raises LayoutError for a point that cannot be told."""
+    if model.layout == layout:
+        return model
+    basis = model.basis.reshape(model.n_components, -1, 3)
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    at = {landmark: i for i, landmark in enumerate(model.layout.landmarks)}
+    means, rows = [], []
+    for landmark in layout.landmarks:
+        mean_mm = model.mean_mm[at[landmark]] if landmark in at else None
+        moves_with = landmark
+        if mean_mm is None:
+            moves_with, opposite = _OUTER_OF_INNER.get(landmark, (landmark, landmark))
+            if not {moves_with, opposite} <= set(at):
+                raise LayoutError(
+                    f"a model of {model.layout.name} does not tell where landmark {landmark} is; "
+                    f"train one with --markers {layout.n_points}"
+                )
+            thickness_mm = (rest_mm[at[opposite]] - rest_mm[at[moves_with]]) / 2.0
+            mean_mm = model.mean_mm[at[moves_with]] + thickness_mm
+        means.append(mean_mm)
+        rows.append(basis[:, at[moves_with]])
+    fields = face_fields(model) | {
+        "layout": layout,
+        "mean_mm": np.array(means),
+        "basis": np.stack(rows, axis=1).reshape(model.n_components, -1),
+    }
+    return FaceInOtherLayout(**fields, animphos=model.animphos, own_checksum=model.checksum)

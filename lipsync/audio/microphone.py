@@ -10,9 +10,8 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
-from lipsync.audio.cutter import BLOCK_SAMPLES, BlockCutter
-from lipsync.audio.device_watch import DeviceWatch
 from lipsync.audio.devices import (
+    DeviceWatch,
     OpenStream,
     find_device,
     import_sounddevice,
@@ -20,7 +19,7 @@ from lipsync.audio.devices import (
     opening,
     start_stream,
 )
-from lipsync.audio.source import SoundError
+from lipsync.audio.source import BLOCK_SAMPLES, BlockCutter, SoundError
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
 
 Samples = NDArray[np.float32]

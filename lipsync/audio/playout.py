@@ -6,6 +6,9 @@ that delay in sound, and lips and sound meet. Where a stream has nothing ready, 
 committed, and the stream goes on when more has come.
 
 Other threads only append to `requests` and take from `events`; all is decided in the loop.
+
+A microphone is listened to while the robot is silent (half duplex): while the robot speaks its
+mouth shows its own words, never those of the person it talks to, nor its own echo.
 """
 
 from collections import deque
@@ -15,12 +18,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio.cutter import BLOCK_SAMPLES
-from lipsync.audio.half_duplex import ListenedMicrophone
-from lipsync.audio.playing_stream import KnownPhonemes, KnownStretch, PlayingStream, add_playing
-from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
-from lipsync.audio.playout_stream import PlayoutStream
-from lipsync.audio.source import Loudspeaker
+from lipsync.audio.playout_stream import (
+    KnownPhonemes,
+    KnownStretch,
+    PlayingStream,
+    PlayoutEvent,
+    PlayoutRequest,
+    PlayoutStream,
+    add_playing,
+)
+from lipsync.audio.source import BLOCK_SAMPLES, AudioSource, Loudspeaker
 from lipsync.audio_block import BLOCK_S, AudioBlock, samples_before
 
 Samples = NDArray[np.float32]
@@ -36,6 +43,47 @@ _WAITING_S: Final = 0.05
 _ECHO_S: Final = 0.3
 _SILENCE: Final = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
 _SILENCE.flags.writeable = False
+#: A microphone hands sound over in pieces of up to 40 ms (PulseAudio): so much is held back, or the
+#: timeline, which goes on evenly, would find holes.
+_HELD_BLOCKS: Final = 4
+#: Beyond this the microphone's clock runs faster than ours; the oldest block is left out.
+_MOST_BLOCKS: Final = 10
+
+
+class ListenedMicrophone:
+    """The blocks of a microphone on another's timeline: one whenever one is asked for."""
+
+    def __init__(self, microphone: AudioSource) -> None:
+        """microphone: entered, and live."""
+        self._microphone = microphone
+        self._blocks: deque[Samples] = deque(maxlen=_MOST_BLOCKS)
+        self._is_primed = False
+
+    @property
+    def name(self) -> str:
+        """The device's own name."""
+        return self._microphone.name
+
+    @property
+    def lost_blocks(self) -> int:
+        """Blocks that the device or the computer dropped."""
+        return self._microphone.lost_blocks
+
+    def take(self) -> Samples | None:
+        """The next 10 ms (160,) at 16 kHz; None while too little has come."""
+        for block in self._microphone.blocks(float("inf")):
+            if len(block.samples) == BLOCK_SAMPLES:
+                self._blocks.append(block.samples)
+        if not self._is_primed and len(self._blocks) < _HELD_BLOCKS:
+            return None
+        self._is_primed = bool(self._blocks)
+        return self._blocks.popleft() if self._blocks else None
+
+    def discard(self) -> None:
+        """What was heard until now is nobody's business."""
+        self._microphone.blocks(float("inf"))
+        self._blocks.clear()
+        self._is_primed = False
 
 
 class Playout:

@@ -1,11 +1,11 @@
-"""What every source of sound, and every loudspeaker, answers to."""
+"""Sources of sound and loudspeakers: contracts, cutting into blocks, and silence as a source."""
 
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio_block import AudioBlock
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock, samples_before
 from lipsync.errors import UserError
 
 
@@ -83,3 +83,119 @@ class Loudspeaker(Protocol):
 
         The newest report of the device; None before the first.
         """
+
+
+BLOCK_SAMPLES = round(BLOCK_S * SAMPLE_RATE_HZ)
+
+
+class BlockCutter:
+    """Samples in, `AudioBlock`s of 10 ms out; time is the count of samples that went out before."""
+
+    def __init__(self, n_before: int = 0) -> None:
+        """n_before: samples of the stream that are left out; the first block starts after them."""
+        self._waiting: NDArray[np.float32] = np.zeros(0, dtype=np.float32)
+        self._n_out = n_before
+
+    @property
+    def held_until_s(self) -> float:
+        """Sound time just after the last sample pushed."""
+        return (self._n_out + len(self._waiting)) / SAMPLE_RATE_HZ
+
+    def push(self, samples: NDArray[np.float32]) -> None:
+        """Add samples (n,) at 16 kHz."""
+        self._waiting = np.concatenate((self._waiting, samples))
+
+    def take(self, until_s: float) -> list[AudioBlock]:
+        """The whole blocks that end at or before sound time `until_s`."""
+        n_wanted = min(samples_before(until_s) - self._n_out, len(self._waiting))
+        n_blocks = max(0, int(n_wanted) // BLOCK_SAMPLES)
+        return [self._cut(BLOCK_SAMPLES) for _ in range(n_blocks)]
+
+    def take_rest(self, until_s: float) -> list[AudioBlock]:
+        """`take`, then the shorter last block of a stream that has ended."""
+        blocks = self.take(until_s)
+        n_left = len(self._waiting)
+        if 0 < n_left < BLOCK_SAMPLES and self._n_out + n_left <= samples_before(until_s):
+            blocks.append(self._cut(n_left))
+        return blocks
+
+    def _cut(self, n_samples: int) -> AudioBlock:
+        block = AudioBlock(self._waiting[:n_samples], self._n_out / SAMPLE_RATE_HZ)
+        self._waiting = self._waiting[n_samples:]
+        self._n_out += n_samples
+        return block
+
+
+_SILENCE = np.zeros(BLOCK_SAMPLES, dtype=np.float32)
+_SILENCE.flags.writeable = False
+
+
+class SilentSource:
+    """An endless `AudioSource` of zeros; `blocks` needs a finite `until_s`."""
+
+    name = "silence"
+    duration_s: float | None = None
+    is_live = False
+    lost_blocks = 0
+
+    def __init__(self, start_s: float = 0.0) -> None:
+        """start_s: the first block is the one that holds this sound time."""
+        self._n_blocks = int(samples_before(start_s)) // BLOCK_SAMPLES
+
+    def blocks(self, until_s: float) -> list[AudioBlock]:
+        """The blocks not handed out before that end at or before sound time `until_s`."""
+        first, end = self._n_blocks, int(samples_before(until_s)) // BLOCK_SAMPLES
+        self._n_blocks = max(first, end)
+        return [AudioBlock(_SILENCE, n * BLOCK_SAMPLES / SAMPLE_RATE_HZ) for n in range(first, end)]
+
+    def __enter__(self) -> "SilentSource":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        """Nothing to give back."""
+
+
+class SilenceAfter:
+    """A source with a known end, followed by endless silence: the last phones need to be heard out.
+
+    `duration_s` stays that of the source.
+    """
+
+    is_live = False
+
+    def __init__(self, source: AudioSource, start_s: float = 0.0) -> None:
+        """start_s: where `source` begins; without more, a source that is over begins in silence."""
+        if source.duration_s is None:
+            raise ValueError(f"{source.name} has no end to put silence after")
+        self._source = source
+        self._end_s = source.duration_s
+        self._silence = SilentSource(max(0.0, start_s - self._end_s))
+
+    @property
+    def name(self) -> str:
+        """The source's name."""
+        return self._source.name
+
+    @property
+    def duration_s(self) -> float:
+        """The source's length, without the silence."""
+        return self._end_s
+
+    @property
+    def lost_blocks(self) -> int:
+        """Blocks that the source lost."""
+        return self._source.lost_blocks
+
+    def blocks(self, until_s: float) -> list[AudioBlock]:
+        """The blocks not handed out before that end at or before sound time `until_s`."""
+        blocks = self._source.blocks(until_s)
+        for silent in self._silence.blocks(max(0.0, until_s - self._end_s)):
+            blocks.append(AudioBlock(silent.samples, silent.start_s + self._end_s))
+        return blocks
+
+    def __enter__(self) -> "SilenceAfter":
+        self._source.__enter__()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._source.__exit__(*exc)

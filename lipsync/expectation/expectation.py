@@ -3,9 +3,12 @@
 Inference only, NumPy only. Every network has two hidden layers of rectifiers. Phonemes enter by
 table look-up (a row for each slot and phoneme, the first layer already applied to what the phoneme
 is), so a frame costs a few matrix-vector products.
+
+Its arrays are one part of a model file.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 
 from lipsync.arrays import Array
 from lipsync.expectation.context import SLOTS, UNKNOWN
+from lipsync.face.model import ModelFile
 from lipsync.phonemes import PHONEMES
 
 Indices = NDArray[np.int64]
@@ -231,3 +235,27 @@ def constant_expectation(faces: Array) -> Expectation:
         np.zeros((N_WINDOWS, UNKNOWN + 1, width)),
         Stack(timing, hidden, np.zeros_like(output)),
     )
+
+
+#: The part of a model file that holds the expectation.
+EXPECTATION_PART = "expectation"
+
+
+def read_expectation(file: ModelFile, n_components: int) -> Expectation:
+    """The expectation of an open model file. Raises ModelError.
+
+    n_components: of the face that it is to move.
+    """
+
+    def assemble(arrays: Mapping[str, NDArray[np.generic]]) -> Expectation:
+        found = {name: np.asarray(array, dtype=np.float64) for name, array in arrays.items()}
+        expectation = expectation_of(found)
+        expectation.check(n_components)
+        return expectation
+
+    return file.read(EXPECTATION_PART, assemble)
+
+
+def expectation_arrays(expectation: Expectation) -> dict[str, NDArray[np.generic]]:
+    """What a file keeps of an expectation, float32."""
+    return {name: values.astype(np.float32) for name, values in expectation.arrays().items()}

@@ -1,14 +1,23 @@
-"""Mouth shapes of cartoons, named and written as Rhubarb Lip Sync does.
+"""Mouth shapes of cartoons from phonemes, named, timed and written as Rhubarb Lip Sync does.
 
 Shapes and file formats: the README of Rhubarb Lip Sync 1.13
 (https://github.com/DanielSWolf/rhubarb-lip-sync), sections "Mouth shapes" and "Output formats".
+
+The rules are in our own words and code. Which shapes a phone may have, and every duration, are
+those of Rhubarb Lip Sync 1.13. What differs is said where it does, and in docs/avatars.md: the
+nearest of several shapes is found by their openness and rounding, and short shapes go to a
+neighbour.
 """
 
 import json
-from collections.abc import Iterable, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 from xml.sax.saxutils import escape
+
+from lipsync.phonemes import SILENCE, PhonemeEvent
 
 Shape = Literal["A", "B", "C", "D", "E", "F", "G", "H", "X"]
 
@@ -101,3 +110,257 @@ def _seconds(time_cs: int) -> str:
 def _truncated(duration_s: float) -> str:
     # Half a nanosecond of grace, or 0.29 s would be cut to 0.28.
     return _seconds(int((duration_s + 5e-10) / CENTISECOND_S))
+
+
+#: How open, from shut to wide, and how rounded; only which is nearer to which matters.
+_PLACES: Mapping[Shape, tuple[float, float]] = {
+    "A": (0.0, 0.0), "X": (0.0, 0.0), "G": (0.1, 0.0), "B": (0.3, 0.0), "C": (0.6, 0.0),
+    "H": (0.65, 0.0), "D": (1.0, 0.0), "E": (0.5, 0.6), "F": (0.3, 1.5),
+}  # fmt: skip
+#: What a mouth relaxes to when nothing is asked of it.
+_RELAXED: Mapping[Shape, Shape] = {
+    "A": "A", "B": "B", "C": "B", "D": "C", "E": "C", "F": "B", "G": "X", "H": "B", "X": "X",
+}  # fmt: skip
+_ANY = "ABCDEFGHX"
+_OPEN = "BCDEFGH"
+#: Phones with one rule, whatever their length.
+_SHAPES_OF: Mapping[str, str] = {
+    SILENCE: "X",
+    "AA": "D", "AO": "E", "EH": "C", "AE": "C", "IH": "B", "IY": "B", "UH": "F", "UW": "F",
+    "M": "A", "F": "G", "V": "G", "W": "F", "R": "BEF", "Y": "BCF", "N": "BCFH", "NG": "BCEF",
+    "CH": "BF", "JH": "BF", "TH": "BF", "DH": "BF", "S": "BF", "Z": "BF", "SH": "BF", "ZH": "BF",
+    "HH": _ANY,
+}  # fmt: skip
+_DIPHTHONGS: Mapping[str, str] = {"EY": "CB", "OW": "EF", "OY": "EB"}
+_FIRST_PART = 0.6  # of a diphthong
+#: The closure of a stop, and what follows its burst.
+_STOPS: Mapping[str, tuple[str, str]] = {
+    "P": ("A", _ANY), "B": ("A", _ANY), "T": ("BF", _OPEN), "D": ("BF", _OPEN),
+    "K": ("BCEFH", _OPEN), "G": ("BCEFH", _OPEN),
+}  # fmt: skip
+_VOWELS = frozenset(
+    ("AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW")
+)
+_LONG_CS, _LONG_AW_CS, _SHORT_ER_CS = 20, 30, 7
+#: A stop's closure that lies before its label: half the phone before, within these.
+_CLOSURE_CS = (4, 12)
+_ANTICIPATED_CS = 20
+_HELD_PAUSE_CS, _RELAXED_PAUSE_CS = 12, 35
+#: Closed and open stretches last so long at least; they begin earlier for it, by so much at most.
+_SHORTEST_STRETCH_CS, _MOST_EARLIER_CS = 8, 6
+_SHORTEST_SHAPE_CS = 7
+_SHORTEST_TWEEN_CS, _LONGEST_TWEEN_CS = 4, 8
+#: Between which two shapes which third is shown, and where: early, on the border, late.
+_TWEENS: Mapping[tuple[str, str], tuple[Shape, str]] = {
+    ("D", "A"): ("C", "early"), ("D", "B"): ("C", "centred"), ("D", "G"): ("C", "early"),
+    ("D", "X"): ("C", "late"), ("C", "F"): ("E", "centred"), ("F", "C"): ("E", "centred"),
+    ("D", "F"): ("E", "centred"), ("H", "F"): ("E", "late"), ("F", "H"): ("E", "early"),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Wish:
+    """The shapes that a part of a phone may have."""
+
+    shapes: str
+    start_cs: int
+    end_cs: int
+    is_vowel: bool = False
+
+    @property
+    def is_anticipated(self) -> bool:
+        return self.is_vowel and len(self.shapes) == 1
+
+
+def rule_cues(
+    events: Iterable[PhonemeEvent], duration_s: float, *, stops_at_burst: bool = False
+) -> list[MouthCue]:
+    """Mouth shapes for phonemes in order, from 0 to the end of the sound, without gaps.
+
+    stops_at_burst: phonemes are labelled as Rhubarb expects of its recogniser, stops from their
+    burst on: their closure is put before the label. Else a stop begins with its closure, as with
+    our recogniser, speech synthesisers and labels by hand.
+    """
+    end_cs = centiseconds(duration_s)
+    if end_cs <= 0:
+        return []
+    wishes = _wishes(events, end_cs, stops_at_burst=stops_at_burst)
+    cues = _without_pauses(_animated(wishes))
+    return _tweened(_without_short_shapes(_with_long_closures(cues)))
+
+
+def _wishes(events: Iterable[PhonemeEvent], total_cs: int, *, stops_at_burst: bool) -> list[_Wish]:
+    wishes: list[_Wish] = []
+    now_cs = before_cs = 0
+    for event in events:
+        start_cs = min(max(now_cs, centiseconds(event.start_s)), total_cs)
+        end = total_cs if event.end_s is None else centiseconds(event.end_s)
+        end_cs = min(max(start_cs, end), total_cs)
+        wishes.append(_Wish("X", now_cs, start_cs))
+        if stops_at_burst and event.phoneme in _STOPS:
+            closed = min(max(before_cs // 2, _CLOSURE_CS[0]), _CLOSURE_CS[1])
+            first, then = _STOPS[event.phoneme]
+            wishes = _cut_at(wishes, max(0, start_cs - closed))
+            wishes.append(_Wish(first, max(0, start_cs - closed), start_cs))
+            wishes.append(_Wish(then, start_cs, end_cs))
+        else:
+            wishes += _of_phone(event.phoneme, start_cs, end_cs)
+        before_cs, now_cs = end_cs - start_cs, end_cs
+    wishes.append(_Wish("X", now_cs, total_cs))
+    return [wish for wish in wishes if wish.end_cs > wish.start_cs]
+
+
+def _cut_at(wishes: Sequence[_Wish], time_cs: int) -> list[_Wish]:
+    return [
+        _Wish(w.shapes, w.start_cs, min(w.end_cs, time_cs), w.is_vowel)
+        for w in wishes
+        if w.start_cs < time_cs
+    ]
+
+
+def _of_phone(phone: str, start_cs: int, end_cs: int) -> list[_Wish]:
+    shapes = _shapes_of(phone, end_cs - start_cs)
+    is_vowel = phone in _VOWELS
+    if len(shapes) == 1:
+        return [_Wish(shapes[0], start_cs, end_cs, is_vowel)]
+    border_cs = start_cs + int(_FIRST_PART * (end_cs - start_cs))
+    return [
+        _Wish(shapes[0], start_cs, border_cs, is_vowel),
+        _Wish(shapes[1], border_cs, end_cs, is_vowel),
+    ]
+
+
+def _shapes_of(phone: str, duration_cs: int) -> tuple[str, ...]:
+    """The shapes that a phone may have, for each of its parts."""
+    if phone in _STOPS:
+        return (_STOPS[phone][0],)
+    if phone in _DIPHTHONGS:
+        return tuple(_DIPHTHONGS[phone])
+    is_long = duration_cs >= _LONG_CS
+    match phone:
+        case "AH":
+            return ("D",) if is_long else ("C",)
+        case "AY":
+            return ("D", "B") if is_long else ("C", "B")
+        case "AW":
+            return ("D", "E") if duration_cs >= _LONG_AW_CS else ("C", "E")
+        case "ER":
+            return ("BC",) if duration_cs < _SHORT_ER_CS else ("E",)
+        case "L":
+            return ("H",) if is_long else ("BEFH",)
+    return (_SHAPES_OF[phone],)
+
+
+def _nearest(shape: Shape, allowed: str) -> Shape:
+    """The allowed shape that is nearest to another; of equals the first of the alphabet."""
+    return min(
+        (each for each in _PLACES if each in allowed),
+        key=lambda each: (each != shape, math.dist(_PLACES[shape], _PLACES[each]), each),
+    )
+
+
+def _animated(wishes: Sequence[_Wish]) -> list[MouthCue]:
+    """Each part takes the allowed shape nearest to the one before; a vowel is anticipated."""
+    shapes: list[Shape] = []
+    reference: Shape = "X"
+    anticipated = -1
+    for i, wish in enumerate(wishes):
+        shape = _nearest(reference, wish.shapes)
+        shapes.append(shape)
+        reference = _RELAXED[shape]
+        if not wish.is_anticipated:
+            continue
+        reference = before = shape
+        for j in range(i - 1, anticipated, -1):
+            if wish.start_cs - wishes[j].start_cs > _ANTICIPATED_CS:
+                break
+            before = shapes[j] = _nearest(before, wishes[j].shapes)
+            if before != shape:
+                break
+        anticipated = i
+    return joined(
+        MouthCue(shape, w.start_cs, w.end_cs) for shape, w in zip(shapes, wishes, strict=True)
+    )
+
+
+def _without_pauses(cues: Sequence[MouthCue]) -> list[MouthCue]:
+    """A short pause holds the shape before it, a longer one relaxes it, a long one closes."""
+    found = list(cues)
+    for i in range(1, len(cues) - 1):
+        if cues[i].shape == "X":
+            duration_cs = cues[i].end_cs - cues[i].start_cs
+            shape = _pause_shape(cues[i - 1].shape, cues[i + 1].shape, duration_cs)
+            found[i] = MouthCue(shape, cues[i].start_cs, cues[i].end_cs)
+    return joined(found)
+
+
+def _pause_shape(before: Shape, after: Shape, duration_cs: int) -> Shape:
+    if duration_cs < _HELD_PAUSE_CS:
+        return before
+    if duration_cs <= _RELAXED_PAUSE_CS:
+        relaxed = _RELAXED[before]
+        while relaxed == after and _RELAXED[relaxed] != relaxed:
+            relaxed = _RELAXED[relaxed]
+        if relaxed != after:
+            return relaxed
+    return "X"
+
+
+def _with_long_closures(cues: Sequence[MouthCue]) -> list[MouthCue]:
+    """A closure too short to be seen begins earlier, where the shape before can spare it."""
+    found = list(cues)
+    for i in range(len(found) - 1, 0, -1):
+        cue, before = found[i], found[i - 1]
+        missing_cs = _SHORTEST_STRETCH_CS - (cue.end_cs - cue.start_cs)
+        spare_cs = before.end_cs - before.start_cs - 1
+        earlier_cs = min(missing_cs, _MOST_EARLIER_CS, spare_cs)
+        if cue.shape == "A" and earlier_cs > 0:
+            border_cs = cue.start_cs - earlier_cs
+            found[i] = MouthCue(cue.shape, border_cs, cue.end_cs)
+            found[i - 1] = MouthCue(before.shape, before.start_cs, border_cs)
+    return found
+
+
+def _without_short_shapes(cues: Sequence[MouthCue]) -> list[MouthCue]:
+    """Open shapes too short to be seen go to the open neighbour that follows, else the one before.
+
+    An open mouth between two closures stays, however short: else the closures would be one.
+    """
+    found = list(cues)
+    while True:
+        for i, cue in enumerate(found):
+            if cue.shape in "AX" or cue.end_cs - cue.start_cs >= _SHORTEST_SHAPE_CS:
+                continue
+            taker = next((j for j in (i + 1, i - 1) if _is_open(found, j)), None)
+            if taker is not None:
+                found[i] = MouthCue(found[taker].shape, cue.start_cs, cue.end_cs)
+                found = joined(found)
+                break
+        else:
+            return found
+
+
+def _is_open(cues: Sequence[MouthCue], i: int) -> bool:
+    return 0 <= i < len(cues) and cues[i].shape not in "AX"
+
+
+def _tweened(cues: Sequence[MouthCue]) -> list[MouthCue]:
+    """Shapes in between where a step from one to the next would be too wide."""
+    found = list(cues)
+    for first, second in pairwise(cues):
+        if (first.shape, second.shape) not in _TWEENS:
+            continue
+        shape, place = _TWEENS[first.shape, second.shape]
+        first_cs, second_cs = first.end_cs - first.start_cs, second.end_cs - second.start_cs
+        room_cs = {
+            "early": round(first_cs / 3),
+            "centred": round(min(first_cs, second_cs) / 4),
+            "late": round(second_cs / 3),
+        }[place]
+        tween_cs = min(room_cs, _LONGEST_TWEEN_CS)
+        if tween_cs < _SHORTEST_TWEEN_CS:
+            continue
+        back_cs = {"early": tween_cs, "centred": tween_cs // 2, "late": 0}[place]
+        start_cs = second.start_cs - back_cs
+        found = overwritten(found, MouthCue(shape, start_cs, start_cs + tween_cs))
+    return found

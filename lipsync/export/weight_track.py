@@ -1,8 +1,22 @@
-"""Named weights over time, and the files that hold them: JSON lines and CSV."""
+"""Named weights over time: in files (JSON lines, CSV) and in datagrams (Live Link Face, OSC).
+
+Live Link Face is an app of Epic Games, for a face of 52 blendshapes. Epic publishes no
+specification. The layout is that which public receivers and senders agree on (PyLiveLinkFace, MIT
+licence, is one, and decodes these in our tests): big-endian; version 6 as a byte; the device's id
+and the subject's name, each with its length in 32 bits before it; the time as frame (32 bits), part
+of a frame (float), rate as numerator and denominator (32 bits each); the count 61 as a byte; 61
+floats: the blendshapes, then yaw, pitch, roll of head, left and right eye.
+
+Open Sound Control 1.0, https://opensoundcontrol.stanford.edu/spec-1_0.html. VMC protocol,
+https://protocol.vmc.info/english: `/VMC/Ext/Blend/Val` name value, a message a shape, then
+`/VMC/Ext/Blend/Apply`.
+"""
 
 import json
-from collections.abc import Sequence
+import struct
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -93,3 +107,69 @@ def _fixed(values: Array) -> list[str]:
 
 def _csv(rows: Sequence[Sequence[str]]) -> str:
     return "".join(",".join(row) + "\n" for row in rows)
+
+
+#: The port that Unreal Engine listens on.
+LIVE_LINK_PORT = 11111
+_VERSION = 6
+_N_FLOATS, _N_ROTATIONS = 61, 9
+_RATE_HZ = 60
+#: Any 36 characters, as a UUID is written; receivers tell devices apart by it.
+_DEVICE_ID = b"6c697073-6572-766f-8000-000000000001"
+
+
+def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
+    """One frame. values: (52,), in the order of `ARKIT_NAMES`; head and eyes are not turned.
+
+    time_s: sound time; before the first sound counts as 0.
+    """
+    frame, part = divmod(max(time_s, 0.0) * _RATE_HZ, 1.0)
+    name = subject.encode("ascii")
+    return b"".join(
+        (
+            struct.pack(">Bi", _VERSION, len(_DEVICE_ID)),
+            _DEVICE_ID,
+            struct.pack(">i", len(name)),
+            name,
+            # 32 bits hold 414 days at 60 a second; then it begins anew.
+            struct.pack(">ifii", int(frame) % 2**31, part, _RATE_HZ, 1),
+            struct.pack(f">B{_N_FLOATS}f", _N_FLOATS, *values.tolist(), *([0.0] * _N_ROTATIONS)),
+        )
+    )
+
+
+_VALUE, _APPLY = "/VMC/Ext/Blend/Val", "/VMC/Ext/Blend/Apply"
+#: The receivers' port in the VMC protocol.
+VMC_PORT = 39539
+#: "Immediately", section "OSC Bundles".
+_BUNDLE_HEAD = b"#bundle\x00" + struct.pack(">Q", 1)
+#: A datagram of this size passes an Ethernet unbroken (1500 bytes less IPv6's and UDP's headers).
+MOST_BYTES = 1452
+
+
+def osc_message(address: str, *arguments: str | float) -> bytes:
+    """One message: strings as `s`, numbers as `f` (32 bits)."""
+    tags = "," + "".join("s" if isinstance(each, str) else "f" for each in arguments)
+    values = (
+        _padded(each) if isinstance(each, str) else struct.pack(">f", each) for each in arguments
+    )
+    return b"".join((_padded(address), _padded(tags), *values))
+
+
+def vmc_packets(shapes: Iterable[tuple[str, float]]) -> list[bytes]:
+    """Datagrams that set blendshapes by name; the last one applies them. One, but for very many."""
+    packets = [_BUNDLE_HEAD]
+    messages = [osc_message(_VALUE, name, value) for name, value in shapes]
+    for message in (*messages, osc_message(_APPLY)):
+        element = struct.pack(">i", len(message)) + message
+        if len(packets[-1]) + len(element) > MOST_BYTES:
+            packets.append(_BUNDLE_HEAD)
+        packets[-1] += element
+    return packets
+
+
+@lru_cache(maxsize=256)  # the same few names, 60 times a second
+def _padded(text: str) -> bytes:
+    """A string as OSC has it: with at least one zero byte, a multiple of four in all."""
+    encoded = text.encode("ascii")
+    return encoded + b"\x00" * (4 - len(encoded) % 4)

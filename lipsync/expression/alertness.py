@@ -1,7 +1,6 @@
 """How awake a face is: in conversation, idle, or at rest."""
 
-from lipsync.expression.bounded import bounded, smoothstep, toward
-from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
+from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue, bounded, smoothstep, toward
 
 #: From idle to conversation: short enough for the first word, long enough for no jolt.
 WAKING_S = 0.8

@@ -1,10 +1,11 @@
-"""When eyes blink, and how a lid moves then."""
+"""Blinks, lids and brows: when eyes blink, where lids are, and brows that go up with the voice."""
 
 import math
 from random import Random
 
-from lipsync.expression.bounded import bounded, smoothstep
-from lipsync.expression.cue import CUE_PERIOD_S
+from lipsync.expression.cue import CUE_PERIOD_S, bounded, smoothstep
+from lipsync.expression.head_pose import MOST_Z
+from lipsync.prosody.voice_frame import VoiceFrame
 
 #: Down in about 90 ms, up in about 240 (VanderWerf et al., J. Neurophysiology 89, 2003), shut for
 #: 20: full closures with a slow way up are what people like (Trutoiu et al., ACM TAP 8(3), 2011).
@@ -69,3 +70,77 @@ def closure(since_s: float) -> float:
     if since_s < CLOSING_S:
         return smoothstep(since_s / CLOSING_S)
     return 1.0 - smoothstep((since_s - CLOSING_S - HOLDING_S) / OPENING_S)
+
+
+#: Lids go down with the eyes and up with them, in shares of the way to shut per degree.
+_PER_DEG_DOWN, _MOST_DOWN = 0.02, 0.5
+_PER_DEG_UP, _MOST_UP = 0.01, 0.15
+#: Wide open and sleepily open.
+WIDEST, _SLEEPIEST = -0.4, 0.65
+
+
+def lid_position(eye_pitch_deg: float, offset: float, size: float, blink: float) -> float:
+    """0 open, 1 shut, below 0 wider than at rest.
+
+    offset: by arousal. size: of all but the blink, 0 to 1. blink: 0 to 1, goes the rest of the way
+    from wherever the lid is, so that 1 is shut and neither end has a corner.
+    """
+    if eye_pitch_deg < 0.0:
+        follow = min(_MOST_DOWN, -_PER_DEG_DOWN * eye_pitch_deg)
+    else:
+        follow = -min(_MOST_UP, _PER_DEG_UP * eye_pitch_deg)
+    base = size * bounded(follow + offset, WIDEST, _SLEEPIEST)
+    return base + (1.0 - base) * blink
+
+
+_FAST_S, _SLOW_S = 0.05, 0.5
+#: Seven of ten rises of pitch go with a flash (71 %, Cave et al., ICSLP 1996), some come unasked.
+_RISING, _WITH_RISE = 0.6, 0.71
+_APART_S = 1.2
+_UNASKED_PER_S = 1.0 / 25.0
+_LEAST_FLASH, _FLASH_PER_EXCESS, _MOST_FLASH = 0.35, 0.2, 0.8
+#: A flash stays up, and goes.
+_HOLD_S, _DECAY_S = 0.12, 0.25
+#: Higher voice, higher brows (Huron and Shanahan, Music Perception 30(5), 2013).
+_PER_PITCH, _MOST_BY_PITCH = 0.08, 0.2
+
+
+class BrowFlashes:
+    """Raised brows, 0 to 1: flashes with rises of pitch, and a little of the pitch itself."""
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._fast_share = -math.expm1(-CUE_PERIOD_S / _FAST_S)
+        self._slow_share = -math.expm1(-CUE_PERIOD_S / _SLOW_S)
+        self._kept = math.exp(-CUE_PERIOD_S / _DECAY_S)
+        self._fast = 0.0
+        self._slow = 0.0
+        self._since_s = _APART_S
+        self._was_rising = False
+        self._flash = 0.0
+
+    def step(self, voice: VoiceFrame, is_speaking: bool, is_idle: bool) -> float:
+        """One cue later; nothing begins where the face is idle."""
+        self._since_s += CUE_PERIOD_S
+        if is_speaking and voice.is_speech and voice.pitch_hz > 0.0:
+            pitch = bounded(voice.pitch_z, -MOST_Z, MOST_Z)
+            self._fast += self._fast_share * (pitch - self._fast)
+            self._slow += self._slow_share * (pitch - self._slow)
+        elif not is_speaking:
+            self._fast -= self._slow_share * self._fast
+            self._slow -= self._slow_share * self._slow
+        if self._since_s > _HOLD_S:
+            self._flash *= self._kept
+        excess = self._fast - self._slow
+        was_rising, self._was_rising = self._was_rising, excess > _RISING
+        if self._since_s >= _APART_S and not is_idle:
+            if self._was_rising and not was_rising:
+                self._begin(excess, _WITH_RISE)
+            elif self._random.random() < _UNASKED_PER_S * CUE_PERIOD_S:
+                self._begin(0.0, 1.0)
+        return self._flash + bounded(_PER_PITCH * self._slow, 0.0, _MOST_BY_PITCH)
+
+    def _begin(self, excess: float, chance: float) -> None:
+        if self._random.random() < chance:
+            self._since_s = 0.0
+            self._flash = min(_MOST_FLASH, _LEAST_FLASH + _FLASH_PER_EXCESS * excess)

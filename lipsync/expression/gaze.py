@@ -1,12 +1,67 @@
-"""Where a face looks: at its partner, away, and back, by saccades."""
+"""Where a face looks: at its partner, away, and back, by saccades shared by eyes and head."""
 
 import math
+from bisect import bisect
 from dataclasses import dataclass
+from itertools import accumulate
 from random import Random
 from typing import Final
 
-from lipsync.expression.cue import CUE_PERIOD_S
-from lipsync.expression.saccade import Saccade, drawn_direction_rad, drawn_magnitude_deg
+from lipsync.expression.cue import CUE_PERIOD_S, bounded, smoothstep
+
+#: Lee, Badler and Badler, "Eyes Alive", SIGGRAPH 2002: magnitude -6.9 ln(P / 15.7) degrees with P
+#: uniform up to 15 (percent); duration 25 ms + 2.4 ms a degree; share of each of eight directions,
+#: in percent, counter-clockwise from 0 in steps of 45 degrees.
+_SCALE_DEG, _MOST_PERCENT, _OFFSET_PERCENT = 6.9, 15.0, 15.7
+_SHORTEST_S, _S_PER_DEG = 0.025, 0.0024
+_DIRECTIONS = tuple(accumulate((15.54, 6.46, 17.69, 7.44, 16.80, 7.89, 20.38, 7.79)))
+_BIN_DEG = 45.0
+
+
+def drawn_magnitude_deg(random: Random) -> float:
+    """0.3 degrees at least; 7.2 on average."""
+    percent = _MOST_PERCENT * (1.0 - random.random())
+    return -_SCALE_DEG * math.log(percent / _OFFSET_PERCENT)
+
+
+def drawn_direction_rad(random: Random) -> float:
+    """Within one of the eight bins, uniform."""
+    nearest = bisect(_DIRECTIONS, random.random() * _DIRECTIONS[-1])
+    return math.radians(_BIN_DEG * (nearest + random.random() - 0.5))
+
+
+def duration_s(magnitude_deg: float) -> float:
+    """How long a movement of that size takes."""
+    return _SHORTEST_S + _S_PER_DEG * magnitude_deg
+
+
+class Saccade:
+    """One movement of gaze from (yaw, pitch) to (yaw, pitch), degrees, on a straight way."""
+
+    def __init__(self, start_deg: tuple[float, float], aim_deg: tuple[float, float]) -> None:
+        self.aim_deg = aim_deg
+        self._start_deg = start_deg
+        self.magnitude_deg = math.hypot(aim_deg[0] - start_deg[0], aim_deg[1] - start_deg[1])
+        self._duration_s = duration_s(self.magnitude_deg)
+        self._elapsed_s = 0.0
+
+    def step(self) -> tuple[float, float]:
+        """Where gaze is one cue later; at the aim once it is over."""
+        self._elapsed_s += CUE_PERIOD_S
+        share = smoothstep(self._elapsed_s / self._duration_s)
+        if share >= 1.0:
+            return self.aim_deg
+        yaw_deg, pitch_deg = self._start_deg
+        return (
+            yaw_deg + share * (self.aim_deg[0] - yaw_deg),
+            pitch_deg + share * (self.aim_deg[1] - pitch_deg),
+        )
+
+    @property
+    def is_over(self) -> bool:
+        """Whether gaze has arrived."""
+        return self._elapsed_s >= self._duration_s
+
 
 #: Nothing new is looked at sooner.
 _SHORTEST_FIXATION_S = 0.2
@@ -178,3 +233,48 @@ class Gaze:
             return wanted_deg != self.aim_deg
         off_deg = math.hypot(wanted_deg[0] - self.aim_deg[0], wanted_deg[1] - self.aim_deg[1])
         return off_deg > _FOVEA_DEG and self._since_saccade_s >= _SHORTEST_FIXATION_S
+
+
+#: Pitch, yaw and roll that a head goes to in conversation, either way.
+MOST_PITCH_DEG, MOST_YAW_DEG, MOST_ROLL_DEG = 15.0, 25.0, 10.0
+#: How far eyes turn in the head, either way; a robot's own limits come later.
+MOST_EYE_PITCH_DEG, MOST_EYE_YAW_DEG = 25.0, 35.0
+#: Eyes do not stay further out than this where the head can come to help.
+_EASY_EYE_PITCH_DEG, _EASY_EYE_YAW_DEG = 18.0, 28.0
+#: The head's share of small and of large directions, and where the one becomes the other.
+_LEAST_HEAD_SHARE, _MOST_HEAD_SHARE = 0.25, 0.6
+_SMALL_DEG, _LARGE_DEG = 10.0, 40.0
+
+
+def head_part_deg(aim_deg: tuple[float, float]) -> tuple[float, float]:
+    """(yaw, pitch) of the head for a direction of gaze: more of it the further out.
+
+    People turn the head little for what the eyes reach with ease, and nearly all of the rest of
+    the way beyond that (Stahl, Experimental Brain Research 126, 1999).
+    """
+    yaw_deg, pitch_deg = aim_deg
+    far = (math.hypot(yaw_deg, pitch_deg) - _SMALL_DEG) / (_LARGE_DEG - _SMALL_DEG)
+    share = _LEAST_HEAD_SHARE + (_MOST_HEAD_SHARE - _LEAST_HEAD_SHARE) * smoothstep(far)
+    return (
+        _part(yaw_deg, share, _EASY_EYE_YAW_DEG, MOST_YAW_DEG),
+        _part(pitch_deg, share, _EASY_EYE_PITCH_DEG, MOST_PITCH_DEG),
+    )
+
+
+def eyes_deg(
+    direction_deg: tuple[float, float], head_yaw_deg: float, head_pitch_deg: float
+) -> tuple[float, float]:
+    """(yaw, pitch) of the eyes in the head, so that gaze stays put in the world.
+
+    The vestibulo-ocular reflex, to first order: gaze - head. Roll turns the eyes about the line of
+    sight and is left out; at 3 degrees of it, eyes 10 degrees off centre miss by half a degree.
+    """
+    return (
+        bounded(direction_deg[0] - head_yaw_deg, -MOST_EYE_YAW_DEG, MOST_EYE_YAW_DEG),
+        bounded(direction_deg[1] - head_pitch_deg, -MOST_EYE_PITCH_DEG, MOST_EYE_PITCH_DEG),
+    )
+
+
+def _part(angle_deg: float, share: float, easy_deg: float, most_deg: float) -> float:
+    far_deg = abs(angle_deg)
+    return math.copysign(min(most_deg, max(share * far_deg, far_deg - easy_deg)), angle_deg)

@@ -1,21 +1,251 @@
-"""Where the head is: with gaze and voice in conversation, and holding still in idle."""
+"""Where the head is: with gaze and voice in conversation, and holding still in idle.
 
+In talk it nods to accents of the voice and wanders slowly about where it should be. In idle it
+holds, makes a small move, and holds: a gear train that always moves is heard in a silent room and
+wears. So idle motion is no drift but moves with rests between them, each paid for out of a budget
+of travel (docs/expression.md).
+"""
+
+import math
 from random import Random
+from typing import Final
 
 from lipsync.expression.alertness import Alertness
-from lipsync.expression.bounded import bounded
-from lipsync.expression.cue import ExpressionCue
-from lipsync.expression.damped_follower import DampedFollower
-from lipsync.expression.eye_head import (
+from lipsync.expression.cue import CUE_PERIOD_S, DampedFollower, ExpressionCue, bounded, smoothstep
+from lipsync.expression.gaze import (
     MOST_PITCH_DEG,
     MOST_ROLL_DEG,
     MOST_YAW_DEG,
+    STRAIGHT_AHEAD,
+    Gaze,
     head_part_deg,
 )
-from lipsync.expression.gaze import STRAIGHT_AHEAD, Gaze
-from lipsync.expression.head_drift import HeadDrift
-from lipsync.expression.idle_posture import IdlePosture
-from lipsync.expression.prosody_accents import ProsodyAccents
+from lipsync.prosody.voice_frame import VoiceFrame
+
+_FAST_S, _SLOW_S = 0.06, 0.6
+#: An accent stands out by so many standard deviations, and comes so long after the last one.
+_STANDING_OUT = 0.8
+_APART_S = 0.45
+#: Not every accent is nodded to.
+_NODDED = 0.7
+_LEAST_NOD_DEG, _NOD_PER_EXCESS_DEG, _MOST_NOD_DEG = 2.0, 1.2, 6.0
+_NOD_DECAY_S = 0.18
+#: The head rises with a phrase's loudness and pitch. With less of it, what loudness goes with best
+#: is the way back from a nod, 0.2 s late (docs/expression.md).
+_PHRASE_DEG = 1.8
+#: Beyond this a standard score is a fault or a shout; both count as a shout.
+MOST_Z = 4.0
+
+
+class ProsodyAccents:
+    """Head pitch that goes with prosody: a nod to an accent, and the course of the phrase.
+
+    Prominence is loudness + pitch / 2, in standard deviations; an accent is where its fast average
+    leaves its slow one behind. The head lags prosody by some 30 ms in people (Fotedar and Ghosh,
+    Interspeech 2017), so that nothing need be known beforehand.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._fast_share = -math.expm1(-CUE_PERIOD_S / _FAST_S)
+        self._slow_share = -math.expm1(-CUE_PERIOD_S / _SLOW_S)
+        self._kept = math.exp(-CUE_PERIOD_S / _NOD_DECAY_S)
+        self._fast = 0.0
+        self._slow = 0.0
+        self._since_s = _APART_S
+        self._stands_out = False
+        self._nod_deg = 0.0
+
+    def step(self, voice: VoiceFrame, is_speaking: bool) -> float:
+        """Degrees of pitch, positive upwards, one cue later."""
+        prominence = 0.0
+        if is_speaking and voice.is_speech:
+            loudness = bounded(voice.loudness_z, -MOST_Z, MOST_Z)
+            prominence = loudness + 0.5 * bounded(voice.pitch_z, -MOST_Z, MOST_Z)
+        self._fast += self._fast_share * (prominence - self._fast)
+        self._slow += self._slow_share * (prominence - self._slow)
+        self._nod_deg *= self._kept
+        self._since_s += CUE_PERIOD_S
+        excess = self._fast - self._slow
+        stood_out, self._stands_out = self._stands_out, excess > _STANDING_OUT
+        if is_speaking and self._stands_out and not stood_out and self._since_s >= _APART_S:
+            self._since_s = 0.0
+            if self._random.random() < _NODDED:
+                nod_deg = _LEAST_NOD_DEG + _NOD_PER_EXCESS_DEG * excess
+                self._nod_deg = -min(_MOST_NOD_DEG, nod_deg)
+        return self._nod_deg + _PHRASE_DEG * self._slow
+
+
+#: Of pitch, yaw and roll: how fast it forgets where it was, and its standard deviation.
+_TAUS_S = (1.2, 1.5, 1.8)
+_SDS_DEG = (1.8, 2.2, 1.3)
+#: Who listens moves half as much.
+_LISTENING_SHARE = 0.5
+
+
+class HeadDrift:
+    """An Ornstein-Uhlenbeck process for each axis, do = -o/tau dt + sigma sqrt(2/tau) dW.
+
+    Stepped exactly (Gillespie, Physical Review E 54, 1996, eq. 1.9), at standard deviation 1, so
+    that its size may change at any time without a jump.
+    """
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._kept = tuple(math.exp(-CUE_PERIOD_S / tau_s) for tau_s in _TAUS_S)
+        self._new = tuple(math.sqrt(1.0 - kept * kept) for kept in self._kept)
+        self._at = (0.0, 0.0, 0.0)
+
+    def step(self, talking: float) -> tuple[float, float, float]:
+        """Pitch, yaw and roll in degrees one cue later; talking: 0 to 1."""
+        (pitch, yaw, roll), (kept_0, kept_1, kept_2) = self._at, self._kept
+        new_0, new_1, new_2 = self._new
+        gauss = self._random.gauss
+        pitch = kept_0 * pitch + new_0 * gauss(0.0, 1.0)
+        yaw = kept_1 * yaw + new_1 * gauss(0.0, 1.0)
+        roll = kept_2 * roll + new_2 * gauss(0.0, 1.0)
+        self._at = (pitch, yaw, roll)
+        size = _LISTENING_SHARE + (1.0 - _LISTENING_SHARE) * talking
+        return size * _SDS_DEG[0] * pitch, size * _SDS_DEG[1] * yaw, size * _SDS_DEG[2] * roll
+
+
+#: Mean speed of each axis of the neck in idle, at most; and how much travel may be saved up.
+BUDGET_DEG_S: Final = 0.4
+_MOST_SAVED_DEG, _FIRST_SAVED_DEG = 10.0, 1.0
+#: Between moves: mean and standard deviation, beyond the shortest pause.
+_SHORTEST_PAUSE_S, _PAUSE_S, _PAUSE_SD_S = 2.0, 5.0, 3.0
+#: Every other move is a breath: up, a moment, and down, 3.8 s in all (0.26 Hz).
+_BREATHING = 0.5
+_LEAST_BREATH_DEG, _MOST_BREATH_DEG = 0.4, 0.8
+_IN_S, _FULL_S, _OUT_S = 1.5, 0.5, 1.8
+#: The others go to the other side of the middle; less than four pulses of a servo of 0.088
+#: degrees a pulse would be gear noise and nothing seen.
+_FURTHEST_DEG, _LEAST_MOVE_DEG = 0.9, 0.35
+_MOVE_S = 1.2
+#: The head goes along with a look away only where its part is as large.
+_LEAST_TURN_DEG = 3.0
+_SETTLING_S = 2.0
+
+
+class _Axis:
+    """One angle that holds or is on its way, and what it may still travel."""
+
+    def __init__(self) -> None:
+        self.angle_deg = 0.0
+        self.goal_deg = 0.0
+        self.home_deg = 0.0
+        self.saved_deg = _FIRST_SAVED_DEG
+        self._start_deg = 0.0
+        self._elapsed_s = 0.0
+        self._duration_s = _MOVE_S
+        self.is_moving = False
+
+    def go(self, goal_deg: float, duration_s: float) -> None:
+        self._start_deg, self.goal_deg = self.angle_deg, goal_deg
+        self._elapsed_s, self._duration_s = 0.0, duration_s
+        self.is_moving = goal_deg != self.angle_deg
+
+    def step(self) -> float:
+        if self.is_moving:
+            self._elapsed_s += CUE_PERIOD_S
+            share = smoothstep(self._elapsed_s / self._duration_s)
+            self.is_moving = share < 1.0
+            way_deg = self.goal_deg - self._start_deg
+            self.angle_deg = self._start_deg + share * way_deg if share < 1.0 else self.goal_deg
+        return self.angle_deg
+
+    def affordable(self, way_deg: float) -> float:
+        """As much of a way as can be gone there and back."""
+        return math.copysign(min(abs(way_deg), self.saved_deg / 2.0), way_deg)
+
+    def pays(self, travel_deg: float) -> bool:
+        if travel_deg > self.saved_deg:
+            return False
+        self.saved_deg -= travel_deg
+        return True
+
+
+class IdlePosture:
+    """Pitch, yaw and roll of a head in idle."""
+
+    def __init__(self, random: Random) -> None:
+        self._random = random
+        self._pitch, self._yaw, self._roll = self._axes = (_Axis(), _Axis(), _Axis())
+        self._pause_s = self._drawn_pause_s()
+        self._breath_left_s = 0.0
+        self._is_turned = False
+
+    def step(self, turn_deg: tuple[float, float]) -> tuple[float, float, float]:
+        """One cue later, of idle. turn_deg: (yaw, pitch) of the head's part of a look away."""
+        for axis in self._axes:
+            axis.saved_deg = min(_MOST_SAVED_DEG, axis.saved_deg + BUDGET_DEG_S * CUE_PERIOD_S)
+        if self._breath_left_s > 0.0:
+            self._breathe_out()
+        elif not (self._pitch.is_moving or self._yaw.is_moving or self._roll.is_moving):
+            self._pause_s -= CUE_PERIOD_S
+            if self._is_turned:
+                self._turn_back(turn_deg)
+            elif math.hypot(*turn_deg) >= _LEAST_TURN_DEG:
+                self._turn(turn_deg)
+            if self._pause_s <= 0.0 and not self._is_turned:
+                self._pause_s = self._drawn_pause_s()
+                self._begin_move()
+        return self.follow()
+
+    def follow(self) -> tuple[float, float, float]:
+        """One cue later: what has begun goes on, nothing begins."""
+        return self._pitch.step(), self._yaw.step(), self._roll.step()
+
+    def settle(self) -> None:
+        """Go to the middle, whatever the budget says; call it once, then `follow`."""
+        self._breath_left_s = 0.0
+        self._is_turned = False
+        for axis in self._axes:
+            axis.home_deg = 0.0
+            axis.go(0.0, _SETTLING_S)
+
+    def _drawn_pause_s(self) -> float:
+        shape = (_PAUSE_S / _PAUSE_SD_S) ** 2
+        return _SHORTEST_PAUSE_S + self._random.gammavariate(shape, _PAUSE_S / shape)
+
+    def _begin_move(self) -> None:
+        random = self._random
+        if random.random() < _BREATHING:
+            size_deg = random.uniform(_LEAST_BREATH_DEG, _MOST_BREATH_DEG)
+            if self._pitch.pays(2.0 * size_deg):
+                self._pitch.go(self._pitch.home_deg + size_deg, _IN_S)
+                self._breath_left_s = _IN_S + _FULL_S
+            return
+        axis = random.choice(self._axes)
+        travel_deg = random.uniform(_LEAST_MOVE_DEG, _FURTHEST_DEG)
+        if axis.pays(travel_deg):
+            axis.home_deg -= math.copysign(travel_deg, axis.home_deg)
+            axis.go(axis.home_deg, _MOVE_S)
+
+    def _breathe_out(self) -> None:
+        self._breath_left_s -= CUE_PERIOD_S
+        if self._breath_left_s <= 0.0:
+            self._pitch.go(self._pitch.home_deg, _OUT_S)
+
+    def _turn(self, turn_deg: tuple[float, float]) -> None:
+        """As far as there and back can be paid, so that the head never stays turned for want of it.
+
+        What is too small to be worth it is left to the eyes.
+        """
+        yaw_deg, pitch_deg = self._yaw.affordable(turn_deg[0]), self._pitch.affordable(turn_deg[1])
+        if math.hypot(yaw_deg, pitch_deg) < _LEAST_TURN_DEG:
+            return
+        self._is_turned = True
+        for axis, way_deg in ((self._yaw, yaw_deg), (self._pitch, pitch_deg)):
+            if abs(way_deg) >= _LEAST_MOVE_DEG and axis.pays(2.0 * abs(way_deg)):
+                axis.go(axis.home_deg + way_deg, _MOVE_S)
+
+    def _turn_back(self, turn_deg: tuple[float, float]) -> None:
+        if math.hypot(*turn_deg) < _LEAST_TURN_DEG:
+            self._is_turned = False
+            self._yaw.go(self._yaw.home_deg, _MOVE_S)
+            self._pitch.go(self._pitch.home_deg, _MOVE_S)
+
 
 #: Where a head turns and drifts it is slow; with accents, quick: through 1.6 Hz a nod would come
 #: 0.2 s late, and people's heads lag their voices by some 30 ms.

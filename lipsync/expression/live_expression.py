@@ -1,20 +1,105 @@
-"""Head, gaze, lids, brows and smile of a face, live: all generators together."""
+"""Head, gaze, lids, brows and smile of a face, live: all generators together.
 
+Brows go up with the voice, and arousal scales what the generators do. Arousal alone comes from a
+voice: anger and joy sound equally excited (Bone, Lee and Narayanan, "Robust unsupervised arousal
+rating", IEEE Trans. Affective Computing 5(2), 2014), so that nothing here smiles or frowns. The
+sizes are design choices, not measured on people.
+
+The head and eyes of a performance take the place of the live ones (`PerformedExpression`).
+"""
+
+from dataclasses import replace
 from random import Random
 from typing import Final
 
-from lipsync.expression import affect
 from lipsync.expression.alertness import Alertness
-from lipsync.expression.blinks import Blinks
-from lipsync.expression.bounded import bounded, toward
-from lipsync.expression.brow_flashes import BrowFlashes
-from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
-from lipsync.expression.damped_follower import DampedFollower
-from lipsync.expression.eye_head import eyes_deg
-from lipsync.expression.gaze import Gaze, listening_habit, talking_habit
+from lipsync.expression.blinks import Blinks, BrowFlashes, lid_position
+from lipsync.expression.cue import (
+    CUE_PERIOD_S,
+    DampedFollower,
+    ExpressionCue,
+    bounded,
+    smoothstep,
+    toward,
+)
+from lipsync.expression.gaze import Gaze, eyes_deg, listening_habit, talking_habit
 from lipsync.expression.head_pose import HeadPose
-from lipsync.expression.lid_position import lid_position
-from lipsync.face.frame import Expression
+from lipsync.face.frame import NO_EXPRESSION, Expression
+
+_LEAST_MOUTH_GAIN, _MOST_MOUTH_GAIN = 0.85, 1.2
+
+
+def mouth_gain(arousal: float) -> float:
+    """How far the mouth's coefficients go, 0.85 to 1.2; for all but closures of the lips."""
+    return bounded(1.0 + 0.2 * bounded(arousal, -1.0, 1.0), _LEAST_MOUTH_GAIN, _MOST_MOUTH_GAIN)
+
+
+def head_gain(arousal: float) -> float:
+    """How far the head drifts, 0.4 to 1.6."""
+    return 1.0 + 0.6 * bounded(arousal, -1.0, 1.0)
+
+
+def blink_gain(arousal: float) -> float:
+    """How often it blinks, 0.85 to 1.15."""
+    return 1.0 + 0.15 * bounded(arousal, -1.0, 1.0)
+
+
+def gaze_pace(arousal: float) -> float:
+    """How quickly one fixation follows the other, 0.8 to 1.2."""
+    return 1.0 + 0.2 * bounded(arousal, -1.0, 1.0)
+
+
+def brow_raise(arousal: float) -> float:
+    """How far excitement raises the brows, 0 to 0.2."""
+    return 0.2 * max(0.0, bounded(arousal, -1.0, 1.0))
+
+
+def lid_offset(arousal: float) -> float:
+    """Eyes widened by excitement, to -0.25; lids drooping without any, to 0.15."""
+    arousal = bounded(arousal, -1.0, 1.0)
+    return -0.25 * arousal if arousal > 0.0 else -0.15 * arousal
+
+
+#: How long each takes to go over: a neck as in a slow turn, eyes as in a large saccade, lids as in
+#: a blink, so that none is left half shut.
+_OVER_S: Final = {
+    "neck_pitch_deg": 0.8, "neck_yaw_deg": 0.8, "neck_roll_deg": 0.8,
+    "eye_pitch_deg": 0.2, "eye_yaw_deg": 0.2,
+    "lid_left": 0.1, "lid_right": 0.1, "brow": 0.3,
+}  # fmt: skip
+#: A changed amount is there after as long a time for each 1 of change, as in `LiveExpression`.
+_AMOUNT_S: Final = 1.0
+
+
+class PerformedExpression:
+    """`step` once for every 10 ms that are shown."""
+
+    def __init__(self) -> None:
+        self._shares = dict.fromkeys(_OVER_S, 0.0)
+        self._held = dict.fromkeys(_OVER_S, 0.0)
+        self._amount = 0.0
+
+    def step(self, live: Expression, stored: Expression, amount: float) -> Expression:
+        """What is shown. stored: what the performance says, `NO_EXPRESSION` where there is none.
+
+        amount: how lively the face is to be; at 0 it is still, as without a performance. Where a
+        performance ends or is cut off, its last pose is left for the live one.
+        """
+        self._amount = toward(self._amount, amount, CUE_PERIOD_S / _AMOUNT_S)
+        is_still = amount <= 0.0
+        mixed = {}
+        for name, over_s in _OVER_S.items():
+            value = None if is_still or stored is NO_EXPRESSION else getattr(stored, name)
+            if value is not None:
+                self._held[name] = value if name.startswith("lid") else self._amount * value
+            wanted = float(value is not None)
+            share = toward(self._shares[name], wanted, CUE_PERIOD_S / over_s)
+            self._shares[name] = share
+            if share > 0.0:
+                ours = getattr(live, name) or 0.0
+                mixed[name] = ours + smoothstep(share) * (self._held[name] - ours)
+        return replace(live, **mixed) if mixed else live
+
 
 _BROW_HZ, _BROW_PER_S = 4.0, 12.0
 _MOOD_HZ, _MOOD_PER_S = 0.6, 4.0
@@ -24,8 +109,6 @@ _TALKING_BLINKS, _SILENT_BLINKS, _IDLE_BLINKS = 21.0, 13.0, 11.0
 #: Fixations last so much longer where nobody speaks.
 _IDLE_PACE = 0.4
 _MOST_AMOUNT = 1.5
-#: A changed amount is there after as long a time for each 1 of change; so is rest.
-_AMOUNT_S = 1.0
 _NEUTRAL: Final = Expression(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -83,13 +166,13 @@ class LiveExpression:
         size = min(1.0, amount)
         blink = self._look(arousal, wanted)
         pitch_deg, yaw_deg, roll_deg = self._head.step(
-            cue, alertness, self._gaze, amount, affect.head_gain(arousal)
+            cue, alertness, self._gaze, amount, head_gain(arousal)
         )
         eye_yaw_deg, eye_pitch_deg = eyes_deg(self._gaze.direction_deg, yaw_deg, pitch_deg)
-        offset = self._lid_offset.follow(size * affect.lid_offset(arousal))
+        offset = self._lid_offset.follow(size * lid_offset(arousal))
         lid = lid_position(eye_pitch_deg, offset, size, blink)
         brow = self._flashes.step(cue.voice, cue.is_speaking, alertness.is_idle)
-        brow = self._brow.follow(bounded(amount * (brow + affect.brow_raise(arousal)), 0.0, 1.0))
+        brow = self._brow.follow(bounded(amount * (brow + brow_raise(arousal)), 0.0, 1.0))
         smile = self._smile.follow(size * bounded(cue.valence, -1.0, 1.0))
         expression = Expression(
             pitch_deg, yaw_deg, roll_deg, eye_pitch_deg, eye_yaw_deg, lid, lid, brow, smile
@@ -103,11 +186,11 @@ class LiveExpression:
         gaze.turn(alertness.is_speaking)
         if alertness.has_turned:
             gaze.look()
-        pace = _IDLE_PACE if alertness.is_idle else affect.gaze_pace(arousal)
+        pace = _IDLE_PACE if alertness.is_idle else gaze_pace(arousal)
         gaze.step(alertness.partner_deg, pace, amount)
         rate_per_min = 0.0
         if amount > 0.0:
             silent = _SILENT_BLINKS + (_IDLE_BLINKS - _SILENT_BLINKS) * (1.0 - alertness.awake)
             rate_per_min = silent + (_TALKING_BLINKS - silent) * alertness.talking
-            rate_per_min *= affect.blink_gain(arousal)
+            rate_per_min *= blink_gain(arousal)
         return self._blinks.step(rate_per_min, alertness.turn_ended, gaze.saccade_deg)

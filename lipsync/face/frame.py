@@ -1,8 +1,10 @@
-"""What a face shows at one instant: the mouth as coefficients, the rest of the head by name."""
+"""What a face shows at one instant, and the contract of every synthesiser of its mouth."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 from lipsync.arrays import Array
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,3 +39,30 @@ class Frame:
     time_s: float
     coefficients: Array
     expression: Expression = NO_EXPRESSION
+
+
+class Synthesizer(Protocol):
+    """Phonemes in, frames out. What wraps a synthesiser is one itself."""
+
+    @property
+    def phonemes_planned(self) -> int:
+        """How many phonemes have moved the mouth."""
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its frame is asked for."""
+
+    def reset(self) -> None:
+        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Take a revision of the phonemes; what has been shown stays as it is."""
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at a sound time; the same time gives the same frame.
+
+        Times ascend, but for a step back of half a second at most.
+        """
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""

@@ -16,10 +16,16 @@ from lipsync.arrays import Array
 from lipsync.expectation.context import PhonemeTrack, context_at, track_of
 from lipsync.expectation.expectation import Expectation
 from lipsync.face.frame import Frame
-from lipsync.motion.amount import Amount
-from lipsync.motion.eased_setting import EasedSetting
-from lipsync.motion.rest_plan import AT_REST, is_reached, planned_rest
-from lipsync.motion.tick_plan import TICK_S, TickPlan, tick_of
+from lipsync.motion.tick_plan import (
+    AT_REST,
+    TICK_S,
+    Amount,
+    EasedSetting,
+    TickPlan,
+    is_reached,
+    planned_rest,
+    tick_of,
+)
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
 

@@ -1,22 +1,33 @@
-"""The live methods: whatever moves the mouth, with strength, rest and closures around it."""
+"""The live methods: whatever moves the mouth, and the finishing step that all of them share.
+
+The finishing step mixes AnimPhos in, scales by the strength, rests in pauses and closes the lips
+for P B M F V, in this order, in one frame. Live motion, the paper's method and scripted lines pass
+it alike.
+"""
 
 from collections.abc import Callable, Mapping, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 from lipsync.animpho.units import AnimPhoUnits
+from lipsync.arrays import Array
 from lipsync.errors import UserError
+from lipsync.expectation.context import PhonemeTrack, context_at
 from lipsync.expectation.expectation import Expectation
+from lipsync.face.frame import Frame, Synthesizer
 from lipsync.face.model import FaceModel
-from lipsync.motion.closing_synthesizer import ClosingSynthesizer
-from lipsync.motion.closure_plan import BILABIALS, LABIODENTALS
+from lipsync.motion.closures import (
+    BILABIAL_GAP_MM,
+    BILABIALS,
+    LABIODENTALS,
+    OPEN,
+    lip_gap_of,
+    planned,
+)
 from lipsync.motion.expected_motion import USED_LOOKAHEAD_S, ExpectedMotion
-from lipsync.motion.lip_closure import lip_gap_of
-from lipsync.motion.mixing_synthesizer import MixingSynthesizer
-from lipsync.motion.resting_synthesizer import RestingSynthesizer
-from lipsync.motion.scaled_synthesizer import ScaledSynthesizer
+from lipsync.motion.tick_plan import AT_REST, TICK_S, Amount, EasedSetting, TickPlan, planned_rest
 from lipsync.motion.unit_motion import UnitMotion
-from lipsync.motion.wrapped_synthesizer import TrackedSynthesizer, WrappedSynthesizer
-from lipsync.phonemes import PHONEMES
+from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 
 #: Their names on the command line and in results: the expectation, and AnimPhos near it.
 LIVE_STRATEGY = "expected"
@@ -26,7 +37,6 @@ LONGEST_LOOKAHEAD_S = 1.0
 STRONGEST = 1.5
 #: Chosen on inner splits (decisions/0028).
 DEFAULT_UNIT_SHARE = 0.25
-_CLOSING = (*BILABIALS, *LABIODENTALS)
 
 
 class StyleError(UserError):
@@ -61,45 +71,99 @@ class Style:
                 raise StyleError(f"{name} is {value}; allowed: 0 to {most}")
 
 
-class FinishedSynthesizer(WrappedSynthesizer):
-    """What every method has around it live: strength, rest in pauses, closures of the lips."""
+class TrackedSynthesizer(Synthesizer, Protocol):
+    """A synthesiser whose phonemes the finishing step can see."""
+
+    @property
+    def track(self) -> PhonemeTrack:
+        """The phonemes as they are believed now, end to end."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Finish:
+    """What is decided for one tick: how far the mouth is at rest, and its lips are closed."""
+
+    rest: Amount = AT_REST
+    bilabial: Amount = OPEN
+    labiodental: Amount = OPEN
+
+
+class FinishedSynthesizer:
+    """The finishing step around a synthesiser: AnimPhos, strength, rest in pauses, closures."""
 
     def __init__(
         self,
         model: FaceModel,
         inner: TrackedSynthesizer,
         strength: float = 1.0,
+        *,
+        known_s: float | None = None,
         adjust_inner: Mapping[str, Callable[[float], None]] | None = None,
+        units: UnitMotion | None = None,
+        unit_share: float = DEFAULT_UNIT_SHARE,
     ) -> None:
-        """adjust_inner: how what is inside takes a new value of its own settings, by name."""
-        known_s = min(inner.lookahead_s, USED_LOOKAHEAD_S)
-        self._strength = strength
-        scaled = ScaledSynthesizer(inner, model.rest, strength, strongest=STRONGEST)
-        self._resting = RestingSynthesizer(scaled, model.rest, known_s)
-        closing = ClosingSynthesizer(
-            self._resting,
-            lip_gap_of(model),
-            labiodental_gap_mm=model.labiodental_gap_mm,
-            tightest_s={p: float(model.tightest_s[PHONEMES.index(p)]) for p in _CLOSING},
-            known_s=known_s,
-        )
-        super().__init__(closing)
-        self._adjust = {**(adjust_inner or {}), "strength": scaled.adjust_strength}
+        """strength: 0 keeps the mouth at rest, 1 changes nothing.
+
+        known_s: how far beyond its tick a decision may look, s; None for what the look-ahead of
+        `inner` allows. adjust_inner: how `inner` takes a new value of its own settings, by name.
+        units: AnimPhos to mix in, None for none; unit_share: 0 leaves them out, 1 shows them alone.
+        """
+        self._inner = inner
+        self._known_s = min(inner.lookahead_s, USED_LOOKAHEAD_S) if known_s is None else known_s
+        self._rest = model.rest
+        self._gap = lip_gap_of(model)
+        self._labiodental_gap_mm = model.labiodental_gap_mm
+        self._bilabial_s = _tightest_s(model, BILABIALS)
+        self._labiodental_s = _tightest_s(model, LABIODENTALS)
+        self._units = units
+        self._strength = EasedSetting(strength, STRONGEST)
+        self._unit_share = EasedSetting(unit_share, 1.0)
+        self._ticks = TickPlan(_Finish())
+        self._adjust = {**(adjust_inner or {}), "strength": self._changing(self._strength)}
+        if units is not None:
+            self._adjust["unit_share"] = self._changing(self._unit_share)
 
     @property
     def is_resting(self) -> bool:
         """Whether the mouth is at rest, or on its way there, because nobody speaks."""
-        return self._resting.is_resting
+        return self._ticks.newest.rest.goal == 1.0
 
     @property
     def strength(self) -> float:
         """As it was set last."""
-        return self._strength
+        return self._strength.goal
 
     @property
     def adjustable(self) -> Set[str]:
         """Names of the settings that may change while the mouth moves."""
         return self._adjust.keys()
+
+    @property
+    def phonemes_planned(self) -> int:
+        """How many phonemes have moved the mouth."""
+        return self._inner.phonemes_planned
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its frame is asked for."""
+        return self._inner.lookahead_s
+
+    def reset(self) -> None:
+        """Forget everything but the settings; the mouth is closed at sound time 0."""
+        self._inner.reset()
+        if self._units is not None:
+            self._units.reset()
+        self._strength.settle()
+        self._unit_share.settle()
+        self._ticks = TickPlan(_Finish())
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Take a revision of the phonemes; what has been shown stays as it is."""
+        self._inner.push(update)
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""
+        return self._inner.event_at(time_s)
 
     def adjust(self, name: str, value: float) -> None:
         """Set a setting from the newest face on, eased in over `ADJUSTING_S`.
@@ -110,9 +174,51 @@ class FinishedSynthesizer(WrappedSynthesizer):
         if name not in self._adjust:
             raise StyleError(f"{name} cannot be adjusted; {', '.join(sorted(self._adjust))} can")
         Style(**{name: value})
-        if name == "strength":
-            self._strength = value
         self._adjust[name](value)
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at sound time `time_s`; the same time gives the same frame."""
+        frame = self._inner.frame_at(time_s)
+        face = frame.coefficients
+        if self._units is not None:
+            face = self._mixed(face, self._units, time_s)
+        strength = self._strength.at(time_s)
+        if strength != 1.0:
+            face = self._rest + strength * (face - self._rest)
+        finish = self._ticks.at(time_s, self._decide)
+        if finish is not None:
+            face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
+            labiodental = finish.labiodental.smooth(time_s)
+            face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
+            face = self._gap.narrowed(face, BILABIAL_GAP_MM, finish.bilabial.smooth(time_s))
+        return replace(frame, coefficients=face)
+
+    def _mixed(self, face: Array, units: UnitMotion, time_s: float) -> Array:
+        """The weighted mean of a face (n_components,) and that of the AnimPhos."""
+        of_units = units.at(time_s, self._inner.track)
+        share = self._unit_share.at(time_s)
+        if of_units is None or share == 0.0:
+            return face
+        return face + share * (of_units - face)
+
+    def _decide(self, time_s: float, last: _Finish) -> _Finish:
+        """Rest and closures of the tick that ends at `time_s`, from what is known then."""
+        track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
+        context = context_at(track, time_s, until_s)
+        return _Finish(
+            planned_rest(last.rest, *context, begin_s, self._known_s),
+            planned(last.bilabial, self._bilabial_s, track, begin_s, until_s),
+            planned(last.labiodental, self._labiodental_s, track, begin_s, until_s),
+        )
+
+    def _changing(self, setting: EasedSetting) -> Callable[[float], None]:
+        return lambda value: setting.change(self._ticks.decided_until_s, value)
+
+
+def _tightest_s(model: FaceModel, phonemes: tuple[str, ...]) -> dict[int, float]:
+    """By number in `PHONEMES`: when after its onset the lips are nearest."""
+    numbers = [PHONEMES.index(phoneme) for phoneme in phonemes]
+    return {number: float(model.tightest_s[number]) for number in numbers}
 
 
 class LiveSynthesizer(FinishedSynthesizer):
@@ -127,13 +233,14 @@ class LiveSynthesizer(FinishedSynthesizer):
     ) -> None:
         """units: AnimPhos to choose from; None: the expectation alone, whatever `unit_share` is."""
         style = style or Style()
-        inner: TrackedSynthesizer
-        inner = expected = ExpectedMotion(
+        expected = ExpectedMotion(
             expectation, model.rest, lookahead_s=style.lookahead_s, smoothness=style.smoothness
         )
-        adjust: dict[str, Callable[[float], None]] = {"smoothness": expected.adjust_smoothness}
-        if units is not None:
-            motion = UnitMotion(units, expectation, expected.known_s)
-            inner = mixing = MixingSynthesizer(expected, motion, style.unit_share)
-            adjust["unit_share"] = mixing.adjust_unit_share
-        super().__init__(model, inner, style.strength, adjust)
+        super().__init__(
+            model,
+            expected,
+            style.strength,
+            adjust_inner={"smoothness": expected.adjust_smoothness},
+            units=None if units is None else UnitMotion(units, expectation, expected.known_s),
+            unit_share=style.unit_share,
+        )

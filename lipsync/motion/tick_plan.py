@@ -1,9 +1,16 @@
-"""Decisions on a grid of 10 ms: each tick once, from what is known at its own time."""
+"""Decisions on a grid of 10 ms: each tick once, from what is known at its own time.
+
+What is decided is smooth in time: amounts from 0 to 1, settings that change while the mouth moves,
+and the rest to which the mouth comes in a pause.
+"""
 
 import math
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Generic, TypeVar
+
+from lipsync.phonemes import PHONEMES, SILENCE
 
 #: Speech is published at 100 Hz (architecture.md, Time).
 TICK_S = 0.010
@@ -52,3 +59,108 @@ class TickPlan(Generic[Decision]):
             self._newest += 1
         back = self._newest - number
         return self._kept[-1 - back] if back < len(self._kept) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Amount:
+    """A cubic from a value and a slope at `start_s` to rest at `goal`; there it stays.
+
+    Hermite's form, so that a new one takes over from any instant of the old one smoothly.
+    touched_s: when the last closure was, or will be, complete; as long as it is held, now.
+    """
+
+    start_s: float
+    duration_s: float
+    value: float
+    slope_per_s: float
+    goal: float
+    touched_s: float = -math.inf
+
+    def at(self, time_s: float) -> tuple[float, float]:
+        """Value and slope per second at a time not before the start."""
+        u = (time_s - self.start_s) / self.duration_s
+        if u >= 1.0:
+            return self.goal, 0.0
+        fall = (1.0 + 2.0 * u) * (1.0 - u) ** 2
+        slope = self.slope_per_s * self.duration_s
+        value = self.goal + (self.value - self.goal) * fall + slope * u * (1.0 - u) ** 2
+        change = 6.0 * u * (u - 1.0) * (self.value - self.goal)
+        change += slope * (1.0 - u) * (1.0 - 3.0 * u)
+        return value, change / self.duration_s
+
+    def smooth(self, time_s: float) -> float:
+        """The value within 0 and 1, with slope 0 at both ends whatever the cubic does there."""
+        value = min(1.0, max(0.0, self.at(time_s)[0]))
+        return value * value * (3.0 - 2.0 * value)
+
+
+#: So long a change takes: lips 10 mm apart that are told to close by strength 0 approach at 50 mm/s
+#: at most (1.5 times the mean, as of any cubic).
+ADJUSTING_S = 0.3
+
+
+class EasedSetting:
+    """A number between 0 and `most`, as a function of time."""
+
+    def __init__(self, value: float, most: float) -> None:
+        self._most = most
+        self._now = _steady(value)
+
+    @property
+    def goal(self) -> float:
+        """The value that was set last."""
+        return self._now.goal
+
+    def at(self, time_s: float) -> float:
+        """The value; before the last change began it is the one at its beginning."""
+        value = self._now.at(max(time_s, self._now.start_s))[0]
+        # A cubic that turns round on its way may overshoot its limits.
+        return min(self._most, max(0.0, value))
+
+    def change(self, start_s: float, value: float) -> None:
+        """Go over to a value from `start_s` on, from wherever it is then."""
+        now = self._now
+        self._now = Amount(start_s, ADJUSTING_S, *now.at(max(start_s, now.start_s)), value)
+
+    def settle(self) -> None:
+        """Be where the last change leads, from the beginning of time."""
+        self._now = _steady(self._now.goal)
+
+
+def _steady(value: float) -> Amount:
+    return Amount(0.0, ADJUSTING_S, value, 0.0, value)
+
+
+#: Longer than a stop gap inside a word (to 120 ms) with its borders heard 50 ms wrong: a silence
+#: that lasts longer is a pause, and in a pause the mouth comes to rest.
+PAUSE_S = 0.17
+#: So long it takes to come to rest.
+RESTING_S = 0.15
+#: Rest is left within this share of the look-ahead, 70 ms of 100, so that the mouth is where it
+#: should be at the onset. Leaving it 10 ms later was measurably worse (docs/motion.md).
+_LEAVING_SHARE = 0.7
+_SILENCE = PHONEMES.index(SILENCE)
+
+#: Before the first sound.
+AT_REST = Amount(0.0, RESTING_S, 1.0, 0.0, 1.0)
+
+
+def planned_rest(
+    now: Amount, phonemes: list[int], times_s: list[float], time_s: float, known_s: float
+) -> Amount:
+    """The amount of rest from `time_s` on: to 1 in a pause, to 0 when the end of it is known.
+
+    phonemes, times_s: `context_at` the end of the tick that begins at `time_s`; known_s: how far
+    beyond that end phonemes are known.
+    """
+    is_pause = phonemes[2] == _SILENCE and times_s[2] > PAUSE_S and math.isnan(times_s[3])
+    if is_pause == (now.goal == 1.0):
+        return now
+    leaving_s = max(TICK_S, _LEAVING_SHARE * known_s)
+    duration_s, goal = (RESTING_S, 1.0) if is_pause else (leaving_s, 0.0)
+    return Amount(time_s, duration_s, *now.at(time_s), goal)
+
+
+def is_reached(rest: Amount, time_s: float) -> bool:
+    """Whether the mouth is fully at rest at a time and stays there."""
+    return rest.goal == 1.0 and rest.at(time_s) == (1.0, 0.0)

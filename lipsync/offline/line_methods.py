@@ -1,28 +1,97 @@
-"""How a line becomes faces: the published method, ours, and the live strategy."""
+"""How a line becomes faces: the published method, ours, and the live strategy.
 
+A planned line is a synthesiser too, and passes the same finishing step as live motion.
+"""
+
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from lipsync.arrays import Array
-from lipsync.expectation.context import contexts, track_of
+from lipsync.expectation.context import PhonemeTrack, contexts, track_of
 from lipsync.expectation.expectation import Expectation
+from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
 from lipsync.motion.expected_motion import LEAD, USED_LOOKAHEAD_S
-from lipsync.motion.live_synthesizer import LONGEST_LOOKAHEAD_S, LiveSynthesizer, Style
+from lipsync.motion.live_synthesizer import (
+    LONGEST_LOOKAHEAD_S,
+    FinishedSynthesizer,
+    LiveSynthesizer,
+    Style,
+)
 from lipsync.motion.tick_plan import TICK_S
-from lipsync.motion.wrapped_synthesizer import WrappedSynthesizer
-from lipsync.offline.cepstra import at_times, cepstra
-from lipsync.offline.offline_model import OfflineModel
-from lipsync.offline.planned_motion import PlannedMotion
-from lipsync.offline.wrapped_line import wrapped_line
+from lipsync.offline.offline_model import OfflineModel, at_times, cepstra
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.timeline import PhonemeTimeline
+
+
+class PlannedMotion:
+    """Faces at even times with a cubic spline through them, and the phonemes they are of.
+
+    faces: (n, n_components), the first at sound time 0; before and after it is the nearest of them.
+    """
+
+    def __init__(
+        self, faces: Array, frame_rate_hz: float, events: tuple[PhonemeEvent, ...]
+    ) -> None:
+        self._last_s = (len(faces) - 1) / frame_rate_hz
+        times_s = np.arange(len(faces)) / frame_rate_hz
+        self._spline = CubicSpline(times_s, faces) if len(faces) > 1 else None
+        self._faces = faces
+        self._timeline = PhonemeTimeline(math.inf)
+        self._timeline.apply(PhonemeUpdate(0.0, math.inf, math.inf, events))
+        self._track = track_of(events)
+
+    @property
+    def phonemes_planned(self) -> int:
+        """All of them."""
+        return len(self._timeline.events)
+
+    @property
+    def lookahead_s(self) -> float:
+        """Everything is heard beforehand."""
+        return 0.0
+
+    @property
+    def track(self) -> PhonemeTrack:
+        """The phonemes of the whole line, end to end."""
+        return self._track
+
+    def reset(self) -> None:
+        """Nothing to forget: the line stays."""
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """A line that is planned learns nothing new; raises ValueError."""
+        raise ValueError(f"the line is planned; nothing can be revised ({update})")
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at a sound time, in any order of times."""
+        at_s = min(max(time_s, 0.0), self._last_s)
+        face = self._faces[0] if self._spline is None else self._spline(at_s)
+        return Frame(time_s, np.asarray(face))
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme of a time."""
+        return self._timeline.event_at(time_s)
+
+
+def shown_faces(line: FinishedSynthesizer, times_s: Sequence[float] | Array) -> Array:
+    """Faces (n, n_components) at ascending times, decided tick by tick as a robot would."""
+    found, n_ticks = [], 0
+    for time_s in times_s:
+        while n_ticks * TICK_S < time_s - 1e-6:
+            line.frame_at(n_ticks * TICK_S)
+            n_ticks += 1
+        found.append(line.frame_at(float(time_s)).coefficients)
+    return np.array(found)
+
 
 LineMethod = Literal["heard", "model-based", "live"]
-METHODS: tuple[LineMethod, ...] = get_args(LineMethod)
 #: Which of them `render` uses: the nearest to the recordings (docs/decisions/0029).
 DEFAULT_METHOD: LineMethod = "heard"
 #: The expectation of sound counts so much, the live one, of phonemes alone, the rest.
@@ -104,7 +173,7 @@ PLANNED_METHODS = tuple(_PLANNED)
 
 def line_synthesizer(
     speaker: Speaker, line: Line, method: LineMethod, strength: float = 1.0
-) -> tuple[WrappedSynthesizer, Sequence[str]]:
+) -> tuple[FinishedSynthesizer, Sequence[str]]:
     """What plays a line, strength, rest and closures around it, and notes for a person."""
     duration_s = max((e.end_s or 0.0 for e in line.events), default=0.0)
     if method == "live":
@@ -116,4 +185,6 @@ def line_synthesizer(
     n_frames = int(np.ceil(duration_s * speaker.offline.states.frame_rate_hz)) + 1
     planned = _PLANNED[method](speaker, line, n_frames)
     motion = PlannedMotion(planned.faces, planned.frame_rate_hz, line.events)
-    return wrapped_line(speaker.face, motion, strength), planned.notes
+    # Rest and closures ask for the next pause and onset, and so much look-ahead shows both.
+    finished = FinishedSynthesizer(speaker.face, motion, strength, known_s=USED_LOOKAHEAD_S)
+    return finished, planned.notes

@@ -1,23 +1,318 @@
-"""One line, from what is heard and said in it to the motion of the mouth: the paper's method."""
+"""A line by the method of Edge, Hilton and Jackson: from its sound and phones to motion.
 
-from collections.abc import Sequence
+Step 2 finds the stored units that sound most like a stretch of the line. A unit runs from the
+centre of the phone before to the centre of the phone after, and is classified by the phone in its
+middle alone. Dynamic time warping is dtaidistance's. Step 3 is the distance of each state from a
+frame: the Euclidean one of two windows of cepstra, each frame weighted by a Gaussian around the
+middle. Steps 4 and 5 are the cheapest way through the states, Viterbi's recursion on distances.
+Step 6 is the likeliest motion through them, one block-banded linear system, after Brand, "Voice
+puppetry", SIGGRAPH 1999.
+"""
+
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
+from scipy.spatial.distance import cdist
 
 from lipsync.arrays import Array, Indices
-from lipsync.offline.likeliest_motion import likeliest_trajectory
-from lipsync.offline.path import Path, cheapest_path
-from lipsync.offline.state_distances import (
-    Candidates,
-    Window,
-    gaussian_window,
-    nearest_of_each_state,
-    unit_distances,
-)
-from lipsync.offline.state_model import StateModel
-from lipsync.offline.stored_units import Spans, joined_phones, unit_spans, warped_distances
+from lipsync.offline.offline_model import StateModel
 from lipsync.phonemes import PHONEMES, PhonemeEvent, stand_in
+
+
+@dataclass(frozen=True, slots=True)
+class Spans:
+    """Units of one recording: the frames first_i <= f < end_i of each phone, and its centre."""
+
+    phonemes: tuple[str, ...]
+    first: Indices
+    end: Indices
+    centres_s: Array
+
+    def neighbours(self, n_frames: int, frame_rate_hz: float) -> tuple[Indices, Indices]:
+        """For each frame the unit whose phone has its centre before, and the one after.
+
+        Frames before the first centre, or after the last one, lie in one unit only: it is both.
+        """
+        times_s = np.arange(n_frames) / frame_rate_hz
+        right = np.searchsorted(self.centres_s, times_s + 1e-9)
+        last = len(self.phonemes) - 1
+        return np.clip(right - 1, 0, last), np.clip(right, 0, last)
+
+
+def unit_spans(events: Sequence[PhonemeEvent], n_frames: int, frame_rate_hz: float) -> Spans:
+    """The units of phones that follow each other without gaps, each with its end.
+
+    The first begins with the recording, the last ends with it; each has one frame at least.
+    """
+    duration_s = n_frames / frame_rate_hz
+    ends_s = [duration_s if e.end_s is None else e.end_s for e in events]
+    centres_s = np.array([(e.start_s + end) / 2.0 for e, end in zip(events, ends_s, strict=True)])
+    borders = np.ceil(centres_s * frame_rate_hz - 1e-6).astype(np.int64)
+    first = np.concatenate([[0], borders[:-1]])
+    end = np.concatenate([borders[1:], [n_frames]])
+    first = np.clip(first, 0, n_frames - 1)
+    return Spans(
+        tuple(e.phoneme for e in events), first, np.clip(end, first + 1, n_frames), centres_s
+    )
+
+
+def warped_distances(target: Array, stored: Sequence[Array]) -> Array:
+    """How unlike each of the stored units (n_j, m) sounds to the target (n, m): (n_units,).
+
+    P(i, j) = d(i, j) + min(P(i-1, j), P(i-1, j-1), P(i, j-1)), equation (1), with d the Euclidean
+    distance of cepstra; the cost of a unit is P at the ends of both. Needs the extra `offline`.
+    """
+    from dtaidistance.dtw_cc import distance_ndim  # the published method alone needs it
+
+    target = np.ascontiguousarray(target, dtype=np.float64)
+    return np.array([distance_ndim(target, each, inner_dist="euclidean") for each in stored])
+
+
+def joined_phones(events: Sequence[PhonemeEvent], duration_s: float) -> tuple[PhonemeEvent, ...]:
+    """The phones of a line end to end from 0 to its duration: gaps and both ends are silence.
+
+    What begins after the end of the sound is left out, and what goes on beyond it is cut.
+    """
+    found: list[PhonemeEvent] = []
+
+    def add(phoneme: str, start_s: float, end_s: float) -> None:
+        if found and phoneme == "SIL" == found[-1].phoneme:
+            found[-1] = PhonemeEvent("SIL", found[-1].start_s, end_s)
+        elif end_s > start_s:
+            found.append(PhonemeEvent(phoneme, start_s, end_s))
+
+    reached_s = 0.0
+    for event in events:
+        end_s = duration_s if event.end_s is None else min(event.end_s, duration_s)
+        if end_s <= event.start_s:
+            continue
+        if event.start_s > reached_s:
+            add("SIL", reached_s, event.start_s)
+        add(event.phoneme, event.start_s, end_s)
+        reached_s = end_s
+    if reached_s < duration_s:
+        add("SIL", reached_s, duration_s)
+    return tuple(found)
+
+
+def frames_between(borders: Indices) -> list[range]:
+    """Ranges of frames of recordings that lie end to end: borders (n + 1,)."""
+    return [range(int(a), int(b)) for a, b in pairwise(borders)]
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """offsets (w,) in frames around the middle, weights (w,), which add up to 1."""
+
+    offsets: Indices
+    weights: Array
+
+    def of(self, cepstra: NDArray[np.floating], frames: Indices, borders: tuple[int, int]) -> Array:
+        """What is heard around `frames` (n,): (n, w m), weighted so that distances are (2)'s.
+
+        cepstra: (n_frames, m); borders: first frame of the recording, and the one after its last;
+        beyond them its ends are repeated.
+        """
+        first, end = borders
+        numbers = np.clip(frames[:, None] + self.offsets, first, end - 1)
+        weighted = cepstra[numbers] * np.sqrt(self.weights)[:, None]
+        return np.asarray(weighted.reshape(len(frames), -1))
+
+
+def gaussian_window(deviation_s: float, frame_rate_hz: float) -> Window:
+    """A window of three standard deviations to both sides."""
+    deviation = deviation_s * frame_rate_hz
+    reach = int(np.ceil(3.0 * deviation))
+    offsets = np.arange(-reach, reach + 1)
+    weights = np.exp(-0.5 * (offsets / max(deviation, 1e-9)) ** 2)
+    return Window(offsets, weights / weights.sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """The states that a frame may be in, (n,), each once, and how far it is from each, (n,)."""
+
+    states: Indices
+    distances: Array
+
+
+def unit_distances(heard: Array, stored: Array) -> Array:
+    """The distance of each window around frames of a line to each of those around a unit's frames.
+
+    heard (n, w m), stored (n_j, w m), as `Window.of` gives them: (n, n_j), with
+
+    dist(t, f) = sqrt( sum_w g(w) || c(t + w) - c'(f + w) ||^2 ).
+    """
+    return np.asarray(cdist(heard, stored), dtype=np.float64)
+
+
+def nearest_of_each_state(states: Sequence[Indices], distances: Sequence[Array]) -> Candidates:
+    """dist(t, k) = min over frames f of the units that lie in state k, equation (2).
+
+    states, distances: (n_j,) for each unit. States that are in none of them are infinitely far, and
+    left out.
+    """
+    all_states, all_distances = np.concatenate(states), np.concatenate(distances)
+    order = np.lexsort((all_distances, all_states))
+    found, first = np.unique(all_states[order], return_index=True)
+    return Candidates(found, all_distances[order][first])
+
+
+Follows = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """states: (n,), one a frame. cost: D at the end.
+
+    n_widened: how often units were added; n_breaks: frames that no transition leads to, even with
+    all units, and which were begun anew.
+    """
+
+    states: Indices
+    cost: float
+    n_widened: int
+    n_breaks: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """One frame: its states, the least cost to be in each, and where it came from."""
+
+    states: Indices
+    costs: Array
+    back: Indices
+
+
+def cheapest_path(
+    n_frames: int,
+    candidates: Callable[[int], Candidates],
+    follows: Follows,
+    widen: Callable[[int], int | None],
+) -> Path:
+    """The path of least total distance whose every step was seen in the recordings.
+
+    D(t, k) = dist(t, k) + min over j with T(j, k) = 1 of D(t-1, j), equation (3), with a pointer
+    back to the best j.
+
+    candidates: of a frame, as known now. follows: T. widen: called where every D(t, .) is infinite;
+    adds the next most similar unit of the left and of the right context (2, 4, 6 ... units) and
+    says from which frame on candidates are changed, None where no unit is left.
+    """
+    steps: list[_Step] = []
+    n_widened, breaks = 0, set()
+    while len(steps) < n_frames:
+        t = len(steps)
+        step = _advanced(steps[-1] if steps else None, candidates(t), follows)
+        if step is None and t not in breaks:
+            changed = widen(t)
+            if changed is not None:
+                n_widened += 1
+                del steps[changed:]
+                continue
+            breaks.add(t)
+        if step is None:
+            step = _begun_anew(steps[-1], candidates(t))
+        steps.append(step)
+    at = int(np.argmin(steps[-1].costs))
+    cost = float(steps[-1].costs[at])
+    states = np.zeros(n_frames, dtype=np.int64)
+    for t in range(n_frames - 1, -1, -1):
+        states[t] = steps[t].states[at]
+        at = int(steps[t].back[at])
+    return Path(states, cost, n_widened, len(breaks))
+
+
+def _advanced(before: _Step | None, now: Candidates, follows: Follows) -> _Step | None:
+    """Equation (3) for one frame; None where every state is infinitely far."""
+    if before is None:
+        start = np.zeros(len(now.states), dtype=np.int64)
+        return _Step(now.states, now.distances, start)
+    allowed = follows[before.states[:, None], now.states]
+    costs = np.where(allowed, before.costs[:, None], np.inf)
+    back = costs.argmin(axis=0)
+    least = costs[back, np.arange(len(back))]
+    reached = np.isfinite(least)
+    if not reached.any():
+        return None
+    return _Step(now.states[reached], (now.distances + least)[reached], back[reached])
+
+
+def _begun_anew(before: _Step, now: Candidates) -> _Step:
+    """As if every state could follow the best one so far."""
+    best = int(before.costs.argmin())
+    back = np.full(len(now.states), best, dtype=np.int64)
+    return _Step(now.states, now.distances + before.costs[best], back)
+
+
+def likeliest_trajectory(
+    means: Array,
+    precisions: Array,
+    expected: Array | None = None,
+    expected_precision: Array | None = None,
+) -> Array:
+    """Positions (n, p) that maximise the product over t of N(y~_t; 0, K_t), equation (4).
+
+    y~_t = (x_t, x_{t+1} - x_t) - mu_t; in the last frame the speed is that of the step before.
+    means: (n, 2 p), mu_t of each frame's state; precisions: (n, 2 p, 2 p), the inverse of K_t.
+    With W the matrix that takes positions to positions and speeds: W' K^-1 W x = W' K^-1 mu, which
+    is symmetric, positive definite, and p by p blocks around the diagonal.
+
+    expected (n, p), expected_precision (p, p): what else is known of each position, one more
+    Gaussian a frame: not of the paper.
+    """
+    n, p = len(means), means.shape[1] // 2
+    diagonal = np.zeros((n, p, p))
+    below = np.zeros((max(n - 1, 0), p, p))
+    right = np.zeros((n, p))
+    # K^-1 in its four blocks, and K^-1 mu in its two.
+    xx, xv, vv = precisions[:, :p, :p], precisions[:, :p, p:], precisions[:, p:, p:]
+    weighted = np.einsum("tij,tj->ti", precisions, means)
+    at_x, at_v = weighted[:, :p], weighted[:, p:]
+    diagonal += xx
+    right += at_x
+    if n > 1:
+        # Speeds from the frame to the next: x_t has -1 in them, x_{t+1} has 1.
+        on = slice(0, n - 1)
+        crossed = xv.transpose(0, 2, 1)
+        diagonal[:-1] += vv[on] - xv[on] - crossed[on]
+        diagonal[1:] += vv[on]
+        below += crossed[on] - vv[on]
+        right[:-1] -= at_v[on]
+        right[1:] += at_v[on]
+        # The last frame's speed is from the frame before to it.
+        diagonal[-1] += vv[-1] + xv[-1] + crossed[-1]
+        diagonal[-2] += vv[-1]
+        below[-1] -= vv[-1] + xv[-1]
+        right[-1] += at_v[-1]
+        right[-2] -= at_v[-1]
+    if expected is not None and expected_precision is not None:
+        diagonal += expected_precision
+        right += expected @ expected_precision
+    if n == 1:
+        return np.linalg.solve(diagonal[0], right[0])[None]
+    solved = solveh_banded(banded(diagonal, below), right.ravel(), lower=True, check_finite=False)
+    return np.asarray(solved, dtype=np.float64).reshape(n, p)
+
+
+def banded(diagonal: Array, below: Array) -> Array:
+    """The lower bands (2 p, n p) of a block-tridiagonal symmetric matrix, as SciPy stores them.
+
+    diagonal: (n, p, p); below: (n - 1, p, p), the blocks under it.
+    """
+    n, p = diagonal.shape[:2]
+    bands = np.zeros((2 * p, n, p))
+    for row in range(p):
+        for column in range(p):
+            if row >= column:
+                bands[row - column, :, column] = diagonal[:, row, column]
+            bands[p + row - column, : n - 1, column] = below[:, row, column]
+    return bands.reshape(2 * p, n * p)
+
 
 #: Of the Gaussian around a frame in equation (2), s.
 WINDOW_DEVIATION_S = 0.04

@@ -1,13 +1,229 @@
-"""All that lines are rendered with: states and units, the expectation of sound, the voice."""
+"""All that lines are rendered with: states and units, the expectation of sound, the voice.
 
-from collections.abc import Mapping
+Mel-frequency cepstra are the cosine transform (SciPy's) of the recogniser's own log-mel bands, 100
+a second: Davis and Mermelstein, IEEE Trans. ASSP 28(4), 1980, equation (1). Normalised per
+recording, mean and spread of each coefficient over the frames in which something is heard, so that
+level, microphone and much of a voice fall out (Viikki and Laurila, Speech Communication 25, 1998).
+
+The long-term mean of the cepstra tells voices and microphones apart, whatever is said (Furui, IEEE
+Trans. ASSP 29(2), 1981). Normalising takes it away, and what is left of another voice still lies
+elsewhere: there distances of sound mean little, and phonemes alone are believed.
+
+The expectation of sound is not of the paper. The live expectation knows the phonemes alone; sound
+tells how they were said: how wide a vowel was, and when within a phone the mouth turned. Small
+networks with two hidden layers of rectifiers, averaged.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+
+from lipsync.arrays import Array, Indices
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
-from lipsync.offline.sound_expectation import SoundExpectation
-from lipsync.offline.state_model import StateModel
-from lipsync.offline.voice_likeness import VoiceLikeness
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
+from lipsync.recognition.features import FRAMES_PER_S, HOP, N_BANDS, WINDOW, log_mel
+
+N_CEPSTRA = 13
+_PRE_EMPHASIS = np.float32(0.97)
+#: Frames this far below the loudest in their mean log power (30 dB, in natural log units) say
+#: nothing about a voice.
+_GATE = 30.0 / (10.0 / np.log(10.0))
+_SMALLEST_SPREAD = 1e-3
+
+
+def cepstra(samples: NDArray[np.float32]) -> Array:
+    """(n, 13) of samples (m,) at 16 kHz, normalised; that of frame i is centred at i / 100 s."""
+    return _normalised(plain_cepstra(samples))
+
+
+def at_times(found: Array, times_s: Array) -> Array:
+    """Cepstra (n, 13), 100 a second, at times (m,): (m, 13); before and after: the ends'."""
+    at = np.arange(len(found)) / FRAMES_PER_S
+    return np.stack([np.interp(times_s, at, column) for column in found.T], axis=1)
+
+
+def plain_cepstra(samples: NDArray[np.float32]) -> Array:
+    """(n, 13) of samples (m,) at 16 kHz; the window of frame i has its middle at i / 100 s.
+
+    c_k = sqrt(2 / 40) sum_b m_b cos(pi k (b + 1/2) / 40) over the bands m_b, the first one by
+    sqrt(1 / 40).
+    """
+    # A window before the first sample's middle, and one after the last's, are half silence.
+    padded = np.concatenate([np.zeros(WINDOW // 2, np.float32), samples])
+    padded = np.concatenate([padded, np.zeros(WINDOW + HOP, np.float32)])
+    emphasised = padded[1:] - _PRE_EMPHASIS * padded[:-1]
+    bands = log_mel(emphasised).astype(np.float64)
+    n_frames = len(samples) // HOP + 1
+    return np.asarray(dct(bands[:n_frames], norm="ortho", axis=1)[:, :N_CEPSTRA])
+
+
+def is_heard(found: Array) -> NDArray[np.bool_]:
+    """(n,): whether something is heard in a frame of plain cepstra (n, 13)."""
+    loudness = found[:, 0] / np.sqrt(N_BANDS)
+    return np.asarray(loudness >= loudness.max() - _GATE)
+
+
+def _normalised(found: Array) -> Array:
+    """Each coefficient with mean 0 and spread 1 over the frames in which something is heard."""
+    heard = found[is_heard(found)]
+    return np.asarray((found - heard.mean(axis=0)) / (heard.std(axis=0) + _SMALLEST_SPREAD))
+
+
+@dataclass(frozen=True, slots=True)
+class VoiceLikeness:
+    """mean (m,) and precision (m, m) of the mean cepstrum of a line, over the lines of one voice.
+
+    limit: what is farther off is another voice.
+    """
+
+    mean: Array
+    precision: Array
+    limit: float
+
+    def distance(self, samples: NDArray[np.float32]) -> float:
+        """How far a line, (n,) at 16 kHz, is off: the squared Mahalanobis distance over m.
+
+        1 on average for the voice that was learned from.
+        """
+        off = mean_cepstrum(samples) - self.mean
+        return float(off @ self.precision @ off) / len(off)
+
+    def knows(self, samples: NDArray[np.float32]) -> bool:
+        """Whether the sound of a line may be believed."""
+        return self.distance(samples) <= self.limit
+
+
+def mean_cepstrum(samples: NDArray[np.float32]) -> Array:
+    """(12,), the mean over what is heard in samples (n,) at 16 kHz; the level is left out."""
+    found = plain_cepstra(samples)
+    return np.asarray(found[is_heard(found), 1:].mean(axis=0))
+
+
+Array32 = NDArray[np.float32]
+
+#: Articulation is read in windows of one recorded frame, so many before and after a moment.
+_WINDOW, _N_WINDOWS = 4, 8
+#: Sound is read every 20 ms, 160 ms to both sides; more of it tells words apart, not faces.
+_SOUND_STEP, _SOUND_REACH = 2, 8
+_INDEX_OF = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
+
+
+def line_inputs(
+    events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array, articulation: Array32
+) -> Array32:
+    """What the networks read at times (n,): (n, n_inputs).
+
+    events: the phones of a line. cepstra: (m, 13), 100 a second. articulation: (40, n_features).
+    """
+    at = np.rint(times_s * FRAMES_PER_S).astype(np.int64)
+    margin = _N_WINDOWS * _WINDOW
+    phonemes = _phonemes_on_grid(events, int(at.max(initial=0)) + 1, margin)
+    summed = np.cumsum(articulation[phonemes], axis=0, dtype=np.float64)
+    summed = np.concatenate([np.zeros((1, summed.shape[1])), summed])
+    begin = at[:, None] + margin + np.arange(-_N_WINDOWS, _N_WINDOWS) * _WINDOW
+    windows = (summed[begin + _WINDOW] - summed[begin]) / _WINDOW
+    names = np.eye(len(PHONEMES))[phonemes[at + margin]]
+    offsets = np.arange(-_SOUND_REACH, _SOUND_REACH + 1) * _SOUND_STEP
+    sound = cepstra[np.clip(at[:, None] + offsets, 0, len(cepstra) - 1)]
+    n = len(at)
+    joined = np.concatenate([windows.reshape(n, -1), names, sound.reshape(n, -1)], axis=1)
+    return joined.astype(np.float32)
+
+
+def _phonemes_on_grid(
+    events: Sequence[PhonemeEvent], n_frames: int, margin: int
+) -> NDArray[np.int64]:
+    """The phoneme of each 10 ms from `margin` before the line to `margin` after: numbers."""
+    grid = np.full(n_frames + 2 * margin, _INDEX_OF[SILENCE], dtype=np.int64)
+    for event in events:
+        start = round(event.start_s * FRAMES_PER_S) + margin
+        end_s = n_frames / FRAMES_PER_S if event.end_s is None else event.end_s
+        grid[start : round(end_s * FRAMES_PER_S) + margin] = _INDEX_OF[event.phoneme]
+    return grid
+
+
+@dataclass(frozen=True, slots=True)
+class SoundExpectation:
+    """m networks that read `line_inputs`.
+
+    articulation: (40, n_features). mean, spread: (n_inputs,), of the inputs in training. layers:
+    weights (m, n_in, n_out) and bias (m, 1, n_out) of each layer, alternating; what the last one
+    gives are faces (n, n_components) of the face model.
+    """
+
+    articulation: Array32
+    mean: Array32
+    spread: Array32
+    layers: tuple[Array32, ...]
+
+    def faces(self, events: Sequence[PhonemeEvent], cepstra: Array, times_s: Array) -> Array:
+        """The expected faces (n, n_components) at times (n,) of a line."""
+        inputs = line_inputs(events, cepstra, times_s, self.articulation)
+        value = ((inputs - self.mean) / self.spread)[None]
+        for weights, bias in zip(self.layers[::2], self.layers[1::2], strict=True):
+            value = np.matmul(value, weights) + bias
+            if weights is not self.layers[-2]:
+                value = np.maximum(value, 0.0)
+        return np.asarray(value.mean(axis=0), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class Units:
+    """Stored units: frames first_i <= f < end_i of the corpus, by the phone in their middle.
+
+    phonemes: (n,), numbers in PHONEMES; first, end: (n,).
+    """
+
+    phonemes: Indices
+    first: Indices
+    end: Indices
+
+    def of(self, phoneme: int) -> Indices:
+        """The numbers of all units of a phoneme."""
+        return np.flatnonzero(self.phonemes == phoneme)
+
+
+@dataclass(frozen=True, slots=True)
+class StateModel:
+    """All sentences end to end.
+
+    frame_rate_hz: of motion and cepstra.
+    borders: (n_sentences + 1,), where each sentence begins, and the end. cepstra: (n, m) float32.
+    states: (n,), of each frame. units: over the same frames.
+    follows: (n_states, n_states), T of equation (S2). means (n_states, 2 p) and covariances
+    (n_states, 2 p, 2 p): of positions and speeds (per frame) in the components of its own.
+    mean_mm (n_coordinates,) and basis (p, n_coordinates): those components.
+    """
+
+    frame_rate_hz: float
+    borders: Indices
+    cepstra: NDArray[np.float32]
+    states: Indices
+    units: Units
+    follows: NDArray[np.bool_]
+    means: Array
+    covariances: Array
+    mean_mm: Array
+    basis: Array
+
+    @property
+    def n_states(self) -> int:
+        """How many states there are."""
+        return len(self.means)
+
+    @property
+    def n_components(self) -> int:
+        """Of its own basis, p."""
+        return len(self.basis)
+
+    def sentence_of(self, frame: int) -> tuple[int, int]:
+        """The first frame of the sentence that a frame lies in, and the one after its last."""
+        at = int(np.searchsorted(self.borders, frame, side="right")) - 1
+        return int(self.borders[at]), int(self.borders[at + 1])
 
 
 class OfflineModelError(UserError):

@@ -12,10 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.array_archive import UNREADABLE, ArrayArchive
-from lipsync.offline.offline_model import OfflineModel, OfflineModelError
-from lipsync.offline.sound_expectation import SoundExpectation
-from lipsync.offline.state_model import StateModel, Units
-from lipsync.offline.voice_likeness import VoiceLikeness
+from lipsync.offline.offline_model import (
+    OfflineModel,
+    OfflineModelError,
+    SoundExpectation,
+    StateModel,
+    Units,
+    VoiceLikeness,
+)
 from lipsync.output_file import write_whole
 from lipsync.phonemes import PHONEMES
 

@@ -1,17 +1,30 @@
-"""A performance: a line ready to be played, its sound and the faces that belong to it."""
+"""A performance: a line ready to be played, its sound and its faces; and its file, `.perf`.
+
+The file is one zip of arrays without pickle, versioned, written whole. Head and eyes are a member
+more, which a lipservo that does not know it leaves alone: it plays the same mouth, and its own
+head. So version 1 holds for both.
+"""
 
 import hashlib
-from collections.abc import Mapping
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from errno import EFBIG, ENOENT
 from pathlib import Path
-from typing import Final
+from tempfile import TemporaryFile, gettempdir
+from typing import IO, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lipsync.array_archive import UNREADABLE, ArrayArchive
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel
-from lipsync.phonemes import PhonemeEvent
+from lipsync.output_file import write_whole
+from lipsync.phonemes import VISEME_OF, PhonemeEvent
 
 #: Faces a second, as the face publishes them.
 RATE_HZ = 100.0
@@ -86,3 +99,231 @@ class Performance:
                 f"{name}: damaged: {self.coefficients.shape[1]} coefficients a face, its model has "
                 f"{face.n_components}; render it again with `lipservo lines render`"
             )
+
+
+#: Raised whenever the meaning of a stored field changes.
+PERFORMANCE_VERSION = 1
+#: What such a file is called.
+SUFFIX = ".perf"
+_MOST_FACES: Final = round(LONGEST_S * RATE_HZ) + 1
+#: Twice as many as the fastest talkers have.
+_MOST_PHONEMES_PER_S: Final = 50
+#: Ten minutes of 48 kHz in stereo are 115 MB; `render` takes five.
+_MOST_SOUND_BYTES: Final = 120_000_000
+_MOST_SOUND_BESIDE_BYTES: Final = 1_000_000_000
+#: Unpacked: of what `about` says a phoneme takes 50 bytes, of 64 coefficients a face 256.
+_MOST_OF: Final = {"about": 2_000_000, "coefficients": 16_000_000, "expression": 8_000_000}
+_MOST_BYTES: Final = _MOST_SOUND_BYTES + 30_000_000
+_CHUNK_BYTES: Final = 1 << 20
+_MOST_DEG = 180.0
+_KIND = "lipservo performance"
+_ABOUT, _SOUND = "about", "sound"
+_RENDER_AGAIN = "render it again with `lipservo lines render`"
+
+
+def write_performance(performance: Performance, path: Path) -> None:
+    """Write a performance whole or not at all. Raises OutputError."""
+    write_whole(path, performance_bytes(performance))
+
+
+def performance_bytes(performance: Performance) -> bytes:
+    """The content of its file. Raises PerformanceError where it would be refused."""
+    if performance.duration_s > LONGEST_S:
+        raise PerformanceError(f"more than {LONGEST_S / 60:g} minutes of faces; cut the line")
+    sound = performance.sound
+    about: dict[str, object] = {
+        "kind": _KIND,
+        "version": PERFORMANCE_VERSION,
+        "face": performance.face_checksum,
+        "method": performance.method,
+        "rate_hz": RATE_HZ,
+        "phonemes": [[e.phoneme, e.start_s, e.end_s] for e in performance.phonemes],
+        "sound": {
+            "name": sound.name,
+            "sha256": sound.sha256,
+            "included": sound.content is not None,
+        },
+    }
+    if performance.expression:
+        about["expression"] = list(performance.expression)
+    arrays: dict[str, NDArray[Any]] = {
+        _ABOUT: np.frombuffer(json.dumps(about).encode(), dtype=np.uint8),
+        "coefficients": performance.coefficients.astype(np.float32),
+    }
+    if sound.content is not None:
+        if len(sound.content) > _MOST_SOUND_BYTES:
+            raise PerformanceError(
+                f"{sound.name}: more than {_MOST_SOUND_BYTES // 10**6} MB of sound; convert it to "
+                "FLAC, or render with --reference-sound"
+            )
+        arrays[_SOUND] = np.frombuffer(sound.content, dtype=np.uint8)
+    if performance.expression:
+        columns = list(performance.expression.values())
+        arrays["expression"] = np.stack(columns, axis=1).astype(np.float32)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def is_performance(head: bytes) -> bool:
+    """Whether a file that begins so looks like a performance: what a replaced one must be."""
+    return head.startswith(b"PK") and b"about.npy" in head
+
+
+def read_performance(path: Path) -> Performance:
+    """The performance in a file, but for its sound: `sound_file` has that.
+
+    Raises PerformanceError in one line.
+    """
+    with _opened(path) as archive:
+        about = json.loads(archive[_ABOUT].tobytes())
+        if not isinstance(about, dict) or about.get("kind") != _KIND:
+            raise PerformanceError(f"{path}: no performance; {_RENDER_AGAIN}")
+        if about["version"] != PERFORMANCE_VERSION or about["rate_hz"] != RATE_HZ:
+            raise PerformanceError(
+                f"{path}: performance version {about['version']} at {about['rate_hz']} "
+                f"faces/s, this lipservo plays version {PERFORMANCE_VERSION} at {RATE_HZ:g}; "
+                + _RENDER_AGAIN
+            )
+        if about["sound"]["included"] != (_SOUND in archive):
+            raise ValueError("its sound is not where it says")
+        faces = _faces(archive["coefficients"])
+        return Performance(
+            face_checksum=str(about["face"]),
+            coefficients=faces,
+            phonemes=_phonemes(about["phonemes"], len(faces)),
+            sound=PerformedSound(
+                _bare_name(about["sound"]["name"]), str(about["sound"]["sha256"]), None
+            ),
+            method=str(about["method"]),
+            expression=_expression(about, archive, len(faces)),
+        )
+
+
+@contextmanager
+def sound_file(sound: PerformedSound, path: Path) -> Iterator[Path]:
+    """The sound of the performance that was read from `path`, as a file to be opened.
+
+    It is the file beside the performance, or one without a name that is gone afterwards, whatever
+    happens; so it is never in memory as a whole. Raises PerformanceError where it is gone, or is
+    another one now.
+    """
+    digest = hashlib.sha256()
+    with ExitStack() as stack:
+        place = path.parent / sound.name
+        with _opened(path) as archive:
+            if _SOUND in archive:
+                file = stack.enter_context(_unnamed_file())
+                place = Path(f"/dev/fd/{file.fileno()}")
+                for chunk in archive.chunks(_SOUND):
+                    digest.update(chunk)
+                    _write(file, chunk)
+            else:
+                for chunk in _chunks(place, path):
+                    digest.update(chunk)
+        if digest.hexdigest() != sound.sha256:
+            raise PerformanceError(
+                f"{path}: its sound {sound.name} is not the one it was rendered from; render it "
+                "again"
+            )
+        yield place
+
+
+def _unnamed_file() -> IO[bytes]:
+    try:
+        return TemporaryFile(prefix="lipservo-", buffering=0)
+    except OSError as error:
+        raise _no_room(error) from error
+
+
+def _write(file: IO[bytes], chunk: bytes) -> None:
+    try:
+        file.write(chunk)
+    except OSError as error:
+        raise _no_room(error) from error
+
+
+def _no_room(error: OSError) -> PerformanceError:
+    return PerformanceError(
+        f"{gettempdir()}: the sound of a performance cannot be put there ({error.strerror}); make "
+        "room, or set TMPDIR"
+    )
+
+
+def _chunks(place: Path, performance: Path) -> Iterator[bytes]:
+    """Of a sound beside its performance. Raises PerformanceError."""
+    try:
+        if not place.is_file():  # a pipe would be waited for without end
+            raise FileNotFoundError(ENOENT, "no such file")
+        if place.stat().st_size > _MOST_SOUND_BESIDE_BYTES:
+            raise OSError(EFBIG, f"more than {_MOST_SOUND_BESIDE_BYTES // 10**6} MB")
+        with place.open("rb") as file:
+            while chunk := file.read(_CHUNK_BYTES):
+                yield chunk
+    except OSError as error:
+        raise PerformanceError(
+            f"{performance}: its sound {place} cannot be read ({error.strerror}); put it "
+            "there, or render with the sound included"
+        ) from error
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[ArrayArchive]:
+    """The archive, while it is read; whatever is wrong with it becomes a PerformanceError."""
+    try:
+        # A pipe in its place would be waited for without end.
+        if path.exists() and not path.is_file():
+            raise PerformanceError(
+                f"{path}: is no file; name one that `lipservo lines render` wrote"
+            )
+        with path.open("rb") as file, ArrayArchive(file, _MOST_BYTES, _MOST_OF) as archive:
+            yield archive
+    except PerformanceError:
+        raise
+    except (KeyError, TypeError, IndexError, AttributeError, *UNREADABLE) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise PerformanceError(f"{path}: cannot be read ({error.strerror})") from error
+        raise PerformanceError(
+            f"{path}: damaged or no performance ({error}); {_RENDER_AGAIN}"
+        ) from error
+
+
+def _expression(
+    about: dict[str, Any], archive: ArrayArchive, n_frames: int
+) -> dict[str, NDArray[np.float32]]:
+    """Of the names that are known here; those of a later lipservo are left alone."""
+    if "expression" not in about:
+        return {}
+    names, found = list(about["expression"]), archive["expression"]
+    if found.shape != (n_frames, len(names)) or not (np.abs(found) <= _MOST_DEG).all():
+        raise ValueError(f"expression of shape {found.shape}, or beyond all bounds")
+    columns = dict(zip(names, found.astype(np.float32).T, strict=True))
+    return {name: columns[name] for name in EXPRESSION_NAMES if name in columns}
+
+
+def _faces(found: NDArray[Any]) -> NDArray[np.float32]:
+    if len(found.shape) == 2 and len(found) > _MOST_FACES:
+        raise ValueError(f"{len(found)} faces; at most {LONGEST_S / 60:g} minutes are played")
+    if found.ndim != 2 or not len(found) or not np.isfinite(found).all():
+        raise ValueError(f"coefficients of shape {found.shape}, or not all finite")
+    return found.astype(np.float32, copy=False)
+
+
+def _phonemes(rows: Sequence[Any], n_faces: int) -> tuple[PhonemeEvent, ...]:
+    # A second more, so that a line of one word may have as many as it likes.
+    if len(rows) > _MOST_PHONEMES_PER_S * (n_faces / RATE_HZ + 1.0):
+        raise ValueError(f"{len(rows)} phonemes in {n_faces / RATE_HZ:.1f} s")
+    return tuple(_event(*row) for row in rows)
+
+
+def _event(phoneme: str, start_s: float, end_s: float) -> PhonemeEvent:
+    if phoneme not in VISEME_OF or not (0.0 <= start_s < end_s < math.inf):
+        raise ValueError(f"phoneme {phoneme!r} from {start_s} to {end_s} s")
+    return PhonemeEvent(phoneme, float(start_s), float(end_s))
+
+
+def _bare_name(name: str) -> str:
+    """A file's name without folders: what is read lies beside the performance, nowhere else."""
+    if not isinstance(name, str) or name in ("", ".", "..") or Path(name).name != name:
+        raise ValueError(f"sound name {name!r}")
+    return name

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.arrays import Array
-from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
-from lipsync.face.synthesizer import Synthesizer
+from lipsync.face.frame import NO_EXPRESSION, Expression, Frame, Synthesizer
 from lipsync.offline.performance import RATE_HZ, Performance
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 

@@ -5,20 +5,18 @@ from os import PathLike
 from pathlib import Path
 
 from lipsync.errors import UserError
-from lipsync.phoneme_files.aligned_files import (
-    aligned_phonemes,
-    is_aligned,
-    is_phone_tiers,
-    tier_phonemes,
-)
-from lipsync.phoneme_files.viseme_files import (
+from lipsync.phoneme_files.formats import (
     PlacedRow,
+    aligned_phonemes,
     azure_phonemes,
     head_tts_phonemes,
+    is_aligned,
     is_azure,
     is_head_tts,
+    is_phone_tiers,
     is_polly,
     polly_phonemes,
+    tier_phonemes,
 )
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.scripted import read_phonemes

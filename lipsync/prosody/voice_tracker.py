@@ -1,18 +1,218 @@
-"""Sound becomes `VoiceFrame`s, 10 ms after 10 ms. Causal; nothing in it grows."""
+"""Sound becomes `VoiceFrame`s, 10 ms after 10 ms. Causal; nothing in it grows.
+
+Arousal is by rule, after Bone, Lee and Narayanan, "Robust unsupervised arousal rating", IEEE Trans.
+Affective Computing 5(2), 2014: a score of how loud, high and bright the voice is against the
+speaker's own baseline, then their fusion. Weights and times are design choices. Anger and joy look
+the same. Jumps of a microphone's automatic gain make the loudness say less for a while.
+
+Somebody speaks where it is loud above the noise, voiced now and then, and not as music is. The
+level opens the gate (`VoiceActivityDetector`: noise floor by minimum statistics), so steady noise
+closes it within 1.2 s. Speech is voiced for a good part of its time, and its pitch glides; notes
+stand still. Bars measured on grid_s1, LibriSpeech, speechocean762 (speech), on made-up chords,
+bands and coloured noise (docs/expression-voice.md). Whispering is no speech here.
+"""
 
 import math
+from collections import deque
+from typing import Final
 
 import numpy as np
 
 from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
-from lipsync.prosody.arousal import ArousalTracker
-from lipsync.prosody.gain_jumps import GainJumpDetector
-from lipsync.prosody.pitch import PitchTracker
-from lipsync.prosody.sound_window import BLOCK_SAMPLES, WINDOW_SAMPLES, analyse_window
-from lipsync.prosody.speaker_baseline import SpeakerBaseline
-from lipsync.prosody.speech_gate import SpeechGate
+from lipsync.prosody.pitch import BLOCK_SAMPLES, WINDOW_SAMPLES, PitchTracker, analyse_window
 from lipsync.prosody.voice_frame import VoiceFrame
+from lipsync.recognition.voice_activity import FRAMES_PER_S, VoiceActivityDetector
+
+_FRAME_S = 0.010
+_LOUDNESS_WEIGHT, _PITCH_WEIGHT, _TILT_WEIGHT = 0.40, 0.35, 0.25
+#: So much voiced time until the baseline is believed in full.
+_CONFIDENT_S = 10.0
+_ATTACK_S, _RELEASE_S, _DECAY_S = 0.4, 1.5, 2.0
+#: Syllables rise and fall; what they do on average over half a second is arousal.
+_SYLLABLES_S = 0.5
+
+
+def score(z: float) -> float:
+    """2 Phi(z) - 1: from -1 to 1, 0 at the baseline."""
+    return math.erf(z / math.sqrt(2.0))
+
+
+class ArousalTracker:
+    """One 10 ms frame after the other; rises within 0.4 s, falls in 1.5 s, in silence to 0."""
+
+    def __init__(self) -> None:
+        self._voiced_s = 0.0
+        self._fused = 0.0
+        self.arousal = 0.0
+
+    def push_voiced(
+        self, loudness_z: float, pitch_z: float, tilt_z: float, loudness_trust: float
+    ) -> float:
+        """A voiced frame of speech. loudness_trust: 0 to 1, what is left of loudness' weight."""
+        self._voiced_s += _FRAME_S
+        fused = (
+            _LOUDNESS_WEIGHT * loudness_trust * score(loudness_z)
+            + _PITCH_WEIGHT * score(pitch_z)
+            + _TILT_WEIGHT * score(tilt_z)
+        )
+        self._fused += _FRAME_S / _SYLLABLES_S * (fused - self._fused)
+        return self.push_unvoiced()
+
+    def push_unvoiced(self) -> float:
+        """A frame within speech that has no pitch: on towards what was voiced last."""
+        aim = min(1.0, self._voiced_s / _CONFIDENT_S) * self._fused
+        time_s = _ATTACK_S if aim > self.arousal else _RELEASE_S
+        self.arousal += _FRAME_S / time_s * (aim - self.arousal)
+        return self.arousal
+
+    def push_silence(self) -> float:
+        """A frame in which nobody speaks."""
+        self.arousal -= _FRAME_S / _DECAY_S * self.arousal
+        self._fused -= _FRAME_S / _DECAY_S * self._fused
+        return self.arousal
+
+
+_FRAMES_PER_S = 100
+#: The noise floor of each second; three of them hold a pause or a stop closure of any speech.
+_SECONDS = 3
+#: A floor that moved so much in 3 s: fans and traffic stay within it.
+_JUMP_DB = 6.0
+#: Below it there is no microphone's noise to compare with: digital silence between played words.
+_LEAST_FLOOR_DB = -75.0
+#: So long until loudness counts in full again.
+_RECOVERY_FRAMES = 20.0 * _FRAMES_PER_S
+
+
+class GainJumpDetector:
+    """Watches the noise floor: what lifts the voice and the noise together is the microphone.
+
+    A voice that grows louder, or comes nearer, leaves the noise as it is. A noise that is switched
+    on looks like a jump as well; it costs the loudness its weight for a while, no more.
+    """
+
+    def __init__(self) -> None:
+        self._floors_db: deque[float] = deque(maxlen=2 * _SECONDS)
+        self._lowest_db = 0.0
+        self._n_in_second = 0
+        self._n_since = _RECOVERY_FRAMES
+
+    @property
+    def trust(self) -> float:
+        """How far loudness may be trusted: 0 just after a jump, 1 after 20 s without."""
+        return min(1.0, self._n_since / _RECOVERY_FRAMES)
+
+    def push(self, level_db: float) -> bool:
+        """Take the level of the next 10 ms, silence or not; True where a jump is noticed."""
+        self._n_since += 1
+        self._lowest_db = min(self._lowest_db, level_db)
+        self._n_in_second += 1
+        if self._n_in_second < _FRAMES_PER_S:
+            return False
+        self._floors_db.append(self._lowest_db)
+        self._lowest_db, self._n_in_second = 0.0, 0
+        if len(self._floors_db) < 2 * _SECONDS:
+            return False
+        floors_db = list(self._floors_db)
+        before_db, now_db = min(floors_db[:_SECONDS]), min(floors_db[_SECONDS:])
+        if min(before_db, now_db) < _LEAST_FLOOR_DB or abs(now_db - before_db) < _JUMP_DB:
+            return False
+        self._n_since = 0.0
+        # The next jump is one from here.
+        self._floors_db.clear()
+        return True
+
+
+#: A spread is trusted after some seconds; until then it is the prior's.
+_PRIOR_FRAMES = 10.0 * _FRAMES_PER_S
+_MOST_Z = 4.0
+
+
+class SpeakerBaseline:
+    """Mean and standard deviation by exponential forgetting: 60 s of voiced time.
+
+    Until so much was heard the mean is that of all. The standard deviation is mixed with a prior's
+    that counts as 10 s, so that it is never below 0.38 of it: a monotone voice is no loud one.
+    """
+
+    def __init__(self, prior_sd: float, memory_s: float = 60.0) -> None:
+        self._prior_variance = prior_sd * prior_sd
+        self._most_frames = memory_s * _FRAMES_PER_S
+        self._n_frames = 0.0
+        self._mean = 0.0
+        self._variance = 0.0
+
+    def push(self, value: float) -> None:
+        """Take the feature of one more voiced frame."""
+        self._n_frames = min(self._n_frames + 1.0, self._most_frames)
+        share = 1.0 / self._n_frames
+        away = value - self._mean
+        self._mean += share * away
+        self._variance += share * ((1.0 - share) * away * away - self._variance)
+
+    def z(self, value: float) -> float:
+        """Standard deviations from the mean, -4 to 4; 0 before anything was heard."""
+        if self._n_frames == 0.0:
+            return 0.0
+        n_all = self._n_frames + _PRIOR_FRAMES
+        prior = _PRIOR_FRAMES * self._prior_variance
+        sd = math.sqrt((self._n_frames * self._variance + prior) / n_all)
+        return min(_MOST_Z, max(-_MOST_Z, (value - self._mean) / sd))
+
+    def doubt(self, worth_s: float) -> None:
+        """Let all that was heard so far count no more than `worth_s` of voiced time."""
+        self._n_frames = min(self._n_frames, worth_s * _FRAMES_PER_S)
+
+
+#: A voiced frame is steady when 50 ms before it the pitch was within so many semitones.
+_STEADY_FRAMES, _STEADY_ST = 5, 0.15
+#: Steady share of the voiced frames: monotone speech loses a tenth of its time at most.
+_MOST_STEADY = 0.45
+#: Voiced share of the frames while the level is high: speech above 0.25, bands below 0.13.
+_LEAST_VOICED = 0.12
+_MEMORY_FRAMES: Final = 2.0 * FRAMES_PER_S
+_STEADY_MEMORY_FRAMES: Final = 1.0 * FRAMES_PER_S
+#: Shares of speech, to begin with and to go back to in silence.
+_USUAL_STEADY, _USUAL_VOICED = 0.15, 0.5
+#: The longest that speech goes on without voice: a long fricative beside a stop.
+_LONGEST_UNVOICED_FRAMES = 0.4 * FRAMES_PER_S
+
+
+class SpeechGate:
+    """Level and pitch of one 10 ms frame after the other; says whether speech is going on."""
+
+    def __init__(self) -> None:
+        self._activity = VoiceActivityDetector()
+        self._pitches_st: deque[float] = deque([math.nan] * _STEADY_FRAMES, maxlen=_STEADY_FRAMES)
+        self._steady_share, self._voiced_share = _USUAL_STEADY, _USUAL_VOICED
+        self._n_unvoiced = math.inf
+
+    @property
+    def floor_db(self) -> float:
+        """The noise floor now."""
+        return self._activity.floor_db
+
+    def push(self, level_db: float, pitch_st: float) -> bool:
+        """Take the next frame; pitch_st: in semitones re anything, NaN where unvoiced."""
+        is_voiced = pitch_st == pitch_st
+        moved_st = abs(pitch_st - self._pitches_st[0])
+        self._pitches_st.append(pitch_st)
+        self._n_unvoiced = 0 if is_voiced else self._n_unvoiced + 1
+        if not self._activity.push(level_db):
+            # What was heard before a pause says less and less of what comes after it.
+            self._steady_share += (_USUAL_STEADY - self._steady_share) / _MEMORY_FRAMES
+            self._voiced_share += (_USUAL_VOICED - self._voiced_share) / _MEMORY_FRAMES
+            return False
+        if moved_st == moved_st:
+            is_steady = moved_st < _STEADY_ST
+            self._steady_share += (is_steady - self._steady_share) / _STEADY_MEMORY_FRAMES
+        self._voiced_share += (is_voiced - self._voiced_share) / _MEMORY_FRAMES
+        return (
+            self._n_unvoiced <= _LONGEST_UNVOICED_FRAMES
+            and self._voiced_share >= _LEAST_VOICED
+            and self._steady_share <= _MOST_STEADY
+        )
+
 
 #: Standard deviations to begin with: loudness in dB, pitch in semitones, tilt in dB.
 _PRIOR_SDS = (6.0, 2.5, 4.0)

@@ -19,8 +19,8 @@ from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 
 _CLOSERS = (VISEME_OF["P"], VISEME_OF["F"])
 _SMALLEST = np.float32(1e-6)
-#: Silence that has lasted so many frames is a pause (motion/rest_plan.py has the same): the mouth
-#: is on its way to rest.
+#: Silence that has lasted so many frames is a pause (`PAUSE_S` of lipsync.motion.tick_plan is as
+#: long): the mouth is on its way to rest.
 PAUSE_FRAMES = 17
 
 
@@ -48,18 +48,35 @@ QUICK = DecoderSettings(switch_penalty=0.3, closure_penalty=0.15, waking_penalty
 SMOOTH = DecoderSettings()
 
 
+@dataclass(frozen=True, slots=True)
+class PosteriorFormat:
+    """What the posteriors (n_frames, n_heads, n_names) of a recogniser mean, whichever it is.
+
+    names: of the last axis. delays: frames that each head waits, rising: in frame k the head that
+    waits d frames speaks about frame k - d. The posteriors of a head in a frame sum to 1, as they
+    were learned: no temperature is applied.
+    """
+
+    names: tuple[str, ...]
+    delays: tuple[int, ...]
+
+
 class ViterbiDecoder:
     """Takes one frame of scores after the other; see the module's text.
 
-    delays: of the heads, rising; delay: D, at least the first of them.
+    heard: what the posteriors mean; their names are `PHONEMES`. delay: D, at least the first of
+    the heads' delays.
     """
 
     def __init__(
         self,
-        delays: tuple[int, ...],
+        heard: PosteriorFormat,
         delay: int,
         settings: DecoderSettings = DecoderSettings(),
     ) -> None:
+        delays = heard.delays
+        if heard.names != PHONEMES:
+            raise ValueError("the posteriors are not of this inventory, in its order")
         if delay < delays[0]:
             raise ValueError(f"nothing is known after {delay} frames, but after {delays[0]}")
         self._delay = delay

@@ -6,8 +6,7 @@ import numpy as np
 
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
-from lipsync.recognition.audio_input import AudioInput
-from lipsync.recognition.update_builder import UpdateBuilder
+from lipsync.recognition.streaming import AudioInput, UpdateBuilder
 from lipsync.recognition.voice_activity import FRAMES_PER_S, VoiceActivityDetector, level_db
 
 _FRAME_SAMPLES = SAMPLE_RATE_HZ // FRAMES_PER_S

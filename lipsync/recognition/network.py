@@ -1,15 +1,27 @@
-"""The network at run time, in NumPy: causal convolutions over features, as they come.
+"""The recogniser's network at run time, in NumPy: causal convolutions over features, as they come.
 
 An entry convolution, residual dilated convolutions (x + relu(W past + b)), one output layer with a
 head for each delay: head h, at frame n, gives the posteriors of the phones of frame n - delay.
+
+Its weights are one .npz of float16 arrays, never pickle.
 """
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lipsync.array_archive import UNREADABLE, arrays_of
 from lipsync.arrays import Array32
-from lipsync.recognition.features import FeatureScale
+from lipsync.errors import UserError
+from lipsync.output_file import written_whole
+from lipsync.phonemes import PHONEMES
+from lipsync.recognition.features import N_BANDS, FeatureScale
 
 #: The committing head: a frame is settled so much later (docs/recognition.md).
 LATENCY_S = 0.095
@@ -122,3 +134,145 @@ def _posteriors(logits: Array32, weights: NetworkWeights) -> Array32:
     powers = np.exp(by_head - by_head.max(axis=2, keepdims=True))
     posteriors: Array32 = powers / powers.sum(axis=2, keepdims=True)
     return posteriors
+
+
+_FORMAT = 1
+#: Thirty times the shipped ones, unpacked.
+_MOST_BYTES = 64_000_000
+DEFAULT_WEIGHTS = "default"
+#: The weights that come with the package, by name.
+SHIPPED = {DEFAULT_WEIGHTS: "recognizer.npz", "grid": "recognizer_grid.npz"}
+
+
+class WeightsError(UserError):
+    """A weights file cannot be used; the message is one line: which, what, what to do."""
+
+
+def save_weights(
+    weights: NetworkWeights,
+    path: str | PathLike[str],
+    provenance: Mapping[str, object] | None = None,
+) -> None:
+    """Write the weights, whole or not at all. Raises OutputError.
+
+    Half precision changes posteriors by less than 0.01 (tested). provenance: where they are from,
+    kept beside them as JSON (`provenance`); nothing that runs reads it.
+    """
+    layers = (weights.entry, *weights.residuals)
+    arrays: dict[str, NDArray[np.generic]] = {
+        "format": np.array(_FORMAT),
+        "phonemes": np.array(weights.phonemes),
+        "delays": np.array(weights.delays),
+        "dilations": np.array([layer.dilation for layer in layers]),
+        "scale_mean": weights.scale.mean.astype(np.float32),
+        "scale_deviation": weights.scale.deviation.astype(np.float32),
+        "output": weights.output.astype(np.float16),
+        "output_bias": weights.output_bias.astype(np.float32),
+    }
+    for index, layer in enumerate(layers):
+        arrays[f"kernel_{index}"] = layer.kernel.astype(np.float16)
+        arrays[f"bias_{index}"] = layer.bias.astype(np.float32)
+    if provenance is not None:
+        arrays["provenance"] = np.array(json.dumps(provenance))
+    with written_whole(Path(path)) as partial, partial.open("wb") as file:
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+
+
+def is_weights(head: bytes) -> bool:
+    """Whether a file that begins so looks like weights: a zip archive that begins with `format`."""
+    return head.startswith(b"PK") and b"format.npy" in head
+
+
+def load_weights(path: str | PathLike[str]) -> NetworkWeights:
+    """Read weights; WeightsError for a file that is missing, damaged or does not fit together."""
+    try:
+        with Path(path).open("rb") as file:
+            arrays = arrays_of(file, _MOST_BYTES)
+    except FileNotFoundError as error:
+        raise WeightsError(f"{path}: no such file; check the path") from error
+    except UNREADABLE as error:
+        raise WeightsError(f"{path}: damaged or no weights file; copy or train it again") from error
+    try:
+        weights = _weights(arrays)
+    except KeyError as error:
+        raise WeightsError(f"{path}: no weights of a recogniser: {error} is missing") from error
+    except (ValueError, TypeError, IndexError) as error:  # no layers, text for numbers
+        raise WeightsError(f"{path}: no weights of a recogniser; train them again") from error
+    if mistake := _mistake(weights):
+        raise WeightsError(f"{path}: {mistake}; copy or train it again")
+    return weights
+
+
+def load_shipped_weights(name: str = DEFAULT_WEIGHTS) -> NetworkWeights:
+    """The weights that come with the package; WeightsError where they are missing or damaged."""
+    with resources.as_file(resources.files("lipsync.models") / SHIPPED[name]) as path:
+        return load_weights(path)
+
+
+def find_weights(name_or_path: str) -> NetworkWeights:
+    """Shipped weights by name, or those of a file; WeightsError for neither."""
+    _check_name(name_or_path)
+    if name_or_path in SHIPPED:
+        return load_shipped_weights(name_or_path)
+    return load_weights(name_or_path)
+
+
+def check_weights(name_or_path: str) -> None:
+    """Raises WeightsError for what is neither shipped nor a file of weights that can be used.
+
+    Of the default ones nothing is read: where they are damaged a lesser recogniser takes over. What
+    somebody asked for by name is used, or refused.
+    """
+    if name_or_path != DEFAULT_WEIGHTS:
+        find_weights(name_or_path)
+
+
+def _check_name(name_or_path: str) -> None:
+    if name_or_path not in SHIPPED and not Path(name_or_path).is_file():
+        raise WeightsError(
+            f"{name_or_path}: no such file; give one, or shipped weights: {', '.join(SHIPPED)}"
+        )
+
+
+def _weights(arrays: dict[str, NDArray[np.generic]]) -> NetworkWeights:
+    dilations = [int(dilation) for dilation in arrays["dilations"]]
+    layers = [
+        Layer(_float(arrays[f"kernel_{i}"]), _float(arrays[f"bias_{i}"]), dilation)
+        for i, dilation in enumerate(dilations)
+    ]
+    return NetworkWeights(
+        scale=FeatureScale(_float(arrays["scale_mean"]), _float(arrays["scale_deviation"])),
+        entry=layers[0],
+        residuals=tuple(layers[1:]),
+        output=_float(arrays["output"]),
+        output_bias=_float(arrays["output_bias"]),
+        delays=tuple(int(delay) for delay in arrays["delays"]),
+        phonemes=tuple(str(phoneme) for phoneme in arrays["phonemes"]),
+    )
+
+
+def _float(array: NDArray[np.generic]) -> NDArray[np.float32]:
+    return np.ascontiguousarray(array, dtype=np.float32)
+
+
+def _mistake(weights: NetworkWeights) -> str:
+    """What does not fit together, or nothing."""
+    n_channels = len(weights.entry.bias)
+    n_outputs = len(weights.delays) * len(weights.phonemes)
+    shapes: list[tuple[NDArray[np.float32], tuple[int, ...]]] = [
+        (weights.entry.kernel, (3 * N_BANDS, n_channels))
+    ]
+    shapes += [(layer.kernel, (3 * n_channels, n_channels)) for layer in weights.residuals]
+    shapes += [(layer.bias, (n_channels,)) for layer in weights.residuals]
+    shapes += [(weights.output, (n_channels, n_outputs)), (weights.output_bias, (n_outputs,))]
+    shapes += [(weights.scale.mean, (N_BANDS,)), (weights.scale.deviation, (N_BANDS,))]
+    for array, shape in shapes:
+        if array.shape != shape:
+            return f"an array has the shape {array.shape} where {shape} is needed"
+        if not np.isfinite(array).all():
+            return "holds values that are no numbers"
+    if weights.phonemes != PHONEMES:
+        return "was made for other phonemes"
+    if not weights.delays or list(weights.delays) != sorted(set(weights.delays)):
+        return "its heads are out of order"
+    return ""

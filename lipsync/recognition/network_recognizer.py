@@ -9,7 +9,6 @@ import numpy as np
 from lipsync.arrays import Array, Array32
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, Hearing, PhonemeUpdate
-from lipsync.recognition.audio_input import AudioInput
 from lipsync.recognition.decoder import (
     QUICK,
     SILENCE_INDEX,
@@ -21,7 +20,7 @@ from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
 from lipsync.recognition.network import LATENCY_S, NetworkWeights
 from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
-from lipsync.recognition.update_builder import UpdateBuilder
+from lipsync.recognition.streaming import AudioInput, UpdateBuilder
 
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025
@@ -81,7 +80,7 @@ class NetworkRecognizer:
         self._posteriors = PosteriorStream(self._weights, self._own_noise)
         self._n_samples = 0  # at 16 kHz, that the posteriors were computed from
         self._prepared: deque[_PreparedBlock] = deque()
-        self._decoder = ViterbiDecoder(self._weights.delays, self._delay, self._settings)
+        self._decoder = ViterbiDecoder(self._posteriors.format, self._delay, self._settings)
         self._updates = UpdateBuilder(FRAMES_PER_S, self._delay + 1)
         self._n_heard = 0  # frames whose window was heard, those jumped over among them
         self._n_reported = 0

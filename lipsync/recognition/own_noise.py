@@ -1,7 +1,7 @@
-"""What the robot's own servos sound like at each speed, learned while it listens.
+"""Sound that is no voice: the robot's own servos, and what stands still.
 
-The power of each mel band that servo j adds at speed v is interpolated between a few speeds, and
-all servos together add up:
+What servos sound like at each speed is learned while the robot listens. The power of each mel band
+that servo j adds at speed v is interpolated between a few speeds, and all servos together add up:
 
     N_b(v_1, ..., v_n) = sum_j sum_s phi_s(v_j) E_jsb
 
@@ -12,6 +12,12 @@ frame moves log N to where it was heard by a part of the way, shared among the E
 
 Sound that is no louder than the servos are expected to be is explained by them. Nothing is taken
 off the sound: that made hearing worse (docs/decisions/0036).
+
+Hum, buzz, fans and a note held by a machine stand still; no voice does. The floor of each mel band
+is the least that it had in the last seconds (minimum statistics, after R. Martin, "Noise power
+spectral density estimation", IEEE Trans. Speech and Audio Processing 9(5), 2001), of levels
+smoothed over 50 ms. A sound is steady as long as all bands together stay within `_WITHIN_DB` of
+their floors: so the floor adapts to any room, and what rises out of it is heard.
 """
 
 from collections import deque
@@ -19,7 +25,38 @@ from collections import deque
 import numpy as np
 
 from lipsync.arrays import Array, Array32
-from lipsync.recognition.features import N_BANDS
+from lipsync.recognition.features import FRAMES_PER_S, N_BANDS
+
+#: Over so much time at least: an encoder step of .09 degrees is then 3 deg/s.
+_LEAST_S = 0.025
+#: Places further apart than this say nothing about a speed in between.
+_MOST_S = 0.2
+
+
+class ServoSpeeds:
+    """Takes places as they are read, gives speeds."""
+
+    def __init__(self) -> None:
+        self._read: deque[tuple[float, Array]] = deque(maxlen=8)
+
+    def take(self, time_s: float, positions_deg: Array) -> tuple[float, Array] | None:
+        """A reading (n_servos,), NaN for a servo that did not answer.
+
+        The newest time and the speeds (n_servos,) in deg/s then; None until two readings tell.
+        A time that was taken before tells nothing new.
+        """
+        if self._read and time_s <= self._read[-1][0]:
+            return None
+        found = None
+        for before_s, before_deg in reversed(self._read):
+            apart_s = time_s - before_s
+            if apart_s >= _LEAST_S and len(before_deg) == len(positions_deg):
+                if apart_s <= _MOST_S:
+                    found = (0.5 * (time_s + before_s), (positions_deg - before_deg) / apart_s)
+                break
+        self._read.append((time_s, np.array(positions_deg, np.float64)))
+        return found
+
 
 #: Speeds between which the sound of a servo is interpolated; below the first it fades to nothing.
 _KNOTS_DEG_S = np.array([5.0, 15.0, 40.0, 80.0, 150.0, 300.0])
@@ -121,3 +158,41 @@ def knot_shares(speeds_deg_s: Array) -> Array:
     place = np.interp(speeds, knots, np.arange(len(knots)))
     shares = np.maximum(0.0, 1.0 - np.abs(place[:, None] - np.arange(1, len(knots))))
     return np.asarray(shares.ravel())
+
+
+#: A vowel is not held so long without its bands moving by more than `_WITHIN_DB`.
+FLOOR_S = 1.5
+#: Longer than any closure in a word: these must not be taken for the hum behind them.
+STEADY_S = 0.2
+_WITHIN_DB = 2.0
+_STEP_FRAMES = 10
+_STEADY_SMOOTHING = np.float32(0.2)
+_DB_PER_NAT = 10.0 / np.log(10.0)
+
+
+class SteadySoundDetector:
+    """Takes one log-mel frame after the other and says whether the sound stands still."""
+
+    def __init__(self) -> None:
+        n_steps = round(FLOOR_S * FRAMES_PER_S) // _STEP_FRAMES
+        # Before the stream there was silence: what begins at once is no steady sound yet.
+        self._minima = np.full((n_steps, N_BANDS), -100.0, np.float32)
+        self._level: Array32 = np.full(N_BANDS, -100.0, np.float32)
+        self._n_frames = self._n_near_floor = 0
+        self._floor: Array32 = self._minima[0].copy()
+
+    def push(self, frame: Array32) -> bool:
+        """Whether the sound has been steady for `STEADY_S`; frame (40,): natural log of power."""
+        self._level = self._level + _STEADY_SMOOTHING * (frame - self._level)
+        step, within = divmod(self._n_frames, _STEP_FRAMES)
+        minimum = self._minima[step % len(self._minima)]
+        if within == 0:
+            minimum[:] = self._level
+            self._floor = self._minima.min(axis=0)
+        else:
+            np.minimum(minimum, self._level, out=minimum)
+            np.minimum(self._floor, self._level, out=self._floor)
+        self._n_frames += 1
+        above_db = float(np.mean(self._level - self._floor)) * _DB_PER_NAT
+        self._n_near_floor = self._n_near_floor + 1 if above_db < _WITHIN_DB else 0
+        return self._n_near_floor >= round(STEADY_S * FRAMES_PER_S)

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from lipsync.arrays import Array32
 from lipsync.audio_block import SAMPLE_RATE_HZ
-from lipsync.recognition.decoder import SILENCE_INDEX
+from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat
 from lipsync.recognition.features import HOP, SPEECH_PEAK, WINDOW, LevelNormalizer, LogMelStream
 from lipsync.recognition.network import NetworkWeights, StreamingNetwork
-from lipsync.recognition.own_noise import SURE_OF_SILENCE, OwnNoise
-from lipsync.recognition.steady_sound import SteadySoundDetector
+from lipsync.recognition.own_noise import SURE_OF_SILENCE, OwnNoise, SteadySoundDetector
 
 #: Where no band reaches this log power there is no sound: digital silence gives -16.1, white noise
 #: at -100 dBFS -13.7. Higher it must not be: of speech turned down by 30 dB, 6 % of the frames have
@@ -39,7 +38,7 @@ class PosteriorStream:
         """own_noise: of the robot that listens; None: nobody tells how its servos move."""
         self._own_noise = own_noise
         self._n_samples = self._n_frames = 0
-        self._delays = weights.delays
+        self.format = PosteriorFormat(weights.phonemes, weights.delays)
         self._log_mel = LogMelStream()
         self._normalizer = LevelNormalizer(weights.scale)
         self._network = StreamingNetwork(weights)
@@ -77,7 +76,7 @@ class PosteriorStream:
             may_be_voice &= ~self._explained(self._own_noise, frames, until_s, is_awake=is_awake)
             self._learn(self._own_noise, posteriors)
         audible = np.concatenate((self._audible, may_be_voice))
-        for head, delay in enumerate(self._delays):
+        for head, delay in enumerate(self.format.delays):
             first = len(self._audible) - delay
             silent = ~audible[first : first + n]
             posteriors[silent, head] = 0.0
@@ -102,4 +101,4 @@ class PosteriorStream:
         """From the frames about which the last head has just spoken; before anything is put in."""
         newest = len(posteriors) - 1
         for index in np.flatnonzero(posteriors[:, -1, SILENCE_INDEX] > SURE_OF_SILENCE):
-            own_noise.learn(newest - int(index) + self._delays[-1])
+            own_noise.learn(newest - int(index) + self.format.delays[-1])

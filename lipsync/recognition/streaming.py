@@ -3,22 +3,26 @@
 `RecognizerStream` feeds blocks, collects what became known, takes the time, and tells observers.
 `SoundAhead` hands out a source's blocks at their times; where nobody waits for a tick it shows the
 recogniser much sound at once before, which is cheaper and changes nothing of what is told when.
+
+Recognisers share `AudioInput`, which makes 16 kHz without gaps of blocks of any size and rate, and
+`UpdateBuilder`, which makes updates that never take back what is final of one phoneme a frame.
 """
 
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Protocol, runtime_checkable
 
 import numpy as np
+import soxr
 from numpy.typing import NDArray
 
-from lipsync.audio.cutter import BLOCK_SAMPLES
-from lipsync.audio.source import AudioSource
+from lipsync.arrays import Array32
+from lipsync.audio.source import BLOCK_SAMPLES, AudioSource
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock, samples_before
-from lipsync.phonemes import LiveRecognizer, PhonemeUpdate
+from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
 
 
 @runtime_checkable
@@ -142,3 +146,113 @@ def blocks_of(
     edges = [0, *range(n_first, len(samples), n_block), len(samples)]
     for start, end in pairwise(edges):
         yield AudioBlock(samples[start:end], start / SAMPLE_RATE_HZ)
+
+
+#: Of a longer gap between blocks only this much is filled with silence, then time jumps to its end.
+HEARD_GAP_S = 2.0
+
+
+class AudioInput:
+    """Keeps sound time: what is missing between blocks becomes silence of the same length.
+
+    Sound at another rate is resampled as it comes (soxr), which holds back up to 40 ms of it. NaN
+    and infinity become silence, what is beyond full scale is clipped.
+    """
+
+    def __init__(self) -> None:
+        self._rate_hz: int | None = None
+        self._n_fed = 0  # samples at the stream's own rate, gaps among them
+        self._resampler: soxr.ResampleStream | None = None
+
+    def take(self, block: AudioBlock) -> tuple[Array32, float, Array32]:
+        """Silence that comes first, seconds to jump over after it, and the block's own samples.
+
+        The seconds are a multiple of 10 ms. Raises ValueError for a block that starts before the
+        last one's end, and for another rate than the stream began with.
+        """
+        if self._rate_hz is None:
+            self._begin(block.sample_rate_hz)
+        rate_hz = block.sample_rate_hz
+        if rate_hz != self._rate_hz:
+            raise ValueError(
+                f"sound at {rate_hz} Hz in a stream at {self._rate_hz} Hz; reset for a new stream"
+            )
+        n_missing = round(block.start_s * rate_hz) - self._n_fed
+        if n_missing < 0:
+            raise ValueError(
+                f"the block starts at {block.start_s} s, but sound was heard until "
+                f"{self._n_fed / rate_hz} s; feed blocks in order, or reset for a new stream"
+            )
+        n_jumps = max(0, n_missing - round(HEARD_GAP_S * rate_hz)) * 100 // rate_hz
+        n_heard = n_missing - n_jumps * rate_hz // 100
+        self._n_fed += n_missing + len(block.samples)
+        silence = self._at_16_khz(np.zeros(n_heard, np.float32))
+        heard = np.where(np.isfinite(block.samples), block.samples, np.float32(0.0))
+        samples = np.clip(heard, -1.0, 1.0)
+        return silence, n_jumps / 100, self._at_16_khz(samples.astype(np.float32, copy=False))
+
+    def _begin(self, rate_hz: int) -> None:
+        self._rate_hz = rate_hz
+        if rate_hz != SAMPLE_RATE_HZ:
+            self._resampler = soxr.ResampleStream(rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32")
+
+    def _at_16_khz(self, samples: Array32) -> Array32:
+        if self._resampler is None or len(samples) == 0:
+            return samples
+        resampled: Array32 = self._resampler.resample_chunk(samples)
+        return np.clip(resampled, -1.0, 1.0)
+
+
+class UpdateBuilder:
+    """Turns a recogniser's phonemes, one for each frame, into `PhonemeUpdate`s.
+
+    Frames count from sound time 0, `frames_per_s` a second. The first `n_final` frames are final:
+    at each update all but the last `latency_frames` become so. An event is a run of equal frames.
+    """
+
+    def __init__(self, frames_per_s: int, latency_frames: int) -> None:
+        self._frames_per_s = frames_per_s
+        self._latency_frames = latency_frames
+        self._n_final = 0
+        self._last_final = SILENCE
+        self._run_start = 0  # the first frame of the run that the last final frame belongs to
+
+    @property
+    def n_final(self) -> int:
+        """How many frames are final; also the number of the first that is not."""
+        return self._n_final
+
+    def update(self, phonemes: Sequence[str]) -> PhonemeUpdate:
+        """The update when `phonemes` are those of the frames from the first not final to now.
+
+        The first event keeps the start it had when the last final frame belongs to it.
+        """
+        runs = self._runs(phonemes)
+        replace_from, heard = self._n_final, self._n_final + len(phonemes)
+        self._n_final = max(self._n_final, heard - self._latency_frames)
+        for phoneme, start in runs:
+            if start < self._n_final:
+                self._last_final, self._run_start = phoneme, start
+        ends = [start for _, start in runs[1:]]
+        return PhonemeUpdate(
+            replace_from_s=replace_from / self._frames_per_s,
+            heard_until_s=heard / self._frames_per_s,
+            final_until_s=self._n_final / self._frames_per_s,
+            events=tuple(
+                PhonemeEvent(
+                    phoneme,
+                    start / self._frames_per_s,
+                    None if end is None else end / self._frames_per_s,
+                )
+                for (phoneme, start), end in zip(runs, [*ends, None], strict=True)
+            ),
+        )
+
+    def _runs(self, phonemes: Sequence[str]) -> list[tuple[str, int]]:
+        """(phoneme, first frame) of each run of equal phonemes."""
+        runs, start = [], self._n_final
+        for phoneme, frames in groupby(phonemes):
+            goes_on = start == self._n_final > 0 and phoneme == self._last_final
+            runs.append((phoneme, self._run_start if goes_on else start))
+            start += len(list(frames))
+        return runs

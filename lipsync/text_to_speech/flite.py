@@ -20,11 +20,12 @@ from lipsync.text_to_speech.spoken_text import (
     DEFAULT_VOICE,
     SpokenText,
     SynthesisError,
+    TimedPhones,
     UnspeakableTextError,
     Voice,
+    checked_text,
+    phoneme_events,
 )
-from lipsync.text_to_speech.timed_phones import TimedPhones, phoneme_events
-from lipsync.text_to_speech.written_text import checked_text
 
 #: flite's segments that are no phone of ours by the same name: reduced vowels, flaps, pauses.
 _PHONE_OF: Mapping[str, str] = MappingProxyType(

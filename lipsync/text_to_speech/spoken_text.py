@@ -1,5 +1,8 @@
-"""What a speech synthesiser makes of a text, and what every synthesiser here can do."""
+"""What a speech synthesiser here can do, the texts it gets, and the speech that it makes."""
 
+import re
+import unicodedata
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -7,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.errors import UserError
-from lipsync.phonemes import PhonemeEvent
+from lipsync.phonemes import SILENCE, PhonemeEvent
 
 
 class SynthesisError(UserError):
@@ -85,3 +88,99 @@ class Synthesizer(Protocol):
         Text is text: marks of SSML are read out as they stand. Raises SynthesisError for a text in
         which nothing can be spoken (UnspeakableTextError), and for a voice that it lacks.
         """
+
+
+#: Control characters (espeak-ng would obey some), half a surrogate pair, unassigned code points.
+_NOT_TEXT = ("Cc", "Cs", "Cn")
+#: What ends a sentence, with the brackets and quotation marks that close after it.
+_SENTENCE_END = re.compile(r"[.!?…;:。！？।]+[\"'”’»)\]]*(?=\s)|[。！？।]|\n\s*\n")
+#: A point after such a word ends no sentence: titles, initials, U.S., z.B.
+_ABBREVIATION = re.compile(
+    r"(?:^|\s)(?:Mrs?|Ms|Dr|St|Prof|Jr|Sr|vs|(?:[A-Za-z]\.)*[A-Z]|[a-z]\.[a-zA-Z])\.$"
+)
+_PAUSE = re.compile(r"[,–—、，]\s*")
+_SPACE = re.compile(r"\s+")
+
+
+def readable(text: str) -> str:
+    """The text with a space for each character that is none, so that positions stay."""
+    return "".join(" " if unicodedata.category(each) in _NOT_TEXT else each for each in text)
+
+
+def checked_text(text: str, longest: int) -> str:
+    """The readable text.
+
+    Raises UnspeakableTextError where it is empty, SynthesisError where it is longer than `longest`.
+    """
+    if len(text) > longest:
+        raise SynthesisError(
+            f"a text of {len(text)} characters is too long to be spoken at once; "
+            f"at most {longest}, or speak it in pieces"
+        )
+    written = readable(text)
+    if not written.strip():
+        raise UnspeakableTextError("the text is empty; write what is to be said")
+    return written
+
+
+def pieces(text: str, longest: int) -> Iterator[str]:
+    """The text in sentences, in order; one longer than `longest` is cut at a comma or a space.
+
+    White space alone gives no piece. A word longer than `longest` is cut where it must be.
+    """
+    start = 0
+    while start < len(text):
+        end = _piece_end(text, start, longest)
+        piece = text[start:end].strip()
+        if piece:
+            yield piece
+        start = end
+
+
+def _piece_end(text: str, start: int, longest: int) -> int:
+    window = text[start : start + longest + 1]
+    for match in _SENTENCE_END.finditer(window):
+        if not _ABBREVIATION.search(window[: match.end()]):
+            return start + match.end()
+    if len(window) <= longest:
+        return len(text)
+    for separator in (_PAUSE, _SPACE):
+        ends = [match.end() for match in separator.finditer(window[:longest])]
+        if ends:
+            return start + ends[-1]
+    return start + longest
+
+
+@dataclass(slots=True)
+class TimedPhones:
+    """A phoneme of a voice as phones of the inventory; `word` is the number of its word or -1."""
+
+    phones: tuple[str, ...]
+    start_s: float
+    end_s: float
+    word: int = -1
+
+
+def phoneme_events(timed: list[TimedPhones]) -> tuple[PhonemeEvent, ...]:
+    """One event a phone: those of one phoneme share its time evenly, pauses in a row are one."""
+    events: list[PhonemeEvent] = []
+    for each in timed:
+        n = len(each.phones)
+        bounds_s = [each.start_s + index * (each.end_s - each.start_s) / n for index in range(n)]
+        for phone, start_s, end_s in zip(
+            each.phones, bounds_s, [*bounds_s[1:], each.end_s], strict=True
+        ):
+            if phone == SILENCE and events and events[-1].phoneme == SILENCE:
+                start_s = events.pop().start_s
+            events.append(PhonemeEvent(phone, start_s, end_s))
+    return tuple(events)
+
+
+def word_times(timed: list[TimedPhones]) -> dict[int, tuple[float, float]]:
+    """The start and end in seconds of each word's phonemes, by the number of the word."""
+    times_s: dict[int, tuple[float, float]] = {}
+    for each in timed:
+        if each.word >= 0:
+            start_s, _ = times_s.get(each.word, (each.start_s, 0.0))
+            times_s[each.word] = (start_s, each.end_s)
+    return times_s

@@ -12,8 +12,8 @@ from lipsync.text_to_speech.spoken_text import (
     Synthesizer,
     UnspeakableTextError,
     Voice,
+    pieces,
 )
-from lipsync.text_to_speech.written_text import pieces
 
 #: A sentence longer than this, in characters, is cut: 25 s of speech.
 LONGEST_PIECE = 400

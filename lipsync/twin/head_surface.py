@@ -1,15 +1,255 @@
-"""The skin at rest: its surface and colours, its holes, and what its shell holds still."""
+"""The skin of the twin at rest, its colours and its holes; and how it moves, as a thin shell.
 
+The displacement d minimises k_s |grad d|^2 + k_b |lap d|^2 over the surface, with k_b = 1 and d
+given at some vertices (Botsch and Sorkine, "On linear variational surface deformation methods",
+IEEE TVCG 14(1), 2008, eqs. 8 to 10). x, y and z do not depend on one another, so one matrix of
+weights serves all three: Le, Zhu and Deng drive a face by its markers so.
+"""
+
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib import resources
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+from threadpoolctl import threadpool_limits
 
 from lipsync.arrays import Array, Indices
-from lipsync.twin.mean_face import MeanFace
-from lipsync.twin.shell import shell_stiffness
-from lipsync.twin.skin_colours import skin_colours
+from lipsync.markers import OUTER_LIP
+
+#: Points of the skin; the ten after them are the irises, which lie on no triangle.
+N_SKIN = 468
+
+#: The outer rim of the mesh, from the hairline over the left of the face (the picture's right).
+FACE_RIM = (
+    10, 338, 297, 332, 284, 251, 389, 356, 454, 323, 361, 288, 397, 365, 379, 378, 400, 377,
+    152, 148, 176, 149, 150, 136, 172, 58, 132, 93, 234, 127, 162, 21, 54, 103, 67, 109,
+)  # fmt: skip
+
+#: Round each eye from its outer corner over the upper lid; the first nine are corner, upper lid,
+#: corner. The speaker's own left and right.
+RIGHT_EYE = (33, 246, 161, 160, 159, 158, 157, 173, 133, 155, 154, 153, 145, 144, 163, 7)
+LEFT_EYE = (263, 466, 388, 387, 386, 385, 384, 398, 362, 382, 381, 380, 374, 373, 390, 249)
+N_UPPER_LID = 9
+
+#: Centre of each iris and four points of its edge.
+RIGHT_IRIS = (468, 469, 470, 471, 472)
+LEFT_IRIS = (473, 474, 475, 476, 477)
+
+#: Lower and upper edge of each eyebrow, from its outer end.
+RIGHT_BROW = ((46, 53, 52, 65, 55), (70, 63, 105, 66, 107))
+LEFT_BROW = ((276, 283, 282, 295, 285), (300, 293, 334, 296, 336))
+
+#: What follows the lower jaw most nearly: along the chin, 3-dof jaw of `jaw_motion`.
+CHIN = (152, 176, 400, 148, 377, 199, 200, 175)
+#: In front of the ears, near the joint of the jaw.
+JAW_JOINT = (234, 454)
+
+
+SHIPPED_FACE = "mean_face"
+
+
+@dataclass(frozen=True, slots=True)
+class MeanFace:
+    """A head without colour or motion.
+
+    vertices_mm (n, 3): x to the picture's right, y up, z to the viewer; the first 468 are numbered
+    as in the 478-point face mesh. triangles (n_triangles, 3), outward. behind (n,): 0 on the face,
+    and how many rings behind its rim on the back of the head. irises_mm (2, 5, 3): centre and four
+    points of the edge, right and left eye.
+    """
+
+    vertices_mm: Array
+    triangles: Indices
+    behind: Array
+    irises_mm: Array
+
+
+def load_mean_face() -> MeanFace:
+    """The one that comes with the package; OSError or ValueError where it is damaged."""
+    place = resources.files("lipsync.models") / f"{SHIPPED_FACE}.npz"
+    with place.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+        return MeanFace(
+            file["vertices_mm"].astype(np.float64),
+            file["triangles"].astype(np.int64),
+            file["behind"].astype(np.float64),
+            file["irises_mm"].astype(np.float64),
+        )
+
+
+_SKIN = (0.91, 0.74, 0.65)
+_LIPS = (0.80, 0.50, 0.48)
+_CHEEKS = (0.93, 0.66, 0.58)
+_BROWS = (0.36, 0.26, 0.21)
+_LASHES = (0.24, 0.16, 0.13)
+#: The back of the head is a robot's: that it has no hair and no ears does not surprise then.
+_ROBOT = (0.55, 0.60, 0.66)
+_CHEEK_MIDDLES, _CHEEK_RADIUS_MM = (205, 425), 22.0
+_LIP_EDGE_MM, _LASH_EDGE_MM = 3.0, 1.3
+_BROW_HALF_WIDTH_MM = 3.6
+#: Nothing is painted farther from its line.
+_FAR_MM = 8.0
+#: Height of two places on the seam between skin and robot, and how many rings behind the rim.
+_SEAM_MM, _SEAM_RINGS = (-115.0, -70.0, 30.0), (4.5, 1.6, 0.9)
+
+
+def skin_colours(mean: MeanFace) -> Array:
+    """(n, 3), 0 to 1, sRGB."""
+    places = mean.vertices_mm
+    colours = np.broadcast_to(np.array(_SKIN), places.shape)
+    layers = (
+        (_cheeks(places), _CHEEKS),
+        (_lips(mean), _LIPS),
+        (0.85 * _brows(places), _BROWS),
+        (0.8 * _lashes(places), _LASHES),
+        (_robot(mean), _ROBOT),
+    )
+    for amount, colour in layers:
+        colours = (1 - amount[:, None]) * colours + amount[:, None] * np.array(colour)
+    return np.asarray(colours, dtype=np.float64)
+
+
+def _cheeks(places: Array) -> Array:
+    away = [np.linalg.norm(places - places[each], axis=1) for each in _CHEEK_MIDDLES]
+    return 0.5 * np.asarray(np.exp(-((np.min(away, axis=0) / _CHEEK_RADIUS_MM) ** 2)))
+
+
+def _lips(mean: MeanFace) -> Array:
+    """1 within the outer line of the lips as the viewer sees it, with a soft edge."""
+    outline = mean.vertices_mm[list(OUTER_LIP), :2]
+    closed = np.vstack([outline, outline[:1]])
+    flat = mean.vertices_mm[:, :2]
+    away, _ = cKDTree(_line(closed, 6)).query(flat, distance_upper_bound=_FAR_MM)
+    inside = _inside(flat, outline) * (mean.behind == 0.0)
+    edge = np.where(inside > 0, 1.0, -1.0) * np.minimum(away, _FAR_MM) / _LIP_EDGE_MM
+    return np.asarray(np.clip(0.35 + edge, 0.0, 1.0), dtype=np.float64)
+
+
+def _brows(places: Array) -> Array:
+    """Along the middle of each eyebrow, with soft edges, thinner at both ends."""
+    amount = np.zeros(len(places))
+    for lower, upper in (RIGHT_BROW, LEFT_BROW):
+        line = _line((places[list(lower)] + places[list(upper)]) / 2, 10)
+        share = np.linspace(0, 1, len(line))
+        width = _BROW_HALF_WIDTH_MM * np.interp(share, (0, 0.5, 0.85, 1), (0.3, 0.9, 1.0, 0.6))
+        away, nearest = cKDTree(line).query(places, distance_upper_bound=_FAR_MM)
+        near = np.isfinite(away)
+        amount[near] = np.maximum(amount[near], 1.4 - away[near] / width[nearest[near]])
+    return np.clip(amount, 0.0, 1.0)
+
+
+def _lashes(places: Array) -> Array:
+    """Along the edge of the upper lids."""
+    lines = [_line(places[list(each[:N_UPPER_LID])], 8)[8:] for each in (RIGHT_EYE, LEFT_EYE)]
+    away, _ = cKDTree(np.vstack(lines)).query(places, distance_upper_bound=_FAR_MM)
+    return np.asarray(np.clip(1.0 - away / _LASH_EDGE_MM, 0.0, 1.0), dtype=np.float64)
+
+
+def _robot(mean: MeanFace) -> Array:
+    seam = np.interp(mean.vertices_mm[:, 1], _SEAM_MM, _SEAM_RINGS)
+    return np.asarray(np.clip(0.5 + 2.5 * (mean.behind - seam), 0.0, 1.0))
+
+
+def _line(corners: Array, steps: int) -> Array:
+    """Points along a polygon line, `steps` from one corner to the next."""
+    at = np.linspace(0, len(corners) - 1, steps * (len(corners) - 1) + 1)
+    known = np.arange(len(corners))
+    return np.column_stack([np.interp(at, known, column) for column in corners.T])
+
+
+def _inside(points: Array, polygon: Array) -> Array:
+    """1 for points (n, 2) within a polygon (m, 2): an odd number of edges to their right."""
+    start, end = polygon, np.roll(polygon, -1, axis=0)
+    x, y = points[:, :1], points[:, 1:]
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = np.where(start[:, 1] == end[:, 1], 1.0, end[:, 1] - start[:, 1])
+    crossing = start[:, 0] + (y - start[:, 1]) / rise * (end[:, 0] - start[:, 0])
+    return np.asarray((spans & (x < crossing)).sum(axis=1) % 2, dtype=np.float64)
+
+
+#: 6 per square centimetre. Without this membrane term the lips overshoot beyond the outermost
+#: markers; above 10 the surface begins to show a dimple at each (docs/decisions/0023).
+MEMBRANE_PER_MM2 = 0.06
+#: Keeps a triangle without area from dividing by zero.
+_LEAST_AREA_MM2 = 1e-9
+
+
+def influence(stiffness: sparse.csr_array, handles: Sequence[int], anchors: Sequence[int]) -> Array:
+    """(n_vertices, n_handles): how far each vertex goes with a handle that moves by 1.
+
+    stiffness: of `shell_stiffness`. 1 at the handle itself, 0 at the others and at the anchors; a
+    vertex that is both is a handle. Raises ValueError for a handle that stands there twice,
+    and for a part of the surface that hangs on neither handle nor anchor.
+    """
+    if len(set(handles)) != len(handles):
+        raise ValueError("a vertex is a handle twice")
+    still = np.setdiff1d(anchors, handles)
+    held = np.concatenate([handles, still]).astype(np.int64)
+    return spread(stiffness, held, np.eye(len(held), len(handles)))
+
+
+def spread(stiffness: sparse.csr_array, held: Indices, given: Array) -> Array:
+    """Displacements (n_vertices, k) of the whole surface, of which `given` (n_held, k) are known.
+
+    Each of the k columns is a problem of its own. Raises as `influence` does.
+    """
+    n = stiffness.shape[0]
+    n_pieces, piece = connected_components(stiffness, directed=False)
+    if len(np.unique(piece[held])) < n_pieces:
+        raise ValueError("a piece of the surface hangs on nothing")
+    free = np.setdiff1d(np.arange(n), held)
+    moved = np.zeros((n, given.shape[1]))
+    moved[held] = given
+    rows = stiffness[free]
+    # Threads gain nothing on blocks as small as these, and lose on a busy machine.
+    with threadpool_limits(limits=1):
+        factors = splu(
+            rows[:, free].tocsc(),
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        moved[free] = factors.solve(-(rows[:, held] @ given))
+    return moved
+
+
+def shell_stiffness(
+    vertices_mm: Array, triangles: Indices, membrane_per_mm2: float = MEMBRANE_PER_MM2
+) -> sparse.csr_array:
+    """Q = L^T M^-1 L - k_s L, (n_vertices, n_vertices): symmetric, positive semi-definite."""
+    laplacian, areas = cotangent_laplacian(vertices_mm, triangles)
+    inverse = sparse.diags_array(1.0 / np.maximum(areas, _LEAST_AREA_MM2))
+    return sparse.csr_array(laplacian.T @ inverse @ laplacian - membrane_per_mm2 * laplacian)
+
+
+def cotangent_laplacian(vertices_mm: Array, triangles: Indices) -> tuple[sparse.csr_array, Array]:
+    """L (n, n), negative semi-definite, rows sum to 0; and a third of the area round each vertex.
+
+    Pinkall and Polthier, Experimental Mathematics 2(1), 1993: half the sum of the cotangents of the
+    two angles opposite an edge.
+    """
+    n = len(vertices_mm)
+    corner = vertices_mm[triangles]
+    rows, columns, values = [], [], []
+    for at, (a, b) in enumerate(((1, 2), (2, 0), (0, 1))):
+        u, v = corner[:, a] - corner[:, at], corner[:, b] - corner[:, at]
+        twice_area = np.linalg.norm(np.cross(u, v), axis=1)
+        half_cotangent = 0.5 * (u * v).sum(axis=1) / np.maximum(twice_area, _LEAST_AREA_MM2)
+        rows += [triangles[:, a], triangles[:, b]]
+        columns += [triangles[:, b], triangles[:, a]]
+        values += [half_cotangent, half_cotangent]
+    off = sparse.coo_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
+    ).tocsr()
+    laplacian = off - sparse.diags_array(off.sum(axis=1))
+    thirds = np.repeat(twice_area / 6, 3)
+    areas = np.bincount(triangles.ravel(), thirds, minlength=n).astype(np.float64)
+    return sparse.csr_array(laplacian), areas
+
 
 #: Skin above this height or behind this depth moves with no marker.
 _UPPER_FACE_MM, _BACK_MM = -20.0, -80.0

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.arrays import Array, Array32, Indices
-from lipsync.face_mesh import INNER_LIP, OUTER_LIP
-from lipsync.twin.landmarks import FACE_RIM, LEFT_BROW, LEFT_EYE, RIGHT_BROW, RIGHT_EYE
-from lipsync.twin.part import Part
+from lipsync.markers import INNER_LIP, OUTER_LIP
+from lipsync.twin.head_surface import FACE_RIM, LEFT_BROW, LEFT_EYE, RIGHT_BROW, RIGHT_EYE
+from lipsync.twin.parts import Part
 from lipsync.twin.twin import Twin
 
 PACKED_VERSION = 1

@@ -14,11 +14,10 @@ import numpy as np
 import soxr
 from numpy.typing import NDArray
 
+from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
-from lipsync.errors import UserError
-from lipsync.extras import check_extra
-from lipsync.recognition.speech_file import read_speech
-from lipsync.video.tracking.face_tracker import Picture
+from lipsync.errors import UserError, check_extra
+from lipsync.video.face_detection import Picture
 
 #: What is looked for in a folder.
 VIDEO_ENDINGS = (

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from lipservo_client.face_answers import FaceError, Played
+from lipservo_client.protocol import FaceError, Played
 from places import ROOT
 from voice_agents.served_face import DELAY_MS, ServedFace, tone
 

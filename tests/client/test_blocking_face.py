@@ -4,12 +4,12 @@ import threading
 
 import numpy as np
 import pytest
-from lipservo_client.face_answers import FaceError, Played
+from lipservo_client.protocol import FaceError, Played
 from voice_agents.served_face import DELAY_MS, RATE_HZ, ServedFace, tone, until
 
 import lipservo
 from lipservo.access.admission import Policy
-from lipservo.agents.agent_settings import AgentSettings
+from lipservo.agents.listener import AgentSettings
 
 
 @pytest.fixture

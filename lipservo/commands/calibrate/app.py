@@ -31,7 +31,7 @@ class CalibrateGroup(LazyGroup):
                 "my_face.calibration.yaml",
             ),
             "grade": Command(
-                f"{_HERE}.grading:grade",
+                f"{_HERE}.by_files:grade",
                 "Grade a calibration by other poses.",
                 _FACE,
                 example="my_face.calibration.yaml --config my_face.yaml --plan check.csv --markers "
@@ -63,13 +63,13 @@ class CalibrateGroup(LazyGroup):
                 example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",
             ),
             "pose": Command(
-                f"{_HERE}.single_steps:pose",
+                f"{_HERE}.on_servos:pose",
                 "Hold one pose of a plan.",
                 _SINGLE,
                 example="poses.csv 7 8 --config my_face.yaml --port /dev/ttyUSB0",
             ),
             "lags": Command(
-                f"{_HERE}.single_steps:lags",
+                f"{_HERE}.on_servos:lags",
                 "Measure how late each servo is.",
                 _SINGLE,
                 example="my_face.calibration.yaml --config my_face.yaml --port /dev/ttyUSB0",

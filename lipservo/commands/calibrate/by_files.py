@@ -1,4 +1,4 @@
-"""`calibrate plan` and `calibrate fit`: for robots that something else moves, or for none."""
+"""`calibrate plan`, `fit` and `grade`: for robots that something else moves, or for none."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,9 +6,10 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.calibrate.calibration_options import (
+from lipservo.commands.calibrate.making import (
     Accept,
     Axes,
+    CalibrationFile,
     EyeDistance,
     Lags,
     Landmarker,
@@ -17,10 +18,16 @@ from lipservo.commands.calibrate.calibration_options import (
     Plots,
     Poses,
     Ranges,
+    check_files,
+    check_inputs,
+    finish,
+    is_plan,
+    load_setup,
+    mesh_options,
 )
-from lipservo.commands.calibrate.making import check_files, finish, load_setup, mesh_options
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Quiet
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
 
@@ -44,19 +51,20 @@ def plan(
     as_json: Json = False,
 ) -> None:
     """Write poses to move a robot through: neutral, each joint alone, then all joints together."""
-    from calibration.capture.capture_plan import joined
-    from calibration.capture.marker_files import is_plan, read_capture, read_plan, write_plan
-
     if (refine is None) != (markers is None):
         raise typer.BadParameter("--refine PLAN and --markers FILE go together")
-    setup = replace(load_setup(config, model, ranges), n_poses=poses)
+    check_inputs(refine, markers)
     check_output(file, replaces=is_plan, kind="plan of poses", inputs=[markers, refine])
+    setup = replace(load_setup(config, model, ranges), n_poses=poses)
+    from calibration.capture.capture import joined
+    from calibration.capture.marker_files import read_capture, read_plan, write_plan
+
     procedure, names = setup.procedure(), setup.servos.names
     if refine is None or markers is None:
         made = procedure.whole_range_plan()
         then = f"--plan {file} --markers FILE -o FILE"
     else:
-        from calibration.capture.dots_folder import is_dots_folder
+        from calibration.capture.dots import is_dots_folder
         from calibration.capture.sanity import check_capture
 
         has_depth = not (markers.is_dir() and is_dots_folder(markers))
@@ -121,24 +129,22 @@ def fit(
             raise typer.BadParameter(
                 f"{option} needs --markers: nothing is measured on the simulated face"
             )
-    setup = replace(load_setup(config, model, ranges), quiet=quiet or as_json, lags=lags)
-    setup = replace(setup, accept=accept)
     check_files(output, plots=plots, inputs=[plan, markers])
     if check_plan is not None:
-        from calibration.capture.marker_files import is_plan
-
         if check_plan.resolve() == output.resolve():
             raise typer.BadParameter("--check-plan and -o name the same file")
         inputs = [plan, markers]
         check_output(check_plan, replaces=is_plan, kind="plan of poses", inputs=inputs)
+    setup = replace(load_setup(config, model, ranges), quiet=quiet or as_json, lags=lags)
+    setup = replace(setup, accept=accept)
     if plan is None or markers is None:
-        from lipservo.calibrating.simulated_calibration import fit_simulated_face
+        from lipservo.calibrating.measured_calibration import fit_simulated_face
 
         result = fit_simulated_face(setup)
     else:
         from calibration.capture.marker_files import read_capture
-        from lipservo.calibrating.calibration_result import fit_capture
         from lipservo.calibrating.face_source import is_seen_from_the_front, reader_of
+        from lipservo.calibrating.measured_calibration import fit_capture
         from lipservo.calibrating.plan_poses import check_plan as check_goals
 
         check_goals(setup, plan)
@@ -149,3 +155,62 @@ def fit(
         with MESSAGES.status("fitting", spinner="line"):
             result = fit_capture(setup, capture)
     finish(setup, result, output, plots=plots, check_plan=check_plan, as_json=as_json)
+
+
+def grade(
+    file: CalibrationFile,
+    plan: Annotated[
+        Path, typer.Option(metavar="FILE", help="Poses that `calibrate fit --check-plan` wrote.")
+    ],
+    markers: Annotated[
+        Path,
+        typer.Option(help="Markers recorded at them: CSV, JSON, a folder of C3D or of pictures."),
+    ],
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    axes: Axes = "x y z",
+    landmarker: Landmarker = None,
+    eye_distance_mm: EyeDistance = None,
+    accept: Accept = False,
+    as_json: Json = False,
+) -> None:
+    """Measure a calibration at ten poses of speech that were never fitted, and write its grade.
+
+    A grade that is too bad is not written without --accept; the file is as it was then.
+    """
+    from calibration.files.calibration_file import load_calibration, save_calibration
+
+    before = load_calibration(file)
+    check_files(file, inputs=[plan, markers])
+    setup = replace(load_setup(config, model), accept=accept)
+    from calibration.fit.measured_grade import too_bad
+    from lipservo.calibrating.face_source import reader_of
+    from lipservo.calibrating.plan_poses import check_face, grade_by_files
+    from lipservo.calibrating.shown_calibration import (
+        coverage_table,
+        coverage_values,
+        grade_values,
+        report_lines,
+    )
+
+    check_face(setup, before, str(file))
+    read = reader_of(markers, setup, mesh_options(landmarker, eye_distance_mm))
+    found, warnings = grade_by_files(setup, before, plan, markers, axes=axes, read=read)
+    for line in () if as_json else warnings:
+        MESSAGES.print(line, soft_wrap=True, highlight=False)
+    bad = too_bad(found)
+    if bad is not None and not accept:
+        raise UserError(
+            f"{file} stays as it is: {bad}; look at the markers, calibrate anew, or take the grade "
+            "as it is with --accept"
+        )
+    save_calibration(found, file)
+    if as_json:
+        grade, coverage = grade_values(found), coverage_values(found)
+        print_json(
+            {"calibration": str(file), "grade": grade, "coverage": coverage, "warnings": warnings}
+        )
+        return
+    for line in report_lines(found, str(file), None, with_servos=False):
+        RESULTS.print(line, soft_wrap=True, highlight=False)
+    RESULTS.print(coverage_table(found))

@@ -10,8 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from firmware_bridge.stopping import ExitStatus, StopReport, named_by_reason
-from lipservo.commands.calibrate.calibration_options import CalibrationFile
-from lipservo.commands.calibrate.making import check_files, load_setup, setup_at_port
+from lipservo.commands.calibrate.making import (
+    CalibrationFile,
+    check_files,
+    load_setup,
+    setup_at_port,
+)
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Sim
 from lipservo.terminal.output import MESSAGES, RESULTS, complain, print_json, say_simulated
 from lipsync.errors import UserError
@@ -54,14 +58,15 @@ def by_hand(
     """
     from calibration.calibration import check_calibration, check_servo_memories
     from calibration.files.calibration_file import load_calibration, save_calibration
+
+    before = load_calibration(file)
+    check_files(file, keep=keep)
+    setup = load_setup(config, model)
+    check_calibration(before, setup.model, setup.servos.names, setup.settings.checksum)
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.calibrating.hand_poses import pose_lines, with_hand_poses
     from lipservo.face.servos import servo_memories
 
-    before = load_calibration(file)
-    setup = load_setup(config, model)
-    check_calibration(before, setup.model, setup.servos.names, setup.settings.checksum)
-    check_files(file, keep=keep)
     session, status = _Session(_kept(setup, keep)), 0
     with setup_at_port(setup, port, sim, config) as at, DeferredSignals() as signals:
         check_servo_memories(before, servo_memories(at.settings) or (None,) * len(at.servos.names))
@@ -101,10 +106,9 @@ def _pose(
     at: "CalibrationSetup", session: _Session, keep: Path | None, signals: "DeferredSignals"
 ) -> None:
     """Ask, let go, pose; at the end torque off is read back once more, whatever ends it."""
-    from calibration.fit.guided_session import keep_poses
+    from calibration.fit.guided import keep_poses
     from firmware_bridge.clock import Clock, MonotonicClock
-    from lipservo.calibrating.hand_poses import HAND_POSES
-    from lipservo.calibrating.posing_by_hand import Posing, pose_by_hand
+    from lipservo.calibrating.hand_poses import HAND_POSES, Posing, pose_by_hand
     from lipservo.face.limp_servos import LimpServos
     from lipservo.face.servos import bus_for, simulated_wire
     from lipservo.terminal.pressed_keys import PressedKeys
@@ -162,7 +166,7 @@ def _tell(report: StopReport | None) -> None:
 
 
 def _kept(setup: "CalibrationSetup", keep: Path | None) -> "Mapping[str, Array]":
-    from calibration.fit.guided_session import kept_poses
+    from calibration.fit.guided import kept_poses
 
     return {} if keep is None else kept_poses(setup.servos.names, keep)
 

@@ -1,30 +1,93 @@
-"""What the sub-commands that make a calibration have in common: before the work, and after it."""
+"""What the sub-commands of `calibrate` share: options, and what is before and after the work."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
-from lipservo.settings.setting_types import CALIBRATION_NAME
+import typer
+
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
-    from lipservo.calibrating.calibration_result import CalibrationResult
     from lipservo.calibrating.calibration_setup import CalibrationSetup
     from lipservo.calibrating.face_source import MeshOptions
+    from lipservo.calibrating.measured_calibration import CalibrationResult
+
+Output = Annotated[Path, typer.Option("--output", "-o", help="The calibration to write.")]
+Markers = Annotated[
+    Path | None,
+    typer.Option(
+        help="Markers recorded at the poses of a plan: CSV, JSON, a folder of C3D or of pictures.",
+        show_default=False,
+    ),
+]
+Axes = Annotated[
+    str, typer.Option(help="Axes of C3D files that point to the robot's left, up and forward.")
+]
+Poses = Annotated[int, typer.Option(help="How many poses are captured.")]
+Keep = Annotated[
+    Path | None,
+    typer.Option(
+        help="Keep every captured pose in this file at once; go on from it.", show_default=False
+    ),
+]
+Lags = Annotated[bool, typer.Option(help="Find the servos' lags too, by chirps and steps.")]
+Speed = Annotated[
+    float,
+    typer.Option(min=5.0, max=400.0, help="Servos move from pose to pose so fast, degrees/s."),
+]
+Ranges = Annotated[
+    Path | None,
+    typer.Option(help="LeRobot range file that the limits must lie within.", show_default=False),
+]
+Plots = Annotated[
+    Path | None,
+    typer.Option(help="Folder for a picture of what is within reach.", show_default=False),
+]
+Landmarker = Annotated[
+    Path | None,
+    typer.Option(
+        help="A face_landmarker.task (docs/own-face.md); default: mediapipe's own face mesh.",
+        show_default=False,
+    ),
+]
+EyeDistance = Annotated[
+    float | None,
+    typer.Option(
+        min=10.0,
+        max=500.0,
+        help="Between the outer corners of the robot's eyes; default: of the face's YAML.",
+        show_default=False,
+    ),
+]
+Camera = Annotated[
+    str, typer.Option(help="With --tracker camera: a number or a device; a video to try.")
+]
+CalibrationFile = Annotated[Path, typer.Argument(metavar="FILE", help="The calibration.")]
+Accept = Annotated[
+    bool,
+    typer.Option(
+        "--accept", help="Take what is judgement (odd joints, odd size, a bad grade) as a warning."
+    ),
+]
 
 
 def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "CalibrationSetup":
     """The face and the model. ranges: a LeRobot file that the face's limits must lie within."""
-    from lipservo.calibrating.calibration_setup import CalibrationSetup
-    from lipservo.face.assembly import load_settings
+    if config.endswith((".yaml", ".yml")):
+        check_inputs(Path(config))
     from lipsync.animpho.other_layout import in_layout
     from lipsync.animpho.units import load_face_with_animphos
     from lipsync.markers import MARKERS_47
+
+    # A model of other points is fitted through the markers that calibration knows.
+    speaker = in_layout(load_face_with_animphos(model), MARKERS_47)
+    from lipservo.face.assembly import load_settings
 
     settings, _ = load_settings(config)
     if ranges is not None:
@@ -32,8 +95,9 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
 
         limits = {name: (s.min_deg, s.max_deg) for name, s in settings.mouth_servos.items()}
         check_within_recorded(read_ranges(ranges), limits)
-    # A model of other points is fitted through the markers that calibration knows.
-    return CalibrationSetup(settings, in_layout(load_face_with_animphos(model), MARKERS_47))
+    from lipservo.calibrating.calibration_setup import CalibrationSetup
+
+    return CalibrationSetup(settings, speaker)
 
 
 @contextmanager
@@ -63,15 +127,39 @@ def mesh_options(
     )
 
 
+def check_inputs(*paths: Path | None) -> None:
+    """See before anything is loaded that files can be read; folders may be. Raises UserError."""
+    for path in paths:
+        if path is None or path.is_dir():
+            continue
+        try:
+            path.open("rb").close()
+        except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+            reason = getattr(error, "strerror", None) or error
+            raise UserError(f"{path}: cannot be read: {reason}") from error
+
+
+def is_calibration(head: bytes) -> bool:
+    """Whether a file that begins so is a calibration, damaged or not."""
+    return b"model_checksum:" in head
+
+
+def is_plan(head: bytes) -> bool:
+    """Whether a file that begins so is a plan: its first line names a pose and degrees."""
+    columns = head.decode("utf-8-sig", errors="replace").split("\n", 1)[0].strip().split(",")
+    return columns[0] == "pose" and any(column.endswith("_deg") for column in columns[1:])
+
+
 def check_files(
     output: Path,
     *,
     keep: Path | None = None,
     plots: Path | None = None,
-    inputs: Iterable[Path | None] = (),
+    inputs: Sequence[Path | None] = (),
 ) -> None:
-    """See before the work that everything can be written. Raises UserError."""
-    from calibration.files.calibration_file import is_calibration
+    """See before the work that everything can be read and written. Raises UserError."""
+    check_inputs(*inputs)
+    from lipservo.settings.setting_types import CALIBRATION_NAME
 
     if not re.match(CALIBRATION_NAME, output.name):
         raise UserError(f"{output}: a face can only name a file such as my_face.calibration.yaml")
@@ -79,7 +167,7 @@ def check_files(
     if keep is not None and not keep.exists():
         check_output(keep)
     if plots is not None:
-        from lipservo.calibrating.coverage_plot import PICTURE
+        from lipservo.calibrating.shown_calibration import PICTURE
         from lipservo.terminal.pictures import check_folder
 
         check_folder(plots, [PICTURE])
@@ -97,9 +185,9 @@ def finish(
     """Save, draw, write poses to grade by, and say how good it is."""
     from calibration.files.calibration_file import save_calibration
     from calibration.fit.measured_grade import too_bad
-    from calibration.fit.report import report_lines
-    from lipservo.calibrating.calibration_result import jaw_check
-    from lipservo.calibrating.made_by_hand import with_hand_made
+    from lipservo.calibrating.hand_poses import with_hand_made
+    from lipservo.calibrating.measured_calibration import jaw_check
+    from lipservo.calibrating.shown_calibration import report_lines
 
     fit = result.fit
     calibration, kept = with_hand_made(result.calibration, setup.servos, output)
@@ -111,13 +199,13 @@ def finish(
         )
     save_calibration(calibration, output)
     if plots is not None:
-        from lipservo.calibrating.coverage_plot import draw_coverage
+        from lipservo.calibrating.shown_calibration import draw_coverage
 
         drawn = draw_coverage(plots, setup.model, calibration, fit)
         MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
     then = None
     if check_plan is not None:
-        from lipservo.calibrating.graded_by_files import write_check_poses
+        from lipservo.calibrating.plan_poses import write_check_poses
 
         then = write_check_poses(setup, calibration, fit, check_plan, output)
     jaw_r = jaw_check(setup, calibration)

@@ -1,15 +1,16 @@
-"""`calibrate measure`, `guided` and `practise`: servos that are moved for a whole calibration."""
+"""`calibrate measure`, `guided`, `practise`, `pose` and `lags`: servos that are moved."""
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from calibration.simulated.robot_family import RobotFamily
-from lipservo.commands.calibrate.calibration_options import (
+from lipservo.commands.calibrate.making import (
     Accept,
     Axes,
+    CalibrationFile,
     Camera,
     EyeDistance,
     Keep,
@@ -20,15 +21,18 @@ from lipservo.commands.calibrate.calibration_options import (
     Poses,
     Ranges,
     Speed,
-)
-from lipservo.commands.calibrate.making import (
     check_files,
+    check_inputs,
     finish,
     load_setup,
     mesh_options,
     setup_at_port,
 )
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model, Port, Quiet, Sim
+from lipservo.terminal.output import RESULTS, print_json, say_simulated
+
+if TYPE_CHECKING:
+    from lipsync.arrays import Array
 
 
 def measure(
@@ -63,17 +67,12 @@ def measure(
 
     With --sim pty and no --tracker the markers are computed: a rehearsal of all but the skin.
     """
-    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
-    from lipservo.calibrating.measured_calibration import (
-        calibrate_on_computed_skin,
-        calibrate_on_servos,
-    )
-
     if tracker is None and sim is None:
         raise typer.BadParameter(
             "say who sees the markers: --tracker camera, FILE, FOLDER or typed; by eye it is "
             "`lipservo calibrate guided`"
         )
+    check_files(output, keep=keep, plots=plots)
     setup = replace(
         load_setup(config, model, ranges),
         n_poses=poses,
@@ -83,7 +82,12 @@ def measure(
         speed_deg_s=speed,
         accept=accept,
     )
-    check_files(output, keep=keep, plots=plots)
+    from lipservo.calibrating.face_source import is_seen_from_the_front, tracker_source
+    from lipservo.calibrating.measured_calibration import (
+        calibrate_on_computed_skin,
+        calibrate_on_servos,
+    )
+
     with setup_at_port(setup, port, sim, config) as at:
         if tracker is None:
             result = calibrate_on_computed_skin(at)
@@ -112,8 +116,7 @@ def guided(
 
     Coarser than a measured calibration: nobody knows millimetres without a tracker.
     """
-    from lipservo.calibrating.guided_calibration import calibrate_by_eye
-
+    check_files(output, keep=keep)
     setup = replace(
         load_setup(config, model, ranges),
         keep=keep,
@@ -121,7 +124,8 @@ def guided(
         lags=lags,
         speed_deg_s=speed,
     )
-    check_files(output, keep=keep)
+    from lipservo.calibrating.guided_calibration import calibrate_by_eye
+
     with setup_at_port(setup, port, sim, config) as at:
         result = calibrate_by_eye(at)
     finish(setup, result, output, as_json=as_json)
@@ -154,8 +158,7 @@ def practise(
 
     With --sim pty its servos are simulated to the byte and spoken to over a wire, at their speed.
     """
-    from lipservo.calibrating.simulated_calibration import practise_in_memory, practise_over_wire
-
+    check_files(output, keep=keep, plots=plots)
     setup = replace(
         load_setup(config, model),
         n_poses=poses,
@@ -165,10 +168,82 @@ def practise(
         speed_deg_s=speed,
         accept=accept,
     )
-    check_files(output, keep=keep, plots=plots)
+    from lipservo.calibrating.measured_calibration import practise_in_memory, practise_over_wire
+
     if sim is None:
         result = practise_in_memory(setup, seed, family)
     else:
         with setup_at_port(setup, None, sim, config) as at:
             result = practise_over_wire(at, seed, family)
     finish(setup, result, output, plots=plots, as_json=as_json)
+
+
+def pose(
+    plan: Annotated[Path, typer.Argument(metavar="PLAN", help="Poses: `calibrate plan`.")],
+    poses: Annotated[
+        list[int] | None,
+        typer.Argument(metavar="[POSE]...", help="Which of them; default: all, in their order."),
+    ] = None,
+    config: Config = DEFAULT_FACE,
+    port: Port = None,
+    sim: Sim = None,
+    speed: Speed = 30.0,
+) -> None:
+    """Hold the servos in poses of a plan, each reached from the side it names; Enter: the next.
+
+    For markers that are recorded by hand. At the end all go to neutral and are let go.
+    """
+    check_inputs(plan)
+    setup = replace(load_setup(config, None), speed_deg_s=speed)
+    from lipservo.calibrating.plan_poses import read_poses, stand_in_poses
+    from lipservo.terminal.keys import read_line
+
+    numbers, chosen = read_poses(setup, plan, poses or ())
+
+    def arrived(row: int, reached_deg: "Array") -> None:
+        stands = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
+        told = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
+        RESULTS.print(f"pose {numbers[row]}: {told} deg", soft_wrap=True)
+
+    with setup_at_port(setup, port, sim, config) as at:
+        if at.settings.bus.kind == "simulated":
+            say_simulated()
+        stand_in_poses(at, chosen, arrived, lambda: read_line("Enter when it is recorded"))
+
+
+def lags(
+    file: CalibrationFile,
+    config: Config = DEFAULT_FACE,
+    model: Model = None,
+    port: Port = None,
+    sim: Sim = None,
+    speed: Speed = 30.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find how late each servo follows, by chirps and steps, and write it into a calibration.
+
+    The map stays; the file that was there is kept as `.previous`. 14 s for each joint.
+    """
+    from calibration.calibration import CalibrationError
+    from calibration.files.calibration_file import load_calibration, save_calibration
+
+    before = load_calibration(file)
+    check_files(file)
+    setup = replace(load_setup(config, model), quiet=quiet or as_json, speed_deg_s=speed)
+    from lipservo.calibrating.measured_calibration import measure_lags
+    from lipservo.calibrating.shown_calibration import following_lines, following_values
+
+    with setup_at_port(setup, port, sim, config) as at:
+        found = measure_lags(at, before)
+    # Trims may have been set while servos chirped.
+    now = load_calibration(file)
+    if now.origin != before.origin or now.servo_names != before.servo_names:
+        raise CalibrationError(f"{file}: was replaced while servos chirped, and stays as it is")
+    found = replace(now, following=found.following)
+    save_calibration(found, file)
+    if as_json:
+        print_json({"calibration": str(file), "servos": following_values(found)})
+        return
+    for line in following_lines(found):
+        RESULTS.print(line, soft_wrap=True, highlight=False)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from lipservo.commands.calibrate.calibration_options import CalibrationFile
+from lipservo.commands.calibrate.making import CalibrationFile
 from lipservo.commands.options import Json
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
@@ -25,10 +25,11 @@ def trim(
 ) -> None:
     """Add degrees to a joint while a viseme class is spoken; without VISEME: show what is added."""
     from calibration.files.calibration_file import load_calibration, save_calibration
-    from calibration.run.viseme_trim import trimmed
-    from lipservo.calibrating.shown_calibration import trim_lines
 
     calibration = load_calibration(file)
+    from calibration.run.compensation import trimmed
+    from lipservo.calibrating.shown_calibration import trim_lines
+
     if viseme is not None:
         if joint is None or deg is None:
             raise typer.BadParameter("give VISEME, JOINT and DEG, or none of them")
@@ -58,6 +59,8 @@ def show(
 ) -> None:
     """Print what a calibration says: its grade, each servo, each viseme class, rules, trims."""
     from calibration.files.calibration_file import load_calibration
+
+    calibration = load_calibration(file)
     from lipservo.calibrating.shown_calibration import (
         coverage_table,
         servo_table,
@@ -65,14 +68,13 @@ def show(
         shown_values,
     )
 
-    calibration = load_calibration(file)
     rules = None
     if config is not None:
         from lipservo.face.assembly import load_settings
 
         rules = load_settings(config)[0].prevent
     if plots is not None:
-        from lipservo.calibrating.coverage_plot import PICTURE, draw_reach
+        from lipservo.calibrating.shown_calibration import PICTURE, draw_reach
         from lipservo.terminal.pictures import check_folder
 
         check_folder(plots, [PICTURE])

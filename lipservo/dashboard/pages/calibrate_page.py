@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from html import escape
 from typing import Any, Final
 
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 
+from lipservo.dashboard.face_files import told_calibration
 from lipservo.dashboard.pages.page_frame import STATIC_URL, card, command, grid, html
-from lipservo.dashboard.told_calibration import told_calibration
 from lipsync.phonemes import VISEME_CLASSES
 
 #: Full length of a bar: errors beyond are drawn as that, and read as a number.

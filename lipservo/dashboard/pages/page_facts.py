@@ -1,13 +1,26 @@
-"""What the pages are told once, as JSON: limits, models, the rig, words and colours."""
+"""What pages know of a face beyond its status, said once: limits, colours, and what servos move."""
 
-from typing import Final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
 
+from calibration.joint_motion import CLOSE, DOWN, OPEN, UP, joint_motion, side_of, words
 from firmware_bridge.dynamixel.control_table import servo_models
-from lipservo.dashboard.pages.robot_rig import robot_rig
 from lipservo.face.assembly import load_settings
 from lipservo.settings.settings import FaceSettings, ServoSettings
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
 
+#: How a drawing can move. The positive direction of each, which `RigServo.sign` refers to:
+#: jaw opens; upper_lip raises; lower_lip lowers; corner_out widens; corner_up raises; protrusion
+#: protrudes; neck_yaw and eye_yaw to the robot's own left; neck_pitch and eye_pitch up; neck_roll
+#: towards its left shoulder; lid opens; brow raises.
+Channel = Literal[
+    "jaw", "upper_lip", "lower_lip", "corner_out", "corner_up", "protrusion",
+    "neck_yaw", "neck_pitch", "neck_roll", "eye_yaw", "eye_pitch", "lid", "brow",
+]  # fmt: skip
+Side = Literal["left", "right", "both"]
+
+_LEFT, _RIGHT = frozenset({"left"}), frozenset({"right"})
 #: What is seen on the lips: a word for a legend, colours of the block and of its letters
 #: (contrast of at least 4.5 to 1), and the viseme classes by their first phoneme.
 GROUPS: Final = {
@@ -19,6 +32,81 @@ GROUPS: Final = {
     "inside": ("made inside", "#dbe2e8", "#24313d", ("TH", "T", "K")),
 }
 _VOLT_UNIT: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Rule:
+    """A servo of `part` with all of `named` in its name; `positive` has a word of one direction."""
+
+    part: str
+    channel: Channel
+    named: tuple[frozenset[str], ...]
+    plus: frozenset[str]
+    minus: frozenset[str]
+
+
+def _any(*words: str) -> frozenset[str]:
+    return frozenset(words)
+
+
+_YAW, _PITCH, _ROLL = _any("yaw", "pan", "turn"), _any("pitch", "nod", "tilt"), _any("roll")
+#: The first that fits.
+_RULES: Final = (
+    _Rule("neck", "neck_yaw", (_YAW,), _LEFT, _RIGHT),
+    _Rule("neck", "neck_pitch", (_PITCH,), UP, DOWN),
+    _Rule("neck", "neck_roll", (_ROLL,), _LEFT, _RIGHT),
+    _Rule("eyes", "eye_yaw", (_YAW,), _LEFT, _RIGHT),
+    _Rule("eyes", "eye_pitch", (_PITCH,), UP, DOWN),
+    _Rule("lids", "lid", (), OPEN | UP, CLOSE | DOWN),
+    _Rule("brows", "brow", (), UP, DOWN),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class RigServo:
+    """What a servo moves in the drawing. channel: None where nobody can tell, drawn as a dial.
+
+    sign: -1 where a positive angle is the drawing's negative direction.
+    """
+
+    channel: Channel | None
+    side: Side
+    sign: Literal[1, -1]
+
+
+def robot_rig(servos: Mapping[str, ServoSettings]) -> dict[str, RigServo]:
+    """By the servos' names. Of two that would move the same thing the second is a dial."""
+    taken: dict[Channel, set[Side]] = {}
+    rig = {}
+    for name, settings in servos.items():
+        found = _found(name, settings)
+        if found.channel is not None:
+            sides = taken.setdefault(found.channel, set())
+            if found.side in sides or "both" in sides or (sides and found.side == "both"):
+                found = RigServo(None, found.side, 1)
+            else:
+                sides.add(found.side)
+        rig[name] = found
+    return rig
+
+
+def _found(name: str, settings: ServoSettings) -> RigServo:
+    told_side = side_of(name)
+    # What moves the middle is drawn on both sides.
+    side: Side = "both" if told_side == "middle" else told_side
+    if settings.part == "mouth":
+        moved = joint_motion(name, settings.positive)
+        if moved is None:
+            return RigServo(None, side, 1)
+        return RigServo(moved.channel, side, moved.sign)
+    named, told = words(name), words(settings.positive)
+    for rule in _RULES:
+        if rule.part != settings.part or not all(named & each for each in rule.named):
+            continue
+        plus, minus = bool(told & rule.plus), bool(told & rule.minus)
+        if plus != minus:
+            return RigServo(rule.channel, side, 1 if plus else -1)
+    return RigServo(None, side, 1)
 
 
 def settings_of(config: str | None) -> FaceSettings | None:

@@ -1,27 +1,46 @@
-"""All pages, by their paths."""
+"""All pages, by their paths. What moves on them is drawn by the browser."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping, Sequence
+from html import escape
 from typing import Any, Final
 
 from nicegui import ui
 
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.pages import (
-    calibrate_page,
-    lines_page,
-    live_page,
-    servos_page,
-    settings_page,
-)
-from lipservo.dashboard.pages.page_facts import page_facts
-from lipservo.dashboard.pages.page_frame import page_frame
+from lipservo.dashboard.pages.calibrate_page import calibrate_page, read_calibration
+from lipservo.dashboard.pages.page_facts import GROUPS, page_facts
+from lipservo.dashboard.pages.page_frame import card, command, grid, html, page_frame
+from lipservo.dashboard.twin.element import HEAD_PATH, Twin
 
 #: A slow telephone may take so long to load a page; the framework would load it anew after 3 s.
 _PATIENCE_S: Final = 30.0
 Status = Mapping[str, Any] | None
 #: Fills a page: the face's newest status, and the config that it was started with.
 Fill = Callable[[Status, str | None], Awaitable[None]]
+_LIVE_SCRIPTS: Final = (
+    "live/twin_feed.js",
+    "live/timeline.js",
+    "live/waveform.js",
+    "live/servo_bars.js",
+    "live/robot_view.js",
+    "live/live_facts.js",
+    "live/say_box.js",
+    "live/look_pad.js",
+)
+
+
+#: What the twin needs, asked for at once: the framework comes to it last.
+_EARLY: Final = f'''<link rel="preload" href="{HEAD_PATH}" as="fetch" crossorigin>
+<script type="module" async>
+import {{ beginPicture }} from "lipservo-twin";
+beginPicture("{HEAD_PATH}");
+</script>'''
+_SERVOS_SCRIPTS: Final = ("servo_table.js", "jog.js")
+_LINES_SCRIPTS: Final = ("lines.js",)
+#: Starts a face that can play its lines.
+COMMAND: Final = "lipservo daemon --config FACE --play --sounds FOLDER --dashboard"
+_SETTINGS_SCRIPTS: Final = ("settings.js", "live/robot_view.js")
 
 
 def build_pages(link: FaceLink) -> None:
@@ -29,11 +48,11 @@ def build_pages(link: FaceLink) -> None:
 
     link: the face; a page that is opened is told of the face that answers then.
     """
-    _add(link, "/", live_page.SCRIPTS, _live)
-    _add(link, "/servos", servos_page.SCRIPTS, _servos)
+    _add(link, "/", _LIVE_SCRIPTS, _live)
+    _add(link, "/servos", _SERVOS_SCRIPTS, _servos)
     _add(link, "/calibrate", (), _calibrate)
-    _add(link, "/lines", lines_page.SCRIPTS, _lines)
-    _add(link, "/settings", settings_page.SCRIPTS, _settings)
+    _add(link, "/lines", _LINES_SCRIPTS, _lines)
+    _add(link, "/settings", _SETTINGS_SCRIPTS, _settings)
 
 
 def _add(link: FaceLink, path: str, scripts: Sequence[str], fill: Fill) -> None:
@@ -46,22 +65,76 @@ def _add(link: FaceLink, path: str, scripts: Sequence[str], fill: Fill) -> None:
             await fill(status, config)
 
 
+async def _calibrate(_status: Status, config: str | None) -> None:
+    found = await asyncio.to_thread(read_calibration, config)
+    calibrate_page(config, *found)
+
+
 async def _live(_status: Status, _config: str | None) -> None:
-    live_page.live_page()
+    """The face that was asked for, the robot as its encoders say, sound and phonemes."""
+    ui.add_head_html(_EARLY)
+    with grid("live-top"):
+        with card("The face", "as it is asked to be", "twin"):
+            Twin().classes("drawn")
+        with card("The robot", "as its encoders say", "robot"):
+            html("<face-robot></face-robot>")
+        with card("Now", classes="now"):
+            html("<face-facts></face-facts>")
+    with card("Sound and phonemes", "the last seconds; now is at the right", "sound"):
+        html("<face-timeline></face-timeline><face-waveform></face-waveform>" + _legend())
+    with grid("live-bottom"):
+        with card("Servos", "blue: where it is; orange: where it should be", "bars"):
+            html("<face-servo-bars></face-servo-bars>")
+        with grid("live-side"):
+            with card("Say", classes="say"):
+                html("<face-say></face-say>")
+            with card("Look", "drag, and the robot looks there", "look"):
+                html("<face-look></face-look>")
+
+
+def _legend() -> str:
+    entries = (
+        f'<span><i style="background:{fill}"></i>{escape(word)}</span>'
+        for word, fill, _, _ in GROUPS.values()
+    )
+    return f'<div class="legend">{"".join(entries)}</div>'
 
 
 async def _servos(_status: Status, _config: str | None) -> None:
-    servos_page.servos_page()
-
-
-async def _calibrate(_status: Status, config: str | None) -> None:
-    found = await asyncio.to_thread(calibrate_page.read_calibration, config)
-    calibrate_page.calibrate_page(config, *found)
+    """How each servo is, torque and reboot, and moving one by hand."""
+    with card("Health", "asked of one servo after the other, so a value may be a second old"):
+        html("<face-servo-table></face-servo-table>")
+    with card("Move by hand", classes="jog"):
+        html("<face-jog></face-jog>")
 
 
 async def _lines(status: Status, _config: str | None) -> None:
-    lines_page.lines_page(status)
+    """The sounds and performances that a face can speak."""
+    folder = (status or {}).get("sounds")
+    hint = f"sound files in {folder}" if folder else ""
+    with card("Lines", hint, "lines"):
+        if folder:
+            html("<face-lines></face-lines>")
+        else:
+            html(_no_folder(), "empty")
+
+
+def _no_folder() -> str:
+    return (
+        "<p>This face has no folder of sound files, or no voice to speak them with.</p>"
+        f"<p>Start it with one:</p>{command(COMMAND)}"
+        "<p>WAV, FLAC, OGG and MP3 files of that folder, and performances, appear here, to be "
+        "played, uploaded and deleted.</p>"
+    )
 
 
 async def _settings(_status: Status, _config: str | None) -> None:
-    settings_page.settings_page()
+    """How strongly, smoothly, early and lively the face moves.
+
+    The robot is beside the sliders, so that one sees what they do.
+    """
+    with grid("settings-page"):
+        with card("Motion", "changes at once, for as long as the face runs", "settings"):
+            html("<face-settings></face-settings>")
+        with card("The robot", "as its encoders say", "robot"):
+            html("<face-robot></face-robot>")

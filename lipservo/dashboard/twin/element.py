@@ -1,9 +1,61 @@
-"""The twin as a NiceGUI element."""
+"""The twin on a page: the route that serves its head, and the NiceGUI element that draws it."""
+
+import gzip
+import hashlib
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
 
 import nicegui.elements.scene  # noqa: F401  registers three.js for the page, which twin.js loads
+from fastapi import FastAPI, Request
+from fastapi.responses import Response
 from nicegui.element import Element
 
-from lipservo.dashboard.twin.routes import HEAD_PATH
+from lipsync.face.model import FaceModel
+from lipsync.twin.packed import pack
+from lipsync.twin.twin import make_twin
+
+HEAD_PATH = "/twin/head.bin"
+#: Kept by a browser, but asked for each time whether it is still the same.
+_CACHE = "no-cache"
+
+
+class PackedHead:
+    """The head of a face model as bytes, made once, in a thread of its own, from the beginning."""
+
+    def __init__(self, make: Callable[[], bytes]) -> None:
+        self._making: Future[tuple[bytes, str]] = Future()
+        threading.Thread(target=self._work, args=(make,), name="twin's head", daemon=True).start()
+
+    def get(self) -> tuple[bytes, str]:
+        """The bytes, compressed with gzip, and their ETag; waits until they are made."""
+        return self._making.result()
+
+    def _work(self, make: Callable[[], bytes]) -> None:
+        try:
+            packed = make()
+            tag = f'"{hashlib.sha256(packed).hexdigest()[:16]}"'
+            self._making.set_result((gzip.compress(packed, compresslevel=4, mtime=0), tag))
+        except Exception as error:  # whoever asks for the head is told
+            self._making.set_exception(error)
+
+
+def twin_routes(app: FastAPI, face: FaceModel) -> None:
+    """Serve the head of a face model at HEAD_PATH. It is being made from now on."""
+    head = PackedHead(lambda: pack(make_twin(face)))
+
+    # Not async: FastAPI runs it in a thread of its own, so that other answers do not wait.
+    @app.get(HEAD_PATH, include_in_schema=False)
+    def serve(request: Request) -> Response:
+        packed, tag = head.get()
+        headers = {"ETag": tag, "Cache-Control": _CACHE, "Vary": "Accept-Encoding"}
+        if tag in request.headers.get("if-none-match", ""):
+            return Response(status_code=304, headers=headers)
+        if "gzip" in request.headers.get("accept-encoding", ""):
+            headers["Content-Encoding"] = "gzip"
+        else:
+            packed = gzip.decompress(packed)
+        return Response(packed, media_type="application/octet-stream", headers=headers)
 
 
 class Twin(Element, component="twin.js", esm={"lipservo-twin": "picture"}):

@@ -1,13 +1,19 @@
 """Around every page, request and WebSocket of the dashboard: who may, how much, and what goes out.
 
-The policy itself is `lipservo/access/admission.py`; the stop is served before this layer.
+Here are the ASGI types, answers and headers that the layers of the dashboard share, the layer
+itself, and the page that a browser on this computer gets without the token. The policy is
+`lipservo/access/admission.py`; the stop is served before this layer.
 """
 
+import json
 import secrets
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable, Mapping, MutableMapping, Sequence
+from functools import cache
 from http import HTTPStatus
-from typing import Final
+from pathlib import Path
+from typing import Any, Final
 
+from lipservo_client.local_token import are_listed, connected_users
 from starlette.exceptions import HTTPException
 
 from lipservo.access.admission import (
@@ -20,20 +26,48 @@ from lipservo.access.admission import (
     refusal,
     request_of_scope,
 )
-from lipservo.access.kernel_sockets import are_listed, connected_users
-from lipservo.dashboard.web.asgi import (
-    SECURITY_HEADERS,
-    App,
-    Headers,
-    Message,
-    Receive,
-    Scope,
-    Send,
-    answer_bytes,
-    answer_json,
-)
-from lipservo.dashboard.web.stop_page import stop_page
 
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+Headers = Sequence[tuple[bytes, bytes]]
+
+#: Pages load nothing from elsewhere, stand in no other page's frame, and name no address to others.
+#: NiceGUI's pages are made by inline scripts, and Vue compiles its templates in the browser.
+SECURITY_HEADERS: Final = (
+    (
+        b"content-security-policy",
+        b"default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; "
+        b"style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+        b"media-src 'self' blob:; worker-src 'self' blob:; connect-src 'self'; "
+        b"form-action 'self'; base-uri 'self'; frame-ancestors 'none'",
+    ),
+    (b"x-content-type-options", b"nosniff"),
+    (b"x-frame-options", b"DENY"),
+    (b"referrer-policy", b"no-referrer"),
+    (b"cross-origin-resource-policy", b"same-origin"),
+)
+#: The script of STOP on every page; it imports nothing.
+_SCRIPT: Final = Path(__file__).parent.parent / "static" / "stop.js"
+_PAGE: Final = """<!doctype html><html lang="en"><meta charset="utf-8"><title>lipservo: STOP</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+body{font:1.1rem/1.5 system-ui,sans-serif;max-width:40rem;margin:3rem auto;padding:0 1rem}
+#face-stop{font-size:2rem;padding:1.5rem 3rem;border:0;border-radius:.8rem;background:#c8102e;
+color:#fff;cursor:pointer}#face-stop small{display:block;font-size:1rem}
+#face-stop-report{font-weight:600}#face-stop-report[data-tone=good]{color:#176b2c}
+#face-stop-report[data-tone=bad]{color:#c8102e}
+</style>
+<h1>lipservo</h1>
+<p><button id="face-stop" type="button" title="Stops the face. Pressed again: limp at once.">
+<b>STOP</b><small>Esc</small></button></p>
+<p id="face-stop-report" role="alert" hidden></p>
+<p>The page itself needs the face's token: open the address that was printed when the face started
+(it ends in <code>?token=…</code>), or run <code>lipservo dashboard --open</code>.</p>
+<script type="module">%s</script></html>
+"""
 #: A sound file (`MOST_BYTES` of lipservo/dashboard/sound_lines.py) with what a form adds; the rest.
 _MOST_FILE_BYTES: Final = 51_000_000
 _MOST_BODY_BYTES: Final = 1 << 20
@@ -43,6 +77,37 @@ _PREFLIGHT_HEADERS: Final = (
     (b"access-control-allow-headers", b"authorization, content-type"),
     (b"access-control-max-age", b"600"),
 )
+
+
+async def answer_json(
+    send: Send,
+    status: int,
+    answer: Mapping[str, Any],
+    headers: Headers = (),
+    *,
+    is_websocket: bool = False,
+) -> None:
+    """Answer a request, or a WebSocket's handshake, with one JSON object."""
+    of_json = [(b"content-type", b"application/json"), (b"cache-control", b"no-store"), *headers]
+    await answer_bytes(send, status, of_json, json.dumps(answer).encode(), is_websocket)
+
+
+async def answer_bytes(
+    send: Send, status: int, headers: Headers, body: bytes, is_websocket: bool = False
+) -> None:
+    """Answer with a whole body."""
+    kind = "websocket.http.response" if is_websocket else "http.response"
+    length = (b"content-length", str(len(body)).encode())
+    whole = [*headers, length, *SECURITY_HEADERS]
+    await send({"type": f"{kind}.start", "status": int(status), "headers": whole})
+    await send({"type": f"{kind}.body", "body": body})
+
+
+@cache
+def stop_page() -> str:
+    """The page, with the script of STOP in it: without the token no file is served."""
+    script = _SCRIPT.read_text("utf-8")
+    return _PAGE.replace("%s", script.replace("</script", "<\\/script"), 1)
 
 
 class OneTimeCode:

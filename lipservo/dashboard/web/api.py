@@ -1,6 +1,9 @@
-"""The dashboard's API as an application of its own: errors are JSON, one line."""
+"""The dashboard's API as an application of its own, with `/docs`: errors are JSON, one line."""
 
+import json
 import struct
+from collections.abc import Iterator, Mapping
+from html import escape
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
@@ -10,17 +13,19 @@ from fastapi.responses import HTMLResponse, Response
 from fastapi.staticfiles import StaticFiles
 
 from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.web.api_errors import add_error_answers
-from lipservo.dashboard.web.api_models import ErrorAnswer
-from lipservo.dashboard.web.docs_page import docs_html
-from lipservo.dashboard.web.face_routes import face_routes
-from lipservo.dashboard.web.file_routes import file_routes
+from lipservo.dashboard.web.api_models import ErrorAnswer, add_error_answers
+from lipservo.dashboard.web.api_routes import face_routes, file_routes
 from lipservo.dashboard.web.metrics import CONTENT_TYPE, FaceCollector, metrics_text
-from lipservo.dashboard.web.stream_routes import add_streams
+from lipservo.dashboard.web.streams import add_streams
 
 _STATIC: Final = Path(__file__).parent.parent / "static"
 _ERRORS: Final[dict[int | str, dict[str, Any]]] = {422: {"model": ErrorAnswer}}
 _LENGTH: Final = struct.Struct("<H")
+_STYLE: Final = """
+body{font:16px/1.5 system-ui,sans-serif;max-width:52rem;margin:2rem auto;padding:0 1rem}
+h2{margin:2rem 0 .3rem;font-size:1.05rem;font-family:monospace}
+b{display:inline-block;min-width:4.5rem}pre{background:#8882;padding:.6rem;overflow:auto}
+"""
 
 
 def make_api(link: FaceLink) -> FastAPI:
@@ -65,3 +70,44 @@ class _FreshFiles(StaticFiles):
         answer = super().file_response(*args, **kwargs)
         answer.headers["cache-control"] = "no-cache"
         return answer
+
+
+def docs_html(openapi: Mapping[str, Any]) -> str:
+    """Every path with what it takes, and how to call it."""
+    name = escape(str(openapi["info"]["title"]))
+    operations = "".join(_operations(openapi))
+    return (
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>{name}: API</title>"
+        f"<style>{_STYLE}</style><h1>{name}: API</h1>"
+        "<p>The same as <a href=/openapi.json>OpenAPI</a>. Errors are "
+        '<code>{"error": "one line"}</code>. Streams: WebSockets <code>/api/state</code> (JSON) '
+        "and <code>/api/twin</code> (binary); <a href=/metrics>/metrics</a> is for Prometheus."
+        f"</p>{operations}</html>"
+    )
+
+
+def _operations(openapi: Mapping[str, Any]) -> Iterator[str]:
+    for path, methods in openapi["paths"].items():
+        for method, operation in methods.items():
+            told = escape(operation.get("description", ""))
+            yield f"<h2><b>{escape(method.upper())}</b>{escape(path)}</h2><p>{told}</p>"
+            given = operation.get("parameters", ())
+            if given:
+                names = ", ".join(f"{each['name']} ({each['in']})" for each in given)
+                yield f"<p>takes {escape(names)}</p>"
+            body = operation.get("requestBody", {}).get("content", {}).get("application/json")
+            if body:
+                shown = json.dumps(_resolved(body["schema"], openapi), indent=1)
+                yield f"<pre>{escape(shown)}</pre>"
+
+
+def _resolved(schema: Any, openapi: Mapping[str, Any]) -> Any:
+    """The schema with what it refers to in place; ours do not refer to themselves."""
+    if isinstance(schema, list):
+        return [_resolved(each, openapi) for each in schema]
+    if not isinstance(schema, dict):
+        return schema
+    if "$ref" in schema:
+        name = schema["$ref"].rpartition("/")[2]
+        return _resolved(openapi["components"]["schemas"][name], openapi)
+    return {key: _resolved(value, openapi) for key, value in schema.items() if key != "title"}

@@ -77,7 +77,7 @@ class FaceCollector(Collector):
         if status.get("fallback_level") is not None:
             told = "recognisers that were left"
             yield _gauge("lipservo_recognizer_fallback_level", told, status["fallback_level"])
-        yield from self._servos(is_fresh and not link.servos_gone)
+        yield from self._servos(is_fresh and not link.moment.servos_gone)
 
     def _servos(self, is_fresh: bool) -> Iterable[Metric]:
         servos = told_servos(self._link.status, is_fresh=is_fresh)

@@ -12,18 +12,16 @@ from functools import partial
 from http import HTTPStatus
 from typing import Any, Final
 
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 from pydantic import ValidationError
 
 from firmware_bridge.process.control_client import send_stop
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy, Refusal, Request, refusal, request_of_scope
-from lipservo.agents.stop_answer import stop_answer
-from lipservo.dashboard.face_link import FaceLink
-from lipservo.dashboard.web.access_layer import cors_headers
-from lipservo.dashboard.web.api_errors import first_error, status_of
-from lipservo.dashboard.web.api_models import StopBody
-from lipservo.dashboard.web.asgi import App, Receive, Scope, Send, answer_json
+from lipservo.agents.control_session import stop_answer
+from lipservo.dashboard.face_link import FaceLink, not_answering
+from lipservo.dashboard.web.access_layer import App, Receive, Scope, Send, answer_json, cors_headers
+from lipservo.dashboard.web.api_models import StopBody, first_error, status_of
 
 PATH: Final = "/api/stop"
 #: A body is {"level": "soft", "wait_s": 15, "end": false} at most; a client that sends it slower
@@ -110,17 +108,11 @@ async def stop_face(link: FaceLink, stop: StopBody) -> dict[str, Any]:
     try:
         if path is None:
             path = await link.located()
-        waits = link.waiting_for_end(stop.wait_s)
-        with waits as wait_s:
+        with link.waiting_for_end(stop.wait_s) as wait_s:
             again = partial(send_stop, path, level, end=stop.end)
             answer, report = await stop_answer(sent, again, wait_s)
-    except TimeoutError as error:
-        hint = "`lipservo stop --limp` lets its servos go"
-        raise FaceError("not_answering", f"the face hangs; {hint}") from error
-    except PermissionError as error:
-        raise FaceError("not_answering", "this user may not command the face") from error
     except OSError as error:
-        raise FaceError("not_answering", f"no face answers: {error}") from error
+        raise not_answering(error) from error
     if "error" in answer:
         raise FaceError("refused", str(answer["error"]))
     return {"accepted": answer.get("accepted"), **({"report": report} if stop.wait_s else {})}

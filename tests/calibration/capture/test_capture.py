@@ -9,10 +9,18 @@ from hypothesis import strategies as st
 from small_model import small_model
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture import Capture, Robot, capture_poses, gather, take_poses
-from calibration.capture.capture_plan import LEAD_IN_DEG, least_poses, plan_poses
+from calibration.capture.capture import (
+    LEAD_IN_DEG,
+    Capture,
+    Robot,
+    capture_poses,
+    gather,
+    least_poses,
+    plan_poses,
+    take_poses,
+)
 from calibration.capture.sanity import check_capture
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import JointRange
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from calibration.simulated.robot import SimulatedRobot, draw_robot, true_markers_mm
 from lipsync.markers import MARKERS_47

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.calibration import CalibrationError
-from calibration.capture.coloured_dots import DotColour, find_dots
-from calibration.capture.dots_folder import DotsFolder, read_dots_folder
+from calibration.capture.dots import DotColour, DotsFolder, find_dots, read_dots_folder
 
 cv2 = pytest.importorskip("cv2", reason="dots need OpenCV, the extra `dots`")
 

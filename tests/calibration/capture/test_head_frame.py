@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from small_model import small_model
 
 from calibration.capture.capture import Capture
-from calibration.capture.head_frame import in_head_frame, on_head
-from calibration.capture.straight_lines import straight_lines
+from calibration.capture.straight_lines import in_head_frame, on_head, straight_lines
 from lipsync.markers import MARKERS_47
 
 N_POSES = 40

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calibration.capture.capture import Capture
-from calibration.capture.joint_faults import JointFault, joint_fault
+from calibration.capture.joint_health import JointFault, joint_fault
 from calibration.capture.straight_lines import straight_lines
 from lipsync.markers import MARKERS_47
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from calibration.capture.capture import Capture
-from calibration.capture.capture_plan import plan_poses
-from calibration.capture.joint_life import (
+from calibration.calibration import CouplingRule
+from calibration.capture.capture import Capture, plan_poses
+from calibration.capture.joint_health import (
     alive,
     doubtful_joints,
     is_dead,
@@ -13,8 +13,7 @@ from calibration.capture.joint_life import (
     second_look,
 )
 from calibration.capture.straight_lines import straight_lines
-from calibration.coupling_rule import CouplingRule
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import JointRange
 
 JOINTS = (JointRange("jaw", -3.0, 24.0), JointRange("left", -30.0, 30.0))
 NAMES = tuple(f"dot_{n}" for n in range(20))

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from small_model import small_model
 
 from calibration.calibration import CalibrationError
-from calibration.capture.marker_frame import check_frame, frame_faults
+from calibration.capture.sanity import check_frame, frame_faults
 from lipsync.markers import MARKERS_47
 
 NAMES = MARKERS_47.names

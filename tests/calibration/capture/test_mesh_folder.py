@@ -8,9 +8,13 @@ av = pytest.importorskip("av", reason="photographs need PyAV, the extra `video`"
 from pixel_video import PixelFace, PixelTracker, face_points, picture  # noqa: E402
 
 from calibration.calibration import CalibrationError  # noqa: E402
-from calibration.capture.camera_tracker import CameraTracker  # noqa: E402
-from calibration.capture.mesh_folder import MeshFolder  # noqa: E402
-from calibration.capture.mesh_markers import MeshFrame, NoFaceError, one_face  # noqa: E402
+from calibration.capture.face_mesh import (  # noqa: E402
+    CameraTracker,
+    MeshFolder,
+    MeshFrame,
+    NoFaceError,
+    one_face,
+)
 from lipsync.markers import MARKERS_47  # noqa: E402
 
 EYES_MM = 90.0

@@ -10,18 +10,18 @@ from small_model import small_model
 from calibration.calibration import (
     Calibration,
     CalibrationError,
+    CouplingRule,
     Origin,
     ServoMemory,
     Touch,
     check_servo_memories,
 )
 from calibration.capture.trackers import PATIENCE_S, FileTracker, TypedTracker
-from calibration.coupling_rule import CouplingRule
 from calibration.files.calibration_file import parse_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.fit.learnt_face import fit_calibration
 from calibration.fit.procedure import Procedure
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import JointRange
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipsync.markers import MARKERS_47
 

@@ -11,10 +11,10 @@ from small_model import small_model
 from typer.testing import CliRunner
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture_plan import plan_poses
+from calibration.capture.capture import plan_poses
 from calibration.capture.marker_files import read_capture, read_readings, write_plan
 from calibration.files.calibration_file import load_calibration
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import JointRange
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.cli import app
 from lipsync.markers import MARKERS_47

@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from small_model import small_model
 
-from calibration.fit.best_map import ChosenMap, choose_map
-from calibration.fit.correspondence import RobotMouth, correspond
-from calibration.fit.lip_contact import gap_heights_mm
-from calibration.fit.retargeting import Retargeting, fit_retargeting
+from calibration.fit.retargeting import (
+    Retargeting,
+    RobotMouth,
+    correspond,
+    fit_retargeting,
+    gap_heights_mm,
+)
+from calibration.fit.run_time_map import ChosenMap, choose_map
 from lipsync.markers import MARKERS_47
 
 MODEL = small_model()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.fit.gap_figures import gap_figures
+from calibration.grade import gap_figures
 
 
 def test_slope_closed_lips_and_small_openings_by_hand():

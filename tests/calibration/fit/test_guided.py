@@ -8,8 +8,7 @@ from calibration.calibration import CalibrationError
 from calibration.files.calibration_file import parse_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
+from calibration.mouth_servos import JointRange, MouthServos
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from lipsync.markers import MARKERS_47
 

@@ -10,14 +10,12 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 from small_model import small_model
 
-from calibration.calibration import Calibration, CalibrationError
-from calibration.coupling_rule import CouplingRule, keep_rules
+from calibration.calibration import Calibration, CalibrationError, CouplingRule, keep_rules
 from calibration.files.calibration_text import calibration_text
-from calibration.fit.correspondence import RobotMouth, correspond
 from calibration.fit.learnt_face import fit_calibration, ridge_weights
-from calibration.hold_out import measure_hold_out
-from calibration.joint_range import JointRange
-from calibration.run.inverse import bounded_minimum
+from calibration.fit.retargeting import RobotMouth, bounded_minimum, correspond
+from calibration.grade import measure_hold_out
+from calibration.mouth_servos import JointRange
 from calibration.simulated.face import (
     POSITIVE_DIRECTIONS,
     SimulatedFace,

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from calibration.capture.capture import Capture
-from calibration.fit.lip_contact import (
+from calibration.fit.retargeting import ShapeFeatures, gap_heights_mm
+from calibration.fit.robot_face import (
     LipContact,
+    RobotFace,
     closed_gaps_mm,
     fit_contact,
-    gap_heights_mm,
+    fit_robot_face,
     is_stopped,
     poses_in_contact,
 )
-from calibration.fit.robot_face import RobotFace, fit_robot_face
-from calibration.run.inverse import ShapeFeatures
 
 GAPS = ((0, 1), (2, 3))
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.fit.loose_joint import loose_joint
+from calibration.fit.measured import loose_joint
 
 
 @pytest.mark.parametrize(

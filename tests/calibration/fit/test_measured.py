@@ -9,25 +9,25 @@ from small_model import small_model
 
 from calibration.calibration import (
     CalibrationError,
+    CouplingRule,
     Following,
     check_calibration,
     check_servo_models,
 )
-from calibration.capture.capture import Capture, capture_poses
-from calibration.capture.capture_plan import plan_poses
-from calibration.coupling_rule import CouplingRule
+from calibration.capture.capture import Capture, capture_poses, plan_poses
 from calibration.files.calibration_file import load_calibration, parse_calibration, save_calibration
 from calibration.files.calibration_text import calibration_text
-from calibration.fit.correspondence import correspond
-from calibration.fit.measured import MeasuredFit, fit_measured, split_frames
-from calibration.fit.measured_errors import lips_apart_mm
-from calibration.fit.retargeting import MOST_EXAGGERATION
+from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm, split_frames
+from calibration.fit.retargeting import (
+    MOST_EXAGGERATION,
+    ShapeFeatures,
+    correspond,
+    nearest_poses_deg,
+)
 from calibration.fit.robot_face import fit_robot_face
-from calibration.hold_out import CLOSED_GAP_MM
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
-from calibration.run.inverse import ShapeFeatures, nearest_poses_deg
-from calibration.run.run_time_map import fit_run_time_map
+from calibration.fit.run_time_map import fit_run_time_map
+from calibration.grade import CLOSED_GAP_MM
+from calibration.mouth_servos import JointRange, MouthServos
 from calibration.simulated.face import POSITIVE_DIRECTIONS
 from calibration.simulated.robot import SimulatedRobot, draw_robot, true_markers_mm
 from lipsync.markers import MARKERS_47

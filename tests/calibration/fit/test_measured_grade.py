@@ -14,12 +14,17 @@ from calibration.calibration import (
     linear_calibration_parts,
 )
 from calibration.capture.capture import Capture
-from calibration.fit.correspondence import RobotMouth, correspond
 from calibration.fit.measured import MeasuredFit
 from calibration.fit.measured_grade import N_GRADED, graded, graded_poses, too_bad
-from calibration.fit.retargeting import fit_retargeting
-from calibration.grade import Grade, LearntLips, VisemeReach, lips_off_mm
-from calibration.hold_out import CLOSED_GAP_MM, HoldOutErrors
+from calibration.fit.retargeting import RobotMouth, correspond, fit_retargeting
+from calibration.grade import (
+    CLOSED_GAP_MM,
+    Grade,
+    HoldOutErrors,
+    LearntLips,
+    VisemeReach,
+    lips_off_mm,
+)
 from lipsync.markers import MARKERS_47
 
 NAMES = correspond(MARKERS_47.names)

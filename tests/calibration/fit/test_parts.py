@@ -13,9 +13,9 @@ from small_model import small_model
 
 from calibration.calibration import CalibrationError
 from calibration.capture.lerobot_ranges import check_within_recorded, read_ranges
-from calibration.fit.jaw_rotation import JAW_LINE, jaw_blend, jaw_degrees, speakers_jaw
-from calibration.joint_range import JointRange
-from calibration.run.viseme_trim import VisemeTrim
+from calibration.fit.jaw import JAW_LINE, jaw_blend, jaw_degrees, speakers_jaw
+from calibration.mouth_servos import JointRange
+from calibration.run.compensation import VisemeTrim
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from lipservo.calibrating.guided_calibration import guide
 

@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 
 from calibration.calibration import CalibrationError
-from calibration.capture.capture_plan import least_poses
-from calibration.capture.joint_life import MOST_LOOKS
+from calibration.capture.capture import least_poses
+from calibration.capture.joint_health import MOST_LOOKS
 from calibration.capture.sanity import check_capture
-from calibration.fit.correspondence import RobotMouth, correspond
 from calibration.fit.procedure import Procedure
-from calibration.fit.retargeting import widest_pose_deg
-from calibration.simulated.elastic_family import draw_elastic_robot
-from calibration.simulated.elastic_robot import ElasticFace, ElasticRobot
+from calibration.fit.retargeting import RobotMouth, correspond, widest_pose_deg
+from calibration.simulated.elastic_robot import ElasticFace
+from calibration.simulated.robot import SimulatedRobot
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.markers import MARKERS_47
 
@@ -35,7 +35,7 @@ def shortest(servos, seed):
 @pytest.mark.parametrize("seed", [104, 116])
 def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed, tmp_path):
     face, servos = drawn(seed, 10)
-    robot, told = ElasticRobot(face, noise_seed=seed), []
+    robot, told = SimulatedRobot(face, noise_seed=seed), []
     procedure, keep = shortest(servos, seed), tmp_path / "poses.jsonl"
 
     capture = procedure.capture(
@@ -58,7 +58,7 @@ def test_weak_joints_are_looked_at_again_and_the_healthy_robot_is_accepted(seed,
 def test_a_dead_joint_is_named_after_the_second_look():
     face, servos = drawn(104, 10)
     dead = servos.names.index("cheek_l")
-    robot = ElasticRobot(face, noise_seed=1)
+    robot = SimulatedRobot(face, noise_seed=1)
 
     def move(goal_deg):
         robot.move(np.where(np.arange(10) == dead, 0.0, goal_deg))
@@ -75,7 +75,7 @@ def test_the_lips_are_seen_as_far_apart_as_they_go():
     face, servos = drawn(109, 4)
     names = correspond(MARKERS_47.names)
     widest_deg = widest_pose_deg(RobotMouth(face.markers_mm, names, servos.limits_deg))
-    robot = ElasticRobot(face, noise_seed=109)
+    robot = SimulatedRobot(face, noise_seed=109)
     procedure = replace(shortest(servos, 109), n_poses=30)
 
     capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)

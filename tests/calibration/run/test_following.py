@@ -8,9 +8,8 @@ from scipy import signal
 
 from calibration.calibration import CalibrationError, Following
 from calibration.fit.servo_response import chirp_deg, identify, lag_between_s
-from calibration.joint_range import JointRange
-from calibration.run.backlash import BacklashCompensation
-from calibration.run.following import Follower, LagCompensation
+from calibration.mouth_servos import JointRange
+from calibration.run.compensation import BacklashCompensation, Follower, LagCompensation
 from calibration.simulated.servos import SimulatedServos
 
 JOINTS = [JointRange("jaw", -2.0, 25.0), JointRange("lip", -30.0, 30.0)]

@@ -4,11 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.calibration.elastic_draws import N_SERVOS, draw_elastic_robot
 from small_model import small_model
 
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
-from calibration.simulated.elastic_family import N_SERVOS, draw_elastic_robot, elastic_robot_of
+from calibration.mouth_servos import JointRange, MouthServos
+from calibration.simulated.elastic_family import elastic_robot_of
 from calibration.simulated.elastic_robot import ElasticDraw, ElasticFace
 from lipsync.markers import MARKERS_47
 

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 from small_model import small_model
 
-from calibration.simulated.elastic_family import draw_elastic_robot
-from calibration.simulated.elastic_robot import ElasticFace, ElasticRobot
+from calibration.simulated.elastic_robot import ElasticFace
+from calibration.simulated.robot import SimulatedRobot
 from lipsync.markers import MARKERS_47
 
 MODEL = small_model()
@@ -110,7 +111,7 @@ def test_the_left_side_is_weak(face):
 
 
 def test_play_leaves_the_horn_behind_by_half_of_it_on_either_side(face):
-    robot = ElasticRobot(face)
+    robot = SimulatedRobot(face)
     half_deg = face.draw.play_deg / 2
     goal_deg = np.array([8.0, 8.0, 8.0, 8.0])
     assert robot.move(goal_deg) == pytest.approx(goal_deg)
@@ -122,7 +123,7 @@ def test_play_leaves_the_horn_behind_by_half_of_it_on_either_side(face):
 
 
 def test_the_tracker_is_noisy_around_the_truth_and_the_same_for_a_seed(face):
-    looks_mm = [ElasticRobot(face, noise_seed=seed, noise_mm=0.5).measure() for seed in (1, 1, 2)]
+    looks_mm = [SimulatedRobot(face, noise_seed=seed, noise_mm=0.5).measure() for seed in (1, 1, 2)]
     assert np.array_equal(looks_mm[0], looks_mm[1])
     assert not np.array_equal(looks_mm[0], looks_mm[2])
     off_mm = looks_mm[0] - face.draw.skin.dots_mm
@@ -132,7 +133,7 @@ def test_the_tracker_is_noisy_around_the_truth_and_the_same_for_a_seed(face):
 def test_zeros_drift_as_the_servos_warm():
     draw, _ = draw_elastic_robot(REST_MM, 0, 4)
     face = ElasticFace(replace(draw, drift_deg=np.array([0.0, 3.0, 0.0, 0.0])))
-    robot = ElasticRobot(face, noise_mm=0.0)
+    robot = SimulatedRobot(face, noise_mm=0.0)
     goal_deg = np.array([10.0, 0.0, 0.0, 0.0])
     seen_mm = []
     for n_moves in (1, 20, 60, 400):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_model import small_model
 
-from calibration.simulated.elastic_skin import N_PAIRS, POISSON, ElasticSkin, elastic_skin
+from calibration.simulated.elastic_robot import N_PAIRS, POISSON, ElasticSkin, elastic_skin
 from lipsync.markers import MARKERS_47
 
 MODEL = small_model()

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.simulated.four_bar import FourBar
+from calibration.simulated.elastic_robot import FourBar
 
 SERVO_DEG = np.linspace(-3.3, 26.4, 100)
 

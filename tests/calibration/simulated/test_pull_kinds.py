@@ -3,10 +3,10 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from lipservo_lab.bench.calibration.elastic_draws import OPPOSITES, draw_elastic_robot
 from small_model import small_model
 
-from calibration.simulated.elastic_family import draw_elastic_robot
-from calibration.simulated.pull_kinds import KINDS, OPPOSITES, pulls_of
+from calibration.simulated.elastic_family import KINDS, pulls_of
 from lipservo.settings.settings import load_shipped_face
 
 MODEL = small_model()

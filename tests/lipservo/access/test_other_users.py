@@ -9,7 +9,7 @@ import sys
 
 import httpx
 import pytest
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 from places import short_folder
 from running_daemon import LIPSERVO, PATIENCE_S, wait_for
 from websockets.sync.client import connect

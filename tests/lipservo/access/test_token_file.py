@@ -1,16 +1,13 @@
-"""The token of a runtime folder: made once, refused where others could have laid it, and found."""
+"""The token of a runtime folder: made once, and refused where others could have laid it."""
 
 import os
-import socket
 import stat
 import threading
 
 import pytest
 from places import short_folder
 
-from lipservo.access import token_file
-from lipservo.access.kernel_sockets import connected_users, listening_users
-from lipservo.access.token_file import found_tokens, read_token, runtime_token_file
+from lipservo.access.token_file import read_token, runtime_token_file
 from lipsync.errors import UserError
 
 
@@ -107,49 +104,3 @@ def test_a_file_of_another_user_is_refused(folder):
 def test_a_stricter_mode_will_do(folder):
     laid(folder, "plain").chmod(0o400)
     assert read_token(str(runtime_token_file())) == "a secret"
-
-
-@pytest.fixture
-def listening():
-    with socket.create_server(("127.0.0.1", 0)) as made:
-        yield made.getsockname()[1]
-
-
-def test_it_is_found_for_a_face_of_this_user_on_this_computer(folder, listening):
-    token = read_token(str(runtime_token_file()))
-
-    for host in ("127.0.0.1", "localhost"):
-        assert found_tokens(f"ws://{host}:{listening}") == [token]
-        assert found_tokens(f"ws://{host}:{listening}/stream") == [token]
-    assert listening_users(listening) == {os.geteuid()}
-    assert folder.exists()
-
-
-@pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("url", ["ws://192.0.2.7:8765", "ws://robot.local:8765", "ws://[", ""])
-def test_no_token_leaves_for_another_computer(url):
-    runtime_token_file()
-    assert found_tokens(url) == []
-
-
-@pytest.mark.usefixtures("folder")
-def test_no_token_is_sent_where_nothing_listens_or_another_users_program(listening, monkeypatch):
-    runtime_token_file()
-    with socket.create_server(("127.0.0.1", 0)) as gone:
-        port = gone.getsockname()[1]
-    assert found_tokens(f"ws://127.0.0.1:{port}") == []
-    monkeypatch.setattr(token_file, "listening_users", lambda _port: {os.geteuid() + 1})
-    assert found_tokens(f"ws://127.0.0.1:{listening}") == []
-
-
-@pytest.mark.parametrize("how", ["link", "broken link", "folder", "fifo", "empty"])
-def test_what_is_no_token_is_not_found(folder, listening, how):
-    laid(folder, how)
-    assert found_tokens(f"ws://127.0.0.1:{listening}") == []
-
-
-def test_the_kernel_knows_whose_program_has_connected(listening):
-    with socket.create_connection(("127.0.0.1", listening)) as client:
-        port = client.getsockname()[1]
-        assert connected_users(port, listening) == {os.geteuid()}
-        assert connected_users(port, listening + 1) == set()

@@ -9,7 +9,7 @@ from voice_agents.served_face import DELAY_MS, RATE_HZ, RawClient, ServedFace, c
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from lipservo.agents.agent_settings import AgentSettings
+from lipservo.agents.listener import AgentSettings
 
 
 @pytest.fixture

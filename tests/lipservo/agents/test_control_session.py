@@ -16,7 +16,7 @@ from voice_agents.served_face import ServedFace, client, until
 from firmware_bridge.stopping import StopLevel
 from lipservo.agents import control_session
 from lipservo.agents.control_session import Commands, ControlSession
-from lipservo.agents.outbox import Outbox
+from lipservo.agents.messages import Outbox
 from lipsync.errors import UserError
 
 

@@ -13,8 +13,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from firmware_bridge.stopping import StopLevel
 from lipservo.access.admission import Policy
-from lipservo.agents.agent_settings import AgentSettings
-from lipservo.agents.handshake import handshake, request_of
+from lipservo.agents.listener import AgentSettings, handshake, request_of
 
 LOCKED = AgentSettings(policy=Policy("open sesame"))
 

@@ -5,8 +5,8 @@ import json
 
 import pytest
 
-from lipservo.agents.message_rate import MessageRate
-from lipservo.agents.outbox import Outbox
+from lipservo.agents.agent_server import MessageRate
+from lipservo.agents.messages import Outbox
 
 
 def taken(outbox, n_events):

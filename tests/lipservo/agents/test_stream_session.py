@@ -9,7 +9,7 @@ from voice_agents.served_face import RATE_HZ, RawClient, ServedFace, client, ton
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed
 
-from lipservo.agents.agent_settings import AgentSettings
+from lipservo.agents.listener import AgentSettings
 
 
 @pytest.fixture

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from voice_agents.served_face import KeptSound
 
-from lipservo.agents.agent_settings import AgentSettings
-from lipservo.agents.messages import MessageError, Start
-from lipservo.agents.outbox import Outbox
+from lipservo.agents.listener import AgentSettings
+from lipservo.agents.messages import MessageError, Outbox, Start
 from lipservo.agents.turns import Turns
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_events import PlayoutRequest

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from calibration.capture.capture_plan import PosePlan
+from calibration.capture.capture import PosePlan
 from calibration.capture.marker_files import write_plan
 from lipservo.cli import app
 

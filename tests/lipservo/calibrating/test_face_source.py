@@ -17,8 +17,7 @@ from pixel_video import PixelFace, PixelTracker, picture, write_video
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.clock import MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
-from lipservo.calibrating.camera import AvCamera
-from lipservo.calibrating.camera_feed import CameraFeed
+from lipservo.calibrating.camera import AvCamera, CameraFeed
 from lipservo.calibrating.face_source import (
     MeshOptions,
     is_mesh_folder,

@@ -9,10 +9,9 @@ from typer.testing import CliRunner
 
 from calibration.calibration import ServoMemory, Touch
 from calibration.files.calibration_file import load_calibration, save_calibration
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
-from calibration.run.viseme_trim import trimmed
-from lipservo.calibrating.made_by_hand import with_hand_made
+from calibration.mouth_servos import JointRange, MouthServos
+from calibration.run.compensation import trimmed
+from lipservo.calibrating.hand_poses import with_hand_made
 from lipservo.cli import app
 from lipservo.settings.settings import calibration_file, load_shipped_face
 

@@ -12,19 +12,19 @@ from rich.console import Console
 from calibration.calibration import CalibrationError
 from calibration.files.calibration_file import load_calibration, parse_calibration
 from calibration.files.calibration_text import calibration_text
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
+from calibration.mouth_servos import JointRange, MouthServos
 from lipservo.calibrating.hand_poses import (
     CLOSED,
     HAND_POSES,
     ROUNDED,
     TOUCHED,
     WIDEST,
+    Posing,
     beyond_limits,
+    pose_by_hand,
     pose_lines,
     with_hand_poses,
 )
-from lipservo.calibrating.posing_by_hand import Posing, pose_by_hand
 from lipservo.face.limp_servos import LimpServos
 from lipservo.face.servos import mounted_servos
 from lipservo.settings.settings import calibration_file, load_shipped_face

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lipservo.dashboard.address import FIRST_PORT, bound_dashboard
+from lipservo.dashboard.child import FIRST_PORT, bound_dashboard
 from lipsync.errors import UserError
 
 

@@ -9,8 +9,7 @@ import pytest
 from places import short_folder
 
 from lipservo.dashboard import child
-from lipservo.dashboard.address import bound_dashboard
-from lipservo.dashboard.child import dashboard_child
+from lipservo.dashboard.child import bound_dashboard, dashboard_child
 
 
 @pytest.fixture

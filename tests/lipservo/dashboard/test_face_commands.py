@@ -6,10 +6,10 @@ import socket
 import threading
 
 import pytest
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 from places import short_folder
 
-from lipservo.dashboard.face_commands import FaceCommands
+from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.web.api_models import StopBody
 from lipservo.dashboard.web.stop_route import stop_face
 
@@ -44,7 +44,7 @@ class Ear:
 def heard(do):
     """The words that reach a face by one command."""
     with Ear() as ear:
-        commands = FaceCommands(lambda: ear.path)
+        commands = FaceLink(lambda: ear.path)
         try:
             asyncio.run(do(commands))
         finally:

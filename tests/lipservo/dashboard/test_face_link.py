@@ -5,7 +5,7 @@ import contextlib
 import math
 
 import pytest
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 from places import short_folder
 from watched_face import LAYOUT, WatchedFace
 
@@ -31,7 +31,9 @@ async def until(condition):
 def test_it_knows_names_status_and_what_moves():
     async def watched(path):
         async with linked(path) as link:
-            await until(lambda: link.answers and not link.servos_gone and not link.speech_gone)
+            await until(
+                lambda: link.answers and not link.moment.servos_gone and not link.moment.speech_gone
+            )
             assert link.layout == LAYOUT
             assert link.status["state"] == "driven"
             assert link.certainty()["up"]
@@ -50,13 +52,13 @@ def test_a_face_that_ends_is_gone_and_one_that_comes_after_it_is_found():
     async def watched():
         async with linked(path) as link:
             with WatchedFace(path):
-                await until(lambda: link.answers and not link.servos_gone)
-            await until(lambda: not link.answers and link.servos_gone)
+                await until(lambda: link.answers and not link.moment.servos_gone)
+            await until(lambda: not link.answers and link.moment.servos_gone)
             assert not link.certainty()["up"]
             with pytest.raises(FaceError, match="no face answers"):
                 await stop_face(link, StopBody())
             with WatchedFace(path) as second:
-                await until(lambda: link.answers and not link.servos_gone)
+                await until(lambda: link.answers and not link.moment.servos_gone)
                 await stop_face(link, StopBody(level="limp"))
                 await until(lambda: second.said == ["limp"])
 

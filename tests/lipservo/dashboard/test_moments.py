@@ -5,7 +5,7 @@ import os
 import pytest
 from watched_face import LAYOUT
 
-from lipservo.dashboard.moments import GONE_S, BoardReader
+from lipservo.dashboard.live_frames import GONE_S, BoardReader
 from lipservo.status.live_board import LiveBoard
 
 

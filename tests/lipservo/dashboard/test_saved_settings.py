@@ -2,9 +2,9 @@
 
 import pytest
 import yaml
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 
-from lipservo.dashboard.saved_settings import own_yaml, saved_settings, with_settings
+from lipservo.dashboard.face_files import own_yaml, saved_settings, with_settings
 from lipservo.settings.settings import load_face
 
 PLAIN = """\

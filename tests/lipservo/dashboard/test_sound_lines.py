@@ -9,12 +9,11 @@ import pytest
 import soundfile
 from hypothesis import given
 from hypothesis import strategies as st
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 from written_performance import written_performance
 
-from lipservo.dashboard import uploads
-from lipservo.dashboard.sound_lines import SoundLines, checked_name
-from lipservo.dashboard.uploads import MOST_AT_ONCE, Uploads
+from lipservo.dashboard import sound_lines as uploads
+from lipservo.dashboard.sound_lines import MOST_AT_ONCE, SoundLines, Uploads, checked_name
 
 
 @pytest.fixture

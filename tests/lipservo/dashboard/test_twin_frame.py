@@ -13,9 +13,7 @@ from hypothesis import strategies as st
 from places import ROOT
 from watched_face import LAYOUT
 
-from lipservo.dashboard.moments import Moment
-from lipservo.dashboard.state_frame import FIELDS, state_hello, state_message
-from lipservo.dashboard.twin_frame import encode, hello
+from lipservo.dashboard.live_frames import FIELDS, Moment, encode, hello, state_hello, state_message
 from lipservo.status.live_board import EXPRESSION_NAMES
 
 N = len(LAYOUT.servos)

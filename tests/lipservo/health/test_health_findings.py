@@ -10,8 +10,7 @@ from typer.testing import CliRunner
 
 from firmware_bridge.health import HardwareError
 from lipservo.cli import app
-from lipservo.health.health_findings import theil_sen_slope
-from lipservo.health.health_history import read_history
+from lipservo.health.health_history import read_history, theil_sen_slope
 from lipservo.health.health_log import append_line, json_line
 
 

@@ -10,8 +10,14 @@ import pytest
 from logged_servos import NOON, servo
 
 from lipservo.health.health_history import read_history
-from lipservo.health.health_log import HealthLog, append_line, health_log, json_line, prune
-from lipservo.health.health_places import log_folder
+from lipservo.health.health_log import (
+    HealthLog,
+    append_line,
+    health_log,
+    json_line,
+    log_folder,
+    prune,
+)
 
 
 def logged(folder, readings, moments=(NOON,)):

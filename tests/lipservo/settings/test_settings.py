@@ -6,12 +6,8 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.simulator.bus import SimulatedBus
 from lipservo.face.servos import bridge_for
-from lipservo.settings.settings import (
-    SettingsError,
-    calibration_file,
-    load_shipped_face,
-    shipped_faces,
-)
+from lipservo.settings.settings import calibration_file, load_shipped_face, shipped_faces
+from lipservo.settings.strict_yaml import SettingsError
 
 
 def test_a_face_becomes_joints_in_the_order_of_the_yaml(tmp_path):

@@ -5,8 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from two_servo_face import FACE, load
 
-from lipservo.settings.settings import SettingsError, parse_face
+from lipservo.settings.settings import parse_face
 from lipservo.settings.stored_offset import store_output_offset
+from lipservo.settings.strict_yaml import SettingsError
 from lipsync.errors import UserError
 
 DEVICE = 'USB Audio: - "loud" #1'

@@ -3,7 +3,8 @@
 import pytest
 from two_servo_face import FACE, errors_in, load
 
-from lipservo.settings.settings import SettingsError, load_face
+from lipservo.settings.settings import load_face
+from lipservo.settings.strict_yaml import SettingsError
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import termios
 
 import pytest
 
-from lipservo.terminal.pressed_keys import PressedKeys
+from lipservo.terminal.keys import PressedKeys
 
 
 class _Input:

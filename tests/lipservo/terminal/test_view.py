@@ -15,8 +15,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import TickReport
 from lipservo.status.face_status import Status
 from lipservo.status.street_tick import StreetTick
-from lipservo.terminal.mouth_drawing import draw_mouth
-from lipservo.terminal.view import TerminalView
+from lipservo.terminal.view import TerminalView, draw_mouth
 from lipsync.animpho.other_layout import in_layout
 from lipsync.face.frame import Frame
 from lipsync.markers import MARKERS_39, MARKERS_47

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import soundfile
 
-from lipservo.traces.trace_writer import BackgroundTrace, TraceError
+from lipservo.traces.trace_file import BackgroundTrace, TraceError
 
 RUN = [sys.executable, "-m", "lipservo", "run", "--sim", "pty", "--config", "face_four"]
 PATIENCE_S = 30.0

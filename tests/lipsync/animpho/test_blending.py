@@ -7,9 +7,15 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from small_model import small_model
 
-from lipsync.animpho.blending import blend, choose_connected, sample_derivatives, translate
-from lipsync.animpho.index_lists import IndexLists
-from lipsync.animpho.trajectory import Trajectory, ease
+from lipsync.animpho.trajectory import (
+    Trajectory,
+    blend,
+    choose_connected,
+    ease,
+    sample_derivatives,
+    translate,
+)
+from lipsync.animpho.units import IndexLists
 
 
 def column(*values: float) -> np.ndarray:

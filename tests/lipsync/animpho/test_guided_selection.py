@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from small_model import small_model
 
-from lipsync.animpho.guided_selection import GuidedSelection, Joint, SelectionCosts
-from lipsync.animpho.index_lists import IndexLists
-from lipsync.animpho.units import AnimPhoUnits
+from lipsync.animpho.selection import GuidedSelection, Joint, SelectionCosts
+from lipsync.animpho.units import AnimPhoUnits, IndexLists
 from lipsync.phonemes import PHONEMES
 
 #: Numbers 0 to 3 are of AA, 4 is of another phoneme and fits best of all.

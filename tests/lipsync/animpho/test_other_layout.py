@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from small_model import small_model
 
-from lipsync.animpho.other_layout import in_layout
+from lipsync.animpho.units import in_layout
 from lipsync.markers import MARKERS_39, MARKERS_47, LayoutError, layout_of
 
 OUTER = in_layout(small_model(), MARKERS_39)

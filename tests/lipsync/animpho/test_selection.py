@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_model import small_model
 
-from lipsync.animpho.index_lists import IndexLists
 from lipsync.animpho.selection import (
     Choice,
     NaiveSelection,
@@ -17,7 +16,7 @@ from lipsync.animpho.selection import (
     chain_lengths,
     smoothness_energy,
 )
-from lipsync.animpho.units import AnimPhoUnits
+from lipsync.animpho.units import AnimPhoUnits, IndexLists
 from lipsync.phonemes import PHONEMES
 
 FIRST, SECOND, THIRD = "B", "IY", "T"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lipsync.audio.arrival_lag import ArrivalLag
+from lipsync.audio.playback_clock import ArrivalLag
 
 TICK_S = 1.0 / 30.0
 

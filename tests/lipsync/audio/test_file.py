@@ -8,8 +8,7 @@ import soundfile
 from speech import cut_short, tone
 
 from lipsync.audio.file import FileSource, read_sound
-from lipsync.audio.silence import SilenceAfter, SilentSource
-from lipsync.audio.source import AudioSource
+from lipsync.audio.source import AudioSource, SilenceAfter, SilentSource
 from lipsync.audio_block import samples_before
 
 

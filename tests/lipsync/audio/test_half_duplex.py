@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from lipsync.audio.half_duplex import ListenedMicrophone
-from lipsync.audio.playout import Playout
-from lipsync.audio.playout_events import PlayoutRequest
-from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.audio.playout import ListenedMicrophone, Playout
+from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio_block import AudioBlock
 
 RATE_HZ = 16_000

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lipsync.audio.playback_clock import ArrivalClock, OwnPlaybackClock, SteadyClock, clock_for
-from lipsync.audio.silence import SilentSource
+from lipsync.audio.source import SilentSource
 
 #: Sound passes at most at 1.5 times the speed of time.
 FASTEST = 1.5

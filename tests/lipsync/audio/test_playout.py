@@ -6,8 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipsync.audio.playout import Playout
-from lipsync.audio.playout_events import PlayoutRequest
-from lipsync.audio.playout_stream import MOST_WAITING_S, PlayoutFullError, PlayoutStream
+from lipsync.audio.playout_stream import (
+    MOST_WAITING_S,
+    PlayoutFullError,
+    PlayoutRequest,
+    PlayoutStream,
+)
 from lipsync.phonemes import PhonemeEvent
 
 RATE_HZ = 16_000

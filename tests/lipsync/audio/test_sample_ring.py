@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.audio.sample_ring import FADE_S, RING_S, SampleRing
+from lipsync.audio.loudspeaker import FADE_S, RING_S, SampleRing
 
 RATE_HZ = 8_000
 BLOCK = RATE_HZ // 100

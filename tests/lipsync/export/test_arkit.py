@@ -7,11 +7,18 @@ from hypothesis import strategies as st
 from small_model import small_model
 
 from lipsync.animpho.units import load_face_with_animphos
-from lipsync.export.arkit import ARKIT_NAMES, MOUTH_NAMES, ArkitMap
-from lipsync.export.lip_measures import GAP, MEASURES, MeasureError, lip_measures
+from lipsync.export.arkit import (
+    ARKIT_NAMES,
+    GAP,
+    MEASURES,
+    MOUTH_NAMES,
+    ArkitMap,
+    MeasureError,
+    lip_measures,
+)
 from lipsync.face.frame import Expression, Frame
 from lipsync.markers import MARKERS_47, PointLayout
-from lipsync.motion.lip_closure import BILABIAL_GAP_MM, lip_gap_of
+from lipsync.motion.closures import BILABIAL_GAP_MM, lip_gap_of
 
 MODEL = load_face_with_animphos()
 MEASURED = lip_measures(MODEL)

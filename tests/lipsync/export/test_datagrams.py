@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lipsync.export.arkit import ARKIT_NAMES, MOUTH_NAMES
-from lipsync.export.live_link import live_link_packet
-from lipsync.export.osc import MOST_BYTES, osc_message, vmc_packets
+from lipsync.export.weight_track import MOST_BYTES, live_link_packet, osc_message, vmc_packets
 
 osc_bundle = pytest.importorskip("pythonosc.osc_bundle")
 livelink = pytest.importorskip("pylivelinkface")

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.export.mouth_cues import SHAPES, cues_json, cues_tsv, cues_xml
-from lipsync.export.rhubarb_rules import rule_cues
+from lipsync.export.mouth_cues import SHAPES, cues_json, cues_tsv, cues_xml, rule_cues
 from lipsync.phonemes import PHONEMES, PhonemeEvent
 
 

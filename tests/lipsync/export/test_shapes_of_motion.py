@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lipsync.animpho.units import load_face_with_animphos
-from lipsync.export.lip_measures import lip_measures
+from lipsync.export.arkit import lip_measures
 from lipsync.export.shapes_of_motion import (
     SHORTEST_CS,
     lips_shut,
@@ -16,7 +16,7 @@ from lipsync.export.shapes_of_motion import (
     sampling_times_s,
     shape_prototypes,
 )
-from lipsync.motion.lip_closure import lip_gap_of
+from lipsync.motion.closures import lip_gap_of
 
 MODEL = load_face_with_animphos()
 MEASURES = lip_measures(MODEL)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.expression.affect import mouth_gain
+from lipsync.expression.live_expression import mouth_gain
 
 
 @pytest.mark.parametrize(

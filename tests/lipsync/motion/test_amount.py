@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.motion.amount import Amount
-from lipsync.motion.closure_plan import CLOSING_S
+from lipsync.motion.closures import CLOSING_S
+from lipsync.motion.tick_plan import Amount
 
 
 @given(st.floats(0.0, 1.0), st.floats(-40.0, 40.0), st.sampled_from([0.0, 1.0]))

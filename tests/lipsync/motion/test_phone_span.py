@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from spoken_phonemes import spoken
 
 from lipsync.expectation.context import context_at, track_of
-from lipsync.motion.phone_span import LONGER_S, LONGEST_S, USUAL_S, PhoneSpan, span_at
+from lipsync.motion.unit_motion import LONGER_S, LONGEST_S, USUAL_S, PhoneSpan, span_at
 from lipsync.phonemes import PHONEMES, stand_in
 
 ALL = frozenset(PHONEMES)

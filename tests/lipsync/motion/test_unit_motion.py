@@ -11,8 +11,7 @@ from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
-from lipsync.animpho.index_lists import IndexLists
-from lipsync.animpho.units import AnimPhoUnits
+from lipsync.animpho.units import AnimPhoUnits, IndexLists
 from lipsync.expectation.context import track_of
 from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
 from lipsync.motion.tick_plan import TICK_S

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lipsync.offline.cepstra import N_CEPSTRA, at_times, cepstra, plain_cepstra
+from lipsync.offline.offline_model import N_CEPSTRA, at_times, cepstra, plain_cepstra
 from lipsync.recognition.features import log_mel
 
 

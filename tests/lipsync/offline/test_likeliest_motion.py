@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from lipsync.offline.likeliest_motion import banded, likeliest_trajectory
+from lipsync.offline.line_synthesis import banded, likeliest_trajectory
 
 
 def positions_and_speeds(n, p):

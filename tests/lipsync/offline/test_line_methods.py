@@ -10,10 +10,10 @@ from lipservo_lab.learning.offline.offline_training import train_offline
 from lipservo_lab.learning.offline.state_training import Recipe
 from small_corpus import write_corpus
 
+from lipsync.audio.file import read_speech
 from lipsync.expectation.context import contexts, track_of
-from lipsync.offline.cepstra import cepstra
 from lipsync.offline.line_methods import Line, Speaker, heard_line
-from lipsync.recognition.speech_file import read_speech
+from lipsync.offline.offline_model import cepstra
 
 N_FRAMES = 30
 

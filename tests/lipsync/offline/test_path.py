@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.offline.path import cheapest_path
-from lipsync.offline.state_distances import Candidates
+from lipsync.offline.line_synthesis import Candidates, cheapest_path
 
 
 def candidates_of(table):

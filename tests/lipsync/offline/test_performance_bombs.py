@@ -23,7 +23,7 @@ READ = """
 import json, sys
 from pathlib import Path
 from lipservo.speech.performed_line import performed_line
-from lipsync.offline.performance_file import read_performance
+from lipsync.offline.performance import read_performance
 path, message = Path(sys.argv[1]), ""
 try:
     line = performed_line(read_performance(path), path, print)

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 from small_model import small_model
 
-from lipsync.offline import performance_file
+from lipsync.offline import performance as performance_file
 from lipsync.offline.performance import (
     Performance,
     PerformanceError,
     PerformedSound,
     performed_sound,
+    read_performance,
+    sound_file,
+    write_performance,
 )
-from lipsync.offline.performance_file import read_performance, sound_file, write_performance
 from lipsync.phonemes import PhonemeEvent
 
 MODEL = small_model()

@@ -5,8 +5,9 @@ import pytest
 from small_model import small_model
 from spoken_phonemes import spoken
 
-from lipsync.offline.planned_motion import PlannedMotion
-from lipsync.offline.wrapped_line import shown_faces, wrapped_line
+from lipsync.motion.expected_motion import USED_LOOKAHEAD_S
+from lipsync.motion.live_synthesizer import FinishedSynthesizer
+from lipsync.offline.line_methods import PlannedMotion, shown_faces
 from lipsync.phonemes import PhonemeUpdate
 
 MODEL = small_model()
@@ -17,7 +18,8 @@ OPEN = np.repeat((MODEL.rest + np.array([40.0, 0, 0, 0, 0]))[None], 48, axis=0)
 
 
 def gaps_mm(strength=1.0):
-    line = wrapped_line(MODEL, PlannedMotion(OPEN, 25.0, EVENTS), strength)
+    motion = PlannedMotion(OPEN, 25.0, EVENTS)
+    line = FinishedSynthesizer(MODEL, motion, strength, known_s=USED_LOOKAHEAD_S)
     return np.array([MODEL.lip_gap_mm(face) for face in shown_faces(line, TIMES_S)])
 
 

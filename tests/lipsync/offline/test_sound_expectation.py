@@ -9,7 +9,7 @@ from lipservo_lab.learning.expectation.articulation import articulatory_features
 from lipservo_lab.learning.offline.sound_training import fit_sound_expectation, with_sound_deviation
 from spoken_phonemes import spoken
 
-from lipsync.offline.sound_expectation import line_inputs
+from lipsync.offline.offline_model import line_inputs
 
 ARTICULATION = articulatory_features().astype(np.float32)
 EVENTS = spoken(("SIL", 0.2), ("AA", 0.2), ("B", 0.1), ("SIL", 0.3))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lipsync.offline.state_distances import (
+from lipsync.offline.line_synthesis import (
     Window,
     gaussian_window,
     nearest_of_each_state,

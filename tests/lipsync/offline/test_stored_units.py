@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.offline.stored_units import joined_phones, unit_spans, warped_distances
+from lipsync.offline.line_synthesis import joined_phones, unit_spans, warped_distances
 from lipsync.phonemes import PhonemeEvent
 
 #: Three phones of 80, 160 and 160 ms in ten frames of 40 ms: centres at 40, 160 and 320 ms.

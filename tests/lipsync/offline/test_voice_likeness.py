@@ -5,7 +5,7 @@ import pytest
 from lipservo_lab.learning.offline.voice_training import fit_voice_likeness
 from scipy.signal import lfilter
 
-from lipsync.offline.voice_likeness import mean_cepstrum
+from lipsync.offline.offline_model import mean_cepstrum
 
 
 def line(seed, tilt):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lipsync.phoneme_files.viseme_table import viseme_rows
+from lipsync.phoneme_files.formats import viseme_rows
 from lipsync.phonemes import PHONEMES
 
 

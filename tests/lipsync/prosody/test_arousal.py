@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from synthetic_voice import SAMPLE_RATE_HZ, room, voice
 
-from lipsync.prosody.arousal import score
-from lipsync.prosody.voice_tracker import VoiceTracker
+from lipsync.prosody.voice_tracker import VoiceTracker, score
 
 BEFORE_S, AFTER_S = 30.0, 10.0
 FRAMES_PER_S = 100

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lipsync.phonemes import PHONEMES, VISEME_OF
-from lipsync.recognition.decoder import SMOOTH, DecoderSettings, ViterbiDecoder
+from lipsync.recognition.decoder import SMOOTH, DecoderSettings, PosteriorFormat, ViterbiDecoder
 
 PLAIN = DecoderSettings(
     switch_penalty=0.0,
@@ -28,7 +28,7 @@ def posteriors(*said):
 
 
 def decode(frames, delays, delay, settings_):
-    decoder = ViterbiDecoder(delays, delay, settings_)
+    decoder = ViterbiDecoder(PosteriorFormat(PHONEMES, delays), delay, settings_)
     answers = [decoder.push(decoder.scores(frame))[0] for frame in frames]
     return [PHONEMES[answer] for answer in answers if answer is not None]
 
@@ -74,7 +74,7 @@ def test_the_label_of_a_frame_comes_when_its_delay_is_over(delays, delay):
     for head, wait in enumerate(delays):
         frames[20 + wait, head, :] = 1e-6
         frames[20 + wait, head, PHONEMES.index("S")] = 1.0
-    decoder = ViterbiDecoder(delays, delay, DecoderSettings())
+    decoder = ViterbiDecoder(PosteriorFormat(PHONEMES, delays), delay, DecoderSettings())
     for n, frame in enumerate(frames):
         answer, provisional = decoder.push(decoder.scores(frame))
         if answer is not None:
@@ -87,7 +87,7 @@ def test_a_quick_head_tells_a_closure_before_it_is_settled():
     frames[:, :, PHONEMES.index("AA")] = 1.0
     frames[12:, 0] = 1e-6
     frames[12:, 0, PHONEMES.index("M")] = 1.0  # the head with delay 2 about frame 10 on
-    decoder = ViterbiDecoder((2, 7), 7, DecoderSettings())
+    decoder = ViterbiDecoder(PosteriorFormat(PHONEMES, (2, 7)), 7, DecoderSettings())
     for frame in frames[:13]:
         settled, provisional = decoder.push(decoder.scores(frame))
 

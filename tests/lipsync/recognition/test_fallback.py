@@ -10,8 +10,8 @@ from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.energy_recognizer import EnergyRecognizer, NeutralRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
+from lipsync.recognition.network import WeightsError, load_weights, save_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
-from lipsync.recognition.weights import WeightsError, load_weights, save_weights
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000

@@ -10,9 +10,8 @@ from speech import CLIP_PATH
 
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
-from lipsync.recognition.network import LATENCY_S
+from lipsync.recognition.network import LATENCY_S, load_shipped_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
-from lipsync.recognition.weights import load_shipped_weights
 
 RATE_HZ = 16_000
 

@@ -21,8 +21,8 @@ from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
+from lipsync.recognition.network import find_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
-from lipsync.recognition.weights import find_weights
 from lipsync.timeline import PhonemeTimeline
 
 

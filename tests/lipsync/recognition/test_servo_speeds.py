@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lipsync.recognition.servo_speeds import ServoSpeeds
+from lipsync.recognition.own_noise import ServoSpeeds
 
 
 def test_a_servo_that_turns_evenly_has_that_speed_at_the_middle_of_its_readings():

@@ -30,10 +30,9 @@ from lipservo.street.motion_options import make_recognizer
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
-from lipsync.recognition.network import StreamingNetwork
+from lipsync.recognition.network import SHIPPED, StreamingNetwork, load_shipped_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.scripted import read_phonemes
-from lipsync.recognition.weights import SHIPPED, load_shipped_weights
 from lipsync.timeline import PhonemeTimeline
 
 RATE_HZ = 16_000

@@ -7,7 +7,7 @@ import soundfile
 from speech import CLIP_PATH
 
 from lipsync.recognition.features import LogMelStream
-from lipsync.recognition.steady_sound import STEADY_S, SteadySoundDetector
+from lipsync.recognition.own_noise import STEADY_S, SteadySoundDetector
 
 RATE_HZ = 16_000
 TIME_S = np.arange(6 * RATE_HZ) / RATE_HZ

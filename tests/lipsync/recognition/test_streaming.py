@@ -9,7 +9,7 @@ from small_network import random_weights
 from speech import CLIP_PATH
 
 from lipsync.audio.file import FileSource
-from lipsync.audio.silence import SilenceAfter
+from lipsync.audio.source import SilenceAfter
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import LiveRecognizer
 from lipsync.recognition.energy_recognizer import EnergyRecognizer

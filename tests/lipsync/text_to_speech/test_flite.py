@@ -7,8 +7,12 @@ import pytest
 from spoken_phonemes import check_spoken, closures
 
 from lipsync.text_to_speech.flite import Flite, segments
-from lipsync.text_to_speech.spoken_text import SynthesisError, UnspeakableTextError, Voice
-from lipsync.text_to_speech.timed_phones import TimedPhones
+from lipsync.text_to_speech.spoken_text import (
+    SynthesisError,
+    TimedPhones,
+    UnspeakableTextError,
+    Voice,
+)
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from lipsync.twin.shell import cotangent_laplacian, influence, shell_stiffness, spread
+from lipsync.twin.head_surface import cotangent_laplacian, influence, shell_stiffness, spread
 
 SIDE = 41
 

@@ -8,13 +8,10 @@ from small_model import small_model
 
 from lipsync.face.head_motion import fit_similarity
 from lipsync.face.model import load_face
-from lipsync.face_mesh import INNER_LIP
-from lipsync.markers import MARKERS_47, PointLayout
-from lipsync.twin.head_surface import head_surface
-from lipsync.twin.jaw import jaw_modes, jaw_motion, on_jaw
-from lipsync.twin.landmarks import LEFT_BROW, LEFT_EYE, RIGHT_EYE
-from lipsync.twin.mean_face import load_mean_face
+from lipsync.markers import INNER_LIP, MARKERS_47, PointLayout
+from lipsync.twin.head_surface import LEFT_BROW, LEFT_EYE, RIGHT_EYE, head_surface, load_mean_face
 from lipsync.twin.packed import pack, unpack, vertex_normals
+from lipsync.twin.parts import jaw_modes, jaw_motion, on_jaw
 from lipsync.twin.twin import TwinError, make_twin, skin_morphs
 
 FACE = load_face()

@@ -11,8 +11,7 @@ from watched_face import WatchedFace
 from lipservo.agents.listener import bind_listener
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.web.api import make_api
-from lipservo.dashboard.web.dashboard_app import with_access
-from lipservo.dashboard.web.serving import bounded, server_of
+from lipservo.dashboard.web.serving import bounded, server_of, with_access
 
 
 class Dashboard:

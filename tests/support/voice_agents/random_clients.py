@@ -16,7 +16,7 @@ from voice_agents.served_face import (
 )
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from lipservo.agents.agent_settings import AgentSettings
+from lipservo.agents.listener import AgentSettings
 
 _TYPES = ["hello", "start", "audio", "end", "interrupt", "clear", "mark", "position", "dance"]
 _COMMANDS = ["status", "set", "say", "play", "dance"]

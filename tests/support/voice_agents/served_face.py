@@ -16,8 +16,7 @@ from websockets.asyncio.client import connect
 from firmware_bridge.process.command_queue import CommandQueue, Setting
 from firmware_bridge.process.control_socket import ControlSocket
 from lipservo.agents.agent_server import AgentServer
-from lipservo.agents.agent_settings import AgentSettings
-from lipservo.agents.listener import bind_listener
+from lipservo.agents.listener import AgentSettings, bind_listener
 from lipsync.audio.playout import Playout
 
 #: Far more than anything here takes.

@@ -9,7 +9,7 @@ import pytest
 
 from calibration.files.calibration_file import load_calibration
 from calibration.grade import Grade
-from lipservo.calibrating.calibration_result import CalibrationResult
+from lipservo.calibrating.measured_calibration import CalibrationResult
 from lipservo.commands.calibrate.making import finish, load_setup
 from lipsync.errors import UserError
 

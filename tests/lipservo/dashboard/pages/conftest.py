@@ -159,7 +159,7 @@ def opened(context, address, face, tmp_path, request):
     def open_page(path="/"):
         page = context.new_page()
         page.goto(address + path)
-        page.wait_for_function("dashboard?.frame && document.querySelector('.face-page')")
+        page.wait_for_function("window.dashboard?.frame && document.querySelector('.face-page')")
         return page
 
     yield open_page

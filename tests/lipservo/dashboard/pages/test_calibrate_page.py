@@ -7,7 +7,7 @@ import typer
 
 from lipservo.cli import app
 from lipservo.dashboard.pages.calibrate_page import STEPS, read_calibration
-from lipservo.dashboard.pages.lines_page import COMMAND
+from lipservo.dashboard.pages.pages import COMMAND
 
 
 def test_the_calibration_of_a_shipped_face_is_read():
@@ -32,8 +32,8 @@ def test_why_there_is_none_is_said(config, why):
 def test_a_command_that_a_page_names_exists_with_its_options(line):
     program, *words = shlex.split(line.format(face="face_sim"))
     command = typer.main.get_command(app)
-    while hasattr(command, "commands"):
-        command = command.commands[words.pop(0)]
+    while hasattr(command, "get_command"):
+        command = command.get_command(None, words.pop(0))
 
     known = {flag for parameter in command.params for flag in parameter.opts}
     assert program == "lipservo"

@@ -20,7 +20,9 @@ def page(chromium, browser, served):
             with served(control, "--listen", "127.0.0.1:0") as (address, _):
                 made = browser.new_page()
                 made.goto(f"{address}/servos")
-                made.wait_for_function("dashboard?.status && dashboard.frame", timeout=60_000)
+                made.wait_for_function(
+                    "window.dashboard?.status && window.dashboard.frame", timeout=60_000
+                )
                 yield made
                 made.close()
         finally:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from lipservo.dashboard.pages.robot_rig import RigServo, robot_rig
+from lipservo.dashboard.pages.page_facts import RigServo, robot_rig
 from lipservo.settings.settings import ServoSettings, load_shipped_face, shipped_faces
 
 

@@ -281,7 +281,7 @@ def test_a_face_that_has_ended_was_confirmed_limp_and_how_to_start_it(browser, f
     with served(face.path, "--listen", "127.0.0.1:0") as (address, process):
         page = browser.new_page()
         page.goto(f"{address}/lines")
-        page.wait_for_function("dashboard?.frame")
+        page.wait_for_function("window.dashboard?.frame")
         page.keyboard.press("Escape")
         reads(page, LINE, f"The face has ended: {LIMP}")
         process.terminate()

@@ -5,7 +5,7 @@ import httpx
 import pytest
 from fastapi import FastAPI
 
-from lipservo.dashboard.twin.routes import HEAD_PATH, PackedHead, twin_routes
+from lipservo.dashboard.twin.element import HEAD_PATH, PackedHead, twin_routes
 from lipsync.face.model import load_face
 from lipsync.twin.packed import unpack
 

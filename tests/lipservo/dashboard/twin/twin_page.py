@@ -4,8 +4,7 @@ import sys
 
 from nicegui import app, ui
 
-from lipservo.dashboard.twin.element import Twin
-from lipservo.dashboard.twin.routes import twin_routes
+from lipservo.dashboard.twin.element import Twin, twin_routes
 from lipsync.face.model import load_face
 
 twin_routes(app, load_face())

@@ -6,8 +6,7 @@ import pytest
 from served_dashboard import served, wait_for
 
 from lipservo.dashboard.web import access_layer
-from lipservo.dashboard.web.access_layer import OneTimeCode, most_bytes
-from lipservo.dashboard.web.stop_page import stop_page
+from lipservo.dashboard.web.access_layer import OneTimeCode, most_bytes, stop_page
 
 TOKEN = "a secret"
 A_PAGE = {"accept": "text/html,application/xhtml+xml"}

@@ -5,10 +5,10 @@ import socket
 import numpy as np
 import pytest
 import soundfile
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 from served_dashboard import served, wait_for
 
-from lipservo.dashboard.saved_settings import NewYaml
+from lipservo.dashboard.face_files import NewYaml
 from lipservo.settings.settings import load_face
 
 

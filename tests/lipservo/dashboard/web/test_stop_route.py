@@ -15,10 +15,10 @@ from places import ROOT, short_folder
 from served_dashboard import served, wait_for
 from watched_face import WatchedFace
 
-from lipservo.dashboard import uploads
+from lipservo.dashboard import sound_lines as uploads
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.web import stop_route
-from lipservo.dashboard.web.dashboard_app import with_access
+from lipservo.dashboard.web.serving import with_access
 from lipservo.dashboard.web.stop_route import StopRoute
 
 

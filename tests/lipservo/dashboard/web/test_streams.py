@@ -14,7 +14,7 @@ from watched_face import LAYOUT, SERVOS
 from websockets.asyncio.client import connect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 
-from lipservo.dashboard.web.frame_hub import MOST_CLIENTS
+from lipservo.dashboard.web.streams import MOST_CLIENTS
 
 RATE_HZ = 30
 

@@ -1,0 +1,354 @@
+"""Coloured dots on a face, found in a folder of pictures from the front, one a pose.
+
+A dot is told by its colour and its shape: a disc, seen at an angle an ellipse, and as large as the
+others. A shirt of that colour is none. A single camera sees across and up; forward is given as 0,
+so the calibration learns nothing of it. `dots.csv` in the folder names every dot where it is in one
+of the pictures, in pixels from the top left: `marker,column_px,row_px`. Its size comes from a
+ruler: `mm_per_px` in a fourth column, the same in every row. Pictures end in the number of their
+pose: `pose_7.png`.
+Needs OpenCV, the extra `dots`; imported only when pictures are read. Loads SciPy.
+"""
+
+import csv
+import io
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from calibration.calibration import CalibrationError
+from lipsync.arrays import Array
+from lipsync.extras import check_extra
+
+#: What every reader here reads.
+PICTURES: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+#: What phones and cameras write besides, and nobody here reads.
+_FOREIGN: Final = (".heic", ".heif", ".dng", ".cr2", ".nef", ".arw", ".webp", ".gif")
+
+
+def pose_pictures(folder: Path) -> list[tuple[int, Path]]:
+    """Pose and file, by name; none where there are none.
+
+    Raises CalibrationError for a picture that names no pose, or is of a kind that is not read.
+    """
+    pictures = []
+    for path in sorted(folder.iterdir()):
+        ending = path.suffix.lower()
+        if path.name.startswith(".") or ending not in (*PICTURES, *_FOREIGN):
+            continue
+        if ending in _FOREIGN:
+            raise CalibrationError(f"{path}: {ending} is not read; save it as .jpg or .png")
+        numbers = re.findall(r"\d+", path.stem)
+        if not numbers:
+            raise CalibrationError(f"{path}: no pose number in the name; call it pose_1.png")
+        pictures.append((int(numbers[-1]), path))
+    return pictures
+
+
+def holds_pictures(folder: Path) -> bool:
+    """Whether there is any picture in it, readable or not."""
+    return any(path.suffix.lower() in (*PICTURES, *_FOREIGN) for path in folder.iterdir())
+
+
+#: What is to be said wherever dots are used.
+PROTRUSION_IS_UNSEEN = (
+    "one camera from the front does not see protrusion: dots have no forward place, and joints "
+    "that push the lips forward are judged by what they do across and up"
+)
+#: Dots are of one size: a spot is none that is so much larger or smaller than the middle one, and
+#: one that is so much larger and as long is two that touch, as those of closed lips do. The pixels
+#: of a small dot come and go with where it lies on the grid: 15 % of its area at 12 pixels, so that
+#: the area alone splits single dots.
+_SMALLEST, _LARGEST = 0.35, 2.6
+_TWO_DOTS, _TWO_DOTS_LONG = 1.4, 1.35
+#: A disc at 60 degrees to the camera is twice as long as wide.
+_LONGEST = 2.2
+#: What an ellipse of the same spread would cover, a spot covers at least so much of: an
+#: irregular one, or one with holes, covers less.
+_LEAST_FILLED = 0.8
+
+
+@dataclass(frozen=True, slots=True)
+class DotColour:
+    """A range of OpenCV's hue 0..179, and the least saturation and brightness, 0..255.
+
+    The default is blue: neither skin, lips, nor most rubber.
+    """
+
+    least_hue: int = 100
+    most_hue: int = 130
+    least_saturation: int = 120
+    least_brightness: int = 60
+
+
+@dataclass(frozen=True, slots=True)
+class FoundDots:
+    """What a picture holds. size_px: its height and width.
+
+    middles_px: (n, 2), column and row of every dot; n_merged: how many pairs touch, each counted as
+    the two dots that it is; n_other: spots of that colour that are no dots.
+    """
+
+    middles_px: Array
+    size_px: tuple[int, int]
+    n_merged: int = 0
+    n_other: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Spot:
+    """Pixels of one colour that hang together. length: of its long axis over its short one."""
+
+    pixels: Array
+    area_px: float
+    length: float
+    filled: float
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it may be one dot."""
+        return self.length <= _LONGEST and self.filled >= _LEAST_FILLED
+
+
+def find_dots(picture: Path, colour: DotColour, *, least_area_px: int = 12) -> FoundDots:
+    """Every dot of that colour.
+
+    Raises CalibrationError for what is not a picture, MissingExtraError without OpenCV.
+    """
+    check_extra("cv2", f"{picture}: finding dots")
+    import cv2
+
+    pixels = cv2.imread(str(picture))
+    if pixels is None:
+        raise CalibrationError(f"{picture}: not readable as a picture")
+    low = (colour.least_hue, colour.least_saturation, colour.least_brightness)
+    high = (colour.most_hue, 255, 255)
+    mask = cv2.inRange(cv2.cvtColor(pixels, cv2.COLOR_BGR2HSV), np.array(low), np.array(high))
+    n_spots, labels, stats, _ = cv2.connectedComponentsWithStats(mask)
+    spots = []
+    for label in range(1, n_spots):  # the first is what is not of that colour
+        left, top, width, height, area_px = (int(value) for value in stats[label])
+        if area_px >= least_area_px:
+            inside = labels[top : top + height, left : left + width] == label
+            rows, columns = np.nonzero(inside)
+            places = np.column_stack((columns + left, rows + top)).astype(np.float64)
+            spots.append(_spot(places))
+    return _dots_among(spots, pixels.shape[:2])
+
+
+def _spot(pixels: Array) -> _Spot:
+    """pixels: (n, 2). The pixels of an ellipse spread by a quarter of its half axes, squared."""
+    # A pixel is a square: it spreads by a twelfth of itself.
+    spread = np.linalg.eigvalsh(np.cov(pixels.T, bias=True)) + 1.0 / 12.0
+    area_px = float(len(pixels))
+    ellipse_px = 4.0 * np.pi * float(np.sqrt(spread.prod()))
+    return _Spot(pixels, area_px, float(np.sqrt(spread[1] / spread[0])), area_px / ellipse_px)
+
+
+def _dots_among(spots: list[_Spot], size_px: tuple[int, int]) -> FoundDots:
+    usual_px, usual_length = _usual(spots)
+    middles: list[Array] = []
+    n_merged = n_other = 0
+    for spot in spots:
+        size = spot.area_px / usual_px
+        # Of dots that are seen at an angle all are long, and two of them may be less so.
+        unlike = max(spot.length / usual_length, usual_length / spot.length)
+        if _TWO_DOTS <= size <= _LARGEST and unlike >= _TWO_DOTS_LONG:
+            middles.extend(_two_dots(spot.pixels))
+            n_merged += 1
+        elif spot.is_round and _SMALLEST <= size <= _LARGEST:
+            middles.append(spot.pixels.mean(axis=0))
+        else:
+            n_other += 1
+    places = np.array(middles, dtype=np.float64).reshape(-1, 2)
+    return FoundDots(places, size_px, n_merged, n_other)
+
+
+def _usual(spots: list[_Spot]) -> tuple[float, float]:
+    """Area and length of one dot: those that most spots are near to; a shirt may be round too."""
+    alone = [spot for spot in spots if spot.is_round]
+    if not alone:
+        return 1.0, 1.0
+    areas = np.array([spot.area_px for spot in alone])
+    near = np.abs(np.log(areas[:, None] / areas)) < np.log(_TWO_DOTS)
+    most = near.sum(axis=1) == near.sum(axis=1).max()
+    usual = near[most].any(axis=0)
+    lengths = np.array([spot.length for spot in alone])
+    return float(np.median(areas[usual])), float(np.median(lengths[usual]))
+
+
+def _two_dots(pixels: Array) -> Array:
+    """(2, 2): the middles of two equal discs whose pixels (n, 2) these are.
+
+    Discs that are d apart spread the pixels along their line by d^2 / 4 more than across it.
+    """
+    spread, axes = np.linalg.eigh(np.cov(pixels.T))
+    half = np.sqrt(max(0.0, spread[1] - spread[0])) * axes[:, 1]
+    middle = pixels.mean(axis=0)
+    return np.array([middle - half, middle + half])
+
+
+def name_dots(
+    dots_px: Array, expected_px: Mapping[str, Array], *, furthest_px: float, sure_px: float
+) -> dict[str, Array]:
+    """Each expected dot's place (2,), by the assignment with the least sum of squared ways.
+
+    Dots in a row keep their order so. NaN for one that nothing is near enough to, within
+    `furthest_px`; and for all, when one is hidden while others moved farther than `sure_px`: a
+    row with a gap may have moved up by one place, and a wrong name is worse than none.
+    """
+    names = list(expected_px)
+    places = {name: np.full(2, np.nan) for name in names}
+    if not len(dots_px):
+        return places
+    expected = np.array([expected_px[name] for name in names])
+    apart_px = np.linalg.norm(expected[:, None] - dots_px, axis=2)
+    # What is too far apart is no match at all, and costs the same however far it is.
+    for row, column in zip(
+        *linear_sum_assignment(np.minimum(apart_px, furthest_px) ** 2), strict=True
+    ):
+        if apart_px[row, column] <= furthest_px:
+            places[names[row]] = dots_px[column]
+    moved_px = [np.linalg.norm(places[name] - expected_px[name]) for name in names]
+    if np.isnan(moved_px).any() and np.nanmax(moved_px, initial=0.0) > sure_px:
+        return {name: np.full(2, np.nan) for name in names}
+    return places
+
+
+def dots_mm(places_px: Mapping[str, Array], origin_px: Array, mm_per_px: float) -> dict[str, Array]:
+    """(3,) each: across to the robot's left, which is right in its picture, up, and 0 forward."""
+    return {
+        name: np.array([place[0] - origin_px[0], origin_px[1] - place[1], 0.0 * place[0]])
+        * mm_per_px
+        for name, place in places_px.items()
+    }
+
+
+Reading = tuple[int, str, Array]
+
+NAMES_FILE = "dots.csv"
+_COLUMNS = ("marker", "column_px", "row_px", "mm_per_px")
+#: A dot is looked for as far from its first place as a wide open jaw carries it, not farther. All
+#: dots of a picture are named together; when one is hidden, the others are believed within the way
+#: that lips and corners go.
+_FURTHEST_MM, _SURE_MM = 60.0, 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class DotNames:
+    """Where each dot was when it was named, (2,) pixels, and the scale."""
+
+    first_px: dict[str, Array]
+    mm_per_px: float
+
+
+def is_dots_folder(folder: Path) -> bool:
+    """Whether this folder is one of pictures: it says what their dots are called."""
+    return (folder / NAMES_FILE).is_file()
+
+
+class DotsFolder:
+    """Pictures as they come; all of one size, for `dots.csv` counts in pixels."""
+
+    def __init__(self, folder: Path, tell: Callable[[str], None] = lambda _: None) -> None:
+        """tell: hears of dots that touch, or that no picture shows, a line for each picture.
+
+        Raises CalibrationError for a `dots.csv` that is not as described above.
+        """
+        self._folder, self._tell = folder, tell
+        self._names = read_names(folder / NAMES_FILE)
+        self._first: tuple[str, tuple[int, int]] | None = None
+        self._told: set[str] = set()
+
+    def readings(self, pose: int) -> list[Reading]:
+        """What is seen of one pose. Raises CalibrationError."""
+        pictures = pose_pictures(self._folder)
+        return [
+            each for number, path in pictures if number == pose for each in self._look(number, path)
+        ]
+
+    def all_readings(self) -> list[Reading]:
+        """Of every picture. Raises CalibrationError."""
+        pictures = pose_pictures(self._folder)
+        if not pictures:
+            raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.png, ...")
+        return [each for number, path in pictures for each in self._look(number, path)]
+
+    def _look(self, pose: int, picture: Path) -> list[Reading]:
+        names = self._names
+        found = find_dots(picture, DotColour())
+        self._check_size(picture.name, found.size_px)
+        places_px = name_dots(
+            found.middles_px,
+            names.first_px,
+            furthest_px=_FURTHEST_MM / names.mm_per_px,
+            sure_px=_SURE_MM / names.mm_per_px,
+        )
+        self._tell_of(picture.name, found, places_px)
+        origin_px = np.mean(list(names.first_px.values()), axis=0)
+        places_mm = dots_mm(places_px, origin_px, names.mm_per_px)
+        return [(pose, name, place_mm) for name, place_mm in places_mm.items()]
+
+    def _check_size(self, name: str, size_px: tuple[int, int]) -> None:
+        self._first = self._first or (name, size_px)
+        first, wanted = self._first
+        if size_px != wanted:
+            raise CalibrationError(
+                f"{self._folder}: {name} is {size_px[1]} x {size_px[0]} pixels, {first} "
+                f"{wanted[1]} x {wanted[0]}; take all of them with one camera that stands still"
+            )
+
+    def _tell_of(self, picture: str, found: FoundDots, places_px: Mapping[str, Array]) -> None:
+        n_lost = sum(bool(np.isnan(place).any()) for place in places_px.values())
+        remarks = []
+        if found.n_merged:
+            remarks.append(f"dots that touch, told apart by shape: {2 * found.n_merged}")
+        if n_lost == len(places_px):
+            remarks.append(
+                f"left out: {len(found.middles_px)} dots are seen of {n_lost}, and names would be "
+                "a guess"
+            )
+        elif n_lost:
+            remarks.append(f"{n_lost} dots are not seen")
+        for remark in remarks:
+            line = f"{picture}: {remark}"
+            if line not in self._told:
+                self._told.add(line)
+                self._tell(line)
+
+
+def read_dots_folder(folder: Path, only: int | None = None) -> list[Reading]:
+    """Pose, marker, place (3,) in mm of every dot; NaN for one that is hidden; only: one pose.
+
+    The middle of the named dots is the origin. Raises CalibrationError, with file and line.
+    """
+    pictures = DotsFolder(folder)
+    return pictures.all_readings() if only is None else pictures.readings(only)
+
+
+def read_names(path: Path) -> DotNames:
+    """Raises CalibrationError for anything that is not as described above."""
+    try:
+        rows = list(csv.DictReader(io.StringIO(path.read_text(encoding="utf-8-sig"))))
+    except (OSError, UnicodeDecodeError) as error:
+        raise CalibrationError(f"{path}: cannot be read as text") from error
+    first_px: dict[str, Array] = {}
+    scales = set()
+    for number, row in enumerate(rows):
+        try:
+            name, column, line, scale = (row[key] for key in _COLUMNS)
+            first_px[str(name)] = np.array([float(column), float(line)])
+            scales.add(float(scale))
+        except (KeyError, TypeError, ValueError) as error:
+            raise CalibrationError(
+                f"{path}, line {number + 2}: expected {','.join(_COLUMNS)}"
+            ) from error
+    if len(scales) != 1 or not 0.0 < max(scales) < np.inf or len(first_px) != len(rows):
+        raise CalibrationError(
+            f"{path}: expected one line for each dot, with the same mm_per_px above 0 in all"
+        )
+    return DotNames(first_px, scales.pop())

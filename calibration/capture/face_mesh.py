@@ -1,0 +1,245 @@
+"""Markers of a robot's face by the face mesh that finds people's faces in pictures.
+
+They come from a folder of photographs, one a pose, or from a camera, a few pictures a pose. A
+robot's face is found where it is human enough. Across and up are seen; forward is a network's
+estimate of what people's faces look like, and no measurement.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from calibration.calibration import CalibrationError
+from calibration.capture.dots import pose_pictures
+from lipsync.arrays import Array
+from lipsync.face.head_motion import apply_similarity, fit_similarity
+from lipsync.markers import MARKERS_47
+from lipsync.video.tracking.face_tracker import FaceTracker, Picture
+from lipsync.video.video_file import VideoError, video_pictures
+
+#: What is to be said wherever the mesh is used.
+PROTRUSION_IS_GUESSED: Final = (
+    "one picture does not show protrusion: how far lips stand forward is a network's estimate"
+)
+NO_FACE: Final = "no face is found"
+_TWO_FACES: Final = "two faces are seen; leave only the robot's in the picture"
+#: A face narrower than this share of the widest one is somebody in the background.
+_BACKGROUND: Final = 0.5
+#: Points that no servo of a mouth moves: nose, corners of the eyes, forehead, temples.
+_RIGID: Final = (
+    168, 6, 197, 195, 33, 133, 362, 263, 10, 151, 9, 8,
+    127, 356, 234, 454, 103, 332, 67, 297, 109, 338, 70, 300,
+)  # fmt: skip
+_EYES: Final = (33, 263)
+#: Pictures have y down and z into them; in a picture the robot's left is on the right.
+_TO_FACE_AXES: Final = np.array([1.0, -1.0, -1.0])
+
+
+class NoFaceError(CalibrationError):
+    """Nothing in a picture that is one face; says what is there, not where."""
+
+
+def one_face(tracker: FaceTracker, picture: Picture) -> Array:
+    """Points (478, 3) of the only face, in pixels. Raises NoFaceError."""
+    faces = tracker.faces(picture)
+    if not faces:
+        raise NoFaceError(NO_FACE)
+    widths = [float(np.ptp(face[:, 0])) for face in faces]
+    if len(faces) > 1 and widths[1] >= _BACKGROUND * widths[0]:
+        raise NoFaceError(_TWO_FACES)
+    return faces[0]
+
+
+class MeshFrame:
+    """The head as it was in a first picture: lays every other one on it, in millimetres."""
+
+    def __init__(self, points_px: Array, eye_distance_mm: float) -> None:
+        """points_px: (478, 3), of neutral; eye_distance_mm: between the outer corners."""
+        face = points_px * _TO_FACE_AXES
+        right, left = face[list(_EYES)]
+        scale = eye_distance_mm / float(np.linalg.norm(left - right))
+        self._rigid_mm = (face[list(_RIGID)] - (left + right) / 2) * scale
+
+    def markers_mm(self, points_px: Array) -> Array:
+        """(47, 3), in the order of `MARKERS_47`.
+
+        The similarity that lays what is rigid on the first picture takes away how the camera was
+        held: Umeyama (IEEE PAMI 13(4), 1991), eqs. (39)-(42).
+        """
+        face = (points_px * _TO_FACE_AXES)[None]
+        fit = fit_similarity(face[:, list(_RIGID)], self._rigid_mm)
+        return np.asarray(apply_similarity(face[:, list(MARKERS_47.landmarks)], *fit)[0])
+
+
+def median_markers_mm(seen_mm: Sequence[Array]) -> Array:
+    """Of several pictures of one pose (47, 3) each: the median."""
+    return np.asarray(np.median(np.array(seen_mm), axis=0))
+
+
+Reading = tuple[int, str, Array]
+
+#: What to do about a picture without a face.
+_FOLDER_REMEDY: Final = (
+    "light it from the front and let it fill a third of the picture; a robot that is not human "
+    "enough is found by no face mesh and needs dots (docs/calibration.md)"
+)
+_UNREADABLE: Final = "not readable as a picture"
+#: Named in one message; the others are counted.
+_MOST_NAMED: Final = 8
+
+
+class MeshFolder:
+    """Photographs as they come. `readings` looks at each file once, and again when it changes."""
+
+    def __init__(
+        self,
+        folder: Path,
+        tracker: FaceTracker,
+        eye_distance_mm: float,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        """tell: hears why a photograph is of no use."""
+        self._folder, self._tracker = folder, tracker
+        self._eye_distance_mm = eye_distance_mm
+        self._tell = tell
+        self._frame: MeshFrame | None = None
+        self._doubtful: dict[Path, tuple[int, int]] = {}
+        #: By file: its size and time of change, and its markers (47, 3), or why it has none.
+        self._seen: dict[Path, tuple[tuple[int, int], Array | str]] = {}
+
+    def readings(self, pose: int) -> list[Reading]:
+        """What is seen of one pose; nothing where there is no photograph or no face in it."""
+        readings = []
+        for number, path in pose_pictures(self._folder):
+            if number == pose:
+                found = self._markers(path)
+                if not isinstance(found, str):
+                    readings += _named(pose, found)
+        return readings
+
+    def all_readings(self) -> list[Reading]:
+        """Of every photograph. Raises CalibrationError, naming each that is of no use."""
+        pictures = pose_pictures(self._folder)
+        if not pictures:
+            raise CalibrationError(f"{self._folder}: no picture in it; expected pose_1.jpg, ...")
+        readings, useless = [], []
+        for pose, path in pictures:
+            found = self._markers(path)
+            if isinstance(found, str):
+                useless.append((path.name, found))
+            else:
+                readings += _named(pose, found)
+        if useless:
+            named = ", ".join(f"{name} ({why})" for name, why in useless[:_MOST_NAMED])
+            more = f" and {len(useless) - _MOST_NAMED} more" if len(useless) > _MOST_NAMED else ""
+            raise CalibrationError(
+                f"{self._folder}: {named}{more}: take these again or remove them; {_FOLDER_REMEDY}"
+            )
+        return readings
+
+    def _markers(self, path: Path) -> Array | str:
+        try:
+            status = path.stat()
+        except FileNotFoundError:
+            return NO_FACE  # renamed while we look
+        state = (status.st_size, status.st_mtime_ns)
+        before = self._seen.get(path)
+        if before is None or before[0] != state:
+            found = self._look(path)
+            if (
+                isinstance(found, str)
+                and found == _UNREADABLE
+                and self._doubtful.get(path) != state
+            ):
+                self._doubtful[path] = state  # somebody may be writing it; looked at once more
+                return found
+            self._seen[path] = (state, found)
+            if isinstance(found, str):
+                self._tell(f"{path.name}: {found}; take it again: {_FOLDER_REMEDY}")
+        return self._seen[path][1]
+
+    def _look(self, path: Path) -> Array | str:
+        try:
+            picture = next((each for _, each in video_pictures(path)), None)
+            if picture is None:
+                return _UNREADABLE
+            points_px = one_face(self._tracker, picture)
+        except VideoError:
+            return _UNREADABLE
+        except NoFaceError as error:
+            return str(error)
+        if self._frame is None:
+            self._frame = MeshFrame(points_px, self._eye_distance_mm)
+        return self._frame.markers_mm(points_px)
+
+
+def _named(pose: int, markers_mm: Array) -> list[Reading]:
+    return [
+        (pose, name, np.asarray(place_mm))
+        for name, place_mm in zip(MARKERS_47.names, markers_mm, strict=True)
+    ]
+
+
+#: The points (478, 3) of the one face in a picture that is taken now, in pixels. Raises
+#: NoFaceError.
+See = Callable[[], Array]
+#: Pictures of a pose: their median is steadier than one. A face is looked for in so many more.
+_N_PICTURES: Final = 5
+_MOST_PICTURES: Final = 15
+#: So many poses without a face, one after another, are no accident.
+_MOST_LOST: Final = 5
+_CAMERA_REMEDY: Final = (
+    "let it look straight at the camera, lit from the front, a third of the picture wide; a robot "
+    "that is not human enough is found by no face mesh and needs dots (docs/calibration.md)"
+)
+
+
+class CameraTracker:
+    """Sees 47 markers or none. Pose 0 is the robot in neutral, to which all is referred."""
+
+    marker_names = MARKERS_47.names
+
+    def __init__(self, see: See, eye_distance_mm: float, say: Callable[[str], None]) -> None:
+        """Look at neutral. Raises CalibrationError where no face is found there."""
+        self._see, self._say = see, say
+        points_px, why = self._pictures()
+        if not points_px:
+            raise CalibrationError(f"camera, pose 0 (neutral): {why}; {_CAMERA_REMEDY}")
+        self._frame = MeshFrame(np.median(np.array(points_px), axis=0), eye_distance_mm)
+        self._pose = self._n_lost = 0
+
+    def arrived(self, pose: int, _reached_deg: Array) -> None:
+        """Remember which pose stands."""
+        self._pose = pose + 1
+
+    def measure(self) -> Array:
+        """(47, 3) mm; NaN in a pose without a face, which is told.
+
+        Raises CalibrationError after five such poses in a row.
+        """
+        points_px, why = self._pictures()
+        if points_px:
+            self._n_lost = 0
+            return median_markers_mm([self._frame.markers_mm(each) for each in points_px])
+        self._n_lost += 1
+        if self._n_lost == _MOST_LOST:
+            raise CalibrationError(
+                f"camera, pose {self._pose} and the four before it: {why}; {_CAMERA_REMEDY}"
+            )
+        self._say(f"pose {self._pose}: {why}; the pose is left out")
+        return np.full((len(self.marker_names), 3), np.nan)
+
+    def _pictures(self) -> tuple[list[Array], str]:
+        """Faces, and why there were none in the last picture that had none."""
+        found: list[Array] = []
+        why = ""
+        for _ in range(_MOST_PICTURES):
+            try:
+                found.append(self._see())
+            except NoFaceError as error:
+                why = str(error)
+            if len(found) == _N_PICTURES:
+                break
+        return (found, why) if len(found) == _N_PICTURES else ([], why)

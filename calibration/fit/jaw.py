@@ -1,0 +1,217 @@
+"""A calibration of a jaw alone, from markers on the jaw: the mouth of a talking skeleton.
+
+How far a jaw is open is one number, the blend of a closed and an open jaw line. Edge, Hilton and
+Jackson fit it by one parameter alpha for each frame, minimising
+sum_i || m_i - ((1 - alpha) c_i + alpha o_i) ||^2 over the jaw line, by Newton's method with finite
+differences. The speaker's blend is linear in the model's coefficients. A sweep of the robot says
+which angle is which part of its own way from closed to open; the speaker's widest jaw becomes the
+robot's. Lips are not looked at, so P, B and M close as far as the speaker's jaw does.
+Loads scikit-learn; the live path never does.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calibration.calibration import Calibration, CalibrationError, Origin, linear_calibration_parts
+from calibration.capture.capture import Capture
+from calibration.capture.sanity import check_capture
+from calibration.fit.learnt_face import ridge_weights
+from calibration.fit.measured import backlash_only, split_frames
+from calibration.fit.robot_face import fit_robot_face
+from calibration.grade import HoldOutErrors, each_marker_rms_mm
+from calibration.mouth_servos import MouthServos
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+#: The markers that ride on the jaw.
+JAW_LINE: tuple[int, ...] = tuple(
+    i for i, name in enumerate(MARKERS_47.names) if name.startswith(("jaw", "chin"))
+)
+#: The cost is quadratic, so differences of any size are exact; this one is far from rounding.
+_DIFFERENCE = 0.1
+#: Newton is there after one step; the second only takes away rounding.
+_STEPS = 2
+#: A jaw line that moves less than this between closed and open says nothing.
+_LEAST_MOTION_MM = 1.0
+#: The speaker's open jaw: wider is rare.
+_OPEN_QUANTILE = 0.98
+
+
+@dataclass(frozen=True, slots=True)
+class JawBlend:
+    """closed_mm, open_mm: (n_points, 3), the two ends of the blend."""
+
+    closed_mm: Array
+    open_mm: Array
+
+    def cost_mm2(self, alpha: Array, points_mm: Array) -> Array:
+        """(n,) and (n, n_points, 3) -> (n,): sum of squared distances from the blend."""
+        blend = self.closed_mm + alpha[:, None, None] * (self.open_mm - self.closed_mm)
+        return np.asarray(np.sum((points_mm - blend) ** 2, axis=(1, 2)))
+
+    def alpha(self, points_mm: Array) -> Array:
+        """(n, n_points, 3) -> (n,): 0 closed, 1 open, beyond either where the jaw is.
+
+        Newton with central differences from 0.
+        """
+        alpha = np.zeros(len(points_mm))
+        for _ in range(_STEPS):
+            before, at, after = (
+                self.cost_mm2(alpha + step, points_mm) for step in (-_DIFFERENCE, 0.0, _DIFFERENCE)
+            )
+            slope = (after - before) / (2 * _DIFFERENCE)
+            bend = (after - 2 * at + before) / _DIFFERENCE**2
+            alpha = alpha - slope / bend
+        return alpha
+
+
+def speakers_jaw(model: FaceWithAnimPhos) -> JawBlend:
+    """From the model's rest to the mean of its widest open frames.
+
+    Raises CalibrationError for a speaker whose jaw line hardly moves.
+    """
+    frames = model.animphos.frames
+    line = list(JAW_LINE)
+    markers_mm = model.markers_mm(frames)[:, line]
+    height_mm = markers_mm[:, :, 1].mean(axis=1)
+    widest = height_mm <= np.quantile(height_mm, 1.0 - _OPEN_QUANTILE)
+    return jaw_blend(model.markers_mm(model.rest[None])[0, line], markers_mm[widest].mean(axis=0))
+
+
+def jaw_blend(closed_mm: Array, open_mm: Array) -> JawBlend:
+    """Raises CalibrationError where the two hardly differ."""
+    apart_mm = float(np.linalg.norm(open_mm - closed_mm, axis=1).max())
+    if apart_mm < _LEAST_MOTION_MM:
+        raise CalibrationError(
+            f"the jaw line moves by {apart_mm:.1f} mm between closed and open; "
+            "markers on the chin are needed"
+        )
+    return JawBlend(closed_mm, open_mm)
+
+
+@dataclass(frozen=True, slots=True)
+class JawDegrees:
+    """Blend to degrees, from a sweep of the robot's jaw: alphas ascending, (n,), and degrees."""
+
+    alphas: Array
+    degrees: Array
+
+    def degrees_at(self, alpha: Array) -> Array:
+        """(n,) -> (n,), straight between what was measured, held beyond."""
+        return np.asarray(np.interp(alpha, self.alphas, self.degrees))
+
+
+def jaw_degrees(blend: JawBlend, degrees: Array, points_mm: Array) -> JawDegrees:
+    """From a sweep: degrees (n,), ascending, and the robot's jaw line there, (n, n_points, 3).
+
+    Raises CalibrationError where the jaw does not open steadily with its angle.
+    """
+    alphas = blend.alpha(points_mm)
+    if len(degrees) < 2 or (np.diff(degrees) <= 0).any() or (np.diff(alphas) <= 0).any():
+        raise CalibrationError(
+            "the jaw does not open steadily with its angle; sweep it again, or turn its `sign`"
+        )
+    return JawDegrees(alphas, degrees.copy())
+
+
+#: Enough for a curve that hardly bends.
+_SWEEP = 12
+#: Limits are met rarely, as in retargeting.
+_USED_SHARE = 0.9
+_LEAST_MARKERS = 3
+
+
+def jaw_markers(marker_names: Sequence[str]) -> tuple[int, ...]:
+    """Which of these ride on the jaw, by index."""
+    line = {MARKERS_47.names[i] for i in JAW_LINE}
+    return tuple(i for i, name in enumerate(marker_names) if name in line)
+
+
+def fit_jaw(
+    model: FaceWithAnimPhos,
+    capture: Capture,
+    servos: MouthServos,
+    *,
+    date: str = "",
+    seed: int = 0,
+    accept: bool = False,
+) -> tuple[Calibration, tuple[str, ...]]:
+    """The calibration of one servo, and warnings. Only markers of the jaw line count.
+
+    Raises CalibrationError for fewer than three of them, and for a capture that cannot be trusted.
+    """
+    line = list(jaw_markers(capture.marker_names))
+    if len(line) < _LEAST_MARKERS:
+        raise CalibrationError(
+            f"{len(line)} markers on the jaw, {_LEAST_MARKERS} are needed: names that begin with "
+            "`jaw` or `chin`"
+        )
+    checked = check_capture(capture, model, servos.positive, accept=accept)
+    capture, warnings = checked.capture, checked.warnings
+    face = fit_robot_face(capture)
+    (joint,) = servos.joints
+    sweep_deg = np.linspace(joint.min_deg, _USED_SHARE * joint.max_deg, _SWEEP)
+    swept_mm = face.markers_mm(sweep_deg[:, None])[:, line]
+    closed_mm = face.markers_mm(np.zeros((1, 1)))[0, line]
+    robot = jaw_blend(closed_mm, swept_mm[-1])
+    degrees = jaw_degrees(robot, sweep_deg, swept_mm)
+    speaker = speakers_jaw(model)
+
+    def wanted_alpha(frames: Array) -> Array:
+        return speaker.alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+
+    fit, held_out = split_frames(model, seed)
+    limits = servos.limits_deg
+    # Straight, and beyond the ends too: limits cut it off at run time, and a line fits a line.
+    degrees_per_alpha = float(degrees.alphas @ degrees.degrees / (degrees.alphas @ degrees.alphas))
+    weights = ridge_weights(fit - model.rest, degrees_per_alpha * wanted_alpha(fit)[:, None])
+    quadratic_weights, rest_deg, x_range = linear_calibration_parts(*weights.shape)
+    free_deg = (held_out - model.rest) @ weights.T
+    mapped_deg = np.clip(free_deg, *limits)
+    wanted_deg = degrees.degrees_at(wanted_alpha(held_out))[:, None]
+    off_mm = (face.markers_mm(mapped_deg) - face.markers_mm(wanted_deg))[:, line]
+    off_deg = mapped_deg - wanted_deg
+    names = [capture.marker_names[i] for i in line]
+    errors = HoldOutErrors(
+        n_frames=len(held_out),
+        marker_rms_mm=float(np.sqrt(np.mean(np.sum(off_mm**2, axis=2)))),
+        lip_rms_mm=0.0,
+        nearest_lip_rms_mm=0.0,
+        gap_rms_mm=0.0,
+        gap_correlation=0.0,
+        n_closures=0,
+        closed_gap_mm=0.0,
+        clipped_share=float((free_deg != mapped_deg).mean()),
+        joint_rms_deg=(float(np.sqrt(np.mean(off_deg**2))),),
+        each_marker_rms_mm=each_marker_rms_mm(names, off_mm),
+    )
+    calibration = Calibration(
+        servo_names=capture.servo_names,
+        weights=weights,
+        quadratic_weights=quadratic_weights,
+        rest=model.rest,
+        rest_deg=rest_deg,
+        x_range=x_range,
+        min_deg=limits[0],
+        max_deg=limits[1],
+        errors=errors,
+        model_checksum=model.checksum,
+        face_checksum=servos.face_checksum,
+        origin=Origin("jaw alone", date, len(capture), servos.models),
+        following=backlash_only(face.backlash_deg),
+    )
+    return calibration, warnings
+
+
+def jaw_agreement(model: FaceWithAnimPhos, calibration: Calibration, joint: int) -> float:
+    """Correlation of one joint with the speaker's jaw, over the model's frames: a check."""
+    some = model.animphos.samples[:: max(1, len(model.animphos) // 200)]
+    frames = some.reshape(-1, model.n_components)
+    alpha = speakers_jaw(model).alpha(model.markers_mm(frames)[:, list(JAW_LINE)])
+    turned_deg = np.array([calibration.positions_deg(frame)[joint] for frame in frames])
+    if turned_deg.std() == 0.0 or alpha.std() == 0.0:
+        return 0.0
+    return float(np.corrcoef(alpha, turned_deg)[0, 1])

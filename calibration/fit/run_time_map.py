@@ -1,0 +1,210 @@
+"""The regression that runs: coefficients to servo angles, fitted to poses that were solved for.
+
+Angles are fitted where they show: errors are weighed by what they do to the lips at that pose, so
+that two servos that part the lips together err together. Chosen are its kind, and how far past
+contact it presses where lips close.
+Loads scikit-learn; the live path never does.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sklearn.cluster import KMeans
+
+from calibration.calibration import pairs
+from calibration.fit.retargeting import MarkersOf, Retargeting, ShapeFeatures, gap_heights_mm
+from lipsync.arrays import Array
+
+#: Poses are noisy by a few tenths of a degree where the face hardly shows a joint; this keeps the
+#: quadratic terms from following that. In degrees per unit of a standardised feature, squared.
+_STRENGTH = 3.0
+#: With centres the features are many and alike: a weaker ridge, as strong on what is smooth.
+_CENTRE_STRENGTH = 0.1
+#: Degrees that count as much as a weighted millimetre: also joints that show little stay tame.
+_ANGLE_WEIGHT_MM_PER_DEG = 0.05
+_DIFFERENCE_DEG = 0.5
+#: The file keeps this many digits, so the fit does as well and its errors are those of the file.
+SIGNIFICANT_DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class RunTimeMap:
+    """Parts of a `Calibration`, shaped as there."""
+
+    rest_deg: Array
+    weights: Array
+    quadratic_weights: Array
+    x_range: Array
+    centres: Array
+    centre_weights: Array
+
+    def free_deg(self, from_rest: Array) -> Array:
+        """(n, n_components) -> (n, n_servos), before the limits."""
+        x = np.clip(from_rest, *self.x_range)
+        first, second = pairs(x.shape[1])
+        products = (
+            x[:, first] * x[:, second] if self.quadratic_weights.shape[1] else np.zeros((len(x), 0))
+        )
+        far = _distances(x, self.centres)
+        free_deg = self.rest_deg + x @ self.weights.T + products @ self.quadratic_weights.T
+        return np.asarray(free_deg + far @ self.centre_weights.T)
+
+
+def fit_run_time_map(
+    from_rest: Array,
+    poses_deg: Array,
+    markers_of: MarkersOf,
+    shape_features: ShapeFeatures,
+    centres: Array | None = None,
+    counts: Array | None = None,
+) -> RunTimeMap:
+    """from_rest: (n, n_components); poses_deg: (n, n_servos), the pose wanted at each.
+
+    centres: (n_centres, n_components) of bends that are not quadratic, or none. counts: (n,), how
+    much each frame counts; None: all alike.
+
+    Generalised least squares: the metric of angle errors is the mean of J'J over the poses, J the
+    slope of the shape features. With one metric for all frames and one ridge for all features the
+    solution does not depend on the metric but for the ridge, so each principal direction of the
+    metric is regressed on its own, with a ridge in inverse proportion to how much it shows.
+    """
+    first, second = pairs(from_rest.shape[1])
+    n = from_rest.shape[1]
+    centres = np.zeros((0, n)) if centres is None else rounded(centres)
+    x_range = rounded(np.array([from_rest.min(axis=0), from_rest.max(axis=0)]))
+    products = from_rest[:, first] * from_rest[:, second]
+    features = np.hstack([from_rest, products, _distances(from_rest, centres)])
+    centre, spread = features.mean(axis=0), features.std(axis=0) + 1e-12
+    inputs = (features - centre) / spread
+    counts = np.ones(len(inputs)) if counts is None else counts / counts.mean()
+    middle_input = np.average(inputs, axis=0, weights=counts)
+    inputs, weighed = inputs - middle_input, (inputs - middle_input) * counts[:, None]
+    strength = _STRENGTH if not len(centres) else _CENTRE_STRENGTH
+    metric = _metric(poses_deg, markers_of, shape_features)
+    shows, directions = np.linalg.eigh(metric)
+    outputs = poses_deg @ directions
+    middle = np.average(outputs, axis=0, weights=counts)
+    solved = np.empty((inputs.shape[1], outputs.shape[1]))
+    for k, shown in enumerate(shows):
+        ridge = strength * max(1.0, shows[-1] / shown / 100.0)
+        normal = weighed.T @ inputs + ridge * np.eye(inputs.shape[1])
+        solved[:, k] = np.linalg.solve(normal, weighed.T @ (outputs[:, k] - middle[k]))
+    slopes = (solved / spread[:, None]) @ directions.T
+    rest_deg = middle @ directions.T - (centre + spread * middle_input) @ slopes
+    bends = n + len(first)
+    return RunTimeMap(
+        rest_deg=rounded(rest_deg),
+        weights=rounded(slopes[:n].T),
+        quadratic_weights=rounded(slopes[n:bends].T),
+        x_range=x_range,
+        centres=centres,
+        centre_weights=rounded(slopes[bends:].T),
+    )
+
+
+def _distances(from_rest: Array, centres: Array) -> Array:
+    """(n, n_components), (m, n_components) -> (n, m)."""
+    apart = from_rest[:, None] - centres[None]
+    return np.asarray(np.sqrt(np.einsum("nmk,nmk->nm", apart, apart)))
+
+
+def rounded(values: Array) -> Array:
+    """As the file keeps them."""
+    kept = [float(f"{value:.{SIGNIFICANT_DIGITS}g}") for value in values.ravel()]
+    return np.array(kept).reshape(values.shape)
+
+
+def _metric(poses_deg: Array, markers_of: MarkersOf, shape_features: ShapeFeatures) -> Array:
+    """(n_servos, n_servos): weighted square millimetres of a square degree, over all poses."""
+    n_servos = poses_deg.shape[1]
+    at = shape_features.of(markers_of(poses_deg))
+    slopes = np.stack(
+        [
+            (shape_features.of(markers_of(poses_deg + step)) - at) / _DIFFERENCE_DEG
+            for step in _DIFFERENCE_DEG * np.eye(n_servos)
+        ],
+        axis=2,
+    )
+    cost = np.einsum("nks,nkt->st", slopes, slopes) / len(poses_deg)
+    return np.asarray(cost + _ANGLE_WEIGHT_MM_PER_DEG**2 * np.eye(n_servos))
+
+
+#: A map with bends around so many of the speaker's mouths, or a quadratic one.
+_CENTRES = 40
+_LEARN_SHARE = 0.8
+#: A frame in which the speaker closes counts as so many others: a closure that is missed shows.
+_CLOSURE_COUNTS = 6.0
+#: So many of the closures must be past contact by so much; then the map's own misses are made up
+#: for, by so much at most: more would shut small openings.
+_CLOSED_SHARE, _PAST_MM, _MOST_MORE_MM = 0.98, 0.4, 1.2
+_PRESS_ROUNDS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenMap:
+    """The map, and what it was asked for, its pressing included."""
+
+    run: RunTimeMap
+    retargeting: Retargeting
+
+
+def choose_map(retargeting: Retargeting, from_rest: Array) -> ChosenMap:
+    """from_rest: (n, n_components), speech, AnimPhos by AnimPhos.
+
+    Kinds are compared on the last fifth, in gap and shape, as far as the face is learnt.
+    """
+    most_mm = retargeting.press_mm + _MOST_MORE_MM
+    poses_deg = retargeting.poses_deg(from_rest)
+    n_learnt = round(_LEARN_SHARE * len(from_rest))
+    kinds = [None, _centres(from_rest)]
+    missed = []
+    for centres in kinds:
+        run = _fitted(retargeting, from_rest[:n_learnt], poses_deg[:n_learnt], centres)
+        missed.append(_missed(retargeting, run, from_rest[n_learnt:], poses_deg[n_learnt:]))
+    centres = kinds[int(np.argmin(missed))]
+    run = _fitted(retargeting, from_rest, poses_deg, centres)
+    for _ in range(_PRESS_ROUNDS):
+        closes = retargeting.closing(from_rest) >= 1.0
+        short_mm = _short_mm(retargeting, run, from_rest[closes])
+        if short_mm <= 0.0 or retargeting.press_mm >= most_mm:
+            break
+        press_mm = min(retargeting.press_mm + short_mm, most_mm)
+        retargeting = replace(retargeting, press_mm=press_mm)
+        run = _fitted(retargeting, from_rest, retargeting.poses_deg(from_rest), centres)
+    return ChosenMap(run, retargeting)
+
+
+def _centres(from_rest: Array) -> Array | None:
+    if len(np.unique(from_rest, axis=0)) < 4 * _CENTRES:
+        return None
+    found = KMeans(_CENTRES, n_init=1, random_state=0).fit(from_rest)
+    return np.asarray(found.cluster_centers_, dtype=np.float64)
+
+
+def _fitted(
+    retargeting: Retargeting, from_rest: Array, poses_deg: Array, centres: Array | None
+) -> RunTimeMap:
+    mouth = retargeting.mouth
+    counts = 1.0 + (_CLOSURE_COUNTS - 1.0) * retargeting.closing(from_rest)
+    return fit_run_time_map(
+        from_rest, poses_deg, mouth.markers_of, mouth.names.shape_features, centres, counts
+    )
+
+
+def _missed(retargeting: Retargeting, run: RunTimeMap, from_rest: Array, poses_deg: Array) -> float:
+    """Weighted square millimetres of shape and gap between the map's poses and the best."""
+    mouth = retargeting.mouth
+    of = mouth.names.shape_features
+    shown = of.of(mouth.seen_mm(mouth.kept_deg(run.free_deg(from_rest))))
+    return float(np.mean((shown - of.of(mouth.seen_mm(poses_deg))) ** 2))
+
+
+def _short_mm(retargeting: Retargeting, run: RunTimeMap, from_rest: Array) -> float:
+    """By how much most closures are less past contact than they must be."""
+    if not len(from_rest):
+        return 0.0
+    mouth = retargeting.mouth
+    free_mm = mouth.markers_of(mouth.kept_deg(run.free_deg(from_rest)))
+    heights_mm = gap_heights_mm(free_mm, mouth.names.shape_features.gaps[:1])[:, 0]
+    reached_mm = float(np.quantile(heights_mm, _CLOSED_SHARE))
+    return reached_mm - (float(retargeting.closed_mm[0]) - _PAST_MM)

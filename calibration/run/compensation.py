@@ -1,0 +1,157 @@
+"""What is added to the angles of a map on their way to the servos: viseme trims, lags, backlash.
+
+Streaming; NumPy only, a few microseconds a frame.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calibration.calibration import Calibration, CalibrationError, Following
+from lipsync.arrays import Array
+from lipsync.phonemes import VISEME_CLASSES, VISEME_OF
+
+#: A turn smaller than this is not made up for: goals would chatter by the whole backlash at every
+#: rounding. About four steps of the encoder (360/4096 degrees).
+_TURN_DEG = 0.35
+
+
+class BacklashCompensation:
+    """Shifts every goal by half the backlash, to the side the joint is moving to.
+
+    feed: one goal after another; the horn then stands at the goal, not half a backlash behind it.
+    """
+
+    def __init__(self, backlash_deg: Array) -> None:
+        """backlash_deg: (n_servos,), the whole width of the backlash."""
+        self._half_deg = backlash_deg / 2
+        self._side = np.ones(len(backlash_deg))
+        self._furthest_deg: Array | None = None
+
+    def feed(self, positions_deg: Array) -> Array:
+        """(n_servos,) where the horns should be -> (n_servos,) goals that bring them there."""
+        if self._furthest_deg is None:
+            self._furthest_deg = positions_deg.copy()
+        beyond = (positions_deg - self._furthest_deg) * self._side
+        turned = beyond < -_TURN_DEG
+        self._side = np.where(turned, -self._side, self._side)
+        self._furthest_deg = np.where(turned | (beyond > 0), positions_deg, self._furthest_deg)
+        return np.asarray(positions_deg + self._side * self._half_deg)
+
+    def reset(self) -> None:
+        """Forget which way the joints were moving."""
+        self._side = np.ones(len(self._half_deg))
+        self._furthest_deg = None
+
+
+class LagCompensation:
+    """Sends every joint ahead by its lag.
+
+    Poses go in `advance_s` before they are shown; slow joints get theirs at once, quicker ones wait
+    here for as long as they are quicker. `feed` is called once each `period_s`.
+    """
+
+    def __init__(self, lag_s: Array, period_s: float, *, look_ahead_s: float) -> None:
+        """lag_s: (n_servos,). A joint slower than the look-ahead is sent as early as it allows."""
+        early_s = np.minimum(np.maximum(lag_s, 0.0), look_ahead_s)
+        self.advance_s = float(early_s.max(initial=0.0))
+        wait = (self.advance_s - early_s) / period_s
+        self._whole = np.floor(wait + 1e-9).astype(np.int64)
+        self._part = np.maximum(wait - self._whole, 0.0)
+        self._length = int(self._whole.max(initial=0)) + 2
+        self._joints = np.arange(len(lag_s))
+        self._recent: Array | None = None
+        self._newest = 0
+
+    def feed(self, positions_deg: Array) -> Array:
+        """The pose (n_servos,) to show `advance_s` from now -> what to ask of the servos now."""
+        if self._recent is None:
+            self._recent = np.tile(positions_deg, (self._length, 1))
+        self._newest = (self._newest + 1) % self._length
+        self._recent[self._newest] = positions_deg
+        later = self._recent[(self._newest - self._whole) % self._length, self._joints]
+        earlier = self._recent[(self._newest - self._whole - 1) % self._length, self._joints]
+        return np.asarray(later + self._part * (earlier - later))
+
+    def reset(self) -> None:
+        """Forget earlier poses."""
+        self._recent = None
+        self._newest = 0
+
+
+class Follower:
+    """Lag and backlash together, as a calibration knows them; without a `Following`, no change."""
+
+    def __init__(
+        self, following: Following | None, n_servos: int, period_s: float, *, look_ahead_s: float
+    ) -> None:
+        """look_ahead_s: how much earlier than shown a pose may be asked for."""
+        nothing = np.zeros(n_servos)
+        lag_s = nothing if following is None else following.lag_s
+        backlash_deg = nothing if following is None else following.backlash_deg
+        self._lag = LagCompensation(lag_s, period_s, look_ahead_s=look_ahead_s)
+        self._backlash = BacklashCompensation(backlash_deg)
+
+    @property
+    def advance_s(self) -> float:
+        """How much earlier than shown a pose must be fed."""
+        return self._lag.advance_s
+
+    def feed(self, positions_deg: Array) -> Array:
+        """(n_servos,) -> goals (n_servos,); within the limits they are kept by the last gate."""
+        return self._backlash.feed(self._lag.feed(positions_deg))
+
+    def reset(self) -> None:
+        """Start anew."""
+        self._lag.reset()
+        self._backlash.reset()
+
+
+#: Trims come and go with this time constant: within a phone of 80 ms, without a step that the
+#: servos would make audible.
+_BLEND_S = 0.03
+
+
+def trimmed(calibration: Calibration, phoneme: str, joint: str, degrees: float) -> Calibration:
+    """The same with so many degrees for one joint and class, instead of what was there.
+
+    Raises CalibrationError for an unknown phoneme or joint, or degrees beyond the joint's range.
+    """
+    if phoneme not in VISEME_OF:
+        known = " ".join(viseme[0] for viseme in VISEME_CLASSES)
+        raise CalibrationError(f"no phoneme {phoneme!r}; one of each class: {known}")
+    if joint not in calibration.servo_names:
+        known = ", ".join(calibration.servo_names)
+        raise CalibrationError(f"no joint {joint!r} in this calibration; it has {known}")
+    index = calibration.servo_names.index(joint)
+    span_deg = float(calibration.max_deg[index] - calibration.min_deg[index])
+    if not abs(degrees) <= span_deg:
+        raise CalibrationError(f"{degrees:g} deg is more than {joint} can turn, {span_deg:g}")
+    viseme = VISEME_CLASSES[VISEME_OF[phoneme]][0]
+    row = calibration.trim.get(viseme, np.zeros(len(calibration.servo_names))).copy()
+    row[index] = degrees
+    return replace(calibration, trim={**calibration.trim, viseme: row})
+
+
+class VisemeTrim:
+    """Streaming: `feed` a phoneme each `period_s`, get the degrees to add. NumPy only."""
+
+    def __init__(self, trim: Mapping[str, Array], n_servos: int, period_s: float) -> None:
+        """trim: degrees (n_servos,) by the first phoneme of a viseme class, as in the file."""
+        self._nothing = np.zeros(n_servos)
+        self._wanted = [trim.get(viseme[0], self._nothing) for viseme in VISEME_CLASSES]
+        self._share = 1.0 - np.exp(-period_s / _BLEND_S)
+        self._idle = not trim
+        self._added_deg = self._nothing
+
+    def feed(self, phoneme: str) -> Array:
+        """(n_servos,): what to add for this period."""
+        if not self._idle:
+            wanted = self._wanted[VISEME_OF[phoneme]]
+            self._added_deg = self._added_deg + self._share * (wanted - self._added_deg)
+        return self._added_deg
+
+    def reset(self) -> None:
+        """Start anew without any trim."""
+        self._added_deg = self._nothing

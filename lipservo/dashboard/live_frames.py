@@ -1,0 +1,264 @@
+"""What a face does at a moment, read from its live board, and how it is sent to clients.
+
+`/api/twin` sends a moment in a hundred bytes, little-endian, which static/frame.js reads: u32
+number; f32 time_s; u8 state, 255 unknown; u8 phoneme, 255 none; u8 flags; i8 arousal * 127;
+f32 coefficients[n_components]; i16 expression[9], angles in 0.01 degrees, others in 0.0001; i16
+goals[n_servos] and i16 encoders[n_servos] in 0.01 degrees; u8 n_peaks; u8 peaks[n_peaks]. -32768
+of an i16: not known. `/api/state` sends it as a JSON array, whose fields its hello names once.
+"""
+
+import json
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from lipservo.status.live_board import EXPRESSION_NAMES, BoardLayout, LiveBoard, Record
+
+#: A side that has written nothing for so long is gone: a page, which looks 30 times a second, says
+#: so within a second.
+GONE_S: Final = 0.8
+#: Peaks of sound that a moment holds: 10 ms each, so that 30 moments a second leave none out.
+MOST_PEAKS: Final = 8
+
+#: Of a face that was never seen.
+NO_LAYOUT: Final = BoardLayout("", "", (), (), (), 0, 0.0)
+VERSION: Final = 1
+RATE_HZ: Final = 30
+TORQUE_ON, SERVOS_GONE, SPEECH_GONE, CUT_OFF, SPEAKING = 1, 2, 4, 8, 16
+UNKNOWN: Final = 255
+ABSENT: Final = -32768
+_HEAD: Final = struct.Struct("<IfBBBb")
+_MOST: Final = 32767
+#: Hundredths of a degree, or ten-thousandths of what goes from 0 to 1.
+_SCALES: Final = np.array([100.0 if n.endswith("_deg") else 1e4 for n in EXPRESSION_NAMES])
+#: What stands where in an array.
+FIELDS = (
+    "number", "time_ms", "state", "phoneme", "flags", "arousal_percent", "goals_tenths_deg",
+    "encoders_tenths_deg", "expression",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """number: of the dashboard's tick; time_s: since it started.
+
+    servos, speech: the newest record of each side, None before its first. peaks: 255 = full scale,
+    of the blocks of 10 ms shown since the moment before.
+    """
+
+    number: int
+    time_s: float
+    servos: Record | None = None
+    speech: Record | None = None
+    servos_gone: bool = True
+    speech_gone: bool = True
+    peaks: bytes = b""
+
+
+@dataclass(slots=True)
+class _Side:
+    """The newest record of one writer. seen_s: monotonic, when it was new."""
+
+    number: int = 0
+    record: Record | None = None
+    seen_s: float = float("-inf")
+
+    def take(self, found: list[tuple[int, Record]], now_s: float) -> None:
+        if not found:
+            return
+        # What lay there before the first look may be old.
+        seen_s = now_s if self.number else min(now_s, float(found[-1][1]["time_s"]))
+        (self.number, self.record), self.seen_s = found[-1], seen_s
+
+    def is_gone(self, now_s: float) -> bool:
+        return now_s - self.seen_s > GONE_S
+
+
+class BoardReader:
+    """Reads one board tick by tick. Times are monotonic seconds."""
+
+    def __init__(self, board: LiveBoard) -> None:
+        """board: is closed by `close`."""
+        self._board = board
+        self._servos, self._speech = _Side(), _Side()
+        self.layout = board.layout
+
+    def read(self, number: int, since_start_s: float, now_s: float) -> Moment:
+        """What has been written by now."""
+        speech = self._board.speech_since(self._speech.number)
+        peaks = b""
+        if self._speech.number:
+            peaks = b"".join(each["peaks"][: each["n_peaks"]].tobytes() for _, each in speech)
+        self._servos.take(self._board.servos_since(self._servos.number), now_s)
+        self._speech.take(speech, now_s)
+        return Moment(
+            number,
+            since_start_s,
+            self._servos.record,
+            self._speech.record,
+            self._servos.is_gone(now_s),
+            self._speech.is_gone(now_s),
+            peaks[-MOST_PEAKS:],
+        )
+
+    def close(self) -> None:
+        """Give the memory back."""
+        self._board.__exit__()
+
+
+def hello(layout: BoardLayout) -> str:
+    """What is said once: the names that a frame counts by."""
+    return json.dumps(
+        {
+            "version": VERSION,
+            "name": layout.name,
+            "servos": layout.servos,
+            "states": layout.states,
+            "phonemes": layout.phonemes,
+            "n_components": layout.n_components,
+            "expression": EXPRESSION_NAMES,
+            "rate_hz": RATE_HZ,
+        }
+    )
+
+
+def flags_of(moment: Moment) -> int:
+    """The bits of a frame's flags."""
+    servos, speech = moment.servos, moment.speech
+    flags = SERVOS_GONE if moment.servos_gone else 0
+    flags |= SPEECH_GONE if moment.speech_gone else 0
+    if servos is not None and not moment.servos_gone and servos["torque_on"]:
+        flags |= TORQUE_ON
+    if speech is not None and not moment.speech_gone:
+        flags |= (CUT_OFF if speech["is_cut_off"] else 0) | (SPEAKING if speech["is_speech"] else 0)
+    return flags
+
+
+def state_of(moment: Moment, layout: BoardLayout) -> int:
+    """The state's number; 255 where nobody says it any more."""
+    if moment.servos is None or moment.servos_gone:
+        return UNKNOWN
+    state = int(moment.servos["state"])
+    return state if state < len(layout.states) else UNKNOWN
+
+
+def phoneme_of(moment: Moment, layout: BoardLayout) -> int:
+    """The phoneme's number; 255 for none."""
+    if moment.speech is None or moment.speech_gone:
+        return UNKNOWN
+    phoneme = int(moment.speech["phoneme"])
+    return phoneme if 0 <= phoneme < len(layout.phonemes) else UNKNOWN
+
+
+def arousal_of(moment: Moment) -> float:
+    """-1 to 1; 0 where nobody says it."""
+    if moment.speech is None or moment.speech_gone:
+        return 0.0
+    return float(np.nan_to_num(np.clip(moment.speech["arousal"], -1.0, 1.0)))
+
+
+def goals_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
+    """The goals (n_servos,) in 1/scale degrees; absent before the first."""
+    record = moment.servos
+    return whole_numbers(nothing(layout) if record is None else record["goal_deg"], scale)
+
+
+def encoders_of(moment: Moment, layout: BoardLayout, scale: float) -> NDArray[np.int16]:
+    """Where the servos are (n_servos,), in 1/scale degrees; absent while nobody reads them."""
+    record = None if moment.servos_gone else moment.servos
+    return whole_numbers(nothing(layout) if record is None else record["encoder_deg"], scale)
+
+
+def expression_of(moment: Moment) -> NDArray[np.int16]:
+    """The degrees of freedom in their order; absent where nothing is said about one."""
+    record = None if moment.speech_gone else moment.speech
+    return whole_numbers(
+        [np.nan] * len(_SCALES) if record is None else record["expression"], _SCALES
+    )
+
+
+def encode(moment: Moment, layout: BoardLayout) -> bytes:
+    """One frame."""
+    if moment.speech is None:
+        coefficients = np.zeros(layout.n_components, "<f4")
+    else:
+        coefficients = moment.speech["coefficients"]
+    head = _HEAD.pack(
+        moment.number & 0xFFFFFFFF,
+        moment.time_s,
+        state_of(moment, layout),
+        phoneme_of(moment, layout),
+        flags_of(moment),
+        round(127 * arousal_of(moment)),
+    )
+    return b"".join(
+        (
+            head,
+            coefficients.astype("<f4").tobytes(),
+            expression_of(moment).tobytes(),
+            goals_of(moment, layout, 100.0).tobytes(),
+            encoders_of(moment, layout, 100.0).tobytes(),
+            bytes([len(moment.peaks)]),
+            moment.peaks,
+        )
+    )
+
+
+def nothing(layout: BoardLayout) -> NDArray[np.float32]:
+    """An angle for every servo, none of them known."""
+    return np.full(len(layout.servos), np.nan, np.float32)
+
+
+def whole_numbers(values: ArrayLike, scale: float | NDArray[np.float64]) -> NDArray[np.int16]:
+    """Scaled and rounded; NaN becomes `ABSENT`, what is too large the largest."""
+    scaled = np.rint(np.asarray(values, np.float64) * scale)
+    held = np.clip(np.nan_to_num(scaled, nan=ABSENT), ABSENT + 1, _MOST)
+    return np.where(np.isnan(scaled), ABSENT, held).astype("<i2")
+
+
+def state_hello(layout: BoardLayout) -> str:
+    """What is said once: fields of an array, and the names that they count by."""
+    return json.dumps(
+        {
+            "version": VERSION,
+            "name": layout.name,
+            "fields": FIELDS,
+            "servos": layout.servos,
+            "states": layout.states,
+            "phonemes": layout.phonemes,
+            "expression": EXPRESSION_NAMES,
+            "flags": {
+                "torque_on": 1, "servos_gone": SERVOS_GONE, "speech_gone": SPEECH_GONE,
+                "cut_off": 8, "speaking": 16,
+            },
+            "rate_hz": RATE_HZ,
+        }
+    )  # fmt: skip
+
+
+def state_message(moment: Moment, layout: BoardLayout) -> str:
+    """One array; null: not known. Expression: hundredths, angles in tenths of a degree."""
+    expression = [
+        None if value == ABSENT else round(value / (10 if name.endswith("_deg") else 100))
+        for name, value in zip(EXPRESSION_NAMES, expression_of(moment).tolist(), strict=True)
+    ]
+    state, phoneme = state_of(moment, layout), phoneme_of(moment, layout)
+    values = [
+        moment.number,
+        round(1e3 * moment.time_s),
+        None if state == UNKNOWN else state,
+        None if phoneme == UNKNOWN else phoneme,
+        flags_of(moment),
+        round(100 * arousal_of(moment)),
+        _known(goals_of(moment, layout, 10.0).tolist()),
+        _known(encoders_of(moment, layout, 10.0).tolist()),
+        expression,
+    ]
+    return json.dumps(values, separators=(",", ":"))
+
+
+def _known(values: list[int]) -> list[int | None]:
+    return [None if value == ABSENT else value for value in values]

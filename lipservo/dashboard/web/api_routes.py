@@ -1,0 +1,230 @@
+"""The API's commands and answers: about the face itself, its settings, and its sound files."""
+
+import asyncio
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fastapi import APIRouter, HTTPException, Request
+from fastapi.responses import JSONResponse
+from lipservo_client.protocol import FaceError
+from starlette.requests import ClientDisconnect
+
+from lipservo.dashboard.face_files import own_yaml, saved_settings, told_calibration, with_settings
+from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.servo_remedies import is_stopped, told_servos
+from lipservo.dashboard.sound_lines import MOST_BYTES, SoundLines, Uploads, checked_name
+from lipservo.dashboard.web.api_models import (
+    AffectBody,
+    JogBody,
+    LookBody,
+    PlayBody,
+    SayBody,
+    ServoBody,
+    SettingsBody,
+    StartBody,
+    StopBody,
+)
+from lipservo.dashboard.web.stop_route import stop_face
+
+Told = dict[str, Any]
+_COUNTS = (
+    "n_late", "n_stale", "n_unplugged", "n_rejected_targets", "range_hits_total",
+    "rate_hits_total", "rejected_total", "prevented_total", "n_lost_sound_blocks",
+    "n_playout_underruns",
+)  # fmt: skip
+
+
+def face_routes(link: FaceLink) -> APIRouter:
+    """Status, commands, servos, faults, calibration."""
+    routes = APIRouter(prefix="/api")
+
+    @routes.get("/status")
+    async def status() -> Told:
+        """The face's `Status` (docs/architecture.md), and how sure that is.
+
+        face_answers: false: what follows is what it said last, `age_s` ago.
+        """
+        return {**(link.status or {}), **link.certainty()}
+
+    @routes.post("/stop")
+    async def stop(body: StopBody | None = None) -> Told:
+        """Stop the face. On this computer it needs no token. A daemon then waits for a start."""
+        # Answered by `StopRoute`, which is around all of this, and described here.
+        return await stop_face(link, body or StopBody())
+
+    @routes.post("/start")
+    async def start(body: StartBody | None = None) -> Told:
+        """Drive a stopped face again, through the ordinary checks. It moves."""
+        return dict(await link.start((body or StartBody()).wait_s))
+
+    @routes.post("/say")
+    async def say(body: SayBody) -> Told:
+        """Say a text. Answered when it is to be said, not once it was."""
+        return dict(await link.say(body.text))
+
+    @routes.post("/interrupt")
+    async def interrupt() -> Told:
+        """Silence now: what the face says or plays is dropped."""
+        await link.interrupt()
+        return {"silent": True}
+
+    @routes.post("/look-at")
+    async def look_at(body: LookBody) -> Told:
+        """Look somewhere, or nowhere in particular."""
+        return dict(await link.look_at(body.yaw_deg, body.pitch_deg))
+
+    @routes.post("/affect")
+    async def affect(body: AffectBody) -> Told:
+        """Set a mood, which fades."""
+        return dict(await link.affect(body.valence, body.arousal, body.tau_s))
+
+    @routes.get("/servos")
+    async def servos() -> Told:
+        """How each servo is, what ails it in plain words, and what to do."""
+        # Of a face that is stopped no servo side runs, and its status says all that is known.
+        knows = not link.moment.servos_gone or is_stopped(link.status)
+        told = told_servos(link.status, is_fresh=link.answers and knows)
+        return {"servos": told, **link.certainty()}
+
+    @routes.post("/servos/{name}")
+    async def servo(name: str, body: ServoBody) -> Told:
+        """Torque of one servo off or on, or restart it."""
+        _check_known(link, name)
+        return dict(await link.servo(name, body.action))
+
+    @routes.post("/jog")
+    async def jog(body: JogBody) -> Told:
+        """Move single servos by hand, within their limits; ends 3 s after the last request."""
+        if body.action != "move":
+            return dict(await (link.jog_arm() if body.action == "arm" else link.jog_end()))
+        if body.servo is None or body.deg is None:
+            raise FaceError("refused", "move needs servo and deg")
+        _check_known(link, body.servo)
+        return dict(await link.jog(body.servo, body.deg))
+
+    @routes.get("/faults")
+    async def faults() -> Told:
+        """What is wrong: troubles, fallbacks, what is gone, and counts since the start."""
+        status = link.status or {}
+        names = ("state", "stopped", "plugged", "fallback_level", "output_lost")
+        return {
+            **{name: status.get(name) for name in names},
+            "troubles": list(status.get("troubles") or ()),
+            "fallback_reasons": list(status.get("fallback_reasons") or ()),
+            "counts": {name: status.get(name) for name in _COUNTS},
+            **link.certainty(),
+        }
+
+    @routes.get("/calibration")
+    async def calibration() -> Told:
+        """What the face's calibration file says: coverage and error of each joint, trims."""
+        return await asyncio.to_thread(told_calibration, (link.status or {}).get("config"))
+
+    @routes.get("/health")
+    async def health() -> Told:
+        """For whoever watches over the dashboard: it serves; and whether its face is there."""
+        return {"serves": True, **link.certainty()}
+
+    return routes
+
+
+def _check_known(link: FaceLink, name: str) -> None:
+    """Raises FaceError for a servo that a face which is known does not have."""
+    known = list((link.status or {}).get("servos") or link.layout.servos)
+    if known and name not in known:
+        raise FaceError("not_found", f"no servo of that name; there are: {', '.join(known)}")
+
+
+def file_routes(link: FaceLink) -> APIRouter:
+    """Settings, live and saved; lines: list, upload, delete, play."""
+    routes = APIRouter(prefix="/api")
+    uploads = Uploads()
+
+    def said(name: str) -> str | None:
+        value = (link.status or {}).get(name)
+        return None if value is None else str(value)
+
+    def lines() -> SoundLines:
+        folder = said("sounds")
+        return SoundLines(None if folder is None else Path(folder))
+
+    @routes.get("/settings")
+    async def settings() -> Told:
+        """live: as set last; saved: as the face's own YAML says, null for one that is shipped."""
+        told = {"live": shown_settings(link.status), "config": said("config")}
+        try:
+            saved = await asyncio.to_thread(saved_settings, said("config"))
+        except FaceError as error:
+            return {**told, "saved": None, "can_save": False, "why_not": str(error)}
+        return {**told, "saved": saved, "can_save": True, "why_not": None}
+
+    @routes.patch("/settings")
+    async def change(body: SettingsBody) -> Told:
+        """Set them now; with `save`, into the YAML too: all of it or none."""
+        return await change_settings(link, body.values, save=body.save)
+
+    @routes.get("/lines")
+    async def listed() -> Told:
+        """The sound files that the face can play."""
+        return {"lines": await asyncio.to_thread(lines().listed)}
+
+    @routes.post("/lines", status_code=201, response_model=dict[str, Any])
+    async def upload(request: Request, name: str, replace: bool = False) -> Any:
+        """Store the body, a sound file as it is, under a name; at most 50 MB."""
+        declared = request.headers.get("content-length", "")
+        if declared.isdigit() and int(declared) > MOST_BYTES:
+            raise HTTPException(413, f"more than {MOST_BYTES // 10**6} MB")
+        place = lines().place_of(name)
+        try:
+            return await uploads.store(place, request.stream(), replace=replace)
+        except ClientDisconnect:
+            return JSONResponse({"error": "the client has gone"}, 400)
+
+    @routes.delete("/lines/{name}")
+    async def remove(name: str) -> Told:
+        """Delete one."""
+        await asyncio.to_thread(lines().remove, name)
+        return {"removed": name}
+
+    @routes.post("/play")
+    async def play(body: PlayBody) -> Told:
+        """Play a line. Answered when it begins."""
+        checked_name(body.file)
+        if said("sounds") is not None:
+            await asyncio.to_thread(lines().path_of, body.file)
+        return dict(await link.play(body.file))
+
+    return routes
+
+
+def shown_settings(status: Mapping[str, Any] | None) -> dict[str, float]:
+    """What people set of a face, by name, as it is now; without wishes for the moment."""
+    if status is None:
+        return {}
+    lively = (status.get("expression") or {}).get("expression")
+    settings = dict(status.get("settings") or {})
+    return settings if lively is None else {**settings, "expression": lively}
+
+
+async def change_settings(link: FaceLink, values: dict[str, float], *, save: bool) -> Told:
+    """Set them now; save: into the face's YAML as well. All of it, or none. Raises FaceError."""
+    if not save:
+        await link.change(values)
+        return {"set": values, "saved": False}
+    config = (link.status or {}).get("config")
+    live = shown_settings(link.status)
+    live.pop("lookahead_ms", None)  # part of the delay, which is declared at the start
+    file = await asyncio.to_thread(with_settings, own_yaml(config), values)
+    # What only a restart changes, such as the look-ahead, is saved and not set.
+    now = {name: value for name, value in values.items() if name in live}
+    at_restart = [name for name in values if name not in live]
+    if now:
+        await link.change(now)
+    try:
+        await asyncio.to_thread(file.write)
+    except FaceError:
+        if now:
+            await link.change({name: float(live[name]) for name in now})
+        raise
+    return {"set": now, "saved": True, "at_restart": at_restart}

@@ -1,0 +1,117 @@
+"""`/api/twin` and `/api/state`: what the face does, thirty times a second, to many clients.
+
+Each frame is made once; a slow client misses some and holds nobody up.
+"""
+
+import asyncio
+import contextlib
+from collections.abc import Awaitable, Callable
+from typing import Final
+
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+
+from lipservo.dashboard.face_link import FaceLink
+from lipservo.dashboard.live_frames import hello, state_hello, state_message
+from lipservo.status.live_board import BoardLayout
+
+MOST_CLIENTS: Final = 64
+#: A frame that was not taken for so long goes to somebody who does not read.
+_PATIENCE_S: Final = 5.0
+_TRY_AGAIN_LATER: Final = 1013
+Message = str | bytes
+
+
+class FrameHub:
+    """One kind of stream.
+
+    layout: of the face now; hello: what a client is told of it first, and again when it is another.
+    message: the newest; made at most once a tick, and only where somebody is there.
+    """
+
+    def __init__(
+        self,
+        layout: Callable[[], BoardLayout],
+        hello: Callable[[BoardLayout], str],
+        message: Callable[[], Message],
+    ) -> None:
+        self._layout = layout
+        self._hello = hello
+        self._message = message
+        self._next: asyncio.Future[Message] | None = None
+        self.n_clients = 0
+        self.n_dropped = 0
+
+    def tick(self) -> None:
+        """There is something new."""
+        waiting, self._next = self._next, None
+        if waiting is not None:
+            waiting.set_result(self._message())
+
+    async def serve(self, socket: WebSocket) -> None:
+        """One client, until it leaves or does not read."""
+        if self.n_clients >= MOST_CLIENTS:
+            await socket.close(_TRY_AGAIN_LATER, f"{MOST_CLIENTS} clients are connected already")
+            return
+        self.n_clients += 1
+        sending: asyncio.Task[None] | None = None
+        try:
+            await socket.accept()
+            sending = asyncio.create_task(self._send_all(socket))
+            listening = asyncio.create_task(_until_gone(socket))
+            await asyncio.wait({sending, listening}, return_when=asyncio.FIRST_COMPLETED)
+            for task in (sending, listening):
+                task.cancel()
+            await asyncio.gather(sending, listening, return_exceptions=True)
+        finally:
+            self.n_clients -= 1
+
+    async def _send_all(self, socket: WebSocket) -> None:
+        told: BoardLayout | None = None
+        with contextlib.suppress(WebSocketDisconnect, RuntimeError):
+            while True:
+                message = await self._newest()
+                if (layout := self._layout()) is not told:
+                    await self._send(socket.send_text(self._hello(layout)))
+                    told = layout
+                if isinstance(message, bytes):
+                    await self._send(socket.send_bytes(message))
+                else:
+                    await self._send(socket.send_text(message))
+
+    async def _send(self, sending: Awaitable[None]) -> None:
+        try:
+            async with asyncio.timeout(_PATIENCE_S):
+                await sending
+        except TimeoutError:
+            self.n_dropped += 1
+            raise WebSocketDisconnect from None
+
+    async def _newest(self) -> Message:
+        if self._next is None:
+            self._next = asyncio.get_running_loop().create_future()
+        return await asyncio.shield(self._next)
+
+
+async def _until_gone(socket: WebSocket) -> None:
+    """What clients say is heard and forgotten."""
+    while (await socket.receive())["type"] != "websocket.disconnect":
+        pass
+
+
+def add_streams(app: FastAPI, link: FaceLink) -> dict[str, FrameHub]:
+    """Add both to an application; the hubs, by name."""
+    twin = FrameHub(lambda: link.layout, hello, lambda: link.frame)
+    state = FrameHub(
+        lambda: link.layout, state_hello, lambda: state_message(link.moment, link.layout)
+    )
+    link.on_moment.extend((twin.tick, state.tick))
+
+    @app.websocket("/api/twin")
+    async def serve_twin(socket: WebSocket) -> None:
+        await twin.serve(socket)
+
+    @app.websocket("/api/state")
+    async def serve_state(socket: WebSocket) -> None:
+        await state.serve(socket)
+
+    return {"twin": twin, "state": state}

@@ -1,0 +1,252 @@
+"""The sections of a face YAML, and numbers and words as they may stand there, with their bounds.
+
+`sound:`, `access:`, `expression:`, `prevent:`, `stale:`, `tracking:` and `motion:`; servos, bus and
+the face as a whole are in `settings.py`.
+"""
+
+import re
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    field_validator,
+    model_validator,
+)
+
+from firmware_bridge.dynamixel.control_table import baud_rates
+from lipservo.settings.motion_names import (
+    DEFAULT_STRATEGY,
+    FARTHEST_LIP_GAP_OFFSET_MM,
+    LONGEST_LOOKAHEAD_MS,
+    ONLY_UNITS,
+    SMOOTHEST,
+    STRONGEST,
+    STYLE_NAMES,
+    STYLES_OF,
+    Engine,
+    Strategy,
+)
+
+
+def within(low: float, high: float) -> AfterValidator:
+    """Accept numbers from `low` to `high`; one check, so that the message can name both ends."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"{value:g} is outside {low:g}..{high:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _check_sign(value: int) -> int:
+    if value not in (1, -1):
+        raise ValueError(f"{value} is neither 1 nor -1")
+    return value
+
+
+def _check_baud_rate(value: int) -> int:
+    known = sorted(baud_rates().values())
+    if value not in known:
+        raise ValueError(f"{value} is no rate of these servos; use one of {known}")
+    return value
+
+
+#: Ids a Dynamixel may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
+ServoId = Annotated[int, within(0, 252)]
+#: Half a turn to each side is all that position control reaches (control mode 3, one turn).
+Degrees = Annotated[float, within(-180.0, 180.0)]
+#: The fastest servo below, XL330-M077-T, makes 383 rev/min without load at 5 V (its e-manual page).
+#: Slower than 1 deg/s no mouth speaks, and Ctrl-C would not bring it home.
+Speed = Annotated[float, within(1.0, 2298.0)]
+#: Top speed within 50 ms at least, or speech is lost; within a millisecond is no limit any more.
+Acceleration = Annotated[float, within(100.0, 2_000_000.0)]
+#: No servo moves even itself with less; no X servo takes more.
+Milliamperes = Annotated[float, within(10.0, 5_000.0)]
+Seconds = Annotated[float, within(0.0, 3_600.0)]
+Factor = Annotated[float, within(-1000.0, 1000.0)]
+#: Not a Literal: that would take `true` for 1.
+Sign = Annotated[int, AfterValidator(_check_sign)]
+BaudRate = Annotated[int, AfterValidator(_check_baud_rate)]
+#: 30 Hz is video's pace. Twenty servos at 1 Mbaud can be written and read 187 times a second with
+#: a millisecond for USB (bytes on the wire, fast sync read), ten 298 times; nothing needs more.
+RateHz = Annotated[float, within(30.0, 200.0)]
+#: One word in every file, table and command: no spaces, dots or capitals to get wrong.
+JOINT_NAME = r"^[a-z][a-z0-9_]*$"
+JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME)]
+#: A file beside the face or among the shipped ones, never a path.
+CALIBRATION_NAME = r"^[\w.-]+\.yaml$"
+CalibrationName = Annotated[str, StringConstraints(pattern=CALIBRATION_NAME)]
+Text = Annotated[str, StringConstraints(min_length=1)]
+
+
+class Strict(BaseModel):
+    """No unknown key, no conversion between types, no change after reading."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+#: Sound later than two seconds is no conversation; a device that says too much is measured as
+#: early, by no more than what it says.
+LEAST_OFFSET_MS, MOST_OFFSET_MS = -500.0, 2000.0
+OffsetMs = Annotated[float, within(LEAST_OFFSET_MS, MOST_OFFSET_MS)]
+
+
+class SoundSettings(Strict):
+    """Devices by their names, or parts of them; the command line goes before it.
+
+    output, input: None = the system's default. output_offset_ms: by device name or part of it, how
+    much later than the device says sound leaves it; `lipservo calibrate audio` finds it.
+    """
+
+    output: Text | None = None
+    input: Text | None = None
+    output_offset_ms: Mapping[Text, OffsetMs] = Field(default_factory=dict)
+
+
+#: As browsers send it: lower case, no path, no port where it is the scheme's own.
+_ORIGIN: Final = re.compile(r"https?://([a-z0-9.-]+|\[[0-9a-f:.]+\])(:[0-9]{1,5})?")
+_MOST_ORIGINS: Final = 16
+
+
+def _check_origin(value: str) -> str:
+    if not _ORIGIN.fullmatch(value):
+        raise ValueError(
+            f"{value!r} is no origin as browsers send it: https://kiosk.example or "
+            "http://localhost:3000, in lower case and without a path"
+        )
+    return value
+
+
+Origin = Annotated[str, AfterValidator(_check_origin)]
+
+
+class AccessSettings(Strict):
+    """Who may connect over TCP besides programs: docs/hardware.md.
+
+    origins: of web pages whose scripts may use the agent server and the dashboard's API; they need
+    the token as everything does.
+    """
+
+    origins: Annotated[tuple[Origin, ...], Field(max_length=_MOST_ORIGINS)] = ()
+
+    @field_validator("origins", mode="before")
+    @classmethod
+    def _a_list_will_do(cls, origins: object) -> object:
+        return tuple(origins) if isinstance(origins, list) else origins
+
+
+#: A degree of freedom of an expression; `lids`: the mean of both.
+ExpressionName = Literal[
+    "neck_pitch_deg",
+    "neck_yaw_deg",
+    "neck_roll_deg",
+    "eye_pitch_deg",
+    "eye_yaw_deg",
+    "lid_left",
+    "lid_right",
+    "lids",
+    "brow",
+    "smile",
+]
+
+#: Half as lively again as people were measured to be.
+LIVELIEST = 1.5
+#: A day: never, for a face that is switched off at night.
+_LONGEST_REST_S = 86_400.0
+
+
+class ServoExpression(Strict):
+    """What part of an expression a servo shows, and how far it turns for one unit of it.
+
+    A unit is a degree, or 1 of lids, brow and smile; a negative number turns the other way.
+    """
+
+    of: ExpressionName
+    deg_per_unit: Annotated[float, within(-90.0, 90.0)]
+
+
+class ExpressionSettings(Strict):
+    """amount: 0 still, 1 as measured on people. seed: of the motion that nobody asked for.
+
+    eye_contact: share of the time in which the face looks at whoever it speaks with. rest_after_s:
+    after so long a silence the servos are let go until somebody speaks. model: learned from tracks
+    (`lipservo learn expression`), a file from the folder of the YAML.
+    """
+
+    amount: Annotated[float, within(0.0, LIVELIEST)] = 1.0
+    seed: Annotated[int, within(0, 2**31 - 1)] = 0
+    eye_contact: Annotated[float, within(0.05, 0.95)] | None = None
+    rest_after_s: Annotated[float, within(10.0, _LONGEST_REST_S)] = 600.0
+    model: Text | None = None
+
+
+class PreventSettings(Strict):
+    """Joints that must not go there together: the sum of factor x angle stays at most `above`."""
+
+    joints: Mapping[JointName, Factor]
+    above: Factor
+    because: Text
+
+    def factors(self, names: Iterable[str]) -> tuple[float, ...]:
+        """One for each of these joints, 0 for one that has no part in the rule."""
+        return tuple(self.joints.get(name, 0.0) for name in names)
+
+
+class StaleSettings(Strict):
+    """What happens when speech falls silent; seconds since the newest target."""
+
+    hold_s: Seconds = 0.1
+    neutral_s: Seconds = 1.0
+    limp_s: Seconds = 5.0
+
+    @model_validator(mode="after")
+    def _the_times_rise(self) -> Self:
+        if not self.hold_s < self.neutral_s <= self.limp_s:
+            raise ValueError(
+                f"needs hold_s < neutral_s <= limp_s, got {self.hold_s:g}, {self.neutral_s:g} "
+                f"and {self.limp_s:g}"
+            )
+        return self
+
+
+class TrackingSettings(Strict):
+    """A servo so far from its goal for so long does not follow, and is let go.
+
+    error_deg: None = by each joint's range (`firmware_bridge.gate.tracking`).
+    """
+
+    error_deg: Annotated[float, within(1.0, 360.0)] | None = None
+    after_s: Annotated[float, within(0.1, 60.0)] = 0.5
+
+
+class MotionSettings(Strict):
+    """Every one of them may be absent; the command line goes before it.
+
+    weights: `default`, `grid`, or a file, from the folder of the YAML.
+    """
+
+    strategy: Strategy | None = None
+    engine: Engine | None = None
+    weights: Text | None = None
+    lookahead_ms: Annotated[float, within(0.0, LONGEST_LOOKAHEAD_MS)] | None = None
+    strength: Annotated[float, within(0.0, STRONGEST)] | None = None
+    smoothness: Annotated[float, within(0.0, SMOOTHEST)] | None = None
+    unit_share: Annotated[float, within(0.0, ONLY_UNITS)] | None = None
+    lip_gap_offset_mm: (
+        Annotated[float, within(-FARTHEST_LIP_GAP_OFFSET_MM, FARTHEST_LIP_GAP_OFFSET_MM)] | None
+    ) = None
+
+    @model_validator(mode="after")
+    def _the_strategy_has_them(self) -> Self:
+        strategy = self.strategy or DEFAULT_STRATEGY
+        given = [name for name in STYLE_NAMES if getattr(self, name) is not None]
+        ignored = [name for name in given if name not in STYLES_OF[strategy]]
+        if ignored:
+            raise ValueError(f"strategy {strategy} has no {', '.join(ignored)}; leave it out")
+        return self

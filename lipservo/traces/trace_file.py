@@ -1,0 +1,284 @@
+"""What happened at every tick, on disk: JSON lines, one header, one line a tick, one last line.
+
+The file appears under its name when it is complete; until then it is `NAME.partial`. It holds no
+wall-clock time, so that two replays of one file give the same bytes. What is read may be whole or
+cut short, plain or `.gz`.
+"""
+
+import gzip
+import json
+import math
+import queue
+import threading
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from lipservo.status.street_tick import StreetTick
+from lipsync.arrays import Array
+from lipsync.errors import UserError
+from lipsync.output_file import OutputError, check_output, written_whole
+
+TRACE_VERSION = 1
+#: The first key of every trace.
+_MARK = "lipservo_trace"
+#: Ticks that may wait for the disk: a minute at 200 Hz.
+_QUEUE_LENGTH = 12_000
+#: More than a day at 200 Hz, unpacked; a small file may unpack to any size.
+_MOST_BYTES = 8_000_000_000
+
+
+class TraceError(UserError):
+    """A trace that broke off."""
+
+
+def is_trace(head: bytes) -> bool:
+    """Whether a file that begins so is a trace."""
+    return head.startswith(f'{{"{_MARK}":'.encode())
+
+
+class TraceFile:
+    """Writes each tick at once. For `replay`, where nobody waits for a tick."""
+
+    def __init__(self, path: Path, header: Mapping[str, object]) -> None:
+        """header: what a reader needs to know first, such as the servo names.
+
+        Raises OutputError where it cannot be written; only a trace is written over.
+        """
+        check_output(path, replaces=is_trace, kind="trace")
+        self._path = path
+        self._whole = ExitStack()
+        partial = self._whole.enter_context(written_whole(path))
+        self._file = self._whole.enter_context(partial.open("w", encoding="utf-8"))
+        self._n_ticks = 0
+        self._write({_MARK: TRACE_VERSION, **header})
+
+    def observe(self, tick: StreetTick) -> None:
+        """Write one tick. Raises TraceError where the disk is full; no file is left then."""
+        self._write(_record_of(self._n_ticks, tick))
+        self._n_ticks += 1
+
+    def close(self, dropped: int = 0) -> None:
+        """Complete the file and give it its name; `dropped` ticks were never written.
+
+        Raises OutputError where that fails; does nothing to an abandoned file.
+        """
+        if self._file.closed:
+            return
+        with self._whole:
+            self._write({"ticks": self._n_ticks, "dropped": dropped})
+
+    def abandon(self) -> None:
+        """Leave no file: it could not be completed."""
+        with suppress(OutputError), self._whole:
+            raise OutputError("abandoned")
+
+    def __enter__(self) -> "TraceFile":
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _write(self, record: Mapping[str, object]) -> None:
+        try:
+            self._file.write(json.dumps(record, separators=(",", ":")) + "\n")
+        except OSError as error:
+            self.abandon()
+            raise TraceError(f"{self._path}: the trace broke off: {error.strerror}") from error
+
+
+class BackgroundTrace:
+    """Hands ticks to a thread that writes them: the tick itself touches no file.
+
+    When the disk is a minute behind, ticks are dropped and the last line says how many.
+    """
+
+    def __init__(self, file: TraceFile, say: Callable[[str], None]) -> None:
+        """say: gets a line, once, when it breaks off; the error is raised at the end."""
+        self._file = file
+        self._say = say
+        self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
+        self._error: TraceError | None = None
+        self._dropped = 0
+        self._thread = threading.Thread(target=self._run, name="trace", daemon=True)
+        self._thread.start()
+
+    def observe(self, tick: StreetTick) -> None:
+        """Queue one tick."""
+        try:
+            self._queue.put_nowait(tick)
+        except queue.Full:
+            self._dropped += 1
+
+    def __enter__(self) -> "BackgroundTrace":
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._queue.put(None)
+        self._thread.join()
+        if self._error is not None:
+            raise self._error
+        self._file.close(self._dropped)
+
+    def _run(self) -> None:
+        while (tick := self._queue.get()) is not None:
+            try:
+                if self._error is None:
+                    self._file.observe(tick)
+            except TraceError as error:  # a full disk must not stop the face
+                self._error = error
+                self._say(f"{error}; the face goes on")
+
+
+def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
+    report = tick.report
+    return {
+        "tick": number,
+        "sound_s": round(tick.sound_s, 6),
+        "phoneme": tick.phoneme,
+        "hears": tick.hears,
+        "coefficients": _rounded(tick.coefficients.tolist()),
+        "wanted_deg": _rounded(report.wanted_deg.tolist()),
+        "sent_deg": _rounded(report.sent_deg.tolist()),
+        "late": report.late,
+        "target_age_s": _finite(report.target_age_s),
+        "stale": report.stale.name.lower(),
+        "torque_on": report.torque_on,
+        "range_hits": report.range_hits.nonzero()[0].tolist(),
+        "rate_hits": report.rate_hits.nonzero()[0].tolist(),
+    }
+
+
+def _finite(value: float) -> float | None:
+    """JSON knows no infinity: None before the first target."""
+    return round(value, 6) if math.isfinite(value) else None
+
+
+def _rounded(values: Sequence[float]) -> list[float]:
+    return [round(value, 4) for value in values]
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """The motion of one run, tick by tick, n ticks in order of time.
+
+    sound_s: (n,), the sound time that each tick shows; coefficients: (n, n_components);
+    sent_deg: (n, n_servos); model: checksum of the face model. notes: what a reader should know,
+    such as that it was cut short. complete: it has its last line.
+    """
+
+    name: str
+    face: str
+    servos: tuple[str, ...]
+    model: str
+    delay_s: float
+    sound_s: Array
+    phonemes: tuple[str, ...]
+    coefficients: Array
+    sent_deg: Array
+    complete: bool
+    notes: tuple[str, ...]
+
+
+def read_trace(path: Path) -> Trace:
+    """The trace in a file. Raises TraceError, one line, for what is none."""
+    lines = _lines(path)
+    head = _parsed(lines[0]) if lines else None
+    if head is None or head.get("lipservo_trace") != TRACE_VERSION:
+        raise TraceError(f"{path}: not a lipservo trace of version {TRACE_VERSION}")
+    ticks: list[Mapping[str, Any]] = []
+    end: Mapping[str, Any] | None = None
+    torn = False
+    for number, line in enumerate(lines[1:], start=2):
+        record = _parsed(line)
+        if record is None or end is not None:
+            if number < len(lines):
+                raise TraceError(f"{path}: line {number} is damaged")
+            torn = True
+        elif "ticks" in record:
+            end = record
+        else:
+            ticks.append(record)
+    try:
+        return _trace(path, head, ticks, end, torn=torn)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise TraceError(f"{path}: damaged: {error or 'no ticks'}") from error
+
+
+def _trace(
+    path: Path,
+    head: Mapping[str, Any],
+    ticks: list[Mapping[str, Any]],
+    end: Mapping[str, Any] | None,
+    *,
+    torn: bool,
+) -> Trace:
+    if len(ticks) < 2:
+        raise TraceError(f"{path}: holds {len(ticks)} ticks; nothing to compare")
+    notes = []
+    if end is None:
+        where = ", its last line torn" if torn else ""
+        notes.append(f"{path.name} was cut short after {len(ticks)} ticks{where}")
+    elif end["dropped"]:
+        notes.append(f"{path.name} lacks {end['dropped']} ticks, for the disk was too slow")
+    servos = tuple(str(name) for name in head["servos"])
+    if not servos:
+        raise ValueError("it names no servo")
+    trace = Trace(
+        name=path.name,
+        face=str(head["face"]),
+        servos=servos,
+        model=str(head["model"]),
+        delay_s=float(head["delay_s"]),
+        sound_s=np.array([tick["sound_s"] for tick in ticks], dtype=np.float64),
+        phonemes=tuple(str(tick["phoneme"]) for tick in ticks),
+        coefficients=np.array([tick["coefficients"] for tick in ticks], dtype=np.float64),
+        sent_deg=np.array([tick["sent_deg"] for tick in ticks], dtype=np.float64),
+        complete=end is not None,
+        notes=tuple(notes),
+    )
+    if trace.sent_deg.shape != (len(ticks), len(servos)) or trace.coefficients.ndim != 2:
+        raise ValueError("rows of different lengths")
+    if not (np.diff(trace.sound_s) > 0.0).all():
+        raise ValueError("time runs backwards")
+    if not (np.isfinite(trace.sent_deg).all() and np.isfinite(trace.coefficients).all()):
+        raise ValueError("values that are no numbers")
+    return trace
+
+
+def _lines(path: Path) -> list[bytes]:
+    """Without empty ones; what is left of a packed file that was cut short counts."""
+    try:
+        if path.suffix != ".gz":
+            return [line for line in path.read_bytes().split(b"\n") if line]
+        unpacked = bytearray()
+        with gzip.open(path) as file:
+            try:
+                while len(unpacked) < _MOST_BYTES and (chunk := file.read1(1 << 20)):
+                    unpacked += chunk
+            except EOFError:
+                pass
+    except OSError as error:
+        raise TraceError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except zlib.error as error:
+        raise TraceError(f"{path}: damaged: {error}") from error
+    return [line for line in bytes(unpacked).split(b"\n") if line]
+
+
+def _parsed(line: bytes) -> Mapping[str, Any] | None:
+    try:
+        record = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    return record if isinstance(record, dict) else None

@@ -1,0 +1,253 @@
+"""When each phone of a known text is spoken, by forced alignment; and whether it was spoken at all.
+
+Offline, by pocketsphinx. Two passes over the sound: the first finds the words and their
+pronunciations, the second the phones. All published figures are against alignments at
+pocketsphinx's own beams. Where these lose the way in the second pass, tight ones often do not
+(design measurement: 4 failures of 40 utterances against 0); such an alignment says so, its accuracy
+was never compared.
+
+Words that its dictionary does not hold are pronounced by gruut's lexicon, else its model, in IPA;
+docs/decisions/0003-pronunciations.md says why it was taken.
+
+Forced alignment lays any text over any sound as long as it finds a path. The score is the mean
+over frames of log p(aligned phone) - log p(likeliest phone), the "goodness of pronunciation" of
+Witt and Young (Speech Communication 30, 2000) with the posteriors of a network: 0 where every
+phone aligned is the likeliest, lower the less they agree. docs/recognition.md says how the limits
+were found, and how often they err.
+"""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.errors import MissingExtraError, UserError, check_extra
+from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
+from lipsync.recognition.batch import recording_posteriors
+from lipsync.recognition.features import FRAMES_PER_S, HOP
+from lipsync.recognition.network import NetworkWeights, load_shipped_weights
+
+if TYPE_CHECKING:
+    from pocketsphinx import Decoder
+
+#: IPA of gruut's US English against ARPAbet; stress marks are stripped before.
+_ARPABET_OF = {
+    "æ": "AE", "ɑ": "AA", "ɔ": "AO", "ə": "AH", "ʌ": "AH", "ɐ": "AH", "ɚ": "ER", "ɝ": "ER",
+    "ɛ": "EH", "ɪ": "IH", "i": "IY", "u": "UW", "ʊ": "UH", "oʊ": "OW", "eɪ": "EY", "aɪ": "AY",
+    "aʊ": "AW", "ɔɪ": "OY", "b": "B", "d": "D", "f": "F", "h": "HH", "j": "Y", "k": "K",
+    "l": "L", "m": "M", "n": "N", "p": "P", "ɹ": "R", "s": "S", "t": "T", "v": "V", "w": "W",
+    "z": "Z", "ɡ": "G", "ŋ": "NG", "ʃ": "SH", "ʒ": "ZH", "t͡ʃ": "CH", "d͡ʒ": "JH", "θ": "TH",
+    "ð": "DH",
+}  # fmt: skip
+_STRESS = str.maketrans("", "", "ˈˌ")
+
+
+class PronunciationError(UserError):
+    """A word cannot be pronounced; the message is one line."""
+
+
+@cache
+def pronounce(word: str) -> tuple[str, ...]:
+    """The phones of one lower-case English word, ARPAbet without stress.
+
+    Raises PronunciationError for a word without letters, one that gruut cannot say, and where
+    gruut is not installed.
+    """
+    if not any(letter.isalpha() for letter in word):
+        raise PronunciationError(f"word {word!r} has no pronunciation; write it out in letters")
+    phones = tuple(
+        arpabet
+        for ipa in _ipa(word)
+        if (arpabet := _ARPABET_OF.get(ipa.translate(_STRESS))) is not None
+    )
+    if not phones:
+        raise PronunciationError(f"word {word!r} has no pronunciation; spell it as it sounds")
+    return phones
+
+
+def _ipa(word: str) -> list[str]:
+    try:
+        check_extra("gruut", f"word {word!r} is not in the dictionary; guessing how it sounds")
+    except MissingExtraError as error:
+        raise PronunciationError(str(error)) from None
+    from gruut import sentences
+
+    # Numbers, dates and money would be spelt out as other words; a word is taken as it stands.
+    return [
+        phone
+        for sentence in sentences(word, lang="en-us", verbalize_numbers=False)
+        for part in sentence
+        for phone in part.phonemes or ()
+    ]
+
+
+Beams = Literal["default", "tight"]
+#: In the order in which they are tried; pocketsphinx's own first.
+_BEAMS: Mapping[Beams, Mapping[str, float]] = {
+    "default": {},
+    "tight": {"beam": 1e-20, "pbeam": 1e-20, "wbeam": 1e-10},
+}
+_WORD = re.compile(r"[^\W_]+(?:'[^\W_]+)*'?")
+
+
+class AlignmentError(UserError):
+    """Sound and text do not go together; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """Phones and words of an utterance, without gaps between the phones.
+
+    words: (word, start_s, end_s), silence left out. guessed: words the dictionary does not hold.
+    """
+
+    phones: tuple[PhonemeEvent, ...]
+    words: tuple[tuple[str, float, float], ...]
+    beams: Beams
+    guessed: tuple[str, ...] = ()
+
+
+def align(
+    samples: NDArray[np.float32],
+    text: str,
+    pronouncer: Callable[[str], tuple[str, ...]] = pronounce,
+) -> Alignment:
+    """Align samples (n,) at 16 kHz in [-1, 1] with the words of `text`.
+
+    Raises PronunciationError for a word without a pronunciation, AlignmentError for a text without
+    words and for sound that the text does not fit, MissingExtraError without the extra `align`.
+    """
+    words = words_of(text)
+    if not words:
+        raise AlignmentError("the text holds no words; give what is said in the sound")
+    check_aligner()
+    from pocketsphinx import Decoder
+
+    pcm = np.rint(np.clip(samples, -1.0, 1.0) * np.float32(32767)).astype(np.int16).tobytes()
+    reason = ""
+    for beams, options in _BEAMS.items():
+        # One that has heard another utterance aligns every third one differently (measured over
+        # LibriSpeech), and one that failed does not recover; loading is a sixth of an alignment.
+        decoder = Decoder(lm=None, cmn="batch", loglevel="FATAL", **options)
+        guessed = _teach(decoder, words, pronouncer)
+        try:
+            return _alignment(_segments(decoder, pcm, words), beams, guessed)
+        except RuntimeError as error:
+            reason = str(error)
+    raise AlignmentError(f"the text does not fit the sound ({reason}); check both")
+
+
+def check_aligner() -> None:
+    """Raises MissingExtraError where `align` could not work; before a corpus is begun, too."""
+    check_extra("pocketsphinx", "finding when each phone of a text is spoken")
+
+
+def words_of(text: str) -> list[str]:
+    """The words of a text in lower case, without punctuation."""
+    return _WORD.findall(text.lower().replace("\N{RIGHT SINGLE QUOTATION MARK}", "'"))
+
+
+def _teach(
+    decoder: "Decoder", words: list[str], pronouncer: Callable[[str], tuple[str, ...]]
+) -> tuple[str, ...]:
+    """Make sure that the decoder knows all words; returns those that had to be guessed."""
+    missing = tuple(word for word in dict.fromkeys(words) if decoder.lookup_word(word) is None)
+    for word in missing:
+        decoder.add_word(word, " ".join(pronouncer(word)), False)
+    return missing
+
+
+def _segments(
+    decoder: "Decoder", pcm: bytes, words: list[str]
+) -> list[tuple[str, list[tuple[str, int, int]]]]:
+    """(word, its phones as (name, first frame, n frames)) in order."""
+    decoder.set_align_text(" ".join(words))
+    _process(decoder, pcm)
+    # Only now: asked after the second pass, pocketsphinx 5.1.1 crashes.
+    if decoder.hyp() is None:
+        raise RuntimeError("no path through the words")
+    decoder.set_alignment()
+    _process(decoder, pcm)
+    alignment = decoder.get_alignment()
+    if alignment is None:
+        raise RuntimeError("no alignment of the phones")
+    return [(w.name, [(p.name, p.start, p.duration) for p in w]) for w in alignment.words()]
+
+
+def _process(decoder: "Decoder", pcm: bytes) -> None:
+    decoder.start_utt()
+    decoder.process_raw(pcm, no_search=False, full_utt=True)
+    decoder.end_utt()
+
+
+def _alignment(
+    segments: list[tuple[str, list[tuple[str, int, int]]]],
+    beams: Beams,
+    guessed: tuple[str, ...],
+) -> Alignment:
+    phones: list[PhonemeEvent] = []
+    words: list[tuple[str, float, float]] = []
+    for word, parts in segments:
+        for name, start, n_frames in parts:
+            phoneme = name if name in VISEME_OF else SILENCE
+            start_s, end_s = start / FRAMES_PER_S, (start + n_frames) / FRAMES_PER_S
+            if phones and phoneme == SILENCE == phones[-1].phoneme:
+                phones[-1] = PhonemeEvent(SILENCE, phones[-1].start_s, end_s)
+            elif n_frames > 0:
+                phones.append(PhonemeEvent(phoneme, start_s, end_s))
+        if not word.startswith(("<", "[", "+")) and parts:
+            start, (_, last, n_last) = parts[0][1], parts[-1]
+            name = re.sub(r"\(\d+\)$", "", word)
+            words.append((name, start / FRAMES_PER_S, (last + n_last) / FRAMES_PER_S))
+    return Alignment(tuple(phones), tuple(words), beams, guessed)
+
+
+#: A text that scores less was not said.
+LEAST_SCORE = -3.5
+#: One that scores less was probably not said as it stands: words are missing, or too many.
+DOUBTFUL_SCORE = -1.5
+#: Nineteen in twenty true texts of native speakers, in words for people.
+USUAL_SCORES = "-0.2 to -0.8"
+#: A phone that is out of the question counts as this probability: one frame decides nothing.
+_SMALLEST = 1e-6
+
+
+def goodness_of_pronunciation(
+    samples: NDArray[np.float32],
+    phones: tuple[PhonemeEvent, ...],
+    weights: NetworkWeights | None = None,
+) -> float:
+    """The score (<= 0) of an alignment's phones, all with ends, in samples (n,) at 16 kHz.
+
+    Counted are the frames in which the alignment or the network (None: the shipped weights) has a
+    phone that is not silence. 0 where there is none. Raises WeightsError.
+    """
+    weights = weights or _shipped()
+    posteriors = _late_posteriors(weights, samples)
+    numbers = {phoneme: number for number, phoneme in enumerate(weights.phonemes)}
+    aligned = np.full(len(posteriors), numbers[SILENCE])
+    for event in phones:
+        end_s = event.start_s if event.end_s is None else event.end_s
+        first, end = round(event.start_s * FRAMES_PER_S), round(end_s * FRAMES_PER_S)
+        aligned[first:end] = numbers[event.phoneme]
+    logs = np.log(np.maximum(posteriors, np.float32(_SMALLEST)))
+    ratio = logs[np.arange(len(logs)), aligned] - logs.max(axis=1)
+    heard = logs.argmax(axis=1) != numbers[SILENCE]
+    spoken = heard | (aligned != numbers[SILENCE])
+    return float(ratio[spoken].mean()) if spoken.any() else 0.0
+
+
+def _late_posteriors(weights: NetworkWeights, samples: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(n_frames, n_phonemes) of the head that waits longest, frame k beginning at k hops."""
+    n_frames, delay = max(1, -(-len(samples) // HOP)), weights.delays[-1]
+    posteriors = recording_posteriors(weights, samples, n_frames + delay)
+    return posteriors[delay:, -1]
+
+
+@cache
+def _shipped() -> NetworkWeights:
+    return load_shipped_weights()

@@ -1,1 +1,0 @@
-"""Forced alignment: when each phoneme of a known text was said. Offline."""

@@ -1,0 +1,345 @@
+"""What a twin is put together from, beside the skin: eyeballs, jaw, teeth, tongue and neck.
+
+Simple shapes that are generated, not measured.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from lipsync.arrays import Array, Indices
+from lipsync.twin.head_surface import LEFT_EYE, RIGHT_EYE, HeadSurface
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One mesh.
+
+    places_mm (n, 3), triangles (n_triangles, 3), outward; colours (n, 3), 0 to 1, sRGB.
+    morphs: displacements in mm (n, 3) of the targets that move it, by name. It turns with the head
+    unless it `stays`.
+    """
+
+    name: str
+    places_mm: Array
+    triangles: Indices
+    colours: Array
+    morphs: Mapping[str, Array] = field(default_factory=dict)
+    stays: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Eyeball:
+    """A sphere that turns about its centre (3,); it looks straight ahead along z."""
+
+    side: Literal["left", "right"]
+    centre_mm: Array
+    radius_mm: float
+    iris_radius_mm: float
+
+
+#: Larger than an eyeball (12 mm): a tracked lid has no thickness, and at 12 mm the corners of the
+#: eye would show what is behind it.
+_RADIUS_MM = 16.5
+#: The lid stands so far off the eyeball.
+_CLEARANCE_MM = 0.5
+#: How far the lining of the lids reaches back, and inwards as a share.
+_LINING_MM, _LINING_SHARE = 7.0, 0.10
+_LINING, _LASHES = (0.80, 0.55, 0.50), (0.22, 0.15, 0.12)
+
+
+def eyeballs(surface: HeadSurface, irises_mm: Array) -> tuple[Eyeball, Eyeball]:
+    """Left and right. irises_mm (2, 5, 3), right first, give how wide the irises are."""
+    edges = irises_mm[:, 1:] - irises_mm[:, :1]
+    iris_mm = float(np.linalg.norm(edges[:, :, :2], axis=2).mean())
+    left = _eyeball("left", surface.places_mm[list(LEFT_EYE)], iris_mm)
+    right = _eyeball("right", surface.places_mm[list(RIGHT_EYE)], iris_mm)
+    return left, right
+
+
+def _eyeball(side: Literal["left", "right"], rim_mm: Array, iris_mm: float) -> Eyeball:
+    """Between the corners, as far back as the middle third of both lids asks for."""
+    corners = rim_mm[[0, len(rim_mm) // 2]]
+    x = corners[:, 0].mean()
+    y = (rim_mm[:, 1].max() + rim_mm[:, 1].min()) / 2
+    middle = rim_mm[np.abs(rim_mm[:, 0] - x) < np.ptp(corners[:, 0]) / 3]
+    reach = (_RADIUS_MM + _CLEARANCE_MM) ** 2 - ((middle[:, :2] - (x, y)) ** 2).sum(axis=1)
+    z = float((middle[:, 2] - np.sqrt(reach)).min())
+    return Eyeball(side, np.array([x, y, z]), _RADIUS_MM, iris_mm)
+
+
+def lid_lining(surface: HeadSurface, morphs: dict[str, Array], eye: Eyeball) -> Part:
+    """The inner side of the lids of one eye: a strip from the rim backwards, dark at the lashes."""
+    rim = np.array(surface.loop_from(*(LEFT_EYE if eye.side == "left" else RIGHT_EYE)[:2]))
+    n = len(rim)
+    front = surface.places_mm[rim]
+    inwards = (eye.centre_mm - front) * (1.0, 1.0, 0.0) * _LINING_SHARE
+    back = front + inwards - (0.0, 0.0, _LINING_MM)
+    upper = np.arange(n) <= n // 2
+    colours = np.vstack(
+        [np.where(upper[:, None], _LASHES, _LINING), np.broadcast_to(_LINING, (n, 3))]
+    )
+    here, ahead = np.arange(n), np.roll(np.arange(n), -1)
+    triangles = np.vstack(
+        [np.column_stack([here, ahead, here + n]), np.column_stack([ahead, ahead + n, here + n])]
+    )
+    moves = {
+        name: np.vstack([morph[rim], morph[rim]])
+        for name, morph in morphs.items()
+        if np.abs(morph[rim]).max() > 0.0
+    }
+    return Part(f"lids_{eye.side}", np.vstack([front, back]), triangles, colours, moves)
+
+
+def jaw_motion(chin_mm: Array, joint_mm: Array, chin_moves_mm: Array) -> Array:
+    """Opening, forward and sideways motion that explain best how the chin moves.
+
+    chin_mm (n, 3), joint_mm (3,): where they are; chin_moves_mm (n_morphs, n, 3).
+    Returns (n_morphs, 3): radians about the joint (positive opens), mm forward, mm to +x.
+    """
+    columns = jaw_modes(chin_mm, joint_mm).transpose(1, 2, 0).reshape(-1, 3)
+    solved, *_ = np.linalg.lstsq(columns, chin_moves_mm.reshape(len(chin_moves_mm), -1).T)
+    return np.asarray(solved.T, dtype=np.float64)
+
+
+def jaw_modes(places_mm: Array, joint_mm: Array) -> Array:
+    """(3, n, 3): what 1 rad of opening, 1 mm forward and 1 mm sideways do to places of the jaw."""
+    from_joint = places_mm - joint_mm
+    modes = np.zeros((3, *places_mm.shape))
+    # A small rotation about +x takes z into y's place: (0, -z, y); the chin goes down and back.
+    modes[0, :, 1] = -from_joint[:, 2]
+    modes[0, :, 2] = from_joint[:, 1]
+    modes[1, :, 2] = 1.0
+    modes[2, :, 0] = 1.0
+    return modes
+
+
+def on_jaw(places_mm: Array, joint_mm: Array, motion: Array) -> Array:
+    """(n_morphs, n, 3): displacements of places on the jaw; `motion` is of `jaw_motion`."""
+    return np.asarray(
+        np.einsum("kj,jni->kni", motion, jaw_modes(places_mm, joint_mm)), dtype=np.float64
+    )
+
+
+_ENAMEL, _GUMS, _TONGUE = (0.93, 0.91, 0.86), (0.62, 0.30, 0.30), (0.66, 0.30, 0.31)
+_INSIDE_FRONT, _INSIDE_BACK = np.array([0.42, 0.15, 0.15]), np.array([0.07, 0.02, 0.02])
+#: Width of the teeth of one side from the middle on, and their height, mm: usual sizes.
+_UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM = (8.4, 6.6, 7.6, 7.0, 6.8, 9.8), 9.5
+_LOWER_WIDTHS_MM, _LOWER_HEIGHT_MM = (5.4, 5.9, 6.8, 7.0, 7.1, 10.0), 8.5
+_THICKNESS_MM = 5.0
+#: Edges of the front teeth, and middle of the tongue, from between the lips.
+_UPPER_AT_MM, _LOWER_AT_MM = np.array([0.0, -1.6, -5.0]), np.array([0.0, -1.4, -7.4])
+_TONGUE_AT_MM = np.array([0.0, -8.5, -32.0])
+#: The arch of the teeth is a parabola: so deep at so far from the middle.
+_ARCH_HALF_WIDTH_MM, _ARCH_DEPTH_MM = 25.0, 33.0
+#: Rows of the inside of the mouth, and its half axes at its widest.
+_ROWS, _INSIDE_MM = 9, (24.0, 15.0)
+
+
+@dataclass(frozen=True, slots=True)
+class MouthFrame:
+    """Where the mouth is.
+
+    places_mm (n, 3): the inner rim of the lips, in order; morphs: its displacements (n, 3).
+    middle_mm: between both lips. joint_mm: of the jaw. jaw: its motion (3,) in each morph.
+    """
+
+    places_mm: Array
+    morphs: Mapping[str, Array]
+    middle_mm: Array
+    joint_mm: Array
+    jaw: Mapping[str, Array]
+
+    def with_jaw(self, places_mm: Array) -> dict[str, Array]:
+        """Displacements of places on the lower jaw, by morph."""
+        return {
+            name: on_jaw(places_mm, self.joint_mm, motion[None])[0]
+            for name, motion in self.jaw.items()
+        }
+
+
+def mouth_parts(frame: MouthFrame) -> tuple[Part, ...]:
+    """Upper teeth, lower teeth with tongue, and the inside of the mouth."""
+    upper_at = frame.middle_mm + _UPPER_AT_MM
+    lower_at = frame.middle_mm + _LOWER_AT_MM
+    upper = _dental_arch(upper_at, _UPPER_WIDTHS_MM, _UPPER_HEIGHT_MM, 1.0)
+    lower = _dental_arch(lower_at, _LOWER_WIDTHS_MM, _LOWER_HEIGHT_MM, -1.0)
+    tongue = _ball(frame.middle_mm + _TONGUE_AT_MM, (16.0, 6.0, 23.0), _TONGUE)
+    places, triangles, colours = _joined([lower, tongue])
+    return (
+        Part("teeth_upper", *upper),
+        Part("teeth_lower", places, triangles, colours, frame.with_jaw(places)),
+        _inside(frame),
+    )
+
+
+Piece = tuple[Array, Indices, Array]
+
+
+def _dental_arch(at: Array, widths_mm: tuple[float, ...], height_mm: float, up: float) -> Piece:
+    """Teeth of both sides and their gum; `at`: the edge of the front teeth, in the middle."""
+    pieces = []
+    edges = np.concatenate([[0.0], np.cumsum(widths_mm)])
+    for side in (-1.0, 1.0):
+        for start, width in zip(edges, widths_mm, strict=False):
+            x, z, turn = _on_arch(side * (start + width / 2))
+            shorter = 1.0 - 0.03 * start / 8.0
+            half = (width * 0.49, height_mm * shorter / 2, _THICKNESS_MM / 2)
+            tooth, triangles, colours = _ball(np.zeros(3), half, _ENAMEL, roundness=0.45)
+            tooth = tooth @ np.array(
+                [[np.cos(turn), 0, -np.sin(turn)], [0, 1, 0], [np.sin(turn), 0, np.cos(turn)]]
+            )
+            middle = at + np.array([x, up * height_mm / 2, z])
+            pieces.append((tooth + middle, triangles, colours))
+    pieces.append(_gum(at + np.array([0.0, up * (height_mm + 1.0), 0.0]), float(edges[-1])))
+    return _joined(pieces)
+
+
+def _on_arch(along_mm: float) -> tuple[float, float, float]:
+    """x, z and heading of the parabola at an arc length from its middle."""
+    bend = _ARCH_DEPTH_MM / _ARCH_HALF_WIDTH_MM**2
+    x = np.linspace(0.0, 2 * _ARCH_HALF_WIDTH_MM, 400)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(x), np.diff(bend * x**2)))])
+    here = float(np.interp(abs(along_mm), arc, x)) * np.sign(along_mm)
+    return here, -bend * here**2, float(np.arctan(2 * bend * here))
+
+
+def _gum(at: Array, half_length_mm: float) -> Piece:
+    """A round bar along the arch."""
+    stations = np.linspace(-half_length_mm, half_length_mm, 25)
+    round_it = np.linspace(0, 2 * np.pi, 10, endpoint=False)
+    rows = []
+    for each in stations:
+        x, z, turn = _on_arch(float(each))
+        across = np.array([np.sin(turn), 0.0, np.cos(turn)])
+        rows.append(
+            at + np.array([x, 0.0, z]) + 2.9 * np.outer(np.cos(round_it), across)
+            + 3.2 * np.outer(np.sin(round_it), (0.0, 1.0, 0.0))
+        )  # fmt: skip
+    places = np.concatenate(rows)
+    triangles = _grid(len(stations), len(round_it))
+    return places, triangles, np.broadcast_to(_GUMS, places.shape)
+
+
+def _ball(
+    middle: Array,
+    half_mm: tuple[float, float, float],
+    colour: tuple[float, ...],
+    roundness: float = 1.0,
+) -> Piece:
+    """A superellipsoid: an ellipsoid at roundness 1, a box with round edges below."""
+    up = np.linspace(-np.pi / 2, np.pi / 2, 9)
+    about = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+
+    def shaped(values: Array) -> Array:
+        return np.asarray(np.sign(values) * np.abs(values) ** roundness, dtype=np.float64)
+
+    ring = shaped(np.cos(up))[:, None]
+    unit = np.stack(
+        [
+            ring * shaped(np.sin(about)),
+            np.broadcast_to(shaped(np.sin(up))[:, None], (len(up), len(about))),
+            ring * shaped(np.cos(about)),
+        ],
+        axis=-1,
+    ).reshape(-1, 3)
+    places = middle + unit * half_mm
+    return places, _grid(len(up), len(about)), np.broadcast_to(colour, places.shape)
+
+
+def _inside(frame: MouthFrame) -> Part:
+    """From the inner rim of the lips backwards, wider than the lips, to a dark end.
+
+    Its front moves with the lips, its lower back with the jaw, its upper back not at all.
+    """
+    n = len(frame.places_mm)
+    lips = frame.places_mm
+    angle = np.arctan2((lips[:, 1] - frame.middle_mm[1]) * 8.0, lips[:, 0] - frame.middle_mm[0])
+    oval = np.column_stack([np.cos(angle) * _INSIDE_MM[0], np.sin(angle) * _INSIDE_MM[1]])
+    back = np.column_stack([oval, np.full(n, -48.0)]) + frame.middle_mm
+    places, share, colours = [], [], []
+    for row in range(_ROWS):
+        along = row / (_ROWS - 1)
+        opened = min(1.0, along * 2.5)
+        shape = (1 - opened) * lips + opened * back
+        shape[:, 2] = (1 - along) * lips[:, 2] + along * back[:, 2]
+        narrow = 1.0 if along < 0.75 else 4.0 * (1.0 - along)
+        shape[:, :2] = frame.middle_mm[:2] + narrow * (shape[:, :2] - frame.middle_mm[:2])
+        places.append(shape)
+        share.append(np.full(n, max(0.0, 1.0 - along * 2.5)))
+        fade = min(1.0, along * 1.6)
+        colours.append(np.broadcast_to((1 - fade) * _INSIDE_FRONT + fade * _INSIDE_BACK, (n, 3)))
+    all_places = np.concatenate(places)
+    of_lips = np.concatenate(share)[:, None]
+    lower = np.clip(0.5 - 2.0 * np.sin(np.tile(angle, _ROWS)), 0.0, 1.0)[:, None]
+    jaw = frame.with_jaw(all_places)
+    still = np.zeros_like(all_places)
+    morphs = {
+        name: of_lips * np.tile(moves, (_ROWS, 1)) + (1 - of_lips) * lower * jaw.get(name, still)
+        for name, moves in frame.morphs.items()
+    }
+    return Part("mouth", all_places, _grid(_ROWS, n)[:, ::-1], np.concatenate(colours), morphs)
+
+
+def _grid(n_rows: int, n_round: int) -> Indices:
+    """Triangles of rows of vertices, each row closed."""
+    corner = np.arange(n_rows * n_round).reshape(n_rows, n_round)
+    here, above = corner[:-1], corner[1:]
+    ahead, above_ahead = np.roll(here, -1, axis=1), np.roll(above, -1, axis=1)
+    bands = [np.stack([here, ahead, above], -1), np.stack([ahead, above_ahead, above], -1)]
+    return np.concatenate([band.reshape(-1, 3) for band in bands])
+
+
+def _joined(pieces: list[Piece]) -> Piece:
+    first = np.cumsum([0, *(len(places) for places, _, _ in pieces)])
+    return (
+        np.vstack([places for places, _, _ in pieces]),
+        np.vstack([triangles + at for (_, triangles, _), at in zip(pieces, first, strict=False)]),
+        np.vstack([colours for _, _, colours in pieces]),
+    )
+
+
+#: What the head turns about: the top of the spine.
+PIVOT_MM = (0.0, -70.0, -88.0)
+#: Height below the pivot, radius and grey; the neck is wider than deep.
+_PROFILE = (
+    (0.0, 44.0, 0.32),
+    (-45.0, 46.0, 0.38),
+    (-68.0, 50.0, 0.41),
+    (-82.0, 62.0, 0.50),
+    (-100.0, 90.0, 0.53),
+    (-124.0, 126.0, 0.53),
+    (-165.0, 156.0, 0.51),
+    (-250.0, 172.0, 0.48),
+)
+_TINT = (0.92, 1.0, 1.10)
+_DEPTH_SHARE = 0.72
+_SIDES = 64
+_NECK_ROWS = 40
+
+
+def neck() -> Part:
+    """From inside the head downwards."""
+    profile = np.array(_PROFILE)
+    steps = np.linspace(0, len(profile) - 1, _NECK_ROWS)
+    height, radius, grey = PchipInterpolator(np.arange(len(profile)), profile)(steps).T
+    around = np.linspace(0, 2 * np.pi, _SIDES, endpoint=False)
+    places = np.stack(
+        [
+            np.outer(radius, np.sin(around)),
+            np.repeat(height[:, None], _SIDES, axis=1),
+            np.outer(radius, np.cos(around)) * _DEPTH_SHARE,
+        ],
+        axis=-1,
+    ).reshape(-1, 3) + np.array(PIVOT_MM)
+    corner = np.arange(_NECK_ROWS * _SIDES).reshape(_NECK_ROWS, _SIDES)
+    here, below = corner[:-1], corner[1:]
+    ahead, below_ahead = np.roll(here, -1, axis=1), np.roll(below, -1, axis=1)
+    bands = [np.stack([here, below, ahead], -1), np.stack([ahead, below, below_ahead], -1)]
+    triangles = np.concatenate([band.reshape(-1, 3) for band in bands])
+    return Part(
+        "neck", places, triangles, np.repeat(np.outer(grey, _TINT), _SIDES, axis=0), stays=True
+    )

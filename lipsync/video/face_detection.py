@@ -1,0 +1,171 @@
+"""Where a face is in a picture: BlazeFace for short range, and the square that landmarks look at.
+
+Bazarevsky, Kartynnik, Vakunov, Raveendran and Grundmann, "BlazeFace: sub-millisecond neural face
+detection on mobile GPUs", 2019: 896 anchors on grids of 16 x 16 (two a place) and 8 x 8 (six), and
+boxes that overlap blended by their scores rather than suppressed (section 3.4).
+
+The square is cut as MediaPipe's graphs do: half as large again as the face, turned so that the eyes
+are level.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array
+
+#: (height, width, 3), red, green, blue.
+Picture = NDArray[np.uint8]
+
+
+#: Pixels of the square picture that the network looks at.
+DETECTOR_PIXELS = 128
+#: Anchors: places in a row, and how many at each place.
+_GRIDS = ((16, 2), (8, 6))
+_LEAST_SCORE = 0.5
+#: Two boxes that share this much of their union are of one face.
+_SAME_FACE = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Detection:
+    """A face in a square picture, all in parts of its side.
+
+    box: (4,), left, top, right, bottom. eyes: (2, 2), the speaker's right one first.
+    """
+
+    score: float
+    box: Array
+    eyes: Array
+
+
+def _anchors() -> Array:
+    """(896, 2): the middles that boxes are told from."""
+    rows = []
+    for n_places, n_each in _GRIDS:
+        steps = (np.arange(n_places) + 0.5) / n_places
+        down, across = np.meshgrid(steps, steps, indexing="ij")
+        rows.append(np.repeat(np.column_stack((across.ravel(), down.ravel())), n_each, axis=0))
+    return np.concatenate(rows)
+
+
+_ANCHORS = _anchors()
+
+
+def detections(regressors: Array, classificators: Array) -> tuple[Detection, ...]:
+    """Faces, the surest first.
+
+    regressors: (896, 16), box middle, size and six points in pixels of the network's picture from
+    the anchor; classificators: (896,), log odds of a face.
+    """
+    scores = 1.0 / (1.0 + np.exp(-np.clip(classificators, -100.0, 100.0)))
+    likely = np.flatnonzero(scores >= _LEAST_SCORE)
+    likely = likely[np.argsort(-scores[likely], kind="stable")]
+    raw = regressors[likely].reshape(-1, 8, 2) / DETECTOR_PIXELS
+    middle, size = raw[:, 0] + _ANCHORS[likely], raw[:, 1]
+    boxes = np.concatenate((middle - size / 2, middle + size / 2), axis=1)
+    eyes = raw[:, 2:4] + _ANCHORS[likely][:, None]
+    return _blended(scores[likely], boxes, eyes)
+
+
+def _blended(scores: Array, boxes: Array, eyes: Array) -> tuple[Detection, ...]:
+    found = []
+    left = np.arange(len(scores))
+    while len(left):
+        same = _overlaps(boxes[left[0]], boxes[left]) > _SAME_FACE
+        same[0] = True
+        group = left[same]
+        share = scores[group] / scores[group].sum()
+        found.append(
+            Detection(
+                float(scores[group[0]]),
+                np.einsum("g,gi->i", share, boxes[group]),
+                np.einsum("g,gij->ij", share, eyes[group]),
+            )
+        )
+        left = left[~same]
+    return tuple(found)
+
+
+def _overlaps(box: Array, boxes: Array) -> Array:
+    """(n,): the shared area of a box (4,) with each of (n, 4) over that of their union."""
+    low = np.maximum(box[:2], boxes[:, :2])
+    high = np.minimum(box[2:], boxes[:, 2:])
+    shared = np.clip(high - low, 0.0, None).prod(axis=1)
+    both = (box[2:] - box[:2]).prod() + (boxes[:, 2:] - boxes[:, :2]).prod(axis=1) - shared
+    ratio: Array = shared / np.maximum(both, 1e-12)
+    return ratio
+
+
+#: The square is so much larger than the face in it.
+_MARGIN = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class FaceBox:
+    """A square in a picture, in pixels; turn_rad: of its x axis, clockwise as one looks at it."""
+
+    x_px: float
+    y_px: float
+    size_px: float
+    turn_rad: float
+
+    def to_picture(self, points: Array) -> Array:
+        """(n, 3) in the square, 0 to 1, z at the same scale, as pixels of the picture."""
+        cosine, sine = np.cos(self.turn_rad), np.sin(self.turn_rad)
+        x, y = (points[:, :2] - 0.5).T * self.size_px
+        return np.column_stack(
+            (
+                self.x_px + cosine * x - sine * y,
+                self.y_px + sine * x + cosine * y,
+                points[:, 2] * self.size_px,
+            )
+        )
+
+
+def box_around(points_px: Array, right_eye_px: Array, left_eye_px: Array) -> FaceBox:
+    """The square for a face of these points (n, 2); eyes (2,), the speaker's right one first."""
+    low, high = points_px.min(axis=0), points_px.max(axis=0)
+    x_px, y_px = (low + high) / 2
+    across_px, down_px = left_eye_px - right_eye_px
+    return FaceBox(
+        float(x_px),
+        float(y_px),
+        float((high - low).max() * _MARGIN),
+        float(np.arctan2(down_px, across_px)),
+    )
+
+
+def cut_out(picture: Picture, box: FaceBox, n_pixels: int) -> NDArray[np.float32]:
+    """(n_pixels, n_pixels, 3) from 0 to 1, interpolated linearly; the picture's edge goes on."""
+    height, width = picture.shape[:2]
+    steps = ((np.arange(n_pixels, dtype=np.float32) + 0.5) / n_pixels - 0.5) * box.size_px
+    cosine, sine = np.float32(np.cos(box.turn_rad)), np.float32(np.sin(box.turn_rad))
+    # A pixel's colour is that of its middle: half a pixel from its corner.
+    x = (box.x_px - 0.5 + cosine * steps)[None, :] - (sine * steps)[:, None]
+    y = (box.y_px - 0.5 + sine * steps)[None, :] + (cosine * steps)[:, None]
+    left, to_right = _split(x, width)
+    top, to_bottom = _split(y, height)
+    colours = picture.reshape(-1, 3)
+    first = top * width + left
+    across, down = int(width > 1), width * int(height > 1)
+
+    def mixed(row: NDArray[np.int32]) -> NDArray[np.float32]:
+        near = colours.take(row, axis=0).astype(np.float32)
+        near += (colours.take(row + across, axis=0) - near) * to_right
+        return near
+
+    upper = mixed(first)
+    upper += (mixed(first + down) - upper) * to_bottom
+    upper *= np.float32(1 / 255)
+    return upper
+
+
+def _split(
+    places_px: NDArray[np.floating], n_pixels: int
+) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+    """The pixel before each place, kept in the picture, and how far it is to the next one."""
+    inside = np.clip(places_px, 0, n_pixels - 1).astype(np.float32)
+    before = np.minimum(inside.astype(np.int32), max(0, n_pixels - 2))
+    return before, (inside - before).astype(np.float32)[..., None]

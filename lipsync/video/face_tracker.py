@@ -1,0 +1,193 @@
+"""What finds the points of faces in pictures, and which tracker a user gets.
+
+Points are numbered as the 478-point face mesh does (`lipsync/markers.py`).
+
+By the networks inside a `face_landmarker.task`, run by `ai-edge-litert`: Grishchenko, Ablavatski,
+Kartynnik, Raveendran and Grundmann, "Attention mesh: high-fidelity face mesh prediction in
+real-time", 2020. The file is the user's (docs/own-face.md): a zip archive of TensorFlow Lite
+networks. Everything around the networks is here: where they look, and where what they say lies in
+the picture.
+
+By mediapipe's own face mesh, whose network its wheel carries: only the versions before 0.10.30 have
+it (docs/decisions/0026-video-and-face-tracking.md).
+"""
+
+import zipfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.array_archive import UNREADABLE
+from lipsync.arrays import Array
+from lipsync.errors import UserError, check_extra
+from lipsync.markers import N_LANDMARKS
+from lipsync.video.face_detection import (
+    DETECTOR_PIXELS,
+    Detection,
+    FaceBox,
+    Picture,
+    box_around,
+    cut_out,
+    detections,
+)
+
+
+class TrackerError(UserError):
+    """No tracker can be had; one line: what is missing, what to do."""
+
+
+class FaceTracker(Protocol):
+    """Finds the points of every face in a picture."""
+
+    @property
+    def name(self) -> str:
+        """What it is, for reports."""
+
+    def faces(self, picture: Picture) -> tuple[Array, ...]:
+        """Points (478, 3) of each face, in pixels: x right, y down, z away from the viewer.
+
+        The largest face comes first; none where there is none. Pictures are independent of each
+        other: nothing is smoothed over time.
+        """
+
+
+_DETECTOR, _LANDMARKS = "face_detector.tflite", "face_landmarks_detector.tflite"
+_LANDMARK_PIXELS = 256
+#: What the landmark network calls a face with less than this probability is none.
+_LEAST_PRESENCE = 0.5
+#: Faces looked at in one picture; two are already one too many.
+_MOST_FACES = 3
+#: Of each network, unpacked; they have a few.
+_MOST_BYTES = 64_000_000
+
+
+class LitertTracker:
+    """The networks of one landmarker file. Raises TrackerError for a file that is none."""
+
+    def __init__(self, landmarker: Path) -> None:
+        check_extra("ai_edge_litert", "--landmarker")
+        networks = _networks(landmarker)
+        try:
+            self._detector = _Network(networks[_DETECTOR])
+            self._landmarks = _Network(networks[_LANDMARKS])
+        except (ValueError, RuntimeError) as error:
+            raise TrackerError(
+                f"{landmarker}: its networks cannot be run ({str(error).splitlines()[0]})"
+            ) from error
+        self._name = f"{landmarker.name} by ai-edge-litert"
+
+    @property
+    def name(self) -> str:
+        """The file and what runs it."""
+        return self._name
+
+    def faces(self, picture: Picture) -> tuple[Array, ...]:
+        """See `FaceTracker`."""
+        found = []
+        for detection, square in self._detect(picture):
+            points = self._points(picture, _box_of(detection, square))
+            if points is not None:
+                found.append(points)
+        found.sort(key=lambda points: -float(np.ptp(points[:, 0])))
+        return tuple(found)
+
+    def _detect(self, picture: Picture) -> list[tuple[Detection, FaceBox]]:
+        height, width = picture.shape[:2]
+        square = FaceBox(width / 2, height / 2, float(max(width, height)), 0.0)
+        seen = cut_out(picture, square, DETECTOR_PIXELS) * 2 - 1
+        answers = self._detector.answers(seen)
+        regressors = next(a for a in answers if a.shape[-1] == 16)
+        scores = next(a for a in answers if a.shape[-1] == 1)
+        faces = detections(regressors[0].astype(float), scores[0, :, 0].astype(float))
+        return [(face, square) for face in faces[:_MOST_FACES]]
+
+    def _points(self, picture: Picture, box: FaceBox) -> Array | None:
+        answers = self._landmarks.answers(cut_out(picture, box, _LANDMARK_PIXELS))
+        presence = next(a for a in answers if a.shape == (1, 1, 1, 1))
+        if 1.0 / (1.0 + np.exp(-float(presence.item()))) < _LEAST_PRESENCE:
+            return None
+        flat = next(a for a in answers if a.size == N_LANDMARKS * 3)
+        return box.to_picture(flat.reshape(N_LANDMARKS, 3).astype(float) / _LANDMARK_PIXELS)
+
+
+def _box_of(detection: Detection, square: FaceBox) -> FaceBox:
+    corners = detection.box.reshape(2, 2)
+    inside = np.column_stack((np.concatenate((corners, detection.eyes)), np.zeros(4)))
+    points_px = square.to_picture(inside)[:, :2]
+    return box_around(points_px[:2], points_px[2], points_px[3])
+
+
+class _Network:
+    """One TensorFlow Lite network of one input."""
+
+    def __init__(self, content: bytes) -> None:
+        from ai_edge_litert.interpreter import Interpreter
+
+        self._interpreter: Any = Interpreter(model_content=content, num_threads=1)
+        self._interpreter.allocate_tensors()
+        self._input = self._interpreter.get_input_details()[0]["index"]
+        self._outputs = [each["index"] for each in self._interpreter.get_output_details()]
+
+    def answers(self, picture: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+        self._interpreter.set_tensor(self._input, picture[None])
+        self._interpreter.invoke()
+        return [self._interpreter.get_tensor(output) for output in self._outputs]
+
+
+def _networks(landmarker: Path) -> dict[str, bytes]:
+    try:
+        with zipfile.ZipFile(landmarker) as file:
+            for name in (_DETECTOR, _LANDMARKS):
+                if file.getinfo(name).file_size > _MOST_BYTES:
+                    raise ValueError(f"{name} has more than {_MOST_BYTES // 10**6} MB")
+            return {name: file.read(name) for name in (_DETECTOR, _LANDMARKS)}
+    except FileNotFoundError:
+        raise TrackerError(
+            f"{landmarker}: no such file; docs/own-face.md says how to get a face_landmarker.task"
+        ) from None
+    except (KeyError, *UNREADABLE) as error:
+        raise TrackerError(
+            f"{landmarker}: not a face_landmarker.task ({error}); docs/own-face.md says how to "
+            "get one"
+        ) from error
+
+
+class MediapipeTracker:
+    """The face mesh with attention, on every picture alone."""
+
+    def __init__(self) -> None:
+        check_extra("mediapipe", "tracking without --landmarker")
+        import mediapipe
+
+        self._mesh: Any = mediapipe.solutions.face_mesh.FaceMesh(
+            static_image_mode=True, max_num_faces=_MOST_FACES, refine_landmarks=True
+        )
+        self._name = f"mediapipe {mediapipe.__version__}"
+
+    @property
+    def name(self) -> str:
+        """Library and version."""
+        return self._name
+
+    def faces(self, picture: Picture) -> tuple[Array, ...]:
+        """See `FaceTracker`."""
+        height, width = picture.shape[:2]
+        found = self._mesh.process(picture).multi_face_landmarks or ()
+        scale = np.array([width, height, width], dtype=np.float64)
+        faces = [np.array([[p.x, p.y, p.z] for p in face.landmark]) * scale for face in found]
+        return tuple(sorted(faces, key=lambda points: -float(np.ptp(points[:, 0]))))
+
+
+def open_tracker(landmarker: Path | None) -> FaceTracker:
+    """A tracker. Raises TrackerError, MissingExtraError where there is none."""
+    if landmarker is not None:
+        return LitertTracker(landmarker)
+    if find_spec("mediapipe") is None:
+        raise TrackerError(
+            "no face tracker: give --landmarker FILE, a face_landmarker.task (docs/own-face.md "
+            "says how to get one), or, up to Python 3.12, `pip install 'lipservo[video]'`"
+        )
+    return MediapipeTracker()

@@ -1,1 +1,0 @@
-"""Faces in pictures: trackers behind one protocol, and how well they did."""

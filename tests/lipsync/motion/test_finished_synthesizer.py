@@ -1,0 +1,68 @@
+"""Closures, rest and strength around a synthesiser that has none of them: the published one."""
+
+import math
+
+import numpy as np
+import pytest
+from lipservo_lab.learning.motion.trained_model import load_trained_model
+from spoken_phonemes import spoken
+
+from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.face.frame import Expression, Frame
+from lipsync.motion.live_synthesizer import FinishedSynthesizer
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import PhonemeUpdate
+
+MODEL = load_trained_model()
+PHONES = (("SIL", 0.4), ("AA", 0.2), ("M", 0.1), ("AA", 0.2), ("SIL", 1.0))
+#: Ticks of the vowels in which neither the M nor a pause moves the mouth.
+VOWELS = np.r_[40:50, 80:105]
+
+
+def faces(synthesizer, phones=PHONES) -> np.ndarray:
+    """(n_ticks, n_components), from silence on, every 10 ms."""
+    synthesizer.push(PhonemeUpdate(0.0, math.inf, math.inf, spoken(*phones)))
+    n = round(sum(duration_s for _, duration_s in phones) / TICK_S)
+    return np.array([synthesizer.frame_at(tick * TICK_S).coefficients for tick in range(n)])
+
+
+def test_finished_the_published_strategy_shuts_the_lips_and_moves_alike_elsewhere():
+    bare = faces(PublishedSynthesizer(MODEL.animphos))
+    finished = faces(FinishedSynthesizer(MODEL, PublishedSynthesizer(MODEL.animphos)))
+    gaps_mm = np.array([MODEL.lip_gap_mm(face) for face in finished])
+    # M: 0.60 to 0.70 s.
+    assert gaps_mm[60:70].min() <= 0.75
+    np.testing.assert_allclose(finished[VOWELS], bare[VOWELS], atol=1e-12)
+
+
+def test_the_mouth_is_closed_in_a_pause_that_the_synthesiser_inside_spends_open():
+    class AlwaysOpen(PublishedSynthesizer):
+        def frame_at(self, time_s):
+            return Frame(time_s, MODEL.rest + 1.0, Expression(brow=0.5))
+
+    synthesizer = FinishedSynthesizer(MODEL, AlwaysOpen(MODEL.animphos), known_s=0.1)
+    moved = faces(synthesizer) - MODEL.rest
+    np.testing.assert_allclose(moved[VOWELS], 1.0)
+    np.testing.assert_allclose(moved[:30], 0.0)
+    # The pause begins at 0.90 s, is one 0.17 s later, and the mouth is at rest after 0.15 s more.
+    assert np.abs(moved[[105, 125]]).max(axis=1) == pytest.approx([1.0, 0.0], abs=1e-3)
+    assert synthesizer.is_resting
+    assert synthesizer.frame_at(1.5).expression.brow == 0.5
+
+
+@pytest.mark.parametrize("strength", [0.0, 0.4, 1.0, 1.5])
+def test_strength_multiplies_the_distance_from_rest(strength):
+    bare = faces(PublishedSynthesizer(MODEL.animphos))
+    scaled = faces(FinishedSynthesizer(MODEL, PublishedSynthesizer(MODEL.animphos), strength))
+    expected = strength * (bare[VOWELS] - MODEL.rest)
+    np.testing.assert_allclose(scaled[VOWELS] - MODEL.rest, expected, atol=1e-12)
+
+
+def test_a_finished_synthesiser_forgets_everything_when_it_is_reset():
+    finished = FinishedSynthesizer(MODEL, PublishedSynthesizer(MODEL.animphos))
+    first = faces(finished)
+    assert finished.event_at(0.65).phoneme == "M"
+    assert finished.phonemes_planned > 0
+    finished.reset()
+    assert finished.event_at(0.65) is None
+    np.testing.assert_array_equal(faces(finished), first)
