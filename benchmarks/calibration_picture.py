@@ -9,12 +9,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.capture.capture import capture_poses
-from calibration.capture.capture_plan import plan_poses
+from calibration.capture.capture import capture_poses, plan_poses
 from calibration.fit.measured import fit_measured
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
-from calibration.run.backlash import BacklashCompensation
+from calibration.mouth_servos import JointRange, MouthServos
+from calibration.run.compensation import BacklashCompensation
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.settings.settings import load_shipped_face
 from lipsync.animpho.units import load_face_with_animphos

@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 from lipservo.traces.trace_diff import compare, overlay
-from lipservo.traces.trace_reader import read_trace
+from lipservo.traces.trace_file import read_trace
 from lipsync.face.model import load_face
 
 

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 from lipservo_client.async_face import AsyncFace
-from lipservo_client.face_answers import Played
+from lipservo_client.protocol import Played
 
 import lipservo
 

@@ -7,8 +7,8 @@ jaw's angle in degrees. The lips come within a millimetre in the B and in the M.
 of phonemes (a speech synthesiser's marks, a TextGrid) takes the place of `WORD` in the same way.
 """
 
-from lipservo.face.assembly import assemble_face
-from lipservo.street.motion_options import MotionOptions, make_synthesizer
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
+from lipservo.runtime.servos.assembly import assemble_face
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.scripted import ScriptedPhonemes
 

@@ -5,7 +5,7 @@ Start:  python examples/simulated_servos.py
 A jaw opens and closes once a second, and for the last half second is asked for 90 degrees, which
 it must not reach. Printed is a line every 0.1 s: what was wanted, and what the gate let through to
 the servo; at the end, which servos confirmed that their torque is off. Real servos take the same
-calls: `bus_for` in `lipservo/face/servos.py` makes a bus at a port.
+calls: `bus_for` in `lipservo/runtime/servos/assembly.py` makes a bus at a port.
 """
 
 import math
@@ -14,11 +14,10 @@ import numpy as np
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
 from firmware_bridge.loop.life_cycle import LifeCycle
-from firmware_bridge.loop.settings import BridgeSettings
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.simulator.bus import SimulatedBus
-from firmware_bridge.targets import ServoTargets
 from lipservo.settings.settings import load_shipped_face
 
 RATE_HZ = 50.0

@@ -11,9 +11,9 @@ import sys
 from pathlib import Path
 
 from firmware_bridge.clock import ManualClock
-from lipservo.street.run_face import run_face
-from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import CLIP, Sound, open_sound
+from lipservo.runtime.face_runtime import run_face
+from lipservo.runtime.run_request import CLIP, RunRequest, Sound
+from lipservo.runtime.sound import open_sound
 
 
 def main(recording: Path | None) -> None:

@@ -7,8 +7,7 @@ import typer
 
 from firmware_bridge.errors import BusError
 from firmware_bridge.process.runtime_folder import ControlError
-from lipservo import cli
-from lipservo.face.face_stopped import FaceStopped
+from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.terminal.output import complain
 from lipsync.errors import UserError
 
@@ -32,7 +31,9 @@ def main() -> None:
             stream.reconfigure(errors="backslashreplace")
     arguments = _with_default_microphone(sys.argv[1:] or ["--help"])
     try:
-        status = cli.app(arguments, prog_name="lipservo", standalone_mode=False)
+        status = _run(arguments)
+    except typer.Exit as end:
+        status = end.exit_code
     except typer.TyperException as error:
         complain(_usage_line(error))
         status = error.exit_code
@@ -56,6 +57,28 @@ def main() -> None:
     sys.exit(status or 0)
 
 
+def _run(arguments: list[str]) -> int:
+    """The status of a command; `stop` and its like without the parser, whose loading takes long."""
+    if arguments[0] in ("stop", "start", "status"):
+        from lipservo.commands.run.stop import run_without_parser
+
+        if run_without_parser(arguments):
+            return 0
+    from lipservo import cli
+
+    return int(cli.app(arguments, prog_name="lipservo", standalone_mode=False) or 0)
+
+
+def _moved_option(error: typer.TyperException) -> str | None:
+    """Where an option is now that a command had once."""
+    from lipservo.commands.options import MOVED_OPTIONS
+
+    name = getattr(error, "option_name", "")
+    command = getattr(getattr(error, "ctx", None), "info_name", "") or ""
+    where = MOVED_OPTIONS.get(command, {}).get(name)
+    return None if where is None else f"{name}: {where}"
+
+
 def _usage_line(error: typer.TyperException) -> str:
     """What is wrong with a command line, in one line, and where to read on."""
     told = " ".join(error.format_message().split())
@@ -63,6 +86,9 @@ def _usage_line(error: typer.TyperException) -> str:
         told = told.replace(pydantics, ours)
     context = getattr(error, "ctx", None)
     command = "lipservo" if context is None else context.command_path
+    moved = _moved_option(error)
+    if moved is not None:
+        told = moved
     return f"{told.removeprefix('Invalid value: ').rstrip('.')}; see `{command} --help`"
 
 

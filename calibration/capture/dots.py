@@ -22,7 +22,7 @@ from scipy.optimize import linear_sum_assignment
 
 from calibration.calibration import CalibrationError
 from lipsync.arrays import Array
-from lipsync.extras import check_extra
+from lipsync.errors import check_extra
 
 #: What every reader here reads.
 PICTURES: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")

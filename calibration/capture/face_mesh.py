@@ -16,7 +16,8 @@ from calibration.capture.dots import pose_pictures
 from lipsync.arrays import Array
 from lipsync.face.head_motion import apply_similarity, fit_similarity
 from lipsync.markers import MARKERS_47
-from lipsync.video.tracking.face_tracker import FaceTracker, Picture
+from lipsync.video.face_detection import Picture
+from lipsync.video.face_tracker import FaceTracker
 from lipsync.video.video_file import VideoError, video_pictures
 
 #: What is to be said wherever the mesh is used.

@@ -22,8 +22,7 @@ from calibration.calibration import CalibrationError
 from calibration.capture.capture import LEAD_IN_DEG, Capture, PosePlan
 from calibration.capture.dots import is_dots_folder, read_dots_folder
 from lipsync.arrays import Array
-from lipsync.errors import shown
-from lipsync.extras import check_extra
+from lipsync.errors import check_extra, shown
 from lipsync.output_file import write_whole
 
 _MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0}

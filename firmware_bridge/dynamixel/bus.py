@@ -1,4 +1,4 @@
-"""A face full of Dynamixel servos as one `ServoBus`."""
+"""A face full of Dynamixel servos as one `ServoBus`, and how often it can be written and read."""
 
 import struct
 from collections.abc import Callable, Sequence
@@ -7,21 +7,82 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array, all_set, any_set
-from firmware_bridge.bus import PortError, Readings
+from firmware_bridge.bus import (
+    SOFT_START_S,
+    Array,
+    BusCapabilities,
+    Feedback,
+    Health,
+    Readings,
+    all_set,
+    any_set,
+)
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.handshake import identify_all
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
-from firmware_bridge.dynamixel.soft_start import SoftStart
 from firmware_bridge.dynamixel.state_cache import ServoStateCache
-from firmware_bridge.dynamixel.torque import TorqueSwitch
-from firmware_bridge.dynamixel.watchdog import Watchdogs
+from firmware_bridge.dynamixel.torque import SoftStart, TorqueSwitch, Watchdogs
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.codec import Status, StatusError
-from firmware_bridge.dynamixel.wire.line import GoalWrite, Line
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, GoalWrite, Status, StatusError
+from firmware_bridge.dynamixel.wire.line import Line, Transport
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
-from firmware_bridge.dynamixel.wire.transport import Transport
-from firmware_bridge.health import Feedback, Health
+from firmware_bridge.errors import PortError
+
+#: Sync write of goals; sync read of ten bytes, a frame each; one health read a cycle.
+_WRITE, _WRITE_EACH = 14, 5
+_ASK, _ASK_EACH, _ANSWER_EACH = 14, 1, 21
+_HEALTH: Final = 14 + 11 + 35
+#: What computer and adapter add to each of the two questions; one USB frame.
+_TURNAROUND_S: Final = 0.001
+#: Rates that servos and most adapters have.
+USUAL_RATES: Final = (57_600, 115_200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+
+
+def cycle_s(
+    n_servos: int, baud_rate: int, return_delay_s: float = 0.0, latency_s: float = 0.0
+) -> float:
+    """Seconds of one cycle: goals out, places of all and health of one back.
+
+    latency_s: how long the adapter holds an answer back; a USB frame at least.
+    """
+    n_bytes = _WRITE + _ASK + _HEALTH + n_servos * (_WRITE_EACH + _ASK_EACH + _ANSWER_EACH)
+    waits_s = 2 * max(_TURNAROUND_S, latency_s) + (n_servos + 1) * return_delay_s
+    return n_bytes * BITS_PER_BYTE / baud_rate + waits_s
+
+
+def slow_adapter(
+    n_servos: int, baud_rate: int, rate_hz: float, latency_timer_ms: float | None
+) -> str | None:
+    """Why this adapter cannot do `rate_hz`, and what to do; None when it can or does not tell.
+
+    latency_timer_ms: as `serial_transport.latency_timer_ms` reads it; 16 is what FTDI chips come
+    with: https://github.com/ROBOTIS-GIT/DynamixelSDK/issues/302
+    """
+    tick_s = cycle_s(n_servos, baud_rate, latency_s=(latency_timer_ms or 0.0) * 1e-3)
+    if latency_timer_ms is None or latency_timer_ms <= 1.0 or tick_s * rate_hz <= 1.0:
+        return None
+    return (
+        f"at {latency_timer_ms:g} ms of adapter latency a tick takes {tick_s * 1e3:.0f} ms: "
+        f"{rate_hz:g} Hz cannot be met; set the latency timer to 1 ms (docs/hardware.md)"
+    )
+
+
+def budget(
+    n_servos: int, baud_rate: int, rate_hz: float, return_delay_s: float = 0.0
+) -> str | None:
+    """Why this bus cannot do `rate_hz` with feedback, and what would; None when it can."""
+    if cycle_s(n_servos, baud_rate, return_delay_s) * rate_hz <= 1.0:
+        return None
+    better = [r for r in USUAL_RATES if cycle_s(n_servos, r) * rate_hz <= 1.0]
+    can_hz = 1.0 / cycle_s(n_servos, baud_rate, return_delay_s)
+    remedy = f"set {better[0]:,} baud" if better else "use fewer servos or a lower rate"
+    if return_delay_s and cycle_s(n_servos, baud_rate) * rate_hz <= 1.0:
+        remedy = "set the return delay to 0"
+    return (
+        f"{n_servos} servos at {baud_rate:,} baud cannot do {rate_hz:g} Hz with feedback, "
+        f"only {can_hz:.0f}: {remedy} (`lipservo setup-servos`)"
+    )
+
 
 _TORQUE, _GOAL = register("torque_enable").address, register("goal_position").address
 _LEVEL = register("status_return_level").address
@@ -47,6 +108,17 @@ class DynamixelBus:
     A servo that falls silent costs its own samples only. When the port fails every method raises
     PortGone until `reopen` succeeds. Never writes EEPROM.
     """
+
+    capabilities: Final = BusCapabilities(
+        place=True,
+        load=True,
+        heat=True,
+        watchdog=True,
+        confirmed_limp=True,
+        hold=True,
+        profile=True,
+        soft_start_s=SOFT_START_S,
+    )
 
     def __init__(
         self,
@@ -105,7 +177,7 @@ class DynamixelBus:
             raise ValueError(
                 f"expected positions of shape {self._cache.goals.shape}, got {positions_deg.shape}"
             )
-        line = self.line
+        line = self._line or self.line  # the property raises
         pulses = self._mounting.pulses(positions_deg)
         taken = (self._cache.low <= pulses) & (pulses <= self._cache.high)
         if all_set(taken):
@@ -148,7 +220,7 @@ class DynamixelBus:
 
     def feedback(self) -> Feedback:
         """One question to all; of a silent servo the last answer, with its age."""
-        line = self.line
+        line = self._line or self.line
         found = self._motion.ask(line)
         now_s = line.transport.clock.now()
         self._watchdogs.spoke(now_s)
@@ -163,7 +235,7 @@ class DynamixelBus:
 
     def look_after(self) -> Health:
         """Torque, errors and watchdog of one servo, or its warmth and voltage, in turns."""
-        line, cache = self.line, self._cache
+        line, cache = self._line or self.line, self._cache
         turn, kind = divmod(self._turn, 2)
         self._turn = (self._turn + 1) % (2 * len(self._ids))
         servo_id = self._ids[turn]
@@ -180,9 +252,12 @@ class DynamixelBus:
                 cache.set_one("voltage_v", turn, int.from_bytes(status.data[:2], "little") / 10.0)
                 cache.take_temperature(turn, status.data[2])
         if status is not None:
-            self._note([status])
+            now_s = line.transport.clock.now()
+            self._watchdogs.spoke(now_s)
+            cache.note([status], now_s)
             for group in self._groups:
-                group.trust(servo_id)
+                if group.leaves_out:
+                    group.trust(servo_id)
         self._soft_start.restore_full_limits(line)
         return cache.health(line.transport.clock.now())
 

@@ -1,13 +1,13 @@
 """Everything that can be wrong between a computer and its servos, found by looking only."""
 
+import statistics
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Final
 
-from firmware_bridge.bus import ServoError
-from firmware_bridge.dynamixel.adapter import measured_latency_s, without_fast_read
-from firmware_bridge.dynamixel.budget import budget, slow_adapter
+from firmware_bridge.bus import describe_errors
+from firmware_bridge.dynamixel.bus import budget, slow_adapter
 from firmware_bridge.dynamixel.control_table import model_by_number
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
@@ -17,11 +17,38 @@ from firmware_bridge.dynamixel.provisioning import (
     duplicates,
     read_settings,
     scan,
+    shares_id,
     wanted_settings,
 )
-from firmware_bridge.dynamixel.shared_id import shares_id
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.codec import SpanRead
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.health import describe_errors
+from firmware_bridge.errors import ServoError
+
+_PINGS: Final = 7
+_TRIES: Final = 3
+
+
+def measured_latency_s(line: Line, servo_id: int) -> float | None:
+    """How much later than on the wire answers of this servo arrive, the median of a few pings.
+
+    Return delay and computer included. None when it does not answer.
+    """
+    clock = line.transport.clock
+    wire_s = (len(codec.ping(servo_id)) + codec.EMPTY_STATUS_SIZE + 3) * line.byte_s
+    took_s = []
+    for _ in range(_PINGS):
+        start_s = clock.now()
+        if line.ping(servo_id) is not None:
+            took_s.append(clock.now() - start_s - wire_s)
+    return max(0.0, statistics.median(took_s)) if took_s else None
+
+
+def without_fast_read(line: Line, ids: Sequence[int]) -> list[int]:
+    """Which of these servos, all of which answer, are silent when asked by Fast Sync Read."""
+    spans = [SpanRead((each,), 0, 2, fast=True) for each in ids]
+    return [span.ids[0] for span in spans if not any(line.sync_read(span) for _ in range(_TRIES))]
+
 
 _SETUP: Final = "`lipservo setup-servos`"
 _UDEV: Final = "install the udev rule (docs/hardware.md), or `echo 1` into its latency_timer"

@@ -3,12 +3,10 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from firmware_bridge.bus import ServoError
-from firmware_bridge.dynamixel.control_table import model_by_number, register
+from firmware_bridge.dynamixel.control_table import RETURN_DELAY_UNIT_S, model_by_number, register
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.units import RETURN_DELAY_UNIT_S
-from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.transport import Transport
+from firmware_bridge.dynamixel.wire.line import Line, Transport
+from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import named
 
 #: The EEPROM from id to shutdown in one read.

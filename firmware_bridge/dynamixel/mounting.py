@@ -5,9 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_bridge.arrays import Array
-from firmware_bridge.dynamixel.control_table import ServoModel
-from firmware_bridge.dynamixel.units import CENTER_PULSE, PULSES_PER_DEG
+from firmware_bridge.bus import Array
+from firmware_bridge.dynamixel.control_table import CENTER_PULSE, PULSES_PER_DEG, ServoModel
 from firmware_bridge.joints import Joint
 
 

@@ -6,14 +6,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.bus import Array, Health
+from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN
 from firmware_bridge.dynamixel.handshake import ServoIdentity
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.units import PULSES_PER_TURN
-from firmware_bridge.dynamixel.wire.codec import Status
+from firmware_bridge.dynamixel.wire.codec import CommonFrame, Status
 from firmware_bridge.dynamixel.wire.line import FACTORY_RETURN_DELAY_S
-from firmware_bridge.dynamixel.wire.prepared_packets import CommonFrame
-from firmware_bridge.health import Health
 
 _Kind = TypeVar("_Kind", bound=np.generic)
 

@@ -6,15 +6,123 @@ limits, and counted.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array, all_set
-from firmware_bridge.gate.braking import AccelerationLimit
-from firmware_bridge.gate.coupling import Prevention, PreventRule
+from firmware_bridge.bus import Array, all_set
 from firmware_bridge.joints import Joint
+
+
+def braking_speed(distance_deg: Array, deceleration_deg_s2: Array, step_s: float) -> Array:
+    """The highest speed of the next step from which one stops within `distance_deg`.
+
+    Steps u, u - a, u - 2a, ... (in units of a x step^2) down to rest: with u = m + f, 0 <= f < 1,
+    they add up to (m + 1)(m / 2 + f). Solved for u, so the stop is exact on the grid.
+    """
+    unit = deceleration_deg_s2 * step_s * step_s
+    d = np.maximum(distance_deg, 0.0) / unit
+    m = np.floor((np.sqrt(1.0 + 8.0 * d) - 1.0) / 2.0)
+    return np.asarray((m + d / (m + 1.0) - m / 2.0) * deceleration_deg_s2 * step_s)
+
+
+class AccelerationLimit:
+    """Chooses steps whose change of speed is bounded, and which can stop at goal and range ends.
+
+    Joints with infinite acceleration are left alone.
+    """
+
+    def __init__(self, max_acceleration_deg_s2: Array, max_speed_deg_s: Array) -> None:
+        self._limited = np.isfinite(max_acceleration_deg_s2)
+        self._any = bool(self._limited.any())
+        self._acceleration = np.where(self._limited, max_acceleration_deg_s2, 1e12)
+        self._top = max_speed_deg_s
+        self._velocity = np.zeros(len(max_speed_deg_s))
+        self._wanted = np.zeros(len(max_speed_deg_s))
+
+    def rest_at(self, positions_deg: Array) -> None:
+        """Start again from standstill."""
+        self._velocity = np.zeros(len(self._velocity))
+        self._wanted = positions_deg.copy()
+
+    def rest_one(self, index: int, position_deg: float) -> None:
+        """One joint starts again from standstill."""
+        self._velocity[index] = 0.0
+        self._wanted[index] = position_deg
+
+    def step(self, sent: Array, wanted: Array, low: Array, high: Array, step_s: float) -> Array:
+        """Where to go from `sent`, in range, when `wanted`, in range, is asked; degrees, (n,)."""
+        if not self._any or step_s <= 0.0:
+            return wanted
+        a, change = self._acceleration, self._acceleration * step_s
+        left = wanted - sent
+        moving = np.clip((wanted - self._wanted) / step_s, -self._top, self._top)
+        with_it = np.where(moving * left > 0.0, np.abs(moving), 0.0)
+        reach = np.abs(left) / step_s
+        speed = np.minimum(
+            reach, braking_speed(np.abs(left), a, step_s) + np.minimum(with_it, reach)
+        )
+        velocity = np.clip(np.sign(left) * speed, self._velocity - change, self._velocity + change)
+        velocity = np.clip(velocity, -self._top, self._top)
+        inside = (low <= sent) & (sent <= high)
+        up, down = (braking_speed(room, a, step_s) for room in (high - sent, sent - low))
+        velocity = np.where(inside, np.clip(velocity, -down, up), velocity)
+        self._wanted = wanted
+        return np.asarray(np.where(self._limited, sent + velocity * step_s, wanted))
+
+    def sent(self, before: Array, after: Array, step_s: float) -> None:
+        """Remember the step that was made in the end."""
+        if self._any and step_s > 0.0:
+            self._velocity = (after - before) / step_s
+
+
+_SAME_SUM = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class PreventRule:
+    """sum of factors x joint degrees stays at most `above`. factors: one a joint, 0 = no part."""
+
+    factors: tuple[float, ...]
+    above: float
+    because: str
+
+
+class Prevention:
+    """Cuts a step short where it would break a rule; a step out of a broken rule is free."""
+
+    def __init__(self, rules: Sequence[PreventRule], n_joints: int) -> None:
+        """Raises ValueError unless every rule has a factor for each joint and allows neutral."""
+        for rule in rules:
+            if len(rule.factors) != n_joints or rule.above < 0.0:
+                raise ValueError(f"rule {rule.because!r} does not fit {n_joints} joints at rest")
+        self._factors = [np.array(rule.factors) for rule in rules]
+        self._parts = [factors != 0.0 for factors in self._factors]
+        self._above = [rule.above for rule in rules]
+
+    def cut(self, from_deg: Array, to_deg: Array) -> Array:
+        """The goals to go to instead of `to_deg`, (n_joints,) all.
+
+        All joints of a rule stop at the same share of their step. Cutting for one rule may undo
+        what another needs, so it is repeated; when that does not help, the step is not made.
+        """
+        if not self._factors:
+            return to_deg
+        for _ in range(len(self._factors)):
+            before = to_deg
+            for factors, parts, above in zip(self._factors, self._parts, self._above, strict=True):
+                start, end = float(factors @ from_deg), float(factors @ to_deg)
+                if end > above + _SAME_SUM and end > start:
+                    share = max(0.0, (above - start) / (end - start))
+                    to_deg = np.where(parts, from_deg + share * (to_deg - from_deg), to_deg)
+            if to_deg is before:
+                return to_deg
+        broken = any(
+            factors @ to_deg > max(above, float(factors @ from_deg)) + _SAME_SUM
+            for factors, above in zip(self._factors, self._above, strict=True)
+        )
+        return from_deg if broken else to_deg
+
 
 #: Rounding of float64 arithmetic is no violation; a servo's own step is 0.088 deg.
 _SAME_DEG = 1e-6
@@ -179,56 +287,3 @@ def _clip(values: Array, low: Array, high: Array) -> Array:
     """As np.clip, in a quarter of its time for a face full of joints."""
     clipped = np.maximum(values, low)
     return np.minimum(clipped, high, out=clipped)
-
-
-class StaleLevel(IntEnum):
-    """How far the bridge has gone in giving up on a silent speech side."""
-
-    FRESH = 0
-    EASING = 1
-    NEUTRAL = 2
-    LIMP = 3
-
-
-@dataclass(frozen=True, slots=True)
-class StaleRule:
-    """What happens when no new target comes: follow and hold, ease to neutral, let go.
-
-    Up to `hold_s` the last target counts in full; from there to `neutral_s` it fades to neutral; at
-    `limp_s` torque goes off. The defaults are our choice: 0.1 s is ten missing targets at 100 Hz
-    and shorter than most pauses in speech; by 1 s a frozen half-open mouth looks broken; 5 s is
-    more than a restart of the speech side takes. Raises ValueError unless the times rise.
-    """
-
-    hold_s: float = 0.1
-    neutral_s: float = 1.0
-    limp_s: float = 5.0
-
-    def __post_init__(self) -> None:
-        if not 0.0 <= self.hold_s < self.neutral_s <= self.limp_s:
-            raise ValueError(
-                f"needs 0 <= hold_s < neutral_s <= limp_s, got {self.hold_s}, {self.neutral_s} "
-                f"and {self.limp_s}"
-            )
-
-    def level(self, age_s: float) -> StaleLevel:
-        """Decide what to do when the newest target is `age_s` old."""
-        if age_s <= self.hold_s:
-            return StaleLevel.FRESH
-        if age_s < self.neutral_s:
-            return StaleLevel.EASING
-        return StaleLevel.NEUTRAL if age_s < self.limp_s else StaleLevel.LIMP
-
-    def weight(self, age_s: float) -> float:
-        """Say how much of the held position remains: 1 while fresh, fading to 0 = neutral."""
-        return 1.0 - ease((age_s - self.hold_s) / (self.neutral_s - self.hold_s))
-
-
-#: Steepest slope of `ease`, at its middle.
-EASE_PEAK_SLOPE = 1.5
-
-
-def ease(progress: float) -> float:
-    """From 0 to 1 with rest at both ends: 3 p^2 - 2 p^3, p clipped to [0, 1]."""
-    p = min(max(progress, 0.0), 1.0)
-    return p * p * (3.0 - 2.0 * p)

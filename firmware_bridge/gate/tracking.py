@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array, any_set
-from firmware_bridge.health import Feedback
+from firmware_bridge.bus import Array, Feedback, any_set
 from firmware_bridge.joints import Joint
 
 #: The error allowed without a setting: this share of a joint's range, between the two bounds. Ours:

@@ -1,23 +1,84 @@
 """One tick of the bridge: targets in, one safe goal a servo out. The caller owns loop and clock."""
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping, Sequence
+from typing import Final
 
 import numpy as np
 
-from firmware_bridge.arrays import Array
-from firmware_bridge.bus import BusError, PortError
-from firmware_bridge.gate.limits import Limited, StaleLevel
-from firmware_bridge.loop.bridge_parts import BridgeParts
-from firmware_bridge.loop.ease_to_neutral import EaseToNeutral
-from firmware_bridge.loop.report import FaceState, TickReport
-from firmware_bridge.orders import Order, StartFace
-from firmware_bridge.stopping import START_WHILE_STOPPING, StopLevel, StopReport
+from firmware_bridge.bus import Array, Feedback, ServoBus, ServoHealth, ServoState
+from firmware_bridge.errors import BusError, PortError
+from firmware_bridge.gate.limits import Limited
+from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, Ramp, StaleLevel
+from firmware_bridge.joints import Joint, named
+from firmware_bridge.loop.report import BridgeSettings, BridgeStatus, FaceState, TickReport
+from firmware_bridge.loop.servo_group import ServoGroup
+from firmware_bridge.loop.single_servos import Jog, SingleServos
+from firmware_bridge.loop.targets import FollowedTargets, TargetChannel
+from firmware_bridge.stopping import START_WHILE_STOPPING, Order, StartFace, StopLevel, StopReport
+
+#: The first wait before a lost port is tried again, and the longest; it doubles in between.
+_FIRST_WAIT_S: Final = 0.1
+_LONGEST_WAIT_S: Final = 0.5
+
+
+class PortRetry:
+    """Counts in seconds of tick time. n_lost: how often the port went; due_s: when to try it."""
+
+    def __init__(self) -> None:
+        self.is_open = True
+        self.n_lost = 0
+        self._wait_s = self.due_s = 0.0
+
+    def note_lost(self, time_s: float) -> None:
+        """It went now."""
+        self.is_open = False
+        self.n_lost += 1
+        self._wait_s = _FIRST_WAIT_S
+        self.due_s = time_s + _FIRST_WAIT_S
+
+    def note_failed(self, time_s: float) -> None:
+        """It was tried in vain."""
+        self._wait_s = min(2.0 * self._wait_s, _LONGEST_WAIT_S)
+        self.due_s = time_s + self._wait_s
+
+    def note_open(self) -> None:
+        """It is back."""
+        self.is_open = True
+
+
+#: Time to neutral when the joints can make it: a person waits for it.
+_EASE_S = 0.5
+#: The joints go limp after this long wherever they are: whoever pressed Ctrl-C is waiting.
+_LONGEST_S = 2.0
+
+
+class EaseToNeutral:
+    """From where the joints stand, (n_joints,) degrees, to neutral, with rest at both ends."""
+
+    def __init__(self, joints: Sequence[Joint], start_deg: Array, start_s: float) -> None:
+        speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
+        needed_s = float((EASE_PEAK_SLOPE * np.abs(start_deg) / speeds_deg_s).max(initial=0.0))
+        neutral_deg = np.zeros_like(start_deg)
+        self._ramp = Ramp(start_deg, neutral_deg, start_s, max(_EASE_S, needed_s), eased=True)
+        #: Whether every joint was told to be at neutral, which is where it goes limp.
+        self.arrived = False
+
+    def at(self, time_s: float) -> Array:
+        """Where the joints should be, (n_joints,) degrees."""
+        return self._ramp.at(time_s)
+
+    def over(self, sent_deg: Array, time_s: float) -> bool:
+        """Whether the joints were sent to neutral, or have been on their way for too long."""
+        self.arrived = self._ramp.is_over(time_s) and not sent_deg.any()
+        return self.arrived or time_s - self._ramp.start_s >= _LONGEST_S
+
 
 #: Looking a member up in its enumeration costs as much as comparing ten; a tick does it often.
 _DRIVEN, _SILENT, _FRESH = FaceState.DRIVEN, FaceState.SILENT, StaleLevel.FRESH
 
 
-class Bridge(BridgeParts):
+class Bridge:
     """Turns targets into goals on a bus that its caller has opened.
 
     Limp until `start`. A servo in trouble is left out and supervised while the others go on; a
@@ -25,6 +86,111 @@ class Bridge(BridgeParts):
     person asked for: it holds whatever happens to port, servos and speech, until `start`. `tick`
     never raises for them; it goes on after a stop until the state is ENDED.
     """
+
+    def __init__(
+        self,
+        bus: ServoBus,
+        joints: Sequence[Joint],
+        channel: TargetChannel,
+        settings: BridgeSettings,
+    ) -> None:
+        """Joints and targets share their order."""
+        self._joints = tuple(joints)
+        self._settings = settings
+        self._targets = FollowedTargets(channel, len(self._joints), settings.stale)
+        self._servos = ServoGroup(bus, joints, settings)
+        self._jog = Jog(self._joints, settings.period_s)
+        self._single = SingleServos(self._joints, self._servos, self._jog)
+        self._state, self._port = FaceState.STOPPED, PortRetry()
+        self._tick_s = 0.0
+        self._easing: EaseToNeutral | None = None
+        self._n_ticks = self._n_late = self._n_stale = self._n_armed = 0
+        #: Why the face stopped by itself; empty: it did not.
+        self.failure = ""
+
+    @property
+    def rate_hz(self) -> float:
+        """The nominal rate of `tick`."""
+        return self._settings.rate_hz
+
+    @property
+    def state(self) -> FaceState:
+        """What the face is doing."""
+        return self._state
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The joints, in the order of everything else."""
+        return tuple(joint.name for joint in self._joints)
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port is there."""
+        return self._port.is_open
+
+    @property
+    def tick_counts(self) -> tuple[int, int, int]:
+        """Ticks so far, those missed, and those without a fresh target, as `status` counts them."""
+        return self._n_ticks, self._n_late, self._n_stale
+
+    @property
+    def status(self) -> BridgeStatus:
+        """The counts so far."""
+        return BridgeStatus(
+            state=self._state,
+            n_ticks=self._n_ticks,
+            n_late=self._n_late,
+            n_stale=self._n_stale,
+            n_armed=self._n_armed,
+            n_rejected_targets=self._targets.n_rejected,
+            gate=self._servos.limiter.counts,
+            n_unplugged=self._port.n_lost,
+            servo_states=tuple(
+                ServoState(state) for state in self._servos.supervision.states.tolist()
+            ),
+        )
+
+    @property
+    def feedback(self) -> Feedback | None:
+        """Where the servos stood in the last tick; None before it, and while the port is gone."""
+        return self._servos.feedback if self._port.is_open else None
+
+    @property
+    def jogged(self) -> tuple[str, ...]:
+        """The joints that a person jogs just now."""
+        return tuple(self._joints[index].name for index in self._jog.jogged)
+
+    @property
+    def n_trouble_changes(self) -> int:
+        """Grows whenever `troubles` changes, so that a loop need not look at texts."""
+        return self._servos.supervision.n_changes
+
+    @property
+    def settled(self) -> bool:
+        """Whether every servo is driven, or `troubles` says why not."""
+        return self._servos.supervision.settled
+
+    @property
+    def given_up(self) -> Mapping[int, str]:
+        """Servos that stay limp for good, by index, with the reason."""
+        return self._servos.gate.given_up
+
+    @property
+    def troubles(self) -> tuple[str, ...]:
+        """A line for each servo that is not driven, with the reason; for a log, not for a tick."""
+        return self._servos.troubles
+
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about the bus, in sentences for a log; they stay and become more."""
+        return self._servos.remarks()
+
+    def servo_health(self) -> tuple[ServoHealth, ...]:
+        """How every servo was when it was asked last; for a log, not for a tick."""
+        return self._servos.health()
+
+    def health_records(self) -> list[dict[str, object]]:
+        """The same for JSON, quickly made: None for what was never heard."""
+        return self._servos.health_records()
 
     def start(self, may_continue: Callable[[], bool] = lambda: True) -> None:
         """A person starts the face: let everybody go, then let them hold where they stand.
@@ -78,17 +244,39 @@ class Bridge(BridgeParts):
         self._tick_s = time_s
         self._n_ticks += 1
         self._n_late += late
-        if self._port.is_due(time_s):
+        port, targets, servos = self._port, self._targets, self._servos
+        if not port.is_open and time_s >= port.due_s:
             self._try_port(time_s)
-        self._take_targets(time_s)
+        if targets.take(time_s):
+            if self._state is _SILENT:  # limp in a silence that is over
+                self._state = _DRIVEN
+                self._n_armed += 1
+            if self._state is _DRIVEN:
+                targets.follow()
+        silence_s = targets.silence_s(time_s)
+        level = self._settings.stale.level(silence_s)
         acted = None
-        if self._port.is_open:
+        if port.is_open:
             try:
-                acted = self._act(time_s)
+                if self._state is _DRIVEN:
+                    acted = self._drive(time_s, targets.wanted(silence_s, level), level)
+                else:
+                    acted = self._act(time_s)
             except PortError:
                 self._unplug(time_s)
-        wanted_deg, limited = acted or (self._targets.held_deg, self._servos.limiter.unchanged())
-        return self._report(time_s, late, wanted_deg, limited)
+        wanted_deg, limited = acted or (targets.held_deg, servos.limiter.unchanged())
+        return TickReport(
+            time_s=time_s,
+            late=late,
+            wanted_deg=wanted_deg,
+            sent_deg=limited.positions_deg,
+            target_age_s=silence_s,
+            stale=level,
+            torque_on=servos.supervision.any_driven,
+            range_hits=limited.range_hits,
+            rate_hits=limited.rate_hits,
+            rejected=limited.rejected,
+        )
 
     def stop(self, level: StopLevel) -> None:
         """A person stops the face. LIMP and FREEZE act at once, SOFT from the next tick on.
@@ -150,9 +338,7 @@ class Bridge(BridgeParts):
         self._easing = None
 
     def _act(self, time_s: float) -> tuple[Array, Limited]:
-        """What this state sends: (wanted, sent)."""
-        if self._state is _DRIVEN:
-            return self._drive(time_s)
+        """What a face sends that is not driven: (wanted, sent)."""
         if self._state is FaceState.EASING:
             return self._ease(time_s)
         if self._state is FaceState.FROZEN:
@@ -165,8 +351,8 @@ class Bridge(BridgeParts):
             self._servos.rest(time_s)
         return self._targets.held_deg, self._servos.limiter.unchanged()
 
-    def _drive(self, time_s: float) -> tuple[Array, Limited]:
-        wanted_deg, level = self._targets.wanted(time_s)
+    def _drive(self, time_s: float, wanted_deg: Array, level: StaleLevel) -> tuple[Array, Limited]:
+        """What a driven face sends: (wanted, sent)."""
         limiter, scale = self._servos.limiter, self._servos.scale
         if level is StaleLevel.LIMP:
             self._jog.clear()
@@ -179,9 +365,11 @@ class Bridge(BridgeParts):
             wanted_deg = scaled_deg = self._jog.guide(scaled_deg, limiter.sent_deg, scale, time_s)
         limited = limiter.apply(scaled_deg, time_s)
         self._servos.send(limited, time_s)
-        lost = self._servos.lost_critical
-        if lost:
-            self.failure = f"critical {lost}; all is limp"
+        supervision = self._servos.supervision
+        lost = supervision.lost_critical
+        if lost is not None:
+            why = f"{named(self._joints[lost])} {supervision.reasons[lost]}"
+            self.failure = f"critical {why}; all is limp"
             self.stop(StopLevel.LIMP)
         return wanted_deg, limited
 
@@ -239,31 +427,41 @@ class Bridge(BridgeParts):
         self._port.note_open()
         self._n_armed += self._state is FaceState.DRIVEN
 
-    def _take_targets(self, time_s: float) -> None:
-        """Take the targets that came; fresh ones drive a face again that is limp in a silence."""
-        if not self._targets.take(time_s):
-            return
-        if self._state is _SILENT:
-            self._state = _DRIVEN
-            self._n_armed += 1
-        if self._state is _DRIVEN:
-            self._targets.follow()
-
-    def _report(self, time_s: float, late: int, wanted_deg: Array, limited: Limited) -> TickReport:
-        silence_s = self._targets.silence_s(time_s)
-        return TickReport(
-            time_s=time_s,
-            late=late,
-            wanted_deg=wanted_deg,
-            sent_deg=limited.positions_deg,
-            target_age_s=silence_s,
-            stale=self._settings.stale.level(silence_s),
-            torque_on=self._servos.supervision.any_driven,
-            range_hits=limited.range_hits,
-            rate_hits=limited.rate_hits,
-            rejected=limited.rejected,
-        )
-
 
 def _by_a_person(level: StopLevel) -> str:
     return f"stopped by a person ({level.value})"
+
+
+def face_status(bridge: Bridge) -> dict[str, object]:
+    """One object for JSON. Made when somebody asks, not in every tick.
+
+    state: a `FaceState`; plugged: whether the port is there; servos: the `ServoState` in words of
+    each joint, by name; troubles: a line for each servo that is not driven; jogged: joints that a
+    person jogs, by name; health: a `ServoHealth` for each servo that was asked, None for what was
+    never heard; *_total: how often the gate stepped in, over all joints; the counts are those of
+    `BridgeStatus`.
+    """
+    status = bridge.status
+    gate = {
+        f"{name}_total": int(getattr(status.gate, name).sum())
+        for name in ("range_hits", "rate_hits", "rejected", "prevented")
+    }
+    return {
+        "state": status.state.value,
+        "plugged": bridge.plugged,
+        "torque_on": ServoState.DRIVEN in status.servo_states,
+        "servos": {
+            name: state.word for name, state in zip(bridge.names, status.servo_states, strict=True)
+        },
+        "troubles": list(bridge.troubles),
+        "jogged": list(bridge.jogged),
+        "health": bridge.health_records(),
+        "n_ticks": status.n_ticks,
+        "n_late": status.n_late,
+        "n_stale": status.n_stale,
+        "n_armed": status.n_armed,
+        "n_unplugged": status.n_unplugged,
+        "n_rejected_targets": status.n_rejected_targets,
+        **gate,
+        "bridge_pid": os.getpid(),
+    }

@@ -4,21 +4,61 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array
-from firmware_bridge.bus import Readings, ServoBus, ServoError
+from firmware_bridge.bus import (
+    STATE_WORDS,
+    Array,
+    Feedback,
+    Health,
+    Readings,
+    ServoBus,
+    ServoHealth,
+)
+from firmware_bridge.errors import ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
-from firmware_bridge.health import STATE_WORDS, Feedback, Health, ServoHealth
 from firmware_bridge.joints import Joint, named
-from firmware_bridge.loop.heat import HeatDerating
+from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.servo_supervision import ServoSupervision
-from firmware_bridge.loop.settings import BridgeSettings
-from firmware_bridge.loop.torque_gate import TorqueGate
-from firmware_bridge.loop.torque_off import TorqueOff
+from firmware_bridge.loop.torque_gate import TorqueGate, TorqueOff
+
+#: Amplitude shrinks over the last degrees below the servo's limit, and with the load's square,
+#: which is what heats a winding: full up to half the stall torque (root mean square).
+_DERATE_FROM_DEGC: Final = 10.0
+_DUTY_S: Final = 60.0
+_DUTY_FULL: Final = 0.25
+_LEAST_SCALE: Final = 0.3
+#: Heat is looked at so often: a winding knows nothing faster, and every tick would pay for it. A
+#: little less than the 50 ms meant, so that rounding makes no sixth tick of the fifth.
+_HEAT_EVERY_S: Final = 0.049
+
+
+class HeatDerating:
+    """By how much each joint's amplitude shrinks; arrays are (n_servos,)."""
+
+    def __init__(self, n_servos: int) -> None:
+        self._duty = np.zeros(n_servos)
+        self._duty_at_s: float | None = None
+        self._scale = np.ones(n_servos)
+
+    def scale(self, feedback: Feedback, health: Health) -> Array:
+        """Of the amplitude, 0.3..1: heat now, and heat to come."""
+        if self._duty_at_s is not None:
+            if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
+                return self._scale
+            share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
+            self._duty += share * (feedback.effort * feedback.effort - self._duty)
+        self._duty_at_s = feedback.time_s
+        warm = health.room_degc / _DERATE_FROM_DEGC
+        worked = 2.0 - self._duty / _DUTY_FULL
+        scale = np.minimum(warm, worked)
+        np.maximum(scale, _LEAST_SCALE, out=scale)
+        self._scale = np.minimum(scale, 1.0, out=scale)
+        return self._scale
+
 
 #: So often everybody is asked where they stand before a start; a lost answer is no reason to fail.
 _READS = 5
@@ -51,25 +91,13 @@ class ServoGroup:
         self._heat = HeatDerating(len(self._joints))
         self.torque_off = TorqueOff(self._joints, self.gate)
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
-        self._scale = np.ones(len(self._joints))
+        #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
+        self.scale = np.ones(len(self._joints))
         self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
         self._to_keep: deque[int] = deque(maxlen=len(self._joints))  # frozen, may hold or not
         self._health: Health | None = None
         #: What the last question of a tick was answered; None before the first.
         self.feedback: Feedback | None = None
-
-    @property
-    def scale(self) -> Array:
-        """By how much each joint's amplitude shrinks to spare its servo, (n_joints,)."""
-        return self._scale
-
-    @property
-    def lost_critical(self) -> str:
-        """A critical servo that was given up, and why; empty: none."""
-        lost = self.supervision.lost_critical
-        return (
-            "" if lost is None else f"{named(self._joints[lost])} {self.supervision.reasons[lost]}"
-        )
 
     @property
     def troubles(self) -> tuple[str, ...]:
@@ -179,8 +207,9 @@ class ServoGroup:
             self._bus.write_positions(goals_deg)
         elif not limp.all():
             self._bus.write_positions(np.where(limp, np.nan, goals_deg))
-        feedback, health = self.poll()
-        self._scale = self._heat.scale(feedback, health)
+        self.feedback = feedback = self._bus.feedback()
+        self._health = health = self._bus.look_after()
+        self.scale = self._heat.scale(feedback, health)
         self.supervision.check_tracking(goals_deg, feedback)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)
@@ -188,15 +217,10 @@ class ServoGroup:
         if enabled is not None:
             self.limiter.start_one(enabled, float(self._bus.feedback().positions_deg[enabled]))
 
-    def poll(self) -> tuple[Feedback, Health]:
-        """Where everybody stands, and what is known of how they are: one was asked just now."""
-        self.feedback = feedback = self._bus.feedback()
-        self._health = health = self._bus.look_after()
-        return feedback, health
-
     def rest(self, time_s: float) -> None:
         """A tick of a face that is limp in a silence: hear how all are, and who has not let go."""
-        self.poll()
+        self.feedback = self._bus.feedback()
+        self._health = self._bus.look_after()
         self.supervision.keep_off(time_s, self.gate)
 
     def switch_off(self, index: int, time_s: float) -> None:

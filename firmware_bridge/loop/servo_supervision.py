@@ -14,9 +14,17 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array, all_set, any_set
+from firmware_bridge.bus import (
+    Array,
+    Feedback,
+    HardwareError,
+    Health,
+    ServoState,
+    all_set,
+    any_set,
+    describe_errors,
+)
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
-from firmware_bridge.health import Feedback, HardwareError, Health, ServoState, describe_errors
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.torque_gate import SWITCHED_OFF
 

@@ -3,17 +3,15 @@
 from collections.abc import Callable
 from functools import partial
 
-from firmware_bridge.bus import BusError, ServoBus
+from firmware_bridge.bus import ServoBus, ServoHealth
 from firmware_bridge.clock import MonotonicClock
-from firmware_bridge.health import ServoHealth
-from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.life_cycle import LifeCycle
-from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
+from firmware_bridge.errors import BusError
+from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
 from firmware_bridge.loop.report import TickReport
-from firmware_bridge.loop.status import face_status
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
-from firmware_bridge.process.scheduling import run_on_time
+from firmware_bridge.process.operating_system import run_on_time
 from firmware_bridge.stopping import ExitStatus, StopRequest
 
 

@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from firmware_bridge.orders import ServoSwitch
-from firmware_bridge.process.command_words import (
+from firmware_bridge.process.commands import (
     ARM_WORD,
     END_WORD,
     JOG_WORD,
@@ -24,11 +23,13 @@ from firmware_bridge.process.control_socket import LONGEST_WORD, WATCH_WORD, pee
 from firmware_bridge.process.runtime_folder import (
     SOCKET_SUFFIX,
     ControlError,
+    held_folder,
+    is_dead_socket,
+    knock,
     read_socket_name,
     searched_folders,
 )
-from firmware_bridge.process.socket_files import held_folder, is_dead_socket, knock
-from firmware_bridge.stopping import START_WHILE_STOPPING, StopLevel
+from firmware_bridge.stopping import START_WHILE_STOPPING, ServoSwitch, StopLevel
 
 #: Longer than the status of 252 servos.
 _LONGEST_ANSWER: Final = 1 << 18
@@ -199,8 +200,8 @@ def _is_name(text: str) -> bool:
 def watch(path: Path, patience_s: float = _PATIENCE_S) -> int:
     """A descriptor of the memory where the face at `path` tells what it does, to read only.
 
-    `lipservo.status.live_board` reads it. Raises OSError when nobody answers, ControlError when the
-    face cannot be watched.
+    `lipservo.runtime.status.live_board` reads it. Raises OSError when nobody answers, ControlError
+    when the face cannot be watched.
     """
     give_up_s = time.monotonic() + patience_s
     raw = b""

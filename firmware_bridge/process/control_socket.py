@@ -18,12 +18,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final, Self
 
-from firmware_bridge.orders import Order
-from firmware_bridge.process.command_queue import CommandQueue
-from firmware_bridge.process.command_words import END_WORD, command_answer
-from firmware_bridge.process.runtime_folder import ControlError
-from firmware_bridge.process.socket_files import held_folder, inode_of, make_room
-from firmware_bridge.stopping import StopLevel, StopRequest
+from firmware_bridge.process.commands import END_WORD, CommandQueue, command_answer
+from firmware_bridge.process.runtime_folder import ControlError, held_folder, inode_of, make_room
+from firmware_bridge.stopping import Order, StopLevel, StopRequest
 
 Describe = Callable[[Mapping[str, object]], Mapping[str, object]]
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from enum import Enum
 from typing import Final
 
-from firmware_bridge.orders import Order, ServoOrder, ServoSwitch, StartFace
+from firmware_bridge.process.child import RestartedChild, WatchedChild
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import (
     Began,
@@ -27,8 +27,7 @@ from firmware_bridge.process.lifeline import (
     Stopped,
     Switched,
 )
-from firmware_bridge.process.restarted_child import RestartedChild, WatchedChild
-from firmware_bridge.process.service_notice import ServiceNotice
+from firmware_bridge.process.operating_system import ServiceNotice
 from firmware_bridge.process.stop_record import StopRecord
 from firmware_bridge.process.torque_release import TorqueRelease
 from firmware_bridge.stop_signals import SignalCounter
@@ -36,6 +35,10 @@ from firmware_bridge.stopping import (
     PORT_WAIT_S,
     START_WHILE_STOPPING,
     ExitStatus,
+    Order,
+    ServoOrder,
+    ServoSwitch,
+    StartFace,
     StopLevel,
     StopReport,
     StopRequest,

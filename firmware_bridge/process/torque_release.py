@@ -8,8 +8,7 @@ from typing import Final
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, MAX_ID
-from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.transport import Transport
+from firmware_bridge.dynamixel.wire.line import Line, Transport
 from firmware_bridge.errors import BusError, PortError
 
 _TORQUE, _WATCHDOG = register("torque_enable").address, register("bus_watchdog").address

@@ -3,16 +3,15 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.arrays import Array
-from firmware_bridge.bus import PortError, Readings
+from firmware_bridge.bus import Array, BusCapabilities, Feedback, Health, Readings
 from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.wire.codec import StatusError
-from firmware_bridge.health import Feedback, Health
+from firmware_bridge.errors import PortError
 from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 
 #: XL330-M288-T without load at 5 V: 103 rev/min;
@@ -39,6 +38,16 @@ class SimulatedBus:
     Not simulated: acceleration, load, gravity, backlash, encoder steps, current, temperature,
     supply voltage, time on the wire, lost or damaged packets, a servo falling out.
     """
+
+    capabilities: Final = BusCapabilities(
+        place=True,
+        load=False,
+        heat=False,
+        watchdog=False,
+        confirmed_limp=True,
+        hold=True,
+        profile=False,
+    )
 
     def __init__(
         self,

@@ -1,21 +1,77 @@
 """A chain of simulated servos on one half-duplex wire: bytes in, bytes out, each at its time."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from firmware_bridge.arrays import Array
+from firmware_bridge.bus import Array
 from firmware_bridge.dynamixel.control_table import ServoModel, baud_rates
-from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, BROADCAST_ID, Instruction
-from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
-from firmware_bridge.simulator import group_instructions
-from firmware_bridge.simulator.fault_injector import FaultInjector
-from firmware_bridge.simulator.faults import Fault
-from firmware_bridge.simulator.group_instructions import SpanWanted
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.provisioning import wanted_settings
+from firmware_bridge.dynamixel.wire.codec import (
+    BITS_PER_BYTE,
+    BROADCAST_ID,
+    Frame,
+    FrameParser,
+    Instruction,
+)
+from firmware_bridge.simulator.faults import Fault, FaultInjector
 from firmware_bridge.simulator.motors import Environment, Motors
 from firmware_bridge.simulator.servo import SimulatedServo
 from firmware_bridge.simulator.wire import Wire, WireCounts, WireRules
+
+
+class SpanWanted(NamedTuple):
+    """`size` bytes from `address` on, of one servo."""
+
+    servo_id: int
+    address: int
+    size: int
+
+
+def sync_read(parameters: bytes) -> list[SpanWanted]:
+    """The same span of each id; an id named twice is answered once, at its first place."""
+    if len(parameters) < 5:
+        return []
+    address = parameters[0] | parameters[1] << 8
+    size = parameters[2] | parameters[3] << 8
+    return [SpanWanted(servo_id, address, size) for servo_id in dict.fromkeys(parameters[4:])]
+
+
+def bulk_read(parameters: bytes) -> list[SpanWanted]:
+    """A span of its own for each id; an id named twice is answered once, as it was named first."""
+    wanted: dict[int, SpanWanted] = {}
+    for at in range(0, len(parameters) - 4, 5):
+        servo_id, low, high, size_low, size_high = parameters[at : at + 5]
+        span = SpanWanted(servo_id, low | high << 8, size_low | size_high << 8)
+        wanted.setdefault(servo_id, span)
+    return list(wanted.values())
+
+
+def sync_write(parameters: bytes) -> dict[int, bytes]:
+    """Parameters of a plain write, by id. Of an id named twice the last block counts."""
+    if len(parameters) < 5:
+        return {}
+    head = parameters[:2]
+    size = parameters[2] | parameters[3] << 8
+    return {
+        parameters[at]: head + parameters[at + 1 : at + 1 + size]
+        for at in range(4, len(parameters) - size, size + 1)
+    }
+
+
+def bulk_write(parameters: bytes) -> dict[int, bytes]:
+    """Parameters of a plain write, by id. A block cut short is left out."""
+    blocks: dict[int, bytes] = {}
+    at = 0
+    while at + 5 <= len(parameters):
+        end = at + 5 + (parameters[at + 3] | parameters[at + 4] << 8)
+        if end <= len(parameters):
+            blocks[parameters[at]] = parameters[at + 1 : at + 3] + parameters[at + 5 : end]
+        at = end
+    return blocks
+
 
 #: Servos answer a broadcast ping one after another, in the order of their ids. The manual does not
 #: say how far apart; the SDK waits for 14 bytes each.
@@ -24,14 +80,14 @@ _PING_SLOT_BYTES: Final = 14
 _CHECK_S: Final = 0.010
 #: Ints: looking a member up in its enumeration costs as much as comparing three.
 _GROUP_READS: Final = {
-    int(Instruction.SYNC_READ): (group_instructions.sync_read, False),
-    int(Instruction.FAST_SYNC_READ): (group_instructions.sync_read, True),
-    int(Instruction.BULK_READ): (group_instructions.bulk_read, False),
-    int(Instruction.FAST_BULK_READ): (group_instructions.bulk_read, True),
+    int(Instruction.SYNC_READ): (sync_read, False),
+    int(Instruction.FAST_SYNC_READ): (sync_read, True),
+    int(Instruction.BULK_READ): (bulk_read, False),
+    int(Instruction.FAST_BULK_READ): (bulk_read, True),
 }
 _GROUP_WRITES: Final = {
-    int(Instruction.SYNC_WRITE): group_instructions.sync_write,
-    int(Instruction.BULK_WRITE): group_instructions.bulk_write,
+    int(Instruction.SYNC_WRITE): sync_write,
+    int(Instruction.BULK_WRITE): bulk_write,
 }
 
 
@@ -252,3 +308,22 @@ def _by_id(listening: list[SimulatedServo]) -> dict[int, list[SimulatedServo]]:
         if servo.answers_reads:
             by_id.setdefault(servo.servo_id, []).append(servo)
     return by_id
+
+
+def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
+    """Every servo with its id, rate and limits, standing limp in neutral.
+
+    options: those of `SimulatedChain`.
+    """
+    chain = SimulatedChain(
+        [servo.model for servo in servos],
+        [servo.joint.servo_id for servo in servos],
+        baud_rate=baud_rate,
+        **options,
+    )
+    for servo, simulated in zip(servos, chain.servos, strict=True):
+        for name, value in wanted_settings(servo, baud_rate).items():
+            simulated[name] = value
+        simulated.power_up(0.0)
+        simulated.stand_at(servo.pulse(0.0))
+    return chain

@@ -1,9 +1,18 @@
 """What can go wrong on the simulated wire and in the simulated servos, by seed and by moment."""
 
+import heapq
 import math
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG
+from firmware_bridge.simulator.motors import ENCODER_ERROR, SHOCK_ERROR, Motors
+from firmware_bridge.simulator.servo import SimulatedServo
 
 #: What happens to a status packet on its way, by chance.
 ON_REPLIES: Final = frozenset(
@@ -118,3 +127,119 @@ class Fault:
             and self.from_s <= now_s < self.until_s
             and rng.random() < self.probability
         )
+
+
+class FaultInjector:
+    """Injects the faults of a script into the servos of a chain, in order of time."""
+
+    def __init__(
+        self, servos: Sequence[SimulatedServo], motors: Motors, faults: Sequence[Fault]
+    ) -> None:
+        self._servos = servos
+        self._motors = motors
+        #: When, in which order at the same moment, how often before (-1: at a moment of its own),
+        #: whether it begins or ends.
+        self._coming: list[tuple[float, int, int, bool, Fault]] = []
+        self._n = 0
+        for fault in faults:
+            if fault.kind in ON_SERVOS:
+                for when_s in fault.at_s:
+                    self._expect(when_s, -1, fault, begins=True)
+                self._expect_again(fault, 0)
+        self.unplugged = False
+        limits = ("min_voltage_limit", "max_voltage_limit", "temperature_limit")
+        low, high, hot = (np.array([s[name] for s in servos], float) for name in limits)
+        self._low_v, self._high_v, self._hottest = low / 10.0, high / 10.0, hot
+
+    def advance(self, now_s: float) -> None:
+        """Everything that is due by `now_s`."""
+        while self._coming and self._coming[0][0] <= now_s:
+            when_s, _, n_before, begins, fault = heapq.heappop(self._coming)
+            self._motors.advance(when_s)
+            for servo in self._servos:
+                if fault.servos and servo.index not in fault.servos:
+                    continue
+                if begins:
+                    self._begin(servo, fault, when_s)
+                else:
+                    self._end(servo, fault)
+            if begins and fault.lasts_s:
+                self._expect(when_s + fault.lasts_s, -1, fault, begins=False)
+            if begins and n_before >= 0:
+                self._expect_again(fault, n_before + 1)
+
+    def _expect(self, when_s: float, n_before: int, fault: Fault, *, begins: bool) -> None:
+        self._n += 1
+        heapq.heappush(self._coming, (when_s, self._n, n_before, begins, fault))
+
+    def _expect_again(self, fault: Fault, n_before: int) -> None:
+        """The next of what comes every so often."""
+        when_s = fault.from_s + (n_before + 1) * fault.every_s
+        if fault.every_s > 0.0 and when_s <= fault.until_s:
+            self._expect(when_s, n_before, fault, begins=True)
+
+    def hardware_errors(self) -> NDArray[np.int64]:
+        """The bits that each servo would set now."""
+        return self._motors.hardware_errors(self._low_v, self._high_v, self._hottest)
+
+    def _begin(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
+        motors, i, kind = self._motors, servo.index, fault.kind
+        if kind == "silence":
+            servo.deaf_until_s = now_s + fault.lasts_s if fault.lasts_s else math.inf
+        elif kind == "reboot":
+            servo.reboot(now_s)
+        elif kind == "brown_out":
+            servo.reboot(now_s)
+            servo.deaf_until_s = now_s + max(0.5, fault.lasts_s)
+        elif kind == "overload":
+            motors.load[i] = fault.amount or 0.9
+        elif kind in ("jam", "load"):
+            motors.jammed[i] = kind == "jam"
+            motors.load[i] = fault.amount
+        elif kind == "overheat":
+            motors.temperature[i] = fault.amount or self._hottest[i] + 5.0
+        elif kind in ("undervoltage", "overvoltage"):
+            nominal_v = servo.model.nominal_voltage_v
+            motors.supply_v[i] = fault.amount or nominal_v * (0.6 if kind[0] == "u" else 1.5)
+        elif kind == "shock":
+            servo.latch(SHOCK_ERROR)
+        elif kind == "encoder_fault":
+            servo.latch(ENCODER_ERROR)
+            motors.position[i] += fault.amount * PULSES_PER_DEG
+        else:
+            self._change_registers(servo, fault)
+
+    def _change_registers(self, servo: SimulatedServo, fault: Fault) -> None:
+        motors, i, kind = self._motors, servo.index, fault.kind
+        if kind == "torque_lost":
+            servo.lose_torque()
+        elif kind == "id_change":
+            servo["id"] = int(fault.amount)
+        elif kind == "baud_reset":
+            servo["baud_rate"] = 1
+        elif kind == "return_delay_drift":
+            servo["return_delay_time"] = int(fault.amount) or 250
+        elif kind == "limits_drift":
+            servo["max_position_limit"] = int(fault.amount) or 4095
+        elif kind == "answers_stop":
+            servo["status_return_level"] = 0
+        elif kind == "watchdog_trip":
+            servo.trip_watchdog()
+        elif kind == "pushed":
+            motors.position[i] += fault.amount * PULSES_PER_DEG
+        elif kind == "unplug":
+            self.unplugged = True
+
+    def _end(self, servo: SimulatedServo, fault: Fault) -> None:
+        motors, i, kind = self._motors, servo.index, fault.kind
+        if kind in ("overload", "jam", "load"):
+            motors.load[i] = 0.0
+            motors.jammed[i] = False
+        elif kind in ("undervoltage", "overvoltage"):
+            motors.supply_v[i] = servo.model.nominal_voltage_v
+        elif kind == "overheat":
+            motors.temperature[i] = 30.0
+        elif kind == "answers_stop":
+            servo["status_return_level"] = 2
+        elif kind == "unplug":
+            self.unplugged = False

@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from lipservo.agents.listener import AgentSettings
 from lipservo.agents.messages import MessageError, Outbox, PcmDecoder, Start
 from lipsync.audio.playout import Playout
-from lipsync.audio.playout_events import PlayoutEvent, PlayoutRequest
-from lipsync.audio.playout_stream import MOST_WAITING_S, PlayoutStream
+from lipsync.audio.playout_stream import MOST_WAITING_S, PlayoutEvent, PlayoutRequest, PlayoutStream
 
 #: Marks of a stream that were not heard yet: fewer than a client may leave unread, since many may
 #: be heard at once.

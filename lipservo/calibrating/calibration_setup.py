@@ -11,8 +11,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from calibration.fit.procedure import Procedure
 from calibration.mouth_servos import JointRange, MouthServos
 from firmware_bridge.clock import MonotonicClock
-from lipservo.face.held_face import SPEED_DEG_S, HeldFace
-from lipservo.face.servos import bus_for, mouth_rules
+from lipservo.runtime.servos.assembly import bus_for, mouth_rules
+from lipservo.runtime.servos.held_face import SPEED_DEG_S, HeldFace
 from lipservo.settings.settings import FaceSettings
 from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import FaceWithAnimPhos

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from lipsync.errors import UserError
-from lipsync.extras import check_extra
+from lipsync.errors import UserError, check_extra
 
 #: FFmpeg's picture (av.VideoFrame) and the monotonic time at which it was taken.
 Frame = tuple[float, Any]

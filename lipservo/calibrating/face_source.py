@@ -22,11 +22,12 @@ from firmware_bridge.clock import Clock, MonotonicClock
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.camera import AvCamera, CameraFeed
 from lipservo.calibrating.measured_calibration import tracker_of
-from lipservo.face.held_face import HeldFace
+from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.terminal.output import MESSAGES
 from lipsync.arrays import Array
 from lipsync.errors import UserError
-from lipsync.video.tracking.face_tracker import FaceTracker, Picture
+from lipsync.video.face_detection import Picture
+from lipsync.video.face_tracker import FaceTracker
 
 CAMERA: Final = "camera"
 _SECOND: Final = 2

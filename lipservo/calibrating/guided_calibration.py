@@ -22,10 +22,10 @@ from calibration.mouth_servos import JointRange
 from calibration.simulated.practice_robot import markers_of_face
 from lipservo.calibrating.calibration_setup import CalibrationSetup, held_servos, today
 from lipservo.calibrating.measured_calibration import CalibrationResult, with_lags
-from lipservo.face.servos import servo_memories
+from lipservo.runtime.servos.assembly import servo_memories
 from lipservo.terminal.keys import read_key
-from lipservo.terminal.mouth_drawing import draw_mouth
 from lipservo.terminal.output import MESSAGES
+from lipservo.terminal.view import draw_mouth
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 

@@ -22,7 +22,7 @@ from calibration.calibration import Calibration, CalibrationError, Touch
 from calibration.files.calibration_file import load_calibration
 from calibration.mouth_servos import MouthServos
 from firmware_bridge.stopping import named_by_reason
-from lipservo.face.limp_servos import LOOK_EVERY_S, LimpPose, LimpServos
+from lipservo.runtime.servos.limp_servos import LOOK_EVERY_S, LimpPose, LimpServos
 from lipsync.arrays import Array
 
 CLOSED, WIDEST, ROUNDED, TOUCHED = "closed", "widest", "rounded", "touched"

@@ -41,8 +41,8 @@ from lipservo.calibrating.calibration_setup import (
     progress_bar,
     today,
 )
-from lipservo.face.held_face import HeldFace
-from lipservo.face.servos import servo_memories, simulated_wire
+from lipservo.runtime.servos.assembly import servo_memories, simulated_wire
+from lipservo.runtime.servos.held_face import HeldFace
 from lipservo.terminal.keys import read_line
 from lipservo.terminal.output import MESSAGES
 from lipsync.arrays import Array

@@ -17,7 +17,7 @@ from calibration.calibration import Calibration, CalibrationError
 from calibration.fit.servo_response import CHIRP_END_HZ, chirp_amplitude_deg
 from calibration.grade import LearntLips, lips_off_mm
 from calibration.mouth_servos import JointRange
-from lipservo.settings.gate_settings import PreventSettings
+from lipservo.settings.sections import PreventSettings
 from lipservo.terminal.pictures import save_picture, without_screen
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array

@@ -4,7 +4,7 @@
 """
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -117,10 +117,6 @@ OpenToThisComputer = Annotated[
         "--open-to-this-computer",
         help="Any user of this computer may connect without the token.",
     ),
-]
-Queue = Annotated[
-    bool,
-    typer.Option("--queue", help="A second voice agent waits for its turn; else it is refused."),
 ]
 Sounds = Annotated[
     Path | None,
@@ -255,6 +251,39 @@ Landmarker = Annotated[
         show_default=False,
     ),
 ]
+
+
+_OF_THE_YAML: Final = "`{}:` in the face's YAML says it now"
+_MOTION: Final = ("engine", "weights", "strategy", "lookahead_ms", "low_latency")
+_SET: Final = ("strength", "smoothness", "unit_share")
+_MOVED: Final = {
+    "--output": _OF_THE_YAML.format("sound.output"),
+    "--rate-hz": _OF_THE_YAML.format("rate_hz"),
+    **{f"--{name.replace('_', '-')}": _OF_THE_YAML.format(f"motion.{name}") for name in _MOTION},
+    **{
+        f"--{name.replace('_', '-')}": _OF_THE_YAML.format(f"motion.{name}")
+        + f", and `lipservo set {name} VALUE` changes it while the face runs"
+        for name in _SET
+    },
+}
+_OF_DAEMON: Final = "`lipservo daemon --dashboard` and `lipservo dashboard` have it"
+#: Where that is now which was an option, by command.
+MOVED_OPTIONS: Final = {
+    "run": {
+        **_MOVED,
+        "--dashboard-listen": _OF_DAEMON,
+        "--token-file": _OF_DAEMON,
+        "--open-to-this-computer": _OF_DAEMON,
+    },
+    "daemon": {
+        **_MOVED,
+        "--osc": _OF_THE_YAML.format("avatars.osc"),
+        "--live-link": _OF_THE_YAML.format("avatars.live_link"),
+        "--queue": _OF_THE_YAML.format("access.queue"),
+        "--sim": "start `lipservo sim-bus`, and name its port with --port",
+        "--open": "`lipservo dashboard --open` has it",
+    },
+}
 
 
 def port_of(given: str | None, of_the_face: str | None) -> str:

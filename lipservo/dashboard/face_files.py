@@ -12,9 +12,9 @@ from typing import Any, Final
 
 from lipservo_client.protocol import FaceError
 
+from lipservo.runtime.speech.expression import ExpressionWishes
 from lipservo.settings.settings import FaceSettings, parse_face
 from lipservo.settings.strict_yaml import SettingsError
-from lipservo.speech.expression_wishes import ExpressionWishes
 from lipsync.errors import UserError
 from lipsync.output_file import OutputError, write_whole
 
@@ -127,7 +127,7 @@ def told_calibration(config: str | None) -> dict[str, Any]:
     """The same as `lipservo calibrate show --json`, with the file's name. Raises FaceError."""
     from calibration.files.calibration_file import parse_calibration
     from lipservo.calibrating.shown_calibration import shown_values
-    from lipservo.face.assembly import load_settings
+    from lipservo.runtime.servos.assembly import load_settings
     from lipservo.settings.settings import calibration_file
 
     if config is None:

@@ -22,7 +22,6 @@ from urllib.parse import urlsplit
 from lipservo_client.async_face import AsyncFace
 from lipservo_client.protocol import FaceError
 
-from firmware_bridge.orders import ServoSwitch
 from firmware_bridge.process.control_client import (
     arm_jog,
     ask,
@@ -34,10 +33,11 @@ from firmware_bridge.process.control_client import (
     watch,
 )
 from firmware_bridge.process.runtime_folder import ControlError
+from firmware_bridge.stopping import ServoSwitch
 from lipservo.dashboard.live_frames import NO_LAYOUT, RATE_HZ, BoardReader, Moment, encode
-from lipservo.face.assembly import load_settings
-from lipservo.speech.passing_wish import whole_wish
-from lipservo.status.live_board import BoardLayout, LiveBoard
+from lipservo.runtime.servos.assembly import load_settings
+from lipservo.runtime.speech.passing_wish import whole_wish
+from lipservo.runtime.status.live_board import BoardLayout, LiveBoard
 from lipsync.errors import UserError, shown
 
 Answer = Mapping[str, Any]

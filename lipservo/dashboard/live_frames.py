@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lipservo.status.live_board import EXPRESSION_NAMES, BoardLayout, LiveBoard, Record
+from lipservo.runtime.status.live_board import EXPRESSION_NAMES, BoardLayout, LiveBoard, Record
 
 #: A side that has written nothing for so long is gone: a page, which looks 30 times a second, says
 #: so within a second.

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from firmware_bridge.health import HardwareError
+from firmware_bridge.bus import HardwareError
 
 #: Each bit: what it is, and what to do.
 _OF_ERROR: Final = {

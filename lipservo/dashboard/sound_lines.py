@@ -24,8 +24,8 @@ from typing import Any, Final
 from lipservo_client.protocol import FaceError
 
 from lipsync.errors import UserError, shown
-from lipsync.offline.performance_file import SUFFIX as PERFORMANCE_SUFFIX
-from lipsync.offline.performance_file import read_performance
+from lipsync.offline.performance import SUFFIX as PERFORMANCE_SUFFIX
+from lipsync.offline.performance import read_performance
 
 MOST_BYTES: Final = 50_000_000
 #: What libsndfile reads, by the endings that people give it, and what `lines render` writes.

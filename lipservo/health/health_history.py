@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.health import describe_errors
+from firmware_bridge.bus import describe_errors
 from lipservo.health.health_log import DAY_FILE
 from lipsync.arrays import Array
 

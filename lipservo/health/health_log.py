@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from firmware_bridge.health import ServoHealth
+from firmware_bridge.bus import ServoHealth
 
 #: What the shipped unit gives the service (`StateDirectory=lipservo`); readable for all.
 SERVICE_STATE = Path("/var/lib/lipservo")

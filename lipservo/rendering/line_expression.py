@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lipservo.face.assembly import load_settings
-from lipservo.speech.face_expression import expression_source
+from lipservo.runtime.servos.assembly import load_settings
+from lipservo.runtime.speech.expression import expression_source
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
 from lipsync.offline.line_methods import Line

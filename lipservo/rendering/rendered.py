@@ -7,20 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from lipservo.face.assembly import load_settings
 from lipservo.rendering.line_expression import line_expression
 from lipservo.rendering.spoken_line import Script, spoken_line
-from lipservo.speech.face_expression import check_expression
+from lipservo.runtime.servos.assembly import load_settings
+from lipservo.runtime.speech.expression import check_expression
 from lipsync.arrays import Array
 from lipsync.audio_block import SAMPLE_RATE_HZ
-from lipsync.expectation.expectation_file import read_expectation
-from lipsync.face.model import read_face
-from lipsync.face.model_file import open_model
-from lipsync.offline.line_methods import Line, LineMethod, Speaker, line_synthesizer
+from lipsync.expectation.expectation import read_expectation
+from lipsync.face.model import open_model, read_face
+from lipsync.offline.line_methods import Line, LineMethod, Speaker, line_synthesizer, shown_faces
 from lipsync.offline.offline_model_file import load_offline_model
-from lipsync.offline.performance import RATE_HZ, Performance, performed_sound
-from lipsync.offline.performance_file import write_performance
-from lipsync.offline.wrapped_line import shown_faces
+from lipsync.offline.performance import RATE_HZ, Performance, performed_sound, write_performance
 
 
 @dataclass(frozen=True, slots=True)

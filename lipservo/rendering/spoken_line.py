@@ -3,21 +3,21 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from lipservo.street.settled_phonemes import settled_events
-from lipsync.audio.file import FileSource
+from lipservo.runtime.settled_phonemes import settled_events
+from lipsync.audio.file import FileSource, read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
 from lipsync.offline.line_methods import Line
-from lipsync.offline.stored_units import joined_phones
+from lipsync.offline.line_synthesis import joined_phones
 from lipsync.phoneme_files.reader import read_known_phonemes
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.recognition.alignment.forced_alignment import AlignmentError, align
-from lipsync.recognition.alignment.goodness_of_pronunciation import (
+from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
+    AlignmentError,
+    align,
     goodness_of_pronunciation,
 )
-from lipsync.recognition.speech_file import read_speech
 
 #: A line is heard whole: a longer sound is cut into lines by whoever knows where they end.
 LONGEST_LINE_S = 300.0

@@ -130,15 +130,27 @@ class AccessSettings(Strict):
     """Who may connect over TCP besides programs: docs/hardware.md.
 
     origins: of web pages whose scripts may use the agent server and the dashboard's API; they need
-    the token as everything does.
+    the token as everything does. queue: a second voice agent waits for its turn, else it is
+    refused.
     """
 
     origins: Annotated[tuple[Origin, ...], Field(max_length=_MOST_ORIGINS)] = ()
+    queue: bool = False
 
     @field_validator("origins", mode="before")
     @classmethod
     def _a_list_will_do(cls, origins: object) -> object:
         return tuple(origins) if isinstance(origins, list) else origins
+
+
+class AvatarSettings(Strict):
+    """`avatars:` of a face YAML: HOST or HOST:PORT of the screen avatars that show the face, too.
+
+    osc: VMC protocol over OSC. live_link: Live Link Face of Unreal Engine.
+    """
+
+    osc: Text | None = None
+    live_link: Text | None = None
 
 
 #: A degree of freedom of an expression; `lids`: the mean of both.
@@ -228,7 +240,8 @@ class TrackingSettings(Strict):
 class MotionSettings(Strict):
     """Every one of them may be absent; the command line goes before it.
 
-    weights: `default`, `grid`, or a file, from the folder of the YAML.
+    weights: `default`, `grid`, or a file, from the folder of the YAML. low_latency: for puppeteers,
+    goals within 150 ms of the sound, less precise.
     """
 
     strategy: Strategy | None = None
@@ -238,6 +251,7 @@ class MotionSettings(Strict):
     strength: Annotated[float, within(0.0, STRONGEST)] | None = None
     smoothness: Annotated[float, within(0.0, SMOOTHEST)] | None = None
     unit_share: Annotated[float, within(0.0, ONLY_UNITS)] | None = None
+    low_latency: bool = False
     lip_gap_offset_mm: (
         Annotated[float, within(-FARTHEST_LIP_GAP_OFFSET_MM, FARTHEST_LIP_GAP_OFFSET_MM)] | None
     ) = None

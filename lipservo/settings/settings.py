@@ -20,6 +20,7 @@ from firmware_bridge.joints import Joint
 from lipservo.settings.sections import (
     Acceleration,
     AccessSettings,
+    AvatarSettings,
     BaudRate,
     CalibrationName,
     Degrees,
@@ -156,6 +157,7 @@ class FaceSettings(Strict):
     sound: SoundSettings = SoundSettings()
     expression: ExpressionSettings = ExpressionSettings()
     access: AccessSettings = AccessSettings()
+    avatars: AvatarSettings = AvatarSettings()
     #: Whether a service drives the face by itself after a power cut that may have lost a stop.
     start_after_power_cut: bool = False
     #: Between the outer corners of the robot's eyes: what gives a photograph its scale.

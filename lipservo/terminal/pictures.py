@@ -4,8 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lipsync.errors import UserError
-from lipsync.extras import check_extra
+from lipsync.errors import UserError, check_extra
 from lipsync.output_file import check_output, written_whole
 
 if TYPE_CHECKING:

@@ -19,8 +19,8 @@ from rich.table import Table
 from rich.text import Text
 
 from firmware_bridge.joints import Joint
-from lipservo.status.face_status import Status
-from lipservo.status.street_tick import StreetTick
+from lipservo.runtime.status.face_status import Status
+from lipservo.runtime.status.street_tick import StreetTick
 from lipsync.arrays import Array
 from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel

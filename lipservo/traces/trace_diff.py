@@ -13,8 +13,7 @@ import numpy as np
 from lipservo.terminal.pictures import is_picture
 from lipservo.traces.trace_file import Trace
 from lipsync.arrays import Array
-from lipsync.errors import UserError
-from lipsync.extras import check_extra
+from lipsync.errors import UserError, check_extra
 from lipsync.face.model import FaceModel
 from lipsync.markers import CLOSED_GAP_MM
 from lipsync.output_file import check_output, written_whole

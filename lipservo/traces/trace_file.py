@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from lipservo.status.street_tick import StreetTick
+from lipservo.runtime.status.street_tick import StreetTick
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.output_file import OutputError, check_output, written_whole

@@ -256,6 +256,11 @@ class LoudspeakerOutput:
         """How often the device itself had nothing to play: the computer was too slow for it."""
         return self._n_device_underruns
 
+    @property
+    def n_lost_samples(self) -> int:
+        """Samples that were written and never taken: more than two seconds waited."""
+        return self._ring.n_lost
+
     def write(self, samples: Samples) -> None:
         """The next samples (n,) float32 mono of the timeline."""
         self._ring.write(samples)

@@ -10,7 +10,7 @@ from places import DATA
 from speech import CLIP_PATH
 
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
-from lipsync.recognition.weights import load_shipped_weights
+from lipsync.recognition.network import load_shipped_weights
 
 FIRST, END = 100, 120
 

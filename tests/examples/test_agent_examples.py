@@ -11,7 +11,7 @@ import pytest
 from places import ROOT
 from voice_agents.served_face import RATE_HZ, ServedFace, tone, until
 
-from lipservo.agents.agent_settings import AgentSettings
+from lipservo.agents.listener import AgentSettings
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_bridge.arrays import all_set, any_set
+from firmware_bridge.bus import all_set, any_set
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=30))

@@ -34,7 +34,10 @@ def test_it_knows_its_version(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (("run", "--rate-hz", "fast"), "'--rate-hz': not a number; see `lipservo run --help`"),
+        (("say", "x", "--rate-hz", "f"), "'--rate-hz': not a number; see `lipservo say --help`"),
+        (("run", "--rate-hz", "50"), "--rate-hz: `rate_hz:` in the face's YAML says it now"),
+        (("daemon", "--queue"), "--queue: `access.queue:` in the face's YAML says it now"),
+        (("run", "--strength", "1"), "`lipservo set strength VALUE` changes it while the face"),
         (("run", "--zzz"), "No such option: --zzz; see `lipservo run --help`"),
         (("bench",), "Missing command; see `lipservo bench --help`"),
         (("run", "--wav", "a", "--mic"), "give --wav or --mic, not both"),

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lipservo.traces.trace_writer import TraceFile
+from lipservo.traces.trace_file import TraceFile
 from lipsync.errors import UserError
 from lipsync.output_file import OutputError, check_output, write_whole, written_whole
 

@@ -8,7 +8,7 @@ from places import ROOT
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipservo.traces.trace_reader import read_trace
+from lipservo.traces.trace_file import read_trace
 
 TEXT = (ROOT / "docs" / "architecture.md").read_text("utf-8")
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *ROOT.glob("*/README.md")]

@@ -8,7 +8,7 @@ import tomllib
 import pytest
 from places import ROOT
 
-from lipsync.extras import EXTRA_OF, MissingExtraError, check_extra
+from lipsync.errors import EXTRA_OF, MissingExtraError, check_extra
 
 #: Of each distribution: its folder, and the packages in it.
 DISTRIBUTIONS = {

@@ -13,7 +13,7 @@ from source_tree import MAY_IMPORT, MODULES, folder, imported, imports_between_f
 OFFLINE = {"evaluation", "baselines", "bench", "training"}
 #: What a running face is made of: these folders' own files, and this module.
 LIVE_FOLDERS = {
-    "lipservo.street",
+    "lipservo.runtime",
     "firmware_bridge.loop",
     "firmware_bridge.process",
     "calibration.run",
@@ -88,7 +88,7 @@ def test_every_live_place_exists():
         "lipservo.settings.settings",
         "lipsync.recognition.network_recognizer",
         "lipsync.recognition.fallback",
-        "lipservo.face.assembly",
+        "lipservo.runtime.servos.assembly",
     ],
 )
 def test_the_live_path_starts_without_heavy_libraries(module):

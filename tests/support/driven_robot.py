@@ -3,16 +3,12 @@
 import numpy as np
 from dynamixel_chain import MemoryFace
 
-from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.life_cycle import LifeCycle
-from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
-from firmware_bridge.loop.settings import BridgeSettings
-from firmware_bridge.loop.status import face_status
-from firmware_bridge.process.command_queue import CommandQueue
-from firmware_bridge.process.command_words import command_answer
+from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.process.commands import CommandQueue, command_answer
 from firmware_bridge.stopping import StopLevel, StopRequest
-from firmware_bridge.targets import ServoTargets
 
 RATE_HZ = 30.0
 #: Instruction write, address 64, value 1.

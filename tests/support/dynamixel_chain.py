@@ -7,8 +7,8 @@ from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.joints import Joint
-from firmware_bridge.simulator.face import chain_for
-from firmware_bridge.simulator.memory_transport import MemoryTransport
+from firmware_bridge.simulator.chain import chain_for
+from firmware_bridge.simulator.ports import MemoryTransport
 
 BAUD_RATE = 1_000_000
 

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from small_model import small_model
 
-from calibration.joint_range import JointRange
-from calibration.mouth_servos import MouthServos
-from calibration.simulated.elastic_skin import N_PAIRS
+from calibration.mouth_servos import JointRange, MouthServos
+from calibration.simulated.elastic_robot import N_PAIRS
 from lipsync.markers import MARKERS_47
 
 Array = NDArray[np.float64]

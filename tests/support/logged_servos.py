@@ -2,7 +2,7 @@
 
 from datetime import UTC, datetime
 
-from firmware_bridge.health import ServoHealth
+from firmware_bridge.bus import ServoHealth
 
 NOON = datetime(2026, 11, 22, 12, tzinfo=UTC)
 

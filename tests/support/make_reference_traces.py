@@ -9,9 +9,9 @@ from places import DATA
 from reference_sounds import SOUNDS, write_sound
 
 from firmware_bridge.clock import ManualClock
-from lipservo.street.run_face import run_face
-from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import Sound, open_sound
+from lipservo.runtime.face_runtime import run_face
+from lipservo.runtime.run_request import RunRequest, Sound
+from lipservo.runtime.sound import open_sound
 
 FOLDER = DATA / "traces"
 #: All that `lipservo trace diff` looks at.

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from lipservo_lab.baselines.spline import spline_faces
+from lipservo_lab.baselines.baselines import spline_faces
 from lipservo_lab.corpus.utterance import Utterance
 from small_model import small_model
 from spoken_phonemes import spoken

@@ -5,10 +5,10 @@ import socket
 
 from dynamixel_chain import MemoryFace
 
-from firmware_bridge.bus import PortError
+from firmware_bridge.errors import PortError
 from firmware_bridge.process.child import HeartbeatMonitor, HeartbeatTimeouts
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.service_notice import ServiceNotice
+from firmware_bridge.process.operating_system import ServiceNotice
 from firmware_bridge.process.supervisor import Supervisor
 from firmware_bridge.process.torque_release import TorqueRelease
 

@@ -7,14 +7,11 @@ upper lip, lower lip. Five phonemes; every order of them without repetition has 
 from itertools import product
 
 import numpy as np
-from lipservo_lab.baselines.baselines import Baselines
-from lipservo_lab.baselines.dominance import fixed_reference
-from lipservo_lab.baselines.regression import PlainRegression
+from lipservo_lab.baselines.baselines import Baselines, PlainRegression, fixed_reference
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from numpy.typing import NDArray
 
-from lipsync.animpho.index_lists import IndexLists
-from lipsync.animpho.units import AnimPhoUnits
+from lipsync.animpho.units import AnimPhoUnits, IndexLists
 from lipsync.expectation.expectation import N_TIMING, constant_expectation
 from lipsync.markers import MARKERS_47
 from lipsync.phonemes import PHONEMES, stand_in

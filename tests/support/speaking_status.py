@@ -1,6 +1,6 @@
 """What a speech side says that has come down to its second recogniser."""
 
-from lipservo.status.face_status import SpeechStatus
+from lipservo.runtime.status.face_status import SpeechStatus
 
 SPEECH = SpeechStatus(
     sound="talk.wav",

@@ -2,7 +2,8 @@
 
 import pytest
 
-from lipservo.settings.settings import SettingsError, load_face
+from lipservo.settings.settings import load_face
+from lipservo.settings.strict_yaml import SettingsError
 
 FACE = """\
 name: test face

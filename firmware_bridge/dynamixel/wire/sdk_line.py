@@ -11,12 +11,11 @@ from typing import TypeVar
 
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
-from firmware_bridge.bus import PortError, PortGone
 from firmware_bridge.clock import Clock, MonotonicClock
-from firmware_bridge.dynamixel.wire.codec import Instruction, Status
-from firmware_bridge.dynamixel.wire.frames import FrameParser
-from firmware_bridge.dynamixel.wire.line import Line, SpanRead
+from firmware_bridge.dynamixel.wire.codec import FrameParser, Instruction, SpanRead, Status
+from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import claim, explain, release
+from firmware_bridge.errors import PortError, PortGone
 
 _Result = TypeVar("_Result")
 

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_bridge.dynamixel.wire.codec import EMPTY_STATUS_SIZE, Status
-from firmware_bridge.dynamixel.wire.line import Line, SpanRead
+from firmware_bridge.dynamixel.wire.codec import EMPTY_STATUS_SIZE, SpanRead, Status
+from firmware_bridge.dynamixel.wire.line import Line
 
 #: Silent this often in a row: asked last from now on, since a silent servo may cut off the rest.
 _SUSPECT_AFTER: Final = 2
@@ -25,7 +25,10 @@ _AGAIN_S: Final = 0.0015
 
 
 class SpanGroup:
-    """The same bytes of all `ids`, fast while that works, with the unreliable ones asked last."""
+    """The same bytes of all `ids`, fast while that works, with the unreliable ones asked last.
+
+    leaves_out: whether some are silent for so long that they are asked only now and then.
+    """
 
     def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
         self._ids = tuple(ids)
@@ -159,6 +162,7 @@ class SpanGroup:
             if self._silent[each] >= _SUSPECT_AFTER
             and (retry or self._silent[each] < _ABSENT_AFTER)
         ]
+        self.leaves_out = any(n >= _ABSENT_AFTER for n in self._silent.values())
         ids = trusted + doubtful or list(self._ids)
         self._doubted = len(ids) != len(self._ids) or bool(doubtful)
         self._span = SpanRead(ids, self._address, self._size, fast=self.fast)

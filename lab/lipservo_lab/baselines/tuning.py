@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from lipservo_lab.baselines.dominance import Dominance, distances_s, fixed_reference
+from lipservo_lab.baselines.baselines import Dominance, distances_s, fixed_reference
 from lipservo_lab.corpus.utterance import Utterance
 from lipsync.arrays import Array
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF

@@ -7,11 +7,9 @@ from typing import Any
 import numpy as np
 
 from firmware_bridge.simulator.faults import KINDS
-from lipservo_lab.bench.stops.signal_campaign import play_signal, signal_figures
-from lipservo_lab.bench.stops.signal_cases import signal_cases
+from lipservo_lab.bench.stops.signal_campaign import play_signal, signal_cases, signal_figures
 from lipservo_lab.bench.stops.stop_campaign import play_batch
-from lipservo_lab.bench.stops.stop_cases import batches, stop_cases
-from lipservo_lab.bench.stops.stop_outcome import StopOutcome, stop_figures
+from lipservo_lab.bench.stops.stop_cases import StopOutcome, batches, stop_cases, stop_figures
 from lipservo_lab.campaigns.fault_campaign import Outcome, cases, play
 from lipservo_lab.worker_pool import worker_pool
 

@@ -17,13 +17,12 @@ from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.settings import BridgeSettings
-from firmware_bridge.process.scheduling import on_time
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.process.operating_system import on_time
 from firmware_bridge.stopping import StopLevel
-from firmware_bridge.targets import ServoTargets
-from lipservo.face.sim_process import simulated_port
-from lipservo.street.summary import Histogram
+from lipservo.runtime.servos.sim_process import simulated_port
+from lipservo.runtime.summary import Histogram
 
 RATES_HZ = (30.0, 100.0, 200.0)
 _WINDOWS = 4

@@ -6,9 +6,8 @@ from functools import cache, partial
 from pathlib import Path
 
 from lipservo.settings.motion_names import DEFAULT_ENGINE, MeasuredEngine
-from lipservo_lab.bench.hearing.measured_recognizer import measured_recognizer
-from lipservo_lab.corpus.speech_frames import speech_frames
-from lipservo_lab.corpus.utterance import Corpus, Utterance
+from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
+from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
 from lipservo_lab.evaluation.motion.methods import (
     Heard,
     LiveMethod,
@@ -17,13 +16,15 @@ from lipservo_lab.evaluation.motion.methods import (
     SplineMethod,
     all_methods,
 )
-from lipservo_lab.evaluation.motion.miss_rates import count_misses
 from lipservo_lab.evaluation.motion.motion_scores import (
     Listen,
+    Part,
     Scores,
     add_scores,
     check_scorable,
+    read_parts,
     true_phonemes,
+    words_part,
 )
 from lipservo_lab.evaluation.motion.offline_methods import (
     ContextVisemeMethod,
@@ -31,11 +32,10 @@ from lipservo_lab.evaluation.motion.offline_methods import (
     OfflineModels,
     RecordedVisemes,
 )
-from lipservo_lab.evaluation.motion.paper_tables import paper_tables
+from lipservo_lab.evaluation.motion.paper_tables import count_misses, paper_tables
 from lipservo_lab.evaluation.motion.recovery import recovery_rows
-from lipservo_lab.evaluation.motion.splits import Part, read_parts, words_part
 from lipservo_lab.evaluation.motion.timing import method_times
-from lipservo_lab.evaluation.recognition.recognized_file import recognize_file
+from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.errors import UserError

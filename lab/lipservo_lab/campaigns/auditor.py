@@ -9,12 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from firmware_bridge.arrays import Array
-from firmware_bridge.dynamixel.control_table import register
+from firmware_bridge.bus import Array
+from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN, register
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.units import PULSES_PER_TURN
-from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
-from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Frame, FrameParser, Instruction
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.motors import POSITION_LOOP_PER_S
 

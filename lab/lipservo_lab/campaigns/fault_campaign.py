@@ -8,24 +8,21 @@ from typing import Final
 
 import numpy as np
 
-from firmware_bridge.bus import BusError
+from firmware_bridge.bus import ServoState
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.health import ServoState
+from firmware_bridge.errors import BusError
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.life_cycle import LifeCycle
-from firmware_bridge.loop.life_cycle_links import LifeCycleLinks
-from firmware_bridge.loop.settings import BridgeSettings
-from firmware_bridge.orders import Order
-from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.faults import KINDS, ON_INSTRUCTIONS, ON_REPLIES, Fault
-from firmware_bridge.simulator.memory_transport import MemoryTransport
-from firmware_bridge.stopping import StopLevel, StopRequest
-from firmware_bridge.targets import ServoTargets
+from firmware_bridge.simulator.ports import MemoryTransport
+from firmware_bridge.stopping import Order, StopLevel, StopRequest
 from lipservo_lab.campaigns.auditor import Auditor
 
 BAUD_RATE: Final = 1_000_000

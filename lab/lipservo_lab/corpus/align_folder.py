@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.options import Json, Quiet
-from lipservo.terminal.output import MESSAGES, RESULTS, print_json
-from lipservo.terminal.progress_bar import progress_bar
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
 
 
 def align_folder(
@@ -30,7 +29,7 @@ def align_folder(
     """
     from lipservo_lab.corpus.alignment_cache import align_corpus
     from lipservo_lab.corpus.transcribed import read_transcribed
-    from lipsync.recognition.alignment.goodness_of_pronunciation import LEAST_SCORE
+    from lipsync.recognition.alignment import LEAST_SCORE
 
     n_processes = jobs or os.cpu_count() or 1
     if output.suffix.lower() != ".jsonl":

@@ -23,10 +23,8 @@ from lipservo_lab.worker_pool import worker_pool
 from lipsync.errors import UserError
 from lipsync.output_file import check_output, write_whole
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
-from lipsync.recognition.alignment.forced_alignment import FRAMES_PER_S, align, check_aligner
-from lipsync.recognition.alignment.goodness_of_pronunciation import (
-    goodness_of_pronunciation,
-)
+from lipsync.recognition.alignment import align, check_aligner, goodness_of_pronunciation
+from lipsync.recognition.features import FRAMES_PER_S
 from lipsync.recognition.scripted import read_phonemes
 
 #: In place of the beams: the phones are those of the corpus's own label files.
@@ -177,7 +175,7 @@ def _known(path: Path | None) -> dict[str, AlignedUtterance]:
 
 def align_utterance(utterance: TranscribedUtterance) -> AlignedUtterance:
     """Read and align one utterance; a user's mistake becomes its `error`."""
-    from lipsync.recognition.speech_file import read_speech
+    from lipsync.audio.file import read_speech
 
     if utterance.labels is not None:
         return _labelled(utterance, utterance.labels)

@@ -1,14 +1,21 @@
-"""Recorded sentences with mouth motion."""
+"""Recorded sentences with mouth motion.
 
-from dataclasses import dataclass
+A sentence's motion at another frame rate.
+
+Which frames count: speech, and in the new-words test the new words alone.
+"""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import resample_poly
 
 from lipsync.errors import UserError
 from lipsync.markers import PointLayout
-from lipsync.phonemes import PhonemeEvent
+from lipsync.phonemes import SILENCE, PhonemeEvent
 
 
 class CorpusError(UserError):
@@ -65,3 +72,42 @@ class Corpus:
         """Only the sentences named."""
         chosen = tuple(u for u in self.utterances if u.name in names)
         return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)
+
+
+#: Frame rates as ratios of whole numbers no larger; 29.97 to 25 is off by 3 ms in an hour.
+_LARGEST_TERM = 1200
+
+
+def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
+    """The same sentence with a frame at every i / frame_rate_hz, as long as the recording goes.
+
+    By a polyphase filter, which holds back what fewer frames cannot show; edges go on as the line
+    between them does.
+    """
+    ratio = Fraction(frame_rate_hz / utterance.frame_rate_hz).limit_denominator(_LARGEST_TERM)
+    if ratio == 1:
+        return replace(utterance, frame_rate_hz=frame_rate_hz)
+    markers_mm = resample_poly(
+        utterance.markers_mm.astype(np.float64),
+        ratio.numerator,
+        ratio.denominator,
+        axis=0,
+        padtype="line",
+    )
+    return replace(utterance, markers_mm=markers_mm.astype(np.float32), frame_rate_hz=frame_rate_hz)
+
+
+def speech_frames(utterance: Utterance, words: frozenset[str] | None = None) -> NDArray[np.bool_]:
+    """(n_frames,): inside a phone that is not silence, and inside one of `words` if given."""
+    times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
+    spoken = np.zeros(len(times_s), dtype=bool)
+    for phone in utterance.phones:
+        if phone.phoneme != SILENCE and phone.end_s is not None:
+            spoken |= (times_s >= phone.start_s) & (times_s < phone.end_s)
+    if words is not None:
+        inside = np.zeros(len(times_s), dtype=bool)
+        for word in utterance.words:
+            if word.text in words:
+                inside |= (times_s >= word.start_s) & (times_s < word.end_s)
+        spoken &= inside
+    return spoken

@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from lipsync.errors import UserError
-from lipsync.recognition.alignment.forced_alignment import words_of
+from lipsync.recognition.alignment import words_of
 
 #: Longer ones are not said in one breath, and a take is kept in memory as sound.
 LONGEST_WORDS = 40

@@ -1,21 +1,111 @@
-"""A session: sentence after sentence, told by keys; what is kept is on the disk at once."""
+"""A session: sentence after sentence, told by keys; what is kept is on the disk at once.
+
+What somebody sees who is being recorded: the sentence, how loud it is, what to press.
+
+When the microphone's sound was captured, on the monotonic clock that pictures are timed by.
+"""
 
 import enum
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 from typing import Protocol
 
 import numpy as np
 
 from lipservo.calibrating.camera import Frame
-from lipservo_lab.recording.screen import Screen
+from lipservo.terminal.output import MESSAGES
 from lipservo_lab.recording.sentence_list import Sentence
-from lipservo_lab.recording.sound_clock import SoundClock
-from lipservo_lab.recording.take import KEY_S, Take, TakeDiscarded, brightness, take_files
-from lipservo_lab.recording.take_quality import sound_level_db
+from lipservo_lab.recording.take import (
+    KEY_S,
+    Take,
+    TakeDiscarded,
+    brightness,
+    sound_level_db,
+    take_files,
+)
 from lipsync.audio.source import SoundError
 from lipsync.audio_block import AudioBlock
+
+_BAR = 30
+#: The bar is empty at this level, dB below full scale.
+_EMPTY_DB = -60.0
+
+
+class Screen:
+    """Lines on stderr; under them a level meter, where stderr is a terminal."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._is_quiet = quiet
+        self._has_meter = MESSAGES.is_terminal and not quiet
+
+    def show(self, sentence: Sentence, number: int, total: int) -> None:
+        """The sentence to be read; said even to the quiet."""
+        self._line(f"\n{number} of {total}  {sentence.name}\n", "dim")
+        self._line(f"    {sentence.text}\n", "bold")
+
+    def say(self, line: str) -> None:
+        """What is going on, and what can be pressed."""
+        if not self._is_quiet:
+            self._line(line, "")
+
+    def warn(self, line: str) -> None:
+        """What is wrong with a take."""
+        self._line(f"! {line}", "yellow")
+
+    def meter(self, level_db: float, brightness: float) -> None:
+        """level_db: of the sound; brightness: of the picture, 0 to 255."""
+        if not self._has_meter:
+            return
+        full = min(_BAR, max(0, round((1.0 - level_db / _EMPTY_DB) * _BAR)))
+        bar = "#" * full + "." * (_BAR - full)
+        MESSAGES.file.write(f"\r[{bar}] {level_db:4.0f} dB  brightness {brightness:3.0f} ")
+        MESSAGES.file.flush()
+
+    def end(self) -> None:
+        """Leave the meter's line."""
+        if self._has_meter:
+            MESSAGES.file.write("\n")
+
+    def _line(self, text: str, style: str) -> None:
+        if self._has_meter:
+            MESSAGES.file.write("\r\x1b[2K")  # over the meter
+        MESSAGES.print(text, style=style, soft_wrap=True)
+
+
+#: Time stamps of so many blocks are remembered, two seconds: a card's clock drifts by less than
+#: 0.1 ms in that time.
+_REMEMBERED = 200
+
+
+class SoundClock:
+    """The monotonic time of a moment of sound: the median of what the device has said of late.
+
+    One time stamp is off by a few milliseconds, whenever the computer was busy.
+    """
+
+    def __init__(self) -> None:
+        self._zeros_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._last: tuple[float, float] | None = None
+
+    def observe(self, captured: tuple[float, float] | None) -> None:
+        """(monotonic seconds, sound time captured then), `MicrophoneSource.captured`."""
+        if captured is not None and captured != self._last:
+            self._last = captured
+            self._zeros_s.append(captured[0] - captured[1])
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether anything has come."""
+        return bool(self._zeros_s)
+
+    @property
+    def zero_s(self) -> float:
+        """The monotonic time at which sound time 0 was captured."""
+        return median(self._zeros_s)
+
 
 #: Pictures arrive later than sound; so long is waited for the last ones of a take.
 _PICTURES_S = 0.3

@@ -16,7 +16,7 @@ from lipservo.rendering.rendered import Rendered, Rendering, rendered_line
 from lipservo.rendering.spoken_line import LineError, Script, given_text, is_file
 from lipservo_lab.rendering.cluster import done_on_cluster
 from lipsync.errors import UserError
-from lipsync.offline.performance_file import SUFFIX, performance_bytes
+from lipsync.offline.performance import SUFFIX, performance_bytes
 from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:

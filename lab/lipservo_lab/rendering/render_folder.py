@@ -69,7 +69,7 @@ def render_folder(
     the recogniser listens.
     """
     from lipservo.rendering.rendered import Rendering, check_expression_of
-    from lipsync.extras import check_extra
+    from lipsync.errors import check_extra
 
     if method == "model-based":
         check_extra("dtaidistance", "lines render-folder --method model-based")
@@ -86,7 +86,7 @@ def render_folder(
 
 def _cluster(address: str) -> "AbstractContextManager[Client]":
     from lipservo_lab.rendering.cluster import cluster_at
-    from lipsync.extras import check_extra
+    from lipsync.errors import check_extra
 
     check_extra("distributed", "lines render-folder --dask")
     return cluster_at(address)
@@ -106,8 +106,8 @@ def _render_folder(
 
     from lipservo.rendering.rendered import load_speaker
     from lipservo_lab.rendering.batch import lines_of, render_all
-    from lipsync.extras import check_extra
-    from lipsync.offline.performance_file import is_performance
+    from lipsync.errors import check_extra
+    from lipsync.offline.performance import is_performance
     from lipsync.output_file import OutputError, check_output
 
     check_extra("joblib", "rendering a folder")

@@ -10,10 +10,10 @@ import numpy as np
 import soundfile
 from numpy.typing import NDArray
 
+from lipservo_lab.scans.head_alignment import Template
 from lipservo_lab.scans.scan_import import RegisteredTake
-from lipservo_lab.scans.take_labels import TakeSound
-from lipservo_lab.scans.template import Template
-from lipservo_lab.video.tracked_lips import RIGID
+from lipservo_lab.scans.takes import TakeSound
+from lipservo_lab.video.face_track import RIGID
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.output_file import write_whole
 from lipsync.textgrid import write_tiers

@@ -1,23 +1,120 @@
-"""Takes of scans become motion of one mesh, each scan with a report."""
+"""Takes of scans become motion of one mesh, each scan with a report.
 
+What became of scans and takes, in figures and in words.
+
+Named points that were seen in scans: painted dots, lipstick, or a tracker's.
+"""
+
+import csv
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lipservo_lab.scans.head_alignment import check_face
-from lipservo_lab.scans.registration import RegisteredScan, Registration, worn_template
-from lipservo_lab.scans.scan import Scan, ScanError, read_scan
-from lipservo_lab.scans.scan_frame import ScanFrame, ScanFrameError, check_unit
-from lipservo_lab.scans.scan_report import ScanReport, TakeReport
-from lipservo_lab.scans.seen_markers import read_markers
-from lipservo_lab.scans.surface_fit import Markers
+from lipservo_lab.scans.head_alignment import Template, check_face, shipped_template
+from lipservo_lab.scans.scan import (
+    Scan,
+    ScanError,
+    ScanFrame,
+    ScanFrameError,
+    check_unit,
+    read_scan,
+)
+from lipservo_lab.scans.surface_fit import Markers, RegisteredScan, Registration, worn_template
 from lipservo_lab.scans.takes import Take
-from lipservo_lab.scans.template import Template, shipped_template
 from lipsync.arrays import Array
+from lipsync.markers import FACE_MESH_478, MARKERS_47
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReport:
+    """One scan.
+
+    left_out: why nothing was made of it. error_mm, p95_mm: distance between mesh and scan along the
+    normal where they were matched, median and 95th percentile; it does not tell sliding along the
+    surface. matched: share of the mesh that found its surface. markers: how many were used.
+    """
+
+    take: str
+    scan: str
+    left_out: str | None = None
+    error_mm: float | None = None
+    p95_mm: float | None = None
+    matched: float | None = None
+    markers: int = 0
+
+    def as_json(self) -> dict[str, object]:
+        """By name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class TakeReport:
+    """One take. phonemes: `labels`, `text` or `recognised`; None without sound."""
+
+    take: str
+    scans: int
+    left_out: str | None = None
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    phonemes: str | None = None
+
+    def as_json(self) -> dict[str, object]:
+        """By name."""
+        return asdict(self)
+
+
+_COLUMNS = ("scan", "name", "x", "y", "z")
+
+
+def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[str, Markers]:
+    """By the name of the scan, without its ending.
+
+    A CSV file with the columns scan, name, x, y, z, in units and axes of the scans. A name is that
+    of a layout's point, such as `outer_lip_61`, or the number of a landmark. Raises ScanError for a
+    file that cannot be read so, and for a name that the template has not.
+    """
+    row_of = {int(number): row for row, number in enumerate(template.landmarks)}
+    known = {str(number): row for number, row in row_of.items()}
+    for layout in (MARKERS_47, FACE_MESH_478, template.layout):
+        for name, number in zip(layout.names, layout.landmarks, strict=True):
+            if number in row_of:
+                known[name] = row_of[number]
+    seen: dict[str, dict[int, list[float]]] = {}
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            if not set(_COLUMNS) <= set(reader.fieldnames or ()):
+                raise ScanError(f"{path}: its first line must name {','.join(_COLUMNS)}")
+            for line in reader:
+                where = f"{path}, line {reader.line_num}"
+                vertex = known.get(str(line["name"]).strip())
+                if vertex is None:
+                    raise ScanError(
+                        f"{where}: the template has no point {line['name']!r}; names are those of "
+                        "the layouts, outer_lip_61 for one, or numbers of landmarks"
+                    )
+                seen.setdefault(str(line["scan"]).strip(), {})[vertex] = _place(line, where)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ScanError(f"{path}: cannot be read as CSV: {error}") from error
+    return {
+        scan: Markers(np.array(list(points)), frame.in_mm(np.array(list(points.values()))))
+        for scan, points in seen.items()
+    }
+
+
+def _place(line: Mapping[str, str | None], where: str) -> list[float]:
+    try:
+        place: Array = np.array([float(line[axis] or "") for axis in "xyz"])
+    except (TypeError, ValueError):
+        place = np.full(3, np.nan)
+    if not np.isfinite(place).all():
+        raise ScanError(f"{where}: x, y and z are not three numbers")
+    return [float(each) for each in place]
+
 
 #: What is done, how much of it, of how much.
 Advance = Callable[[str, int, int], None]

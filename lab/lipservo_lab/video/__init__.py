@@ -1,1 +1,1 @@
-"""Videos of a talking face become a corpus: faces tracked, sound and picture put in time."""
+"""Videos of a face as recordings: track, check, align with their sound, and write."""

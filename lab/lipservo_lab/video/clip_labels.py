@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.recognition.alignment.forced_alignment import AlignmentError, align
-from lipsync.recognition.alignment.goodness_of_pronunciation import (
+from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
+    AlignmentError,
+    align,
     goodness_of_pronunciation,
 )
 from lipsync.recognition.batch import settled_phonemes
-from lipsync.recognition.network import NetworkWeights
-from lipsync.recognition.weights import load_shipped_weights
+from lipsync.recognition.network import NetworkWeights, load_shipped_weights
 from lipsync.textgrid import Interval
 
 #: Nobody waits: the recogniser may hear on for as long as it has learned to.

@@ -1,25 +1,37 @@
-"""Videos of one talker become the sentences of a corpus, each with a report."""
+"""Videos of one talker become the sentences of a corpus, each with a report.
 
+Sentences from video, written as a corpus: docs/motion.md, A corpus of your own.
+"""
+
+import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import soundfile
 
+from lipservo_lab.output_folder import check_output_folder, folder_written_whole
 from lipservo_lab.video.clip_labels import ClipLabels
-from lipservo_lab.video.clip_report import ClipReport
-from lipservo_lab.video.expected_lips import ExpectedLips
-from lipservo_lab.video.face_track import FaceSample
-from lipservo_lab.video.picture_rate import SteadyClip, picture_rate_hz, steady_clip
-from lipservo_lab.video.sound_shift import ShiftCurve, corrections_s, shift_curve
-from lipservo_lab.video.take import Take, record_take
-from lipservo_lab.video.track_quality import quality_of, track_fault
-from lipservo_lab.video.tracked_lips import tracked_gaps_mm
-from lipservo_lab.video.video_clips import VideoClip
+from lipservo_lab.video.face_track import (
+    RIGID,
+    FaceSample,
+    SteadyClip,
+    picture_rate_hz,
+    steady_clip,
+    tracked_gaps_mm,
+)
+from lipservo_lab.video.sound_shift import ExpectedLips, ShiftCurve, corrections_s, shift_curve
+from lipservo_lab.video.track_quality import ClipReport, quality_of, track_fault
+from lipservo_lab.video.video_clips import Take, VideoClip, record_take
+from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
+from lipsync.markers import INNER_LIP, IRISES, N_LANDMARKS, OUTER_LIP
 from lipsync.phonemes import SILENCE
-from lipsync.recognition.alignment.forced_alignment import check_aligner
-from lipsync.video.tracking.face_tracker import FaceTracker
+from lipsync.recognition.alignment import check_aligner
+from lipsync.textgrid import write_tiers
+from lipsync.video.face_tracker import FaceTracker
 from lipsync.video.video_file import VideoError, video_duration_s
 
 #: What is done, how much of it, of how much.
@@ -231,3 +243,70 @@ def _first_reasons(reports: Sequence[ClipReport]) -> str:
     told = [f"{report.clip}: {report.left_out}" for report in reports if report.left_out]
     more = f"; and {len(told) - 3} more" if len(told) > 3 else ""
     return "; ".join(told[:3]) + more
+
+
+_UNITS_PER_PIXEL = 64
+#: For cross-validation by `lipservo bench motion`, where there are enough sentences.
+_FOLDS, _LEAST_FOR_FOLDS = 5, 10
+
+
+def check_corpus_folder(folder: Path) -> None:
+    """Refuse a place where no corpus could be written later. Raises OutputError."""
+    check_output_folder(folder, "corpus")
+
+
+def write_corpus(
+    folder: Path,
+    imported: VideoImport,
+    about: Mapping[str, object],
+    advance: Callable[[str, int, int], None],
+    draw: Callable[[Path], None],
+) -> None:
+    """All of it or nothing. about: for import.json, beside the reports; draw: the picture sheet.
+
+    Raises OutputError.
+    """
+    with folder_written_whole(folder) as place:
+        for name in ("audio", "landmarks", "labels"):
+            (place / name).mkdir()
+        for number, sentence in enumerate(imported.sentences, start=1):
+            _write_sentence(place, sentence)
+            advance("writing", number, len(imported.sentences))
+        _write_json(place / "landmarks.json", _landmark_list(imported.rate_hz))
+        reports = [report.as_json() for report in imported.reports]
+        _write_json(place / "import.json", {**about, "clips": reports})
+        names = [sentence.name for sentence in imported.sentences]
+        if len(names) >= _LEAST_FOR_FOLDS:
+            folds = [names[first::_FOLDS] for first in range(_FOLDS)]
+            _write_json(place / "splits.json", {"folds": folds, "new_words": {}})
+        draw(place / "faces.png")
+
+
+def _write_sentence(place: Path, sentence: Sentence) -> None:
+    points = np.rint(sentence.clip.points * _UNITS_PER_PIXEL)
+    # A picture more than 511 pixels wide needs more than 16 bits.
+    small = np.abs(points).max() <= np.iinfo(np.int16).max
+    whole = points.astype(np.int16 if small else np.int32)
+    np.savez_compressed(place / "landmarks" / f"{sentence.name}.npz", landmarks_64th_px=whole)
+    soundfile.write(
+        place / "audio" / f"{sentence.name}.flac", sentence.clip.samples, SAMPLE_RATE_HZ
+    )
+    tiers = {name: tier for name, tier in sentence.labels.tiers().items() if tier}
+    write_tiers(place / "labels" / f"{sentence.name}.TextGrid", tiers)
+
+
+def _landmark_list(rate_hz: float) -> dict[str, object]:
+    return {
+        "frame_rate_hz": rate_hz,
+        "landmark_ids": list(range(N_LANDMARKS)),
+        "groups": {
+            "rigid": list(RIGID),
+            "lips_outer": list(OUTER_LIP),
+            "lips_inner": list(INNER_LIP),
+            "irises": list(IRISES),
+        },
+    }
+
+
+def _write_json(path: Path, content: Mapping[str, object]) -> None:
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

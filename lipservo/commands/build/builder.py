@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Port, RequiredPort
-from lipservo.face.face_stopped import exit_status
+from lipservo.runtime.servos.face_stopped import exit_status
 from lipservo.terminal.output import MESSAGES, RESULTS, say_simulated
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:
-    from lipservo.face.moving import Moved
+    from lipservo.runtime.servos.moving import Moved
 
 
 def jog(
@@ -25,7 +25,7 @@ def jog(
     hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="How long to stay.")] = 1.0,
 ) -> None:
     """Move one joint, the others held, through the safety gate; then all go limp."""
-    from lipservo.face.moving import move_to
+    from lipservo.runtime.servos.moving import move_to
 
     _say_if_simulated(port, config)
     moved = move_to(config, port, {joint: deg}, hold_s)
@@ -35,7 +35,7 @@ def jog(
 
 def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
     """Bring every joint to its neutral, through the safety gate; then all go limp."""
-    from lipservo.face.moving import move_to
+    from lipservo.runtime.servos.moving import move_to
 
     _say_if_simulated(port, config)
     moved = move_to(config, port, None, 0.5)
@@ -58,7 +58,7 @@ def new_face(
     With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
     """
     from calibration.capture.lerobot_ranges import by_id, read_ranges
-    from lipservo.face.new_face import (
+    from lipservo.runtime.servos.new_face import (
         FoundJoint,
         check_face_file,
         check_joint_name,
@@ -126,7 +126,7 @@ def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str]
 
 
 def _say_if_simulated(port: str | None, config: str) -> None:
-    from lipservo.face.assembly import load_settings
+    from lipservo.runtime.servos.assembly import load_settings
 
     if port is None and load_settings(config)[0].bus.kind == "simulated":
         say_simulated()

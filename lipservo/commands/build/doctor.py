@@ -14,8 +14,7 @@ def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = Fal
     from firmware_bridge.dynamixel.doctor import Severity, examine
     from firmware_bridge.dynamixel.wire.line import Line
     from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms, open_port
-    from lipservo.face.assembly import load_settings
-    from lipservo.face.servos import mounted_servos
+    from lipservo.runtime.servos.assembly import load_settings, mounted_servos
 
     settings, _ = load_settings(config)
     name = port_of(port, settings.bus.port)

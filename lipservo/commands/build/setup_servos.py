@@ -13,8 +13,8 @@ from lipservo.terminal.output import RESULTS, complain, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
-    from firmware_bridge.dynamixel.chain_setup import Plan
     from firmware_bridge.dynamixel.mounting import MountedServo
+    from firmware_bridge.dynamixel.provisioning import Plan
     from firmware_bridge.dynamixel.wire.line import Line
     from firmware_bridge.stop_signals import DeferredSignals
 
@@ -60,8 +60,7 @@ def setup_servos(
     without JOINTS it asks for one after another, with one joint it asks nothing.
     """
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
-    from lipservo.face.assembly import load_settings
-    from lipservo.face.servos import mounted_servos
+    from lipservo.runtime.servos.assembly import load_settings, mounted_servos
 
     settings, _ = load_settings(config)
     servos = {servo.joint.name: servo for servo in mounted_servos(settings)}
@@ -87,7 +86,7 @@ def setup_servos(
 def _set_up(
     work: _Work, servos: list["MountedServo"], signals: "DeferredSignals", *, ask: bool
 ) -> None:
-    from firmware_bridge.dynamixel.chain_setup import (
+    from firmware_bridge.dynamixel.provisioning import (
         chain_is_complete,
         find_servos,
         plan_alone,

@@ -52,9 +52,9 @@ def sim_bus(
 
     Any program that speaks to Dynamixels can open the port: lipservo, dynamixel-sdk, others.
     """
-    from firmware_bridge.bus import PortError
-    from firmware_bridge.process.scheduling import run_on_time
-    from firmware_bridge.simulator.pty_host import PtyHost
+    from firmware_bridge.errors import PortError
+    from firmware_bridge.process.operating_system import run_on_time
+    from firmware_bridge.simulator.ports import PtyHost
 
     chain = _chain(config, servos, model, first_id, baud_rate, faults, chain_stops=chain_stops)
     try:
@@ -90,11 +90,9 @@ def _chain(
     chain_stops: bool,
 ) -> "SimulatedChain":
     from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
-    from firmware_bridge.simulator.chain import SimulatedChain
-    from firmware_bridge.simulator.face import chain_for
+    from firmware_bridge.simulator.chain import SimulatedChain, chain_for
     from firmware_bridge.simulator.wire import WireRules
-    from lipservo.face.assembly import load_settings
-    from lipservo.face.servos import mounted_servos
+    from lipservo.runtime.servos.assembly import load_settings, mounted_servos
 
     if model not in servo_models():
         raise UserError(f"model {model!r} is not known; use one of {', '.join(servo_models())}")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
     from firmware_bridge.stop_signals import DeferredSignals
     from lipservo.calibrating.calibration_setup import CalibrationSetup
-    from lipservo.face.limp_servos import LimpServos
+    from lipservo.runtime.servos.limp_servos import LimpServos
     from lipsync.arrays import Array
 
 
@@ -65,7 +65,7 @@ def by_hand(
     check_calibration(before, setup.model, setup.servos.names, setup.settings.checksum)
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
     from lipservo.calibrating.hand_poses import pose_lines, with_hand_poses
-    from lipservo.face.servos import servo_memories
+    from lipservo.runtime.servos.assembly import servo_memories
 
     session, status = _Session(_kept(setup, keep)), 0
     with setup_at_port(setup, port, sim, config) as at, DeferredSignals() as signals:
@@ -109,9 +109,9 @@ def _pose(
     from calibration.fit.guided import keep_poses
     from firmware_bridge.clock import Clock, MonotonicClock
     from lipservo.calibrating.hand_poses import HAND_POSES, Posing, pose_by_hand
-    from lipservo.face.limp_servos import LimpServos
-    from lipservo.face.servos import bus_for, simulated_wire
-    from lipservo.terminal.pressed_keys import PressedKeys
+    from lipservo.runtime.servos.assembly import bus_for, simulated_wire
+    from lipservo.runtime.servos.limp_servos import LimpServos
+    from lipservo.terminal.keys import PressedKeys
 
     names = at.servos.names
 

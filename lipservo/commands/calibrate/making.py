@@ -81,13 +81,12 @@ def load_setup(config: str, model: Path | None, ranges: Path | None = None) -> "
     """The face and the model. ranges: a LeRobot file that the face's limits must lie within."""
     if config.endswith((".yaml", ".yml")):
         check_inputs(Path(config))
-    from lipsync.animpho.other_layout import in_layout
-    from lipsync.animpho.units import load_face_with_animphos
+    from lipsync.animpho.units import in_layout, load_face_with_animphos
     from lipsync.markers import MARKERS_47
 
     # A model of other points is fitted through the markers that calibration knows.
     speaker = in_layout(load_face_with_animphos(model), MARKERS_47)
-    from lipservo.face.assembly import load_settings
+    from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
     if ranges is not None:
@@ -105,8 +104,8 @@ def setup_at_port(
     setup: "CalibrationSetup", port: str | None, sim: str | None, config: str
 ) -> Iterator["CalibrationSetup"]:
     """The same with its servos at the port asked for, or at one made for `--sim pty`."""
-    from lipservo.face.assembly import settings_at_port
-    from lipservo.face.sim_process import servo_port
+    from lipservo.runtime.servos.assembly import settings_at_port
+    from lipservo.runtime.servos.sim_process import servo_port
 
     with servo_port(port, sim, config) as found:
         if found is None:
@@ -120,7 +119,7 @@ def mesh_options(
 ) -> "MeshOptions":
     """What was typed about a face mesh; its networks are opened only where one is used."""
     from lipservo.calibrating.face_source import MeshOptions
-    from lipsync.video.tracking.trackers import open_tracker
+    from lipsync.video.face_tracker import open_tracker
 
     return MeshOptions(
         lambda: open_tracker(landmarker), eye_distance_mm, camera, landmarker is not None
@@ -159,7 +158,7 @@ def check_files(
 ) -> None:
     """See before the work that everything can be read and written. Raises UserError."""
     check_inputs(*inputs)
-    from lipservo.settings.setting_types import CALIBRATION_NAME
+    from lipservo.settings.sections import CALIBRATION_NAME
 
     if not re.match(CALIBRATION_NAME, output.name):
         raise UserError(f"{output}: a face can only name a file such as my_face.calibration.yaml")

@@ -70,7 +70,7 @@ def show(
 
     rules = None
     if config is not None:
-        from lipservo.face.assembly import load_settings
+        from lipservo.runtime.servos.assembly import load_settings
 
         rules = load_settings(config)[0].prevent
     if plots is not None:

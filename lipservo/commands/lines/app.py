@@ -17,10 +17,8 @@ class LinesGroup(LazyGroup):
         {
             "render": Command(f"{_HERE}.render:render", "Render a sound to a performance."),
             "perform": Command(f"{_HERE}.perform:perform", "Play a performance on a face."),
-            "align": Command(f"{_HERE}.alignment:align", "Find when each phone of a text is said."),
-            "recognize": Command(
-                f"{_HERE}.recognition:recognize", "Print the phonemes of a sound."
-            ),
+            "align": Command(f"{_HERE}.phones:align", "Find when each phone of a text is said."),
+            "recognize": Command(f"{_HERE}.phones:recognize", "Print the phonemes of a sound."),
         }
     )
     prefix = "lines."

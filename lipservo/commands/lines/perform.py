@@ -35,24 +35,25 @@ from lipservo.commands.run.dashboard_beside import (
     dashboard_beside,
     with_sounds,
 )
-from lipservo.commands.run.run import ANY_PORT, finish, motion_of
+from lipservo.commands.run.run import ANY_PORT, avatars_of, finish, motion_of
 from lipservo.commands.run.say import told_through
 from lipservo.commands.run.voice_choice import access_file, with_access
-from lipservo.face.assembly import assemble_face
-from lipservo.face.sim_process import servo_port
-from lipservo.speech.performed_line import performed_line
-from lipservo.street.avatar_targets import AvatarTargets
-from lipservo.street.motion_options import ChosenMotion, MotionOptions
-from lipservo.street.run_face import run_face
-from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import SILENCE, warn
-from lipservo.street.speech_queue import SpeechQueue, spoken_chunks
-from lipservo.street.spoken_sound import entered_sound
-from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
+from lipservo.runtime.face_runtime import run_face
+from lipservo.runtime.motion_options import ChosenMotion, MotionOptions
+from lipservo.runtime.run_request import (
+    DEFAULT_OUTPUT,
+    SILENCE,
+    RunRequest,
+    VoiceOptions,
+)
+from lipservo.runtime.servos.assembly import assemble_face
+from lipservo.runtime.servos.sim_process import servo_port
+from lipservo.runtime.sound import SpeechQueue, entered_sound, spoken_chunks, warn
+from lipservo.runtime.speech.performed_line import performed_line
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.audio.playout import Playout
 from lipsync.motion.still_motion import StillMotion
-from lipsync.offline.performance_file import read_performance
+from lipsync.offline.performance import read_performance
 
 
 def perform(
@@ -123,7 +124,7 @@ def perform(
         quiet=quiet or as_json,
         dry_run=dry_run,
         voice=voice,
-        avatars=AvatarTargets(osc, live_link),
+        avatars=avatars_of(config, osc, live_link),
     )
     with ExitStack() as stack:
         agents = None

@@ -61,7 +61,7 @@ def render(
     Without --text and --textgrid the recogniser listens. Folders: `lines render-folder`.
     """
     from lipservo.rendering.rendered import Rendering, check_expression_of
-    from lipsync.extras import check_extra
+    from lipsync.errors import check_extra
 
     if method == "model-based":
         check_extra("dtaidistance", "render --method model-based")
@@ -86,7 +86,7 @@ def _render_one(
 ) -> None:
     from lipservo.rendering.rendered import render as render_line
     from lipservo.rendering.spoken_line import Script, given_text
-    from lipsync.offline.performance_file import is_performance
+    from lipsync.offline.performance import is_performance
     from lipsync.output_file import check_output
 
     inputs = [audio, phones, how.model, how.offline]

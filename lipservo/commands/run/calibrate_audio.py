@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json
-from lipservo.face.assembly import load_settings
+from lipservo.runtime.servos.assembly import load_settings
 from lipservo.settings.stored_offset import offset_lines, store_output_offset
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
@@ -38,7 +38,7 @@ def calibrate_audio(
 
     Put the microphone a hand's breadth before the loudspeaker; it takes ten seconds.
     """
-    from lipsync.audio.delay.measurement import measure_delay
+    from lipsync.audio.delay import measure_delay
     from lipsync.audio.loudspeaker import LoudspeakerOutput
     from lipsync.audio.microphone import MicrophoneSource
 

@@ -22,8 +22,7 @@ from lipservo.commands.options import (
 from lipservo.commands.run.running import chosen_faces
 from lipservo.commands.run.voice_choice import access_file, text_of
 from lipservo.terminal.output import MESSAGES
-from lipsync.errors import UserError
-from lipsync.extras import check_extra
+from lipsync.errors import UserError, check_extra
 
 
 def dashboard(
@@ -47,7 +46,7 @@ def dashboard(
     if parent is not None:
         _serve_beside(parent)
     from lipservo.access.token_file import read_token
-    from lipservo.dashboard.address import address_of, bound_dashboard
+    from lipservo.dashboard.child import address_of, bound_dashboard
 
     given = read_token(text_of(token_file))
     token = read_token(
@@ -106,7 +105,7 @@ def found_face(face: str | None, control: Path | None) -> Callable[[], Path]:
 
 def _serve_beside(parent: int) -> None:
     """As a child of a face: behind it in everything, and gone with it."""
-    from firmware_bridge.process.scheduling import die_with_parent, write_from_background
+    from firmware_bridge.process.operating_system import die_with_parent, write_from_background
 
     die_with_parent()
     write_from_background()

@@ -12,9 +12,8 @@ import typer
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.access.token_file import read_token
 from lipservo.commands.run.dashboard import check_dashboard
-from lipservo.face.assembly import load_settings
-from lipservo.street.run_request import RunRequest
-from lipservo.street.voice_options import VoiceOptions
+from lipservo.runtime.run_request import RunRequest, VoiceOptions
+from lipservo.runtime.servos.assembly import load_settings
 from lipservo.terminal.output import MESSAGES
 
 #: Sound files that the page uploads and plays, where no folder was named.
@@ -40,8 +39,7 @@ def dashboard_beside(
     token_file: from `access_file`.
     """
     check_dashboard()
-    from lipservo.dashboard.address import address_of, bound_dashboard
-    from lipservo.dashboard.child import dashboard_child
+    from lipservo.dashboard.child import address_of, bound_dashboard, dashboard_child
 
     file = None if token_file is None else str(token_file)
     token = read_token(file)

@@ -7,7 +7,7 @@ import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Model
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.street.motion_options import ChosenMotion
+from lipservo.runtime.motion_options import ChosenMotion
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
 

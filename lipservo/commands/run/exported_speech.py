@@ -7,31 +7,29 @@ from typing import Literal
 
 import numpy as np
 
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from lipservo.face.assembly import assemble_face, load_settings
-from lipservo.speech.delay import PUBLISH_PERIOD_S
-from lipservo.speech.recognized_phonemes import RecognizedPhonemes
-from lipservo.speech.speech import Speech
-from lipservo.street.motion_options import (
+from firmware_bridge.loop.targets import MemoryTargetChannel
+from lipservo.runtime.motion_options import (
     ChosenMotion,
     MotionOptions,
     make_recognizer,
     make_synthesizer,
     motion_options,
 )
-from lipservo.street.settled_phonemes import settled_events
-from lipservo.street.sources import Sound, open_sound
-from lipservo.street.sources import warn as warn_of_sound
+from lipservo.runtime.run_request import Sound
+from lipservo.runtime.servos.assembly import assemble_face, load_settings
+from lipservo.runtime.settled_phonemes import settled_events
+from lipservo.runtime.sound import open_sound
+from lipservo.runtime.sound import warn as warn_of_sound
+from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes
+from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech
 from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
 from lipsync.audio.playback_clock import clock_for
-from lipsync.export.arkit import ARKIT_NAMES, ArkitMap
-from lipsync.export.lip_measures import lip_measures
-from lipsync.export.mouth_cues import MouthCue, cues_json, cues_tsv, cues_xml
+from lipsync.export.arkit import ARKIT_NAMES, ArkitMap, lip_measures
+from lipsync.export.mouth_cues import MouthCue, cues_json, cues_tsv, cues_xml, rule_cues
 from lipsync.export.ovr_visemes import OVR_NAMES, viseme_weights
-from lipsync.export.rhubarb_rules import rule_cues
 from lipsync.export.shapes_of_motion import (
     lips_shut,
     motion_cues,

@@ -10,12 +10,10 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from firmware_bridge.health import describe_errors
+from firmware_bridge.bus import describe_errors
 from lipservo.commands.options import Json
-from lipservo.health.health_findings import findings
-from lipservo.health.health_history import History, ServoDay, read_history
-from lipservo.health.health_log import MOST_DAYS
-from lipservo.health.health_places import folder_name, logged_faces, places_searched
+from lipservo.health.health_history import History, ServoDay, findings, read_history
+from lipservo.health.health_log import MOST_DAYS, folder_name, logged_faces, places_searched
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 from lipsync.errors import UserError
 

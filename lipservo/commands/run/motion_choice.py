@@ -15,7 +15,7 @@ from lipservo.commands.options import (
     Strength,
     UnitShare,
 )
-from lipservo.street.motion_options import ChosenMotion
+from lipservo.runtime.motion_options import ChosenMotion
 
 
 def chosen_motion(

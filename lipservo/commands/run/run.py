@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
-from lipservo.agents.listener import bind_listener
 from lipservo.commands.options import (
     DEFAULT_FACE,
     Config,
@@ -25,11 +24,9 @@ from lipservo.commands.options import (
     OpenPage,
     OpenToThisComputer,
     Osc,
-    Output,
     Phonemes,
     Play,
     Port,
-    Queue,
     Quiet,
     Rate,
     Sim,
@@ -44,7 +41,6 @@ from lipservo.commands.run.dashboard_beside import (
     with_sounds,
 )
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.commands.run.supervision import supervise
 from lipservo.commands.run.voice_choice import (
     access_file,
     chosen_voice,
@@ -52,46 +48,43 @@ from lipservo.commands.run.voice_choice import (
     text_of,
     with_access,
 )
-from lipservo.face.assembly import load_settings
-from lipservo.face.face_life import say
-from lipservo.face.face_stopped import exit_status
-from lipservo.face.sim_process import servo_port
-from lipservo.street.avatar_targets import AvatarTargets
-from lipservo.street.motion_options import ChosenMotion, MotionOptions, motion_options
-from lipservo.street.run_face import RunOutcome, run_face
-from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import CLIP, SILENCE, Sound, chosen_sound, open_sound
-from lipservo.street.spoken_sound import entered_sound
-from lipservo.street.summary import print_summary
-from lipservo.street.voice_agents import bound_listener
-from lipservo.street.voice_options import VoiceOptions
+from lipservo.runtime.face_runtime import RunOutcome, run_face
+from lipservo.runtime.motion_options import ChosenMotion, MotionOptions, motion_options
+from lipservo.runtime.run_request import (
+    CLIP,
+    SILENCE,
+    AvatarTargets,
+    RunRequest,
+    Sound,
+    VoiceOptions,
+    chosen_sound,
+)
+from lipservo.runtime.servos.assembly import load_settings
+from lipservo.runtime.servos.face_life import say
+from lipservo.runtime.servos.face_stopped import exit_status
+from lipservo.runtime.servos.sim_process import servo_port
+from lipservo.runtime.sound import entered_sound, open_sound
+from lipservo.runtime.summary import print_summary
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
 #: For a face's own page: it asks the face where that is.
 ANY_PORT = "127.0.0.1:0"
 
 
-@takes_motion
 def run(
     *,
     wav: Wav = None,
     mic: Mic = None,
     play: Play = False,
-    output: Output = None,
     phonemes: Phonemes = None,
     config: Config = DEFAULT_FACE,
     model: Model = None,
     osc: Osc = None,
     live_link: LiveLink = None,
     trace: Trace = None,
-    rate_hz: Rate = None,
-    motion: ChosenMotion,
     port: Port = None,
     sim: Sim = None,
     dashboard: Dashboard = False,
-    dashboard_listen: DashboardListen = None,
-    token_file: TokenFile = None,
-    open_to_this_computer: OpenToThisComputer = False,
     open_page: OpenPage = False,
     dry_run: DryRun = False,
     as_json: Json = False,
@@ -99,68 +92,56 @@ def run(
 ) -> None:
     """Speech drives the face, live; without --wav or --mic the bundled clip speaks.
 
-    With --dashboard, in a terminal, it goes on after the sound until Ctrl-C.
+    With --dashboard, in a terminal, it goes on after the sound until Ctrl-C. All else is in the
+    face's YAML.
     """
-    check_page_options(
-        dashboard_listen,
-        is_shown=dashboard,
-        open_page=open_page,
-        token_file=token_file,
-        open_to_this_computer=open_to_this_computer,
-    )
-    voice = chosen_voice(play=play, output=output, is_needed=phonemes is not None or dashboard)
+    check_page_options(None, is_shown=dashboard, open_page=open_page)
+    voice = chosen_voice(play=play, is_needed=phonemes is not None or dashboard)
+    token_file = None
     if dashboard:
-        token_file = access_file(token_file, open_to_this_computer=open_to_this_computer)
+        token_file = access_file(None, open_to_this_computer=False)
         voice = with_access(with_sounds(voice), config, token_file)
     request = RunRequest(
         config,
         _sound(wav, mic, CLIP, phonemes),
-        motion_of(motion, config),
+        motion_of(ChosenMotion(), config),
         model=model,
         port=port,
-        rate_hz=rate_hz,
         trace=trace,
         as_json=as_json,
         quiet=quiet or as_json,
         dry_run=dry_run,
         voice=voice,
-        avatars=AvatarTargets(osc, live_link),
+        avatars=avatars_of(config, osc, live_link),
     )
     if not dashboard:
         run_once(request, sim)
         return
+    from lipservo.agents.listener import bind_listener
+
     with (
         bind_listener(ANY_PORT, None) as agents,
-        dashboard_beside(request, dashboard_listen, token_file, open_page=open_page),
+        dashboard_beside(request, None, token_file, open_page=open_page),
     ):
         run_once(request, sim, agents, endless=MESSAGES.is_terminal)
 
 
-@takes_motion
 def daemon(
     *,
     wav: Wav = None,
     mic: Mic = None,
     play: Play = False,
-    output: Output = None,
     listen: Listen = None,
     token_file: TokenFile = None,
     open_to_this_computer: OpenToThisComputer = False,
     sounds: Sounds = None,
-    queue: Queue = False,
     config: Config = DEFAULT_FACE,
     model: Model = None,
-    osc: Osc = None,
-    live_link: LiveLink = None,
     trace: Trace = None,
-    rate_hz: Rate = None,
-    motion: ChosenMotion,
     port: Port = None,
-    sim: Sim = None,
     control: Control = None,
     dashboard: Dashboard = False,
     dashboard_listen: DashboardListen = None,
-    open_page: OpenPage = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -168,40 +149,42 @@ def daemon(
 
     With servos at a port, bridge and speech are processes of their own, watched over.
     """
-    check_page_options(dashboard_listen, is_shown=dashboard, open_page=open_page)
+    check_page_options(dashboard_listen, is_shown=dashboard, open_page=False)
     voice = daemons_voice(
-        chosen_voice(play=play, output=output),
+        chosen_voice(play=play),
         listen,
-        VoiceOptions(None, None if dashboard else text_of(token_file), text_of(sounds), queue),
+        VoiceOptions(None, None if dashboard else text_of(token_file), text_of(sounds)),
     )
     if listen != "none" or dashboard:
         token_file = access_file(token_file, open_to_this_computer=open_to_this_computer)
     if voice is not None:
         voice = with_access(voice, config, token_file)
+    settings = load_settings(config)[0]
     request = RunRequest(
         config,
         _sound(wav, mic, SILENCE),
-        motion_of(motion, config),
+        motion_of(ChosenMotion(), config),
         model=model,
-        port=port,
-        rate_hz=rate_hz,
+        port=port or settings.servo_port,
         trace=trace,
         control=control,
         as_json=as_json,
         quiet=quiet,
         voice=with_sounds(voice) if dashboard and voice is not None else voice,
-        avatars=AvatarTargets(osc, live_link),
+        avatars=avatars_of(config, None, None),
     )
+    from lipservo.runtime.voice_agents import bound_listener
+
     with ExitStack() as stack:
         listener = bound_listener(listen, text_of(token_file))
         if listener is not None:
             stack.enter_context(listener)
-        at_port = stack.enter_context(servo_port(port, sim, config))
-        request = replace(request, port=at_port or load_settings(config)[0].servo_port)
         if dashboard:
-            page = dashboard_beside(request, dashboard_listen, token_file, open_page=open_page)
+            page = dashboard_beside(request, dashboard_listen, token_file, open_page=False)
             stack.enter_context(page)
         if request.port is not None:
+            from lipservo.runtime.processes import supervise
+
             raise typer.Exit(supervise(request, listener))
         source = stack.enter_context(entered_sound(request))
         clock = MonotonicClock()
@@ -280,6 +263,12 @@ def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:
     """What was typed before what the face's YAML says."""
     settings, folder = load_settings(config)
     return motion_options(chosen, settings.motion, folder)
+
+
+def avatars_of(config: str, osc: str | None, live_link: str | None) -> AvatarTargets:
+    """What was typed before what the face's YAML says."""
+    written = load_settings(config)[0].avatars
+    return AvatarTargets(osc or written.osc, live_link or written.live_link)
 
 
 def finish(request: RunRequest, outcome: RunOutcome) -> None:

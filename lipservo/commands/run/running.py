@@ -1,5 +1,6 @@
 """Which of the running faces a command means, and what they answer to it."""
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,7 @@ import typer
 
 from firmware_bridge.process.control_client import RunningFace, face_at, running_faces
 from firmware_bridge.process.runtime_folder import name_in_path
-from lipservo.terminal.output import RESULTS, complain, print_json
+from lipservo.terminal.output import complain, print_json
 from lipsync.errors import UserError
 
 Answer = dict[str, Any]
@@ -52,7 +53,7 @@ def ask_faces(
             complain(f"{answer['name']}: {answer['error']}")
         elif not as_json:
             told = f"{answer['name']}: {line(answer)}"
-            RESULTS.print(told, soft_wrap=True, markup=False, highlight=False)
+            sys.stdout.write(f"{told}\n")
     if any("error" in answer for answer in answers):
         raise typer.Exit(1)
 

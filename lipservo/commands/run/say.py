@@ -26,12 +26,14 @@ from lipservo.commands.options import (
     Trace,
 )
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.commands.run.run import motion_of, run_once
-from lipservo.street.avatar_targets import AvatarTargets
-from lipservo.street.motion_options import ChosenMotion
-from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import Sound
-from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
+from lipservo.commands.run.run import avatars_of, motion_of, run_once
+from lipservo.runtime.motion_options import ChosenMotion
+from lipservo.runtime.run_request import (
+    DEFAULT_OUTPUT,
+    RunRequest,
+    Sound,
+    VoiceOptions,
+)
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
@@ -78,7 +80,7 @@ def say(
         quiet=quiet or as_json,
         dry_run=dry_run,
         voice=VoiceOptions(None if mute else output or DEFAULT_OUTPUT),
-        avatars=AvatarTargets(osc, live_link),
+        avatars=avatars_of(config, osc, live_link),
     )
     run_once(request, sim)
 
@@ -88,7 +90,7 @@ def told_through(
 ) -> dict[str, Any]:
     """What a running face answers; its own options hold. Raises UserError."""
     from lipservo_client.blocking_face import Face
-    from lipservo_client.face_answers import FaceError
+    from lipservo_client.protocol import FaceError
 
     token = read_token(None if token_file is None else str(token_file))
     try:

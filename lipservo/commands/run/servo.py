@@ -8,8 +8,8 @@ from typing import Annotated, Any, Final
 
 import typer
 
-from firmware_bridge.orders import ServoSwitch
 from firmware_bridge.process.control_client import RunningFace, ask, switch_servo
+from firmware_bridge.stopping import ServoSwitch
 from lipservo.commands.options import Control, FaceName, Json
 from lipservo.commands.run.running import ask_faces
 

@@ -8,7 +8,7 @@ import typer
 from firmware_bridge.process.control_client import RunningFace, change_settings
 from lipservo.commands.options import Control, FaceName, Json
 from lipservo.commands.run.running import ask_faces
-from lipservo.speech.passing_wish import whole_wish
+from lipservo.runtime.speech.passing_wish import whole_wish
 
 
 def set_value(

@@ -3,8 +3,11 @@
 A person waits for these: they load nothing that they do not use.
 """
 
+import sys
 import time
-from typing import Annotated, Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -13,8 +16,8 @@ from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import Control, FaceName, Json, Port
 from lipservo.commands.run.running import ask_faces, chosen_faces
-from lipservo.face.letting_go import Outcome, faces_at, release, stop_faces
-from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_faces
+from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
 
 _STATUS_S = 1.0
@@ -23,6 +26,38 @@ _START_S = 20.0
 _LOOK_EVERY_S = 0.1
 #: While it is brought up; any other state is the end of it.
 _ON_ITS_WAY = ("the bridge starts", "driven")
+
+
+_FLAGS: Final = {"--limp": "limp", "--freeze": "freeze", "--end": "end"}
+
+
+def run_without_parser(arguments: Sequence[str]) -> bool:
+    """Run `stop`, `start` or `status` if all options are plain; False: nothing was done.
+
+    The parser takes as long to load as all else together; it explains what is not understood here.
+    """
+    name, *words = arguments
+    given: dict[str, Any] = {}
+    left = iter(words)
+    for word in left:
+        if word == "--json":
+            given["as_json"] = True
+        elif name == "stop" and word in _FLAGS:
+            given[_FLAGS[word]] = True
+        elif word in ("--face", "--control"):
+            value = next(left, "-")
+            if value.startswith("-"):
+                return False
+            given[word[2:]] = value if word == "--face" else Path(value)
+        else:
+            return False
+    if name == "stop":
+        stop(**given)
+    elif name == "start":
+        start(**given)
+    else:
+        status(**given)
+    return True
 
 
 def stop(
@@ -101,15 +136,15 @@ def status(face: FaceName = None, control: Control = None, as_json: Json = False
         print_json({"faces": found})
         return
     if not found:
-        MESSAGES.print("no face runs")
+        _say("no face runs")
     for each in found:
         port = each.get("port") or "simulated servos"
         line = f"{each['name']}  process {each['pid']}  {port}  {_state(each)}"
-        RESULTS.print(line, soft_wrap=True, markup=False, highlight=False)
+        sys.stdout.write(f"{line}\n")
         for line in (_motion(each), *each.get("troubles", ())):
             if not line:
                 continue
-            RESULTS.print(f"  {line}", soft_wrap=True, markup=False, highlight=False)
+            sys.stdout.write(f"  {line}\n")
 
 
 def limp(
@@ -136,7 +171,7 @@ def limp(
     """
     rate, ids = None, []
     if config is not None:
-        from lipservo.face.assembly import load_settings
+        from lipservo.runtime.servos.assembly import load_settings
 
         settings = load_settings(config)[0]
         rate, ids = settings.bus.baud_rate, [joint.servo_id for joint in settings.joints()]
@@ -158,7 +193,7 @@ def limp(
 
 
 def _say(line: str) -> None:
-    MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+    sys.stderr.write(f"{line}\n")
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:
@@ -211,6 +246,6 @@ def _report(outcomes: list[Outcome], done: str, *, as_json: bool) -> None:
         print_json({"faces": [outcome.as_dict() for outcome in outcomes]})
     else:
         for outcome in outcomes:
-            RESULTS.print(outcome.text(done), soft_wrap=True, markup=False, highlight=False)
+            sys.stdout.write(f"{outcome.text(done)}\n")
     if not all(outcome.is_confirmed for outcome in outcomes):
         raise typer.Exit(1)

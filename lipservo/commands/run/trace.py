@@ -19,7 +19,7 @@ from lipservo.traces.trace_diff import (
     excesses,
     overlay,
 )
-from lipservo.traces.trace_reader import Trace, read_trace
+from lipservo.traces.trace_file import Trace, read_trace
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel, load_face
 
@@ -68,14 +68,14 @@ def diff(
     tolerance = Tolerance(tolerance_mm, tolerance_deg, tolerance_ms * 1e-3)
     try:
         if plot is not None:
-            from lipservo.traces.trace_plot import check_plot
+            from lipservo.traces.trace_diff import check_plot
 
             check_plot(plot)
         first, second = read_trace(a), read_trace(b)
         models = _models((first, second), model or [])
         laid = overlay(first, second, (models[0], models[1]))
         if plot is not None:
-            from lipservo.traces.trace_plot import draw_difference
+            from lipservo.traces.trace_diff import draw_difference
 
             draw_difference(plot, first, second, laid)
     except UserError as error:

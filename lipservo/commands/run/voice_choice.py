@@ -6,16 +6,14 @@ from pathlib import Path
 import typer
 
 from lipservo.access.token_file import read_token, runtime_token_file
-from lipservo.face.assembly import load_settings
-from lipservo.street.voice_options import DEFAULT_OUTPUT, VoiceOptions
+from lipservo.runtime.run_request import DEFAULT_OUTPUT, VoiceOptions
+from lipservo.runtime.servos.assembly import load_settings
 
 
-def chosen_voice(*, play: bool, output: str | None, is_needed: bool = False) -> VoiceOptions | None:
+def chosen_voice(*, play: bool, is_needed: bool = False) -> VoiceOptions | None:
     """A voice if sound is to be played, or one is needed all the same."""
-    if output is not None and not play:
-        raise typer.BadParameter("--output goes with --play")
     if play:
-        return VoiceOptions(output or DEFAULT_OUTPUT)
+        return VoiceOptions(DEFAULT_OUTPUT)
     return VoiceOptions() if is_needed else None
 
 
@@ -47,9 +45,10 @@ def access_file(token_file: Path | None, *, open_to_this_computer: bool) -> Path
 
 
 def with_access(voice: VoiceOptions, config: str, token_file: Path | None) -> VoiceOptions:
-    """A voice whose agents need the token of that file, and the origins of the face's YAML."""
-    origins = ",".join(load_settings(config)[0].access.origins)
-    return replace(voice, token_file=text_of(token_file), origins=origins)
+    """A voice whose agents need the token of that file, and what the face's YAML says of access."""
+    access = load_settings(config)[0].access
+    origins = ",".join(access.origins)
+    return replace(voice, token_file=text_of(token_file), origins=origins, queue=access.queue)
 
 
 def text_of(path: Path | None) -> str | None:

@@ -6,7 +6,7 @@ from typing import Final, Literal
 
 from calibration.joint_motion import CLOSE, DOWN, OPEN, UP, joint_motion, side_of, words
 from firmware_bridge.dynamixel.control_table import servo_models
-from lipservo.face.assembly import load_settings
+from lipservo.runtime.servos.assembly import load_settings
 from lipservo.settings.settings import FaceSettings, ServoSettings
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
 

@@ -12,7 +12,7 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.live_frames import hello, state_hello, state_message
-from lipservo.status.live_board import BoardLayout
+from lipservo.runtime.status.live_board import BoardLayout
 
 MOST_CLIENTS: Final = 64
 #: A frame that was not taken for so long goes to somebody who does not read.

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.calibration_figures import calibration_figures
+from lipservo_lab.bench.calibration.calibration_figures import calibration_figures
 from small_model import small_model
 
 from calibration.calibration import Following
@@ -13,9 +13,8 @@ from calibration.fit.learnt_face import fit_calibration
 from calibration.fit.retargeting import ShapeFeatures
 from calibration.fit.run_time_map import RunTimeMap, fit_run_time_map
 from calibration.mouth_servos import JointRange
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from lipservo.speech.delay import PUBLISH_PERIOD_S
-from lipservo.speech.speech import Speech
+from firmware_bridge.loop.targets import MemoryTargetChannel
+from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.phonemes import PhonemeEvent

@@ -5,13 +5,13 @@ import random
 import numpy as np
 import pytest
 from dynamixel_chain import BAUD_RATE, MemoryFace, enable_all, mounted, run
-from lipservo_lab.campaigns.disturbed_transport import Disturbance, DisturbedTransport
+from lipservo_lab.campaigns.line_campaign import Disturbance, DisturbedTransport
 
-from firmware_bridge.bus import PortError, PortGone
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.wire.codec import StatusError
-from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.errors import PortError, PortGone
+from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.faults import Fault
 
 

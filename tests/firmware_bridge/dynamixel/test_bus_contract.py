@@ -7,17 +7,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from firmware_bridge.bus import PortError, PortGone
 from firmware_bridge.clock import ManualClock, MonotonicClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
-from firmware_bridge.dynamixel.wire.line import Line, SpanRead
+from firmware_bridge.dynamixel.wire.codec import SpanRead
+from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.errors import PortError, PortGone
 from firmware_bridge.simulator.bus import SimulatedBus
-from firmware_bridge.simulator.face import chain_for
-from firmware_bridge.simulator.memory_transport import MemoryTransport
-from lipservo.face.servos import mounted_servos
-from lipservo.face.sim_process import simulated_port
+from firmware_bridge.simulator.chain import chain_for
+from firmware_bridge.simulator.ports import MemoryTransport
+from lipservo.runtime.servos.assembly import mounted_servos
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import load_shipped_face
 
 BAUD_RATE = 1_000_000

@@ -5,16 +5,16 @@ import struct
 
 import pytest
 from dynamixel_chain import BAUD_RATE, MemoryFace
-from lipservo_lab.campaigns.disturbed_transport import Disturbance, DisturbedTransport
+from lipservo_lab.campaigns.line_campaign import Disturbance, DisturbedTransport
 
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.dynamixel.budget import cycle_s, slow_adapter
+from firmware_bridge.dynamixel.bus import cycle_s, slow_adapter
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
-from firmware_bridge.dynamixel.shared_id import shares_id
+from firmware_bridge.dynamixel.provisioning import shares_id
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.simulator.chain import SimulatedChain
-from firmware_bridge.simulator.memory_transport import MemoryTransport
+from firmware_bridge.simulator.ports import MemoryTransport
 
 
 def examined(face, rate_hz=30.0, latency_timer_ms=1, seed=0, **disturbances):

@@ -5,9 +5,8 @@ from dataclasses import replace
 import pytest
 from dynamixel_chain import BAUD_RATE, MemoryFace, mounted
 
-from firmware_bridge.bus import ServoError
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.dynamixel.budget import budget
+from firmware_bridge.dynamixel.bus import budget
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.handshake import read_identities
@@ -20,8 +19,9 @@ from firmware_bridge.dynamixel.provisioning import (
     wanted_settings,
 )
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.errors import ServoError
 from firmware_bridge.simulator.chain import SimulatedChain
-from firmware_bridge.simulator.memory_transport import MemoryTransport
+from firmware_bridge.simulator.ports import MemoryTransport
 
 
 def fresh_servo():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from dynamixel_chain import MemoryFace, enable_all, mounted, run
 
-from firmware_bridge.bus import ServoError
 from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.errors import ServoError
 from firmware_bridge.simulator.faults import Fault
 
 

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_bridge.gate.limits import EASE_PEAK_SLOPE, Limiter, StaleLevel, StaleRule, ease
+from firmware_bridge.gate.limits import Limiter
+from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, StaleLevel, StaleRule, ease
 from firmware_bridge.joints import Joint
 
 JAW = Joint("jaw", 1, min_deg=-2.0, max_deg=25.0, max_speed_deg_s=300.0)

@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_bridge.gate.braking import braking_speed
-from firmware_bridge.gate.coupling import Prevention, PreventRule
-from firmware_bridge.gate.limits import Limiter
+from firmware_bridge.gate.limits import Limiter, Prevention, PreventRule, braking_speed
 from firmware_bridge.joints import Joint
 
 PERIOD_S = 0.01

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_bridge.gate.limits import EASE_PEAK_SLOPE
-from firmware_bridge.gate.ramp import Ramp
+from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, Ramp
 
 DEGREES = st.lists(st.floats(-180.0, 180.0), min_size=3, max_size=3).map(np.array)
 

@@ -8,15 +8,15 @@ import pytest
 from places import DATA
 
 from calibration.simulated.servos import SimulatedServos
+from firmware_bridge.bus import Feedback
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
-from firmware_bridge.health import Feedback
 from firmware_bridge.joints import Joint
-from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.faults import Fault
-from firmware_bridge.simulator.memory_transport import MemoryTransport
-from lipservo.face.servos import mounted_servos
+from firmware_bridge.simulator.ports import MemoryTransport
+from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.settings.settings import load_shipped_face
 
 CLIP = DATA / "traces" / "clip.jsonl.gz"

@@ -3,17 +3,15 @@ import math
 import numpy as np
 import pytest
 
-from firmware_bridge.bus import ServoError
 from firmware_bridge.clock import ManualClock, ticks
-from firmware_bridge.gate.limits import StaleLevel
+from firmware_bridge.errors import ServoError
+from firmware_bridge.gate.ramp import StaleLevel
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.report import FaceState
-from firmware_bridge.loop.settings import BridgeSettings
+from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.stopping import StopLevel
-from firmware_bridge.targets import ServoTargets
 
 JAW = Joint("jaw", 1, min_deg=-2.0, max_deg=25.0, max_speed_deg_s=300.0)
 LIP = Joint("lip", 2, min_deg=-30.0, max_deg=40.0, max_speed_deg_s=400.0)

@@ -3,8 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from firmware_bridge.loop.channel import MemoryTargetChannel, TargetTrack
-from firmware_bridge.targets import ServoTargets
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets, TargetTrack
 
 
 def targets(time_s, *positions_deg):

@@ -8,13 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from lipservo_lab.campaigns.auditor import Auditor
 
-from firmware_bridge.gate.coupling import PreventRule
+from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.report import FaceState
-from firmware_bridge.loop.settings import BridgeSettings
-from firmware_bridge.orders import ArmJog, JogTo
-from firmware_bridge.targets import ServoTargets
+from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.stopping import ArmJog, JogTo
 
 #: The fastest that a jogged joint may be told to go, in a tick.
 STEP_DEG = 30.0 / RATE_HZ + 1e-9

@@ -4,7 +4,7 @@ import pytest
 from driven_robot import Robot
 from dynamixel_chain import mounted
 
-from firmware_bridge.bus import ServoError
+from firmware_bridge.errors import ServoError
 from firmware_bridge.loop.report import FaceState
 from firmware_bridge.simulator.faults import Fault
 

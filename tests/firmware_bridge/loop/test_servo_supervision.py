@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from firmware_bridge.health import Feedback, Health, ServoState
+from firmware_bridge.bus import Feedback, Health, ServoState
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.heat import HeatDerating
+from firmware_bridge.loop.servo_group import HeatDerating
 from firmware_bridge.loop.servo_supervision import ServoSupervision
 
 

@@ -6,14 +6,11 @@ from driven_robot import RATE_HZ, TORQUE_ON, Robot, speech_deg
 from dynamixel_chain import MemoryFace, mounted
 
 from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.report import FaceState
-from firmware_bridge.loop.settings import BridgeSettings
+from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.loop.torque_gate import TorqueGate
-from firmware_bridge.orders import ServoOrder, ServoSwitch
 from firmware_bridge.simulator.faults import Fault
-from firmware_bridge.stopping import StopLevel
-from firmware_bridge.targets import ServoTargets
+from firmware_bridge.stopping import ServoOrder, ServoSwitch, StopLevel
 
 JOINT_2 = 1
 PULSES_PER_DEG = 4096 / 360

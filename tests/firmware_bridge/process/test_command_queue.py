@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_bridge.process.command_queue import CommandError, CommandQueue, Setting
+from firmware_bridge.process.commands import CommandError, CommandQueue, Setting
 from firmware_bridge.stopping import StopLevel
 
 SETTINGS = {"strength": Setting(1.0, 0.0, 1.5), "smoothness": Setting(0.0, 0.0, 1.0)}

@@ -7,9 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_bridge.orders import ArmJog, EndJog, JogTo, ServoOrder, ServoSwitch
-from firmware_bridge.process.command_queue import CommandQueue, Setting
-from firmware_bridge.process.command_words import command_answer
+from firmware_bridge.process.commands import CommandQueue, Setting, command_answer
 from firmware_bridge.process.control_client import (
     arm_jog,
     ask,
@@ -19,6 +17,7 @@ from firmware_bridge.process.control_client import (
     switch_servo,
 )
 from firmware_bridge.process.control_socket import LONGEST_WORD, ControlSocket
+from firmware_bridge.stopping import ArmJog, EndJog, JogTo, ServoOrder, ServoSwitch
 
 PATIENCE_S = 60.0
 SETTINGS = {"strength": Setting(1.0, 0.0, 1.5), "smoothness": Setting(0.0, 0.0, 1.0)}

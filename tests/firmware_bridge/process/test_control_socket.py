@@ -11,7 +11,7 @@ from contextlib import contextmanager
 import pytest
 from places import short_folder
 
-from firmware_bridge.process.command_queue import CommandQueue, Setting
+from firmware_bridge.process.commands import CommandQueue, Setting
 from firmware_bridge.process.control_client import (
     ask,
     change_setting,

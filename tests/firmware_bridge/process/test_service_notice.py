@@ -4,7 +4,7 @@ import socket
 
 import pytest
 
-from firmware_bridge.process.service_notice import ServiceNotice
+from firmware_bridge.process.operating_system import ServiceNotice
 
 
 @pytest.fixture

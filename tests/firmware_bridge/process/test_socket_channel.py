@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from firmware_bridge.process.socket_channel import SocketTargetChannel, channel_pair
-from firmware_bridge.targets import ServoTargets
+from firmware_bridge.loop.targets import ServoTargets, SocketTargetChannel, channel_pair
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ import signal
 import pytest
 from simulated_supervisor import ROUND_S, SupervisedFace
 
+from firmware_bridge.process.child import RestartDelay
 from firmware_bridge.process.lifeline import (
     Began,
     Failed,
@@ -14,7 +15,6 @@ from firmware_bridge.process.lifeline import (
     Stopped,
     Switched,
 )
-from firmware_bridge.process.restarted_child import RestartDelay
 from firmware_bridge.process.stop_record import StopRecord
 from firmware_bridge.stopping import StopLevel, StopReport, StopRequest
 

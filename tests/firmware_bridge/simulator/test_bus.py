@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 
-from firmware_bridge.bus import PortError
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.wire.codec import StatusError
+from firmware_bridge.errors import PortError
 from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 from firmware_bridge.simulator.bus import SimulatedBus
 

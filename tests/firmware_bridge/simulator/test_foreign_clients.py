@@ -11,7 +11,7 @@ import types
 
 import pytest
 
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.sim_process import simulated_port
 
 BAUD_RATE = 1_000_000
 IDS = [1, 2, 3]

@@ -7,8 +7,7 @@ from servo_bench import Bench
 
 from firmware_bridge.dynamixel.control_table import register, servo_models
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction, StatusError
-from firmware_bridge.dynamixel.wire.frames import FrameParser
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, FrameParser, Instruction, StatusError
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.motors import Environment
 from firmware_bridge.simulator.wire import WireRules

@@ -13,16 +13,16 @@ from pathlib import Path
 
 import pytest
 
-from firmware_bridge.bus import PortError
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.frames import FrameParser
+from firmware_bridge.dynamixel.wire.codec import FrameParser
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.errors import PortError
 from firmware_bridge.simulator.chain import SimulatedChain
-from firmware_bridge.simulator.pty_host import PtyHost
+from firmware_bridge.simulator.ports import PtyHost
 from lipservo.commands.build.sim_bus import sim_bus
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.errors import UserError
 
 BAUD_RATE = 1_000_000
@@ -269,7 +269,7 @@ def test_at_the_end_a_link_that_leads_elsewhere_by_now_stays(tmp_path):
 def test_the_simulator_of_a_run_outlives_ctrl_c_and_ends_with_its_user():
     script = (
         "import os, signal, sys\n"
-        "from lipservo.face.sim_process import simulated_port\n"
+        "from lipservo.runtime.servos.sim_process import simulated_port\n"
         "signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
         "with simulated_port(['--servos', '1']) as port:\n"
         "    os.killpg(0, signal.SIGINT)  # as the terminal does\n"

@@ -8,7 +8,7 @@ from servo_bench import Bench
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.wire.codec import StatusError
 from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.simulator.memory_transport import MemoryTransport
+from firmware_bridge.simulator.ports import MemoryTransport
 
 REVERSED, TIMED = 1, 4
 

@@ -1,11 +1,14 @@
 """The baselines, checked against their formulas, another library, and motion that they made."""
 
 import numpy as np
-from lipservo_lab.baselines.dominance import Dominance, fixed_reference
-from lipservo_lab.baselines.regression import fit_regression
-from lipservo_lab.baselines.spline import spline_faces
+from lipservo_lab.baselines.baselines import (
+    Dominance,
+    fit_regression,
+    fixed_reference,
+    spline_faces,
+)
 from lipservo_lab.baselines.tuning import tune_dominance
-from lipservo_lab.corpus.speech_frames import speech_frames
+from lipservo_lab.corpus.utterance import speech_frames
 from recorded_phrase import PHRASE, recorded
 from scipy.interpolate import CubicHermiteSpline
 from small_model import small_model

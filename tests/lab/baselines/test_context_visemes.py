@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from lipservo_lab.baselines.baselines import joined_faces
 from lipservo_lab.baselines.context_visemes import recorded_visemes
-from lipservo_lab.baselines.spline import joined_faces
 from lipservo_lab.corpus.utterance import Utterance
 from scipy.interpolate import CubicHermiteSpline
 from spoken_phonemes import spoken

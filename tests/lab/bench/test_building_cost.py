@@ -3,8 +3,8 @@
 import sys
 
 import pytest
-from lipservo_lab.bench.building_cost import cost_of
 from lipservo_lab.bench.motion_figures import BenchError
+from lipservo_lab.bench.offline_models import cost_of
 
 #: Python alone takes some 10 MB.
 HELD_MB = 150

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from lipservo_lab.bench.endurance_figures import endurance_figures
+from lipservo_lab.campaigns.endurance import endurance_figures
 from typer.testing import CliRunner
 
 from lipservo.cli import app

@@ -10,8 +10,8 @@ import pytest
 from lipservo_lab.bench.motion_figures import BenchError, question
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.evaluation.motion.methods import Heard, all_methods
-from lipservo_lab.evaluation.motion.mishearing import KINDS
-from lipservo_lab.evaluation.motion.paper_costs import cost_rows
+from lipservo_lab.evaluation.motion.paper_tables import cost_rows
+from lipservo_lab.evaluation.motion.recovery import KINDS
 from lipservo_lab.learning.motion.face_training import train
 from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
 from small_corpus import RIGID, write_corpus, write_sentence

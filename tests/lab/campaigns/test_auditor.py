@@ -9,7 +9,7 @@ from lipservo_lab.campaigns.auditor import Auditor
 
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.wire.codec import Instruction, packet
-from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.simulator.chain import chain_for
 
 PERIOD_S = 1.0 / 30.0
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lipservo_lab.corpus.frame_rate import at_frame_rate
-from lipservo_lab.corpus.utterance import Utterance
+from lipservo_lab.corpus.utterance import Utterance, at_frame_rate
 
 
 def waving(rate_hz, frequency_hz, duration_s=3.0):

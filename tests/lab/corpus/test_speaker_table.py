@@ -1,6 +1,5 @@
 import pytest
-from lipservo_lab.corpus.speaker_table import read_speakers
-from lipservo_lab.corpus.transcribed import TranscriptError
+from lipservo_lab.corpus.transcribed import TranscriptError, read_speakers
 
 
 def test_a_speaker_is_in_each_of_the_groups_and_in_both_together(tmp_path):

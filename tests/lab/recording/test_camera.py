@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipservo.calibrating.camera import AvCamera, CameraError, CameraMode, StampClock
-from lipservo.calibrating.camera_feed import CameraFeed
+from lipservo.calibrating.camera import AvCamera, CameraError, CameraFeed, CameraMode, StampClock
 
 
 def test_a_generator_stands_in_at_its_own_pace():

@@ -10,7 +10,7 @@ from lipservo_lab.recording.sentence_list import SentenceError, read_sentences, 
 from pocketsphinx import Decoder
 
 from lipsync.phonemes import PHONEMES, SILENCE
-from lipsync.recognition.alignment.forced_alignment import words_of
+from lipsync.recognition.alignment import words_of
 
 FEWEST_TIMES = 8
 N_FREQUENT = 300

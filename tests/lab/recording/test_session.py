@@ -4,9 +4,8 @@ import av
 import numpy as np
 import pytest
 import soundfile
-from lipservo_lab.recording.screen import Screen
 from lipservo_lab.recording.sentence_list import Sentence, SentenceError, recorded_names
-from lipservo_lab.recording.session import Session
+from lipservo_lab.recording.session import Screen, Session
 from recorded_room import Room, speech
 
 from lipservo.calibrating.camera import CameraError

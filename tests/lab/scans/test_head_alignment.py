@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
-from lipservo_lab.scans.head_alignment import Pose, check_face, find_pose, rigid_motion
+from lipservo_lab.scans.head_alignment import (
+    Pose,
+    check_face,
+    find_pose,
+    rigid_motion,
+    shipped_template,
+)
 from lipservo_lab.scans.scan import ScanError, scan_of
-from lipservo_lab.scans.template import shipped_template
 from scipy.spatial.transform import Rotation
 
 TEMPLATE = shipped_template()

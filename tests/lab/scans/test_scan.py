@@ -3,8 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
-from lipservo_lab.scans.scan import ScanError, read_scan, scan_of, vertex_normals
-from lipservo_lab.scans.scan_frame import ScanFrame, scan_frame
+from lipservo_lab.scans.scan import (
+    ScanError,
+    ScanFrame,
+    read_scan,
+    scan_frame,
+    scan_of,
+    vertex_normals,
+)
 
 
 def dome(n=60, radius_mm=80.0):

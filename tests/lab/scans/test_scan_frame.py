@@ -2,14 +2,8 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.scans.scan_frame import (
-    UNITS_MM,
-    ScanFrameError,
-    axes_text,
-    check_unit,
-    scan_frame,
-)
-from lipservo_lab.scans.template import shipped_template
+from lipservo_lab.scans.head_alignment import shipped_template
+from lipservo_lab.scans.scan import UNITS_MM, ScanFrameError, axes_text, check_unit, scan_frame
 
 
 @pytest.mark.parametrize("axes", ["x,y,z", "x,z,-y", "-y,-x,z"])

@@ -1,10 +1,9 @@
 """Named points in a file."""
 
 import pytest
-from lipservo_lab.scans.scan import ScanError
-from lipservo_lab.scans.scan_frame import ScanFrame, scan_frame
-from lipservo_lab.scans.seen_markers import read_markers
-from lipservo_lab.scans.template import shipped_template
+from lipservo_lab.scans.head_alignment import shipped_template
+from lipservo_lab.scans.scan import ScanError, ScanFrame, scan_frame
+from lipservo_lab.scans.scan_import import read_markers
 
 TEMPLATE = shipped_template()
 

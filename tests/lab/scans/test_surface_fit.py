@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.scans.head_alignment import Pose
+from lipservo_lab.scans.head_alignment import Pose, Template
 from lipservo_lab.scans.scan import scan_of
 from lipservo_lab.scans.surface_fit import Markers, SurfaceFit
-from lipservo_lab.scans.template import Template
 from scipy.spatial import Delaunay
 
 RNG = np.random.default_rng(5)

@@ -1,10 +1,8 @@
 import numpy as np
 import pytest
-from lipservo_lab.twin_making.mean_face_file import main, repaired
-from lipservo_lab.twin_making.subdivision import subdivide, through_points
+from lipservo_lab.twin_making.mean_face_file import main, repaired, subdivide, through_points
 
-from lipsync.twin.landmarks import N_SKIN
-from lipsync.twin.mean_face import load_mean_face
+from lipsync.twin.head_surface import N_SKIN, load_mean_face
 
 trimesh = pytest.importorskip("trimesh")
 

@@ -10,10 +10,9 @@ pytest.importorskip("av", reason="video needs PyAV, the extra `video`")
 
 import soundfile
 from lipservo_lab.corpus.grid import read_grid
-from lipservo_lab.video.corpus_folder import check_corpus_folder, write_corpus
-from lipservo_lab.video.tracked_lips import tracked_gaps_mm
+from lipservo_lab.video.face_track import tracked_gaps_mm
 from lipservo_lab.video.video_clips import find_clips
-from lipservo_lab.video.video_import import import_videos
+from lipservo_lab.video.video_import import check_corpus_folder, import_videos, write_corpus
 from pixel_video import PixelFace, PixelTracker
 from talking_pixels import TEXT, even_times_s, gaps_mm, speech, write_clip, write_pictures
 

@@ -8,8 +8,7 @@ from lipservo.agents.listener import AgentSettings
 from lipservo.agents.messages import MessageError, Outbox, Start
 from lipservo.agents.turns import Turns
 from lipsync.audio.playout import Playout
-from lipsync.audio.playout_events import PlayoutRequest
-from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 
 START = Start(type="start", stream="s", sample_rate=16_000)
 

@@ -7,8 +7,8 @@ from calibration.files.calibration_file import load_calibration
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.measured_calibration import calibrate_on_computed_skin
 from lipservo.cli import app
-from lipservo.face.assembly import load_settings, settings_at_port
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.assembly import load_settings, settings_at_port
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.animpho.units import load_face_with_animphos
 
 SERVO = """\

@@ -11,7 +11,7 @@ import pytest
 from places import short_folder
 
 from calibration.files.calibration_file import load_calibration
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import calibration_file, load_shipped_face
 
 

@@ -15,7 +15,7 @@ from calibration.files.calibration_file import load_calibration
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from calibration.simulated.robot import SimulatedRobot, draw_robot
 from lipservo.cli import app
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.markers import MARKERS_47
 
 MODEL = load_trained_model()

@@ -170,7 +170,7 @@ def test_a_calibration_is_fitted_to_photographs(setup, tmp_path, monkeypatch):
             points[list(MARKERS_47.landmarks)] = seen + noise.normal(0.0, 0.2, seen.shape)
             return (points * [2.0, -2.0, -2.0] + [300.0, 300.0, 0.0],)
 
-    monkeypatch.setattr("lipsync.video.tracking.trackers.open_tracker", lambda _: Network())
+    monkeypatch.setattr("lipsync.video.face_tracker.open_tracker", lambda _: Network())
     output = tmp_path / "four.calibration.yaml"
     done = run(
         app,

@@ -25,8 +25,8 @@ from lipservo.calibrating.hand_poses import (
     pose_lines,
     with_hand_poses,
 )
-from lipservo.face.limp_servos import LimpServos
-from lipservo.face.servos import mounted_servos
+from lipservo.runtime.servos.assembly import mounted_servos
+from lipservo.runtime.servos.limp_servos import LimpServos
 from lipservo.settings.settings import calibration_file, load_shipped_face
 
 

@@ -11,8 +11,8 @@ from calibration.capture.marker_files import read_plan, write_plan
 from calibration.files.calibration_file import load_calibration
 from calibration.files.calibration_text import calibration_text
 from lipservo.cli import app
-from lipservo.face.held_face import HeldFace
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.held_face import HeldFace
+from lipservo.runtime.servos.sim_process import simulated_port
 
 SHIPPED = resources.files("lipservo.config") / "face_jaw.calibration.yaml"
 

@@ -1,6 +1,7 @@
 """`--osc` and `--live-link`: what a screen avatar gets while the robot's face runs."""
 
 import socket
+from importlib import resources
 
 import pytest
 import soundfile
@@ -9,7 +10,7 @@ from speech import CLIP_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipservo.street.avatar_targets import AvatarError
+from lipservo.runtime.run_request import AvatarError
 
 livelink = pytest.importorskip("pylivelinkface")
 osc_bundle = pytest.importorskip("pythonosc.osc_bundle")
@@ -100,10 +101,17 @@ def test_nobody_who_listens_there_is_no_reason_to_stop(phrase):
     ],
 )
 def test_a_bad_address_is_refused_in_one_line_before_a_servo_is_spoken_to(
-    command, target, option, monkeypatch
+    command, target, option, monkeypatch, tmp_path
 ):
     own_folder(monkeypatch)
-    done = CliRunner().invoke(app, [*command, option, target])
+    given = [option, target]
+    if command[0] == "daemon":
+        shipped = resources.files("lipservo.config") / "face_sim.yaml"
+        face = tmp_path / "face.yaml"
+        key = option[2:].replace("-", "_")
+        face.write_text(f"{shipped.read_text()}\navatars: {{{key}: '{target}'}}\n")
+        given = ["--config", str(face)]
+    done = CliRunner().invoke(app, [*command, *given])
 
     assert isinstance(done.exception, AvatarError), done.exception
     assert str(done.exception).startswith(f"{option} '{target}': ")

@@ -10,7 +10,7 @@ import soundfile
 
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import load_face
 
 # Real processes in real time.

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipservo.settings.settings import load_face
-from lipsync.audio.delay import measurement
-from lipsync.audio.delay.clicks import Delay
+from lipsync.audio import delay as measurement
+from lipsync.audio.delay import Delay
 
 
 @pytest.fixture

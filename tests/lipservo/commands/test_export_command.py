@@ -12,12 +12,11 @@ from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipservo.commands.run.exported_speech import spoken_sound
-from lipservo.street.motion_options import ChosenMotion
-from lipservo.traces.trace_reader import read_trace
+from lipservo.runtime.motion_options import ChosenMotion
+from lipservo.traces.trace_file import read_trace
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.errors import UserError
-from lipsync.export.arkit import ARKIT_NAMES, ArkitMap
-from lipsync.export.lip_measures import lip_measures
+from lipsync.export.arkit import ARKIT_NAMES, ArkitMap, lip_measures
 from lipsync.recognition.scripted import read_phonemes
 
 LABELS = ("--phonemes", CLIP_LABELS_PATH)

@@ -9,13 +9,7 @@ import yaml
 from places import ROOT
 
 from lipservo.commands.run.motion_choice import takes_motion
-from lipservo.settings import motion_names as names
-from lipservo.settings.motion_names import STRATEGIES as NAMES
-from lipservo.settings.motion_names import STYLE_NAMES, Engine
-from lipservo.settings.motion_settings import MotionSettings
-from lipservo.settings.settings import parse_face
-from lipservo.settings.strict_yaml import SettingsError
-from lipservo.street.motion_options import (
+from lipservo.runtime.motion_options import (
     LOW_LATENCY_LOOKAHEAD_S,
     LOW_LATENCY_S,
     ChosenMotion,
@@ -23,6 +17,12 @@ from lipservo.street.motion_options import (
     make_recognizer,
     motion_options,
 )
+from lipservo.settings import motion_names as names
+from lipservo.settings.motion_names import STRATEGIES as NAMES
+from lipservo.settings.motion_names import STYLE_NAMES, Engine
+from lipservo.settings.sections import MotionSettings
+from lipservo.settings.settings import parse_face
+from lipservo.settings.strict_yaml import SettingsError
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.errors import UserError
 from lipsync.motion.live_synthesizer import (

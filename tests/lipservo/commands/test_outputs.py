@@ -66,7 +66,7 @@ def test_the_trace_tells_every_tick_and_the_mouth_opens_and_ends_closed(tmp_path
 
 
 def test_run_plays_a_file_in_real_time_and_prints_a_table(short_clip):
-    done = lipservo("run", "--wav", short_clip, "--rate-hz", 50)
+    done = lipservo("run", "--wav", short_clip)
     assert done.returncode == 0, done.stderr
     assert "frames sent" in done.stdout
     assert "delay from sound to face" in done.stderr

@@ -12,10 +12,10 @@ import soundfile
 from places import ROOT
 from speech import CLIP_PATH
 
-from lipservo.street.settled_phonemes import settled_events
+from lipservo.runtime.settled_phonemes import settled_events
 from lipsync.audio.file import FileSource
-from lipsync.recognition import weights
-from lipsync.recognition.alignment.forced_alignment import words_of
+from lipsync.recognition import network as weights
+from lipsync.recognition.alignment import words_of
 from lipsync.textgrid import read_tier
 
 TWIN = ROOT / "benchmarks" / "recognizer_held_out.npz"
@@ -293,7 +293,7 @@ def test_what_needs_pocketsphinx_says_so_in_one_line(arguments, tmp_path, monkey
 
 
 def test_pocketsphinx_is_no_engine_of_a_face():
-    done = lipservo("run", "--engine", "pocketsphinx")
+    done = lipservo("replay", CLIP_PATH, "--engine", "pocketsphinx")
     assert done.returncode == 2
     assert "pocketsphinx" in done.stderr
     assert "network" in done.stderr

@@ -11,10 +11,10 @@ from typer.testing import CliRunner
 
 from firmware_bridge.clock import MonotonicClock
 from lipservo.cli import app
-from lipservo.street.motion_options import MotionOptions
-from lipservo.street.run_face import run_face
-from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import SILENCE, open_sound
+from lipservo.runtime.face_runtime import run_face
+from lipservo.runtime.motion_options import MotionOptions
+from lipservo.runtime.run_request import SILENCE, RunRequest
+from lipservo.runtime.sound import open_sound
 from lipsync.errors import UserError
 
 PATIENCE_S = 60.0

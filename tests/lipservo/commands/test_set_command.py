@@ -10,15 +10,15 @@ from places import short_folder
 from typer.testing import CliRunner
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
-from firmware_bridge.process.command_queue import CommandQueue, Setting
+from firmware_bridge.process.commands import CommandQueue, Setting
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.cli import app
-from lipservo.street.motion_options import MotionOptions
-from lipservo.street.run_face import run_face
-from lipservo.street.run_request import RunRequest
-from lipservo.street.sources import SILENCE, open_sound
-from lipsync.audio.silence import SilentSource
+from lipservo.runtime.face_runtime import run_face
+from lipservo.runtime.motion_options import MotionOptions
+from lipservo.runtime.run_request import SILENCE, RunRequest
+from lipservo.runtime.sound import open_sound
+from lipsync.audio.source import SilentSource
 from lipsync.errors import UserError
 from lipsync.motion.live_synthesizer import Style
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
@@ -177,7 +177,7 @@ class _Faulty(EnergyRecognizer):
 @pytest.mark.parametrize("clock", [ManualClock(), MonotonicClock()])
 def test_a_recogniser_that_is_left_is_one_line_and_a_trouble(capsys, monkeypatch, clock):
     monkeypatch.setattr(
-        "lipservo.street.run_face.make_recognizer",
+        "lipservo.runtime.face_speech.make_recognizer",
         lambda _engine, timer_s, *_: FallbackRecognizer(
             [FallbackLevel("network", _Faulty), FallbackLevel("energy", EnergyRecognizer)],
             0.095,

@@ -5,19 +5,17 @@ import random
 import signal
 
 import pytest
-from lipservo_lab.campaigns.disturbed_transport import Disturbance, DisturbedTransport
+from lipservo_lab.campaigns.line_campaign import Disturbance, DisturbedTransport
 from typer.testing import CliRunner
 
-from firmware_bridge.bus import PortGone
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.provisioning import wanted_settings
-from firmware_bridge.dynamixel.wire.codec import Instruction
-from firmware_bridge.dynamixel.wire.frames import FrameParser
-from firmware_bridge.simulator.chain import SimulatedChain
-from firmware_bridge.simulator.face import chain_for
+from firmware_bridge.dynamixel.wire.codec import FrameParser, Instruction
+from firmware_bridge.errors import PortGone
+from firmware_bridge.simulator.chain import SimulatedChain, chain_for
 from lipservo.cli import app
-from lipservo.face.servos import mounted_servos
+from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.settings.settings import load_shipped_face
 
 BAUD_RATE = 1_000_000

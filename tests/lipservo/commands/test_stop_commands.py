@@ -20,7 +20,7 @@ from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.process.runtime_folder import runtime_folder, searched_folders
 from firmware_bridge.stopping import StopLevel
 from lipservo.cli import app
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.errors import UserError
 
 RUNTIME = "firmware_bridge.process.runtime_folder"

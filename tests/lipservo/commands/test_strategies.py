@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +15,14 @@ import soundfile
 from speech import CLIP_PATH
 from typer.testing import CliRunner
 
+from firmware_bridge.loop.targets import SocketTargetChannel, channel_pair
 from firmware_bridge.process.lifeline import Began, lifeline_pair
-from firmware_bridge.process.socket_channel import SocketTargetChannel, channel_pair
 from lipservo.cli import app
-from lipservo.face.assembly import assemble_face
-from lipservo.status.live_board import LiveBoard
-from lipservo.status.status_board import StatusBoard
-from lipservo.street.motion_options import MotionOptions
-from lipservo.street.run_request import RunRequest, request_json
-from lipservo.street.sources import Sound
-from lipservo.street.watched import board_layout
+from lipservo.runtime.motion_options import MotionOptions
+from lipservo.runtime.requested_face import RequestedFace
+from lipservo.runtime.run_request import SILENCE, RunRequest, Sound, request_json
+from lipservo.runtime.servos.assembly import assemble_face
+from lipservo.runtime.status.status_board import StatusBoard
 from lipsync.animpho.synthesizer import LONGEST_PHONE_S
 
 JAW = [joint.name for joint in assemble_face("face_sim", None).joints].index("jaw")
@@ -40,8 +39,13 @@ def sound(tmp_path_factory) -> Path:
 
 def played(command: str, sound: Path, strategy: str, trace: Path) -> tuple[dict, np.ndarray]:
     """The header of the trace, and the jaw's angle at every tick."""
-    played = ["--wav", str(sound)] if command == "run" else [str(sound)]
-    arguments = [command, *played, "--strategy", strategy, "--trace", str(trace), "-q"]
+    chosen = [str(sound), "--strategy", strategy]
+    if command == "run":
+        shipped = resources.files("lipservo.config") / "face_sim.yaml"
+        face = trace.with_suffix(".yaml")
+        face.write_text(f"{shipped.read_text()}\nmotion: {{strategy: {strategy}}}\n")
+        chosen = ["--wav", str(sound), "--config", str(face)]
+    arguments = [command, *chosen, "--trace", str(trace), "-q"]
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.output
     header, *ticks, _ = [json.loads(line) for line in trace.read_text().splitlines()]
@@ -86,8 +90,7 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
     """How far the mouth moves is not judged: a busy machine does not hear in time."""
     ours, its = channel_pair()
     board = StatusBoard.create()
-    layout = board_layout(assemble_face("face_sim", None), "face_sim", 30.0)
-    live = LiveBoard.create(layout)
+    live = RequestedFace(RunRequest("face_sim", SILENCE)).live_board()
     line, watch = lifeline_pair()
     command = [sys.executable, "-m", "lipservo", "speech-process"]
     command += ["--channel", str(its.fileno()), "--lifeline", str(line.fileno())]

@@ -13,11 +13,9 @@ from running_daemon import PATIENCE_S, child, own_folder, run, running, wait_for
 from speech import CLIP_PATH
 
 from firmware_bridge.process.control_client import ask
-from lipservo.face.sim_process import simulated_port
-from lipservo.street.avatar_targets import AvatarTargets
-from lipservo.street.motion_options import MotionOptions
-from lipservo.street.run_request import RunRequest, request_of_json
-from lipservo.street.sources import Sound
+from lipservo.runtime.motion_options import MotionOptions
+from lipservo.runtime.run_request import AvatarTargets, RunRequest, Sound, request_of_json
+from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.motion.live_synthesizer import Style
 
 # Real processes in real time.
@@ -40,29 +38,27 @@ def typed(tmp_path_factory):
         avatar_at = "{}:{}".format(*avatar.getsockname())
         control = Path(os.environ["XDG_RUNTIME_DIR"], "lipservo", "typed.sock")
         control.parent.mkdir(mode=0o700)
+        written = resources.files("lipservo.config") / "face_sim.yaml"
+        face = folder / "face.yaml"
+        face.write_text(
+            written.read_text().replace("rate_hz: 30", "rate_hz: 50")
+            + "motion: {engine: energy, weights: grid, strategy: expected, lookahead_ms: 50, "
+            + f"strength: 1.25, smoothness: 0.25}}\navatars: {{live_link: '{avatar_at}'}}\n"
+        )
         options = {
-            "--config": "face_sim",
+            "--config": str(face),
             "--wav": str(CLIP_PATH),
             "--model": str(model),
-            "--rate-hz": "50",
-            "--engine": "energy",
-            "--weights": "grid",
-            "--strategy": "expected",
-            "--lookahead-ms": "50",
-            "--strength": "1.25",
-            "--smoothness": "0.25",
             "--control": str(control),
             "--listen": "none",
-            "--live-link": avatar_at,
         }
         motion = MotionOptions("energy", "grid", "expected", Style(0.05, 1.25, 0.25))
         wanted = RunRequest(
-            config="face_sim",
+            config=str(face),
             sound=Sound("file", str(CLIP_PATH)),
             motion=motion,
             model=model,
             port=port,
-            rate_hz=50.0,
             control=control,
             as_json=True,
             avatars=AvatarTargets(live_link=avatar_at),

@@ -14,7 +14,7 @@ from voice_agents.served_face import ServedFace
 
 from lipservo import command_line
 from lipservo.access.admission import Policy
-from lipservo.agents.agent_settings import AgentSettings
+from lipservo.agents.listener import AgentSettings
 from lipservo.cli import app
 from lipsync.phoneme_files.reader import read_known_phonemes
 from lipsync.text_to_speech.spoken_text import SynthesisError
@@ -47,7 +47,7 @@ def nothing_armed(monkeypatch):
         raise AssertionError("the face was brought up")
 
     monkeypatch.setattr("lipservo.commands.run.run.run_face", refuse)
-    monkeypatch.setattr("lipservo.commands.run.run.supervise", refuse)
+    monkeypatch.setattr("lipservo.runtime.processes.supervise", refuse)
 
 
 def answer(*arguments):
@@ -95,8 +95,8 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["run", "--output", "x"], "--output goes with --play"),
-        (["daemon", "--output", "x"], "--output goes with --play"),
+        (["run", "--output", "x"], "--output: `sound.output:` in the face's YAML"),
+        (["daemon", "--output", "x"], "--output: `sound.output:` in the face's YAML"),
         (["run", "--phonemes", "x.TextGrid"], "--phonemes goes with --wav"),
         (["say", "hello", "--mute", "--output", "x"], "--mute or --output"),
         (["daemon", "--listen", "none", "--sounds", "."], "--listen none: nobody is there"),
@@ -108,7 +108,7 @@ def test_a_language_that_nobody_speaks_is_refused(capsys, monkeypatch):
             ["daemon", "--token-file", "token", "--open-to-this-computer"],
             "give --token-file or --open-to-this-computer",
         ),
-        (["run", "--open-to-this-computer"], "goes with --dashboard"),
+        (["run", "--open-to-this-computer"], "`lipservo daemon --dashboard` and"),
         (["daemon", "--listen", "none", "--token-file", "t"], "--listen none: nobody is there"),
         (["daemon", "--listen", "nowhere"], "write HOST:PORT"),
         (["daemon", "--listen", "127.0.0.1:99999"], "write HOST:PORT"),

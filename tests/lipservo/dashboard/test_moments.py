@@ -6,7 +6,7 @@ import pytest
 from watched_face import LAYOUT
 
 from lipservo.dashboard.live_frames import GONE_S, BoardReader
-from lipservo.status.live_board import LiveBoard
+from lipservo.runtime.status.live_board import LiveBoard
 
 
 @pytest.fixture

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_bridge.health import HardwareError
+from firmware_bridge.bus import HardwareError
 from lipservo.dashboard.servo_remedies import error_words, told_servos
 
 

@@ -14,7 +14,7 @@ from places import ROOT
 from watched_face import LAYOUT
 
 from lipservo.dashboard.live_frames import FIELDS, Moment, encode, hello, state_hello, state_message
-from lipservo.status.live_board import EXPRESSION_NAMES
+from lipservo.runtime.status.live_board import EXPRESSION_NAMES
 
 N = len(LAYOUT.servos)
 FLOATS = st.floats(-200.0, 200.0) | st.just(float("nan"))

@@ -8,7 +8,7 @@ import pytest
 from logged_servos import NOON, servo
 from typer.testing import CliRunner
 
-from firmware_bridge.health import HardwareError
+from firmware_bridge.bus import HardwareError
 from lipservo.cli import app
 from lipservo.health.health_history import read_history, theil_sen_slope
 from lipservo.health.health_log import append_line, json_line

@@ -3,9 +3,9 @@ import yaml
 from two_servo_face import FACE, load
 
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.loop.channel import MemoryTargetChannel
+from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.simulator.bus import SimulatedBus
-from lipservo.face.servos import bridge_for
+from lipservo.runtime.servos.assembly import bridge_for
 from lipservo.settings.settings import calibration_file, load_shipped_face, shipped_faces
 from lipservo.settings.strict_yaml import SettingsError
 

@@ -15,7 +15,7 @@ from calibration.joint_motion import joint_motion
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from calibration.simulated.practice_robot import markers_of_face
 from lipservo.calibrating.calibration_setup import CalibrationSetup
-from lipservo.face.assembly import assemble_face
+from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.settings.settings import load_shipped_face, shipped_faces
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array

@@ -10,13 +10,13 @@ from lipservo_lab.learning.motion.trained_model import load_trained_model
 from rich.console import Console
 from small_model import small_model
 
-from firmware_bridge.gate.limits import StaleLevel
+from firmware_bridge.gate.ramp import StaleLevel
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import TickReport
-from lipservo.status.face_status import Status
-from lipservo.status.street_tick import StreetTick
+from lipservo.runtime.status.face_status import Status
+from lipservo.runtime.status.street_tick import StreetTick
 from lipservo.terminal.view import TerminalView, draw_mouth
-from lipsync.animpho.other_layout import in_layout
+from lipsync.animpho.units import in_layout
 from lipsync.face.frame import Frame
 from lipsync.markers import MARKERS_39, MARKERS_47
 

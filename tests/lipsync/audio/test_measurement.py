@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.sync.simulated_loudspeaker import SimulatedLoudspeaker
+from lipservo_lab.bench.sync.speaking_robot import SimulatedLoudspeaker
 
 from lipsync.audio.delay import measure_delay
 from lipsync.audio.source import SoundError

@@ -7,21 +7,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lipservo_lab.corpus.grid import read_grid
-from lipservo_lab.learning.expectation.articulation import articulatory_features
 from lipservo_lab.learning.expectation.expectation_training import (
+    Schedule,
     TrainingSet,
     articulation_table,
+    articulatory_features,
     collect_training_set,
-    fit_expectation,
-    joined,
-    phoneme_features,
-)
-from lipservo_lab.learning.expectation.networks import (
-    Schedule,
     fit,
+    fit_expectation,
     forward,
     gradients,
     initial_layers,
+    joined,
+    phoneme_features,
 )
 from small_corpus import write_corpus
 from spoken_phonemes import spoken

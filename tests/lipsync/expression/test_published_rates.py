@@ -4,9 +4,13 @@ from random import Random
 
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.expression.blink_times import blink_intervals_s, blinks_per_min
-from lipservo_lab.evaluation.expression.gaze_shifts import gaze_shifts
-from lipservo_lab.evaluation.expression.shown_expression import cues_of, shown
+from lipservo_lab.evaluation.expression.expression_figures import (
+    blink_intervals_s,
+    blinks_per_min,
+    cues_of,
+    gaze_shifts,
+    shown,
+)
 from lipservo_lab.evaluation.expression.synthetic_prosody import synthetic_voice
 from scipy import stats
 

@@ -12,7 +12,7 @@ from speech import CLIP_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipservo.street.motion_options import MotionOptions, make_synthesizer
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipsync.errors import UserError
 from lipsync.face.model import ModelError, load_face
 

@@ -22,7 +22,7 @@ PLAIN = {"descr": "<f4", "fortran_order": False}
 READ = """
 import json, sys
 from pathlib import Path
-from lipservo.speech.performed_line import performed_line
+from lipservo.runtime.speech.performed_line import performed_line
 from lipsync.offline.performance import read_performance
 path, message = Path(sys.argv[1]), ""
 try:

@@ -5,8 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lipservo_lab.corpus.utterance import Utterance
-from lipservo_lab.learning.expectation.articulation import articulatory_features
-from lipservo_lab.learning.offline.sound_training import fit_sound_expectation, with_sound_deviation
+from lipservo_lab.learning.expectation.expectation_training import articulatory_features
+from lipservo_lab.learning.offline.offline_training import (
+    fit_sound_expectation,
+    with_sound_deviation,
+)
 from spoken_phonemes import spoken
 
 from lipsync.offline.offline_model import line_inputs

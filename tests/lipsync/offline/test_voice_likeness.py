@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.learning.offline.voice_training import fit_voice_likeness
+from lipservo_lab.learning.offline.offline_training import fit_voice_likeness
 from scipy.signal import lfilter
 
 from lipsync.offline.offline_model import mean_cepstrum

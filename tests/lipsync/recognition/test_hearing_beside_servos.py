@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import soundfile
 from lipservo_lab.evaluation.recognition.benchmark import false_speech
-from lipservo_lab.evaluation.recognition.servo_noise import encoder_readings_deg, servo_noise
+from lipservo_lab.evaluation.recognition.conditions import encoder_readings_deg, servo_noise
 from lipservo_lab.evaluation.recognition.stream_observers import label_frames
 from speech import CLIP_PATH
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import soundfile
 import soxr
-from lipservo_lab.evaluation.recognition.endurance import endure
+from lipservo_lab.evaluation.recognition.stream_observers import endure
 from small_network import random_weights
 from speech import CLIP_PATH, phoneme_frames
 

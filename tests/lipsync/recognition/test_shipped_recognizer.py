@@ -15,7 +15,7 @@ from lipservo_lab.evaluation.recognition.closing_times import (
     vowel_cuts,
     with_gap,
 )
-from lipservo_lab.evaluation.recognition.recognized_file import recognize_file
+from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from places import DATA
 from speech import (
@@ -26,7 +26,7 @@ from speech import (
     white_noise,
 )
 
-from lipservo.street.motion_options import make_recognizer
+from lipservo.runtime.motion_options import make_recognizer
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream

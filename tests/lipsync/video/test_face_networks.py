@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lipservo_lab.video.tracked_lips import tracked_gaps_mm
+from lipservo_lab.video.face_track import tracked_gaps_mm
 from places import ROOT
 from scipy.ndimage import map_coordinates
 

@@ -7,9 +7,9 @@ import numpy as np
 from answering_face import AnsweringFace
 
 from firmware_bridge.loop.report import FaceState
-from firmware_bridge.process.command_queue import CommandQueue, Setting
+from firmware_bridge.process.commands import CommandQueue, Setting
+from lipservo.runtime.status.live_board import BoardLayout, LiveBoard, expression_values
 from lipservo.settings.settings import load_shipped_face
-from lipservo.status.live_board import BoardLayout, LiveBoard, expression_values
 from lipsync.phonemes import PHONEMES
 
 STATES = tuple(state.value for state in FaceState)

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from answering_face import AnsweringFace
 
-from firmware_bridge.process.command_queue import CommandQueue, Setting
-from lipservo.status.live_board import EXPRESSION_NAMES, BoardLayout, LiveBoard
+from firmware_bridge.process.commands import CommandQueue, Setting
+from lipservo.runtime.status.live_board import EXPRESSION_NAMES, BoardLayout, LiveBoard
 from lipsync.phonemes import PHONEMES
 
 SERVOS = ("jaw", "upper_lip_left", "upper_lip_right", "lower_lip_left", "lower_lip_right",

@@ -4,14 +4,19 @@
 """
 
 import numpy as np
-from lipservo_lab.bench.sync.simulated_loudspeaker import SimulatedLoudspeaker
-from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, Watched
+from lipservo_lab.bench.sync.speaking_robot import (
+    FACE,
+    RATE_HZ,
+    Deaf,
+    SimulatedLoudspeaker,
+    Watched,
+)
 
 from calibration.simulated.face import marker_positions_mm, simulated_face
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from lipservo.face.assembly import assemble_face
-from lipservo.speech.speech_side import make_speech_side
-from lipservo.street.motion_options import MotionOptions, make_synthesizer
+from firmware_bridge.loop.targets import MemoryTargetChannel
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
+from lipservo.runtime.servos.assembly import assemble_face
+from lipservo.runtime.speech.speech_side import make_speech_side
 from lipsync.audio.playout import Playout
 from lipsync.markers import MARKERS_47
 

@@ -4,8 +4,7 @@ import numpy as np
 import soundfile
 
 from lipsync.face.model import load_face
-from lipsync.offline.performance import RATE_HZ, Performance, performed_sound
-from lipsync.offline.performance_file import write_performance
+from lipsync.offline.performance import RATE_HZ, Performance, performed_sound, write_performance
 from lipsync.phonemes import PhonemeEvent
 
 SOUND_RATE_HZ = 16_000

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from lipservo_lab.video.clip_labels import label_clip
-from lipservo_lab.video.expected_lips import ExpectedLips
+from lipservo_lab.video.sound_shift import ExpectedLips
 from pixel_video import PixelFace, picture, write_video
 
-from lipsync.recognition.speech_file import read_speech
+from lipsync.audio.file import read_speech
 
 TEXT = "my lips move with every word maple fever five brave bumblebees"
 _FROM = round(4.05 * 16_000)

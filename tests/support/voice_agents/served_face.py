@@ -13,7 +13,7 @@ import numpy as np
 from places import short_folder
 from websockets.asyncio.client import connect
 
-from firmware_bridge.process.command_queue import CommandQueue, Setting
+from firmware_bridge.process.commands import CommandQueue, Setting
 from firmware_bridge.process.control_socket import ControlSocket
 from lipservo.agents.agent_server import AgentServer
 from lipservo.agents.listener import AgentSettings, bind_listener

@@ -20,11 +20,9 @@ from typing import Final
 
 from firmware_bridge.dynamixel.control_table import register, servo_models
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Instruction
-from firmware_bridge.dynamixel.wire.frames import Frame, FrameParser
-from firmware_bridge.process.scheduling import run_on_time
-from firmware_bridge.simulator.chain import SimulatedChain
-from firmware_bridge.simulator.group_instructions import sync_read, sync_write
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Frame, FrameParser, Instruction
+from firmware_bridge.process.operating_system import run_on_time
+from firmware_bridge.simulator.chain import SimulatedChain, sync_read, sync_write
 
 _BAUD_RATE: Final = 1_000_000
 _GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address

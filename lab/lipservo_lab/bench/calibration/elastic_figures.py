@@ -16,14 +16,20 @@ from calibration.fit.measured import fit_measured, split_frames
 from calibration.fit.procedure import Procedure, take_grade
 from calibration.grade import lips_off_mm
 from calibration.mouth_servos import MouthServos
-from calibration.simulated.elastic_family import draw_elastic_robot
-from calibration.simulated.elastic_robot import ElasticFace, ElasticRobot
-from lipservo_lab.bench.calibration.capture_faults import count_faults
-from lipservo_lab.bench.calibration.hard_captures import refusals
+from calibration.simulated.elastic_robot import ElasticFace
+from calibration.simulated.robot import SimulatedRobot
+from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
+from lipservo_lab.bench.calibration.hard_captures import count_faults, refusals
 from lipservo_lab.bench.calibration.shipped_ways import way_figures
-from lipservo_lab.bench.calibration.shown_motion import Motion, behind_play, played, shown
-from lipservo_lab.bench.calibration.textbook_rival import rival_poses_deg
-from lipservo_lab.bench.calibration.wanted_shapes import WantedShapes, wanted_shapes
+from lipservo_lab.bench.calibration.shown_motion import (
+    Motion,
+    WantedShapes,
+    behind_play,
+    played,
+    rival_poses_deg,
+    shown,
+    wanted_shapes,
+)
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.markers import MARKERS_47
 
@@ -54,7 +60,7 @@ def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None)
     """Calibrate one robot from capture to grade. Raises CalibrationError where it is refused."""
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
     face = ElasticFace(draw)
-    robot = ElasticRobot(face, noise_seed=seed)
+    robot = SimulatedRobot(face, noise_seed=seed)
     procedure = Procedure(model, servos.joints, N_POSES, seed=seed, positive=servos.positive)
     capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
     fit = fit_measured(model, capture, servos)

@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 import soundfile
 from lipservo_client.blocking_face import Face
-from lipservo_client.face_answers import FaceError
+from lipservo_client.protocol import FaceError
 
 from firmware_bridge.process.control_client import ask
 

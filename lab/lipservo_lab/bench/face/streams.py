@@ -24,20 +24,22 @@ from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.joints import Joint
-from firmware_bridge.loop.bridge import Bridge
-from firmware_bridge.loop.channel import MemoryTargetChannel
-from firmware_bridge.loop.settings import BridgeSettings
-from firmware_bridge.loop.status import face_status
+from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.scheduling import on_time
+from firmware_bridge.process.operating_system import on_time
 from firmware_bridge.stopping import StopLevel
-from firmware_bridge.targets import ServoTargets
 from lipservo.agents.listener import bind_listener
-from lipservo.dashboard.address import address_of
-from lipservo.dashboard.child import dashboard_child
-from lipservo.face.sim_process import simulated_port
-from lipservo.status.live_board import BoardLayout, LiveBoard, expression_values
-from lipservo.status.servo_board import FACE_STATES, ServoBoard
+from lipservo.dashboard.child import address_of, dashboard_child
+from lipservo.runtime.servos.sim_process import simulated_port
+from lipservo.runtime.status.live_board import (
+    FACE_STATES,
+    BoardLayout,
+    LiveBoard,
+    ServoBoard,
+    expression_values,
+)
 from lipsync.phonemes import PHONEMES
 
 RATE_HZ: Final = 100.0

@@ -12,7 +12,7 @@ from lipservo_lab.corpus.alignment_cache import align_corpus
 from lipservo_lab.corpus.transcribed import read_transcribed
 from lipservo_lab.evaluation.recognition.benchmark import measure
 from lipservo_lab.evaluation.recognition.recognition_scores import Score
-from lipservo_lab.learning.synthetic.synthetic_corpus import SyntheticVoice, write_voice
+from lipservo_lab.learning.recognition.synthetic_corpus import SyntheticVoice, write_voice
 from lipsync.errors import UserError
 from lipsync.phonemes import LiveRecognizer
 

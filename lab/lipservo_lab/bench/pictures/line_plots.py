@@ -14,20 +14,16 @@ from lipservo_lab.bench.pictures.motion_plots import (
     mark_phones,
     motion_curves,
 )
-from lipservo_lab.corpus.speech_frames import speech_frames
-from lipservo_lab.corpus.utterance import Utterance
+from lipservo_lab.corpus.utterance import Utterance, speech_frames
 from lipservo_lab.evaluation.motion.methods import CATMULL_ROM, REFERENCE, Heard, Method
 from lipservo_lab.learning.motion.trained_model import TrainedModel
-from lipservo_lab.learning.offline.manifold import speech_manifold
-from lipservo_lab.learning.offline.parameters import joint_parameters
+from lipservo_lab.learning.offline.state_training import joint_parameters, speech_manifold
 from lipsync.arrays import Array, Indices
+from lipsync.audio.file import read_speech
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
-from lipsync.offline.cepstra import at_times, cepstra
 from lipsync.offline.line_methods import PLANNED_METHODS
-from lipsync.offline.line_synthesis import model_line
-from lipsync.offline.state_model import StateModel
-from lipsync.offline.stored_units import joined_phones
-from lipsync.recognition.speech_file import read_speech
+from lipsync.offline.line_synthesis import joined_phones, model_line
+from lipsync.offline.offline_model import StateModel, at_times, cepstra
 
 Row = Mapping[str, object]
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 from lipservo_lab.bench.motion_figures import BenchError
 from lipservo_lab.corpus.utterance import Corpus, CorpusError
-from lipservo_lab.evaluation.motion.splits import Part, words_part
-from lipservo_lab.evaluation.readability.reading_parts import reading_parts
-from lipservo_lab.learning.expectation.hearing import Progress, hear_sentences
+from lipservo_lab.evaluation.motion.motion_scores import Part, words_part
+from lipservo_lab.evaluation.readability.reading_scores import reading_parts
+from lipservo_lab.learning.expectation.deviation import Progress, hear_sentences
 from lipservo_lab.learning.motion.face_training import train
 from lipservo_lab.learning.motion.trained_model import TrainedModel, load_trained_model
-from lipsync.recognition.weights import load_shipped_weights
+from lipsync.recognition.network import load_shipped_weights
 
 ModelOf = Callable[[Part], TrainedModel]
 

@@ -2,6 +2,8 @@
 
 The robot is `face_sim`: calibration, targets, gate and bridge are those of a running face, its
 servos are simulated to the byte, and its geometry is known, so encoders tell where its lips are.
+
+Motion that is known beforehand, played as a synthesiser would.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,19 +16,47 @@ from scipy.interpolate import CubicSpline
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.loop.life_cycle import LifeCycle
 from lipservo.calibrating.calibration_setup import CalibrationSetup
-from lipservo.calibrating.simulated_calibration import fit_simulated_face
-from lipservo.face.assembly import Face, assemble_face
-from lipservo.face.servos import mouth_rules, simulated_wire
-from lipservo.street.street import make_street_of
-from lipservo_lab.bench.readability.played_motion import PlayedMotion
+from lipservo.calibrating.measured_calibration import fit_simulated_face
+from lipservo.runtime.servos.assembly import Face, assemble_face, mouth_rules, simulated_wire
+from lipservo.runtime.street import make_street_of
 from lipservo_lab.evaluation.readability.readers import Motions
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.errors import UserError
+from lipsync.face.frame import Frame
 from lipsync.markers import MARKERS_47
 from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
+
+
+class PlayedMotion:
+    """A `Synthesizer` of given faces, between which it goes by straight lines."""
+
+    lookahead_s = 0.0
+    phonemes_planned = 0
+
+    def __init__(self, times_s: Array, faces: Array) -> None:
+        """times_s: (n,), ascending; faces: (n, n_components)."""
+        self._times_s = times_s
+        self._faces = faces
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Phonemes change nothing."""
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The face at a sound time; before and after all of them the first and the last."""
+        columns = [np.interp(time_s, self._times_s, column) for column in self._faces.T]
+        return Frame(time_s, np.array(columns))
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
+        """Nobody knows."""
+        return None
+
 
 ROBOT: Final = "face_sim"
 #: From one sentence to the next the mouth goes so slowly that nothing is left of it.

@@ -25,7 +25,7 @@ SLOW_S = 4.0
 JUMP_S = 86_400.0
 FOLDER_VARIABLE = "LIPSERVO_BENCH_FOLDER"
 #: (module, function) of what makes the whole status; a test holds that they exist.
-STATUS_MAKERS = (("lipservo.status.face_status", "whole_status"),)
+STATUS_MAKERS = (("lipservo.runtime.status.face_status", "whole_status"),)
 LOOK_UPS = (
     (pwd, ("getpwuid", "getpwnam", "getpwall")),
     (grp, ("getgrgid", "getgrnam", "getgrall")),

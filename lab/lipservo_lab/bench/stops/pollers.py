@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
-from firmware_bridge.process.scheduling import die_with_parent
+from firmware_bridge.process.operating_system import die_with_parent
 from lipservo_lab.bench.stops.raw_control import request
 
 AT_CONTROL, AT_PAGE, AT_AGENTS = 7, 7, 6

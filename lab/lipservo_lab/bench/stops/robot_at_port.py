@@ -21,16 +21,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+import lipservo
+from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN
 from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.units import PULSES_PER_TURN
-from firmware_bridge.simulator.chain import SimulatedChain
-from firmware_bridge.simulator.face import chain_for
-from firmware_bridge.simulator.pty_host import PtyHost
-from lipservo.face.servos import mounted_servos
+from firmware_bridge.simulator.chain import SimulatedChain, chain_for
+from firmware_bridge.simulator.ports import PtyHost
+from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.settings.settings import load_shipped_face
 
 FACE: Final = "face_four"
-CLIP: Final = Path(__file__).parents[2] / "clips" / "welcome.flac"
+CLIP: Final = Path(lipservo.__file__).parent / "clips" / "welcome.flac"
 
 _BAUD_RATE: Final = 1_000_000
 _LOOK_S: Final = 0.005

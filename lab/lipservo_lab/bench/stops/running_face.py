@@ -16,6 +16,7 @@ from types import ModuleType
 from typing import Any, Final
 from urllib.parse import urlsplit
 
+import lipservo
 from lipservo_lab.bench.stops import injected, traced
 from lipservo_lab.bench.stops.raw_control import request
 from lipservo_lab.bench.stops.robot_at_port import (
@@ -36,7 +37,7 @@ _REFUSED_S: Final = 20.0
 #: Of the runtime folder; that programs of this computer find by themselves.
 _TOKEN: Final = "token"
 #: The folder that our packages lie in.
-_ROOT: Final = Path(__file__).parents[3]
+_ROOT: Final = Path(lipservo.__file__).parents[1]
 _PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)")
 _AGENTS: Final = re.compile(r"voice agents: (ws://[\d.]+:\d+)")
 

@@ -62,6 +62,21 @@ def stop_path_figures(
     }
 
 
+def register_files(level: StopLevel) -> set[str]:
+    """Files of ours between a press of the page's STOP and the register of torque.
+
+    Raises RuntimeError where the stop does not come to it.
+    """
+    with running_face(page=True, tracer=traced) as face:
+        walk = _traced(face, level, _by_page)["walk"]
+        came = face.robot.look_until(lambda: bool(_walks(face.inject, "register")), _COMES_S)
+        if not came:
+            raise RuntimeError(f"a {level} stop did not come to the register of torque: {walk}")
+        register = _walks(face.inject, "register")[0]["calls"]
+    passed = {call.rpartition(":")[0] for calls in walk.values() for call in calls}
+    return passed | {file for file, _ in register}
+
+
 def _traced(
     face: RunningFace, level: StopLevel, stop: Callable[[RunningFace, StopLevel], None]
 ) -> dict[str, Any]:
@@ -74,6 +89,7 @@ def _traced(
         stop(face, level)
         came = face.robot.look_until(lambda: _comes_to_queue(face.inject), _COMES_S)
     finally:
+        face.robot.look(_FLAG_S)
         flag.unlink()
     walks = _walks(face.inject)
     if not came:
@@ -94,9 +110,9 @@ def counted(walks: Sequence[Walk]) -> dict[str, Any]:
     }
 
 
-def _walks(folder: Path) -> list[Walk]:
+def _walks(folder: Path, kind: str = "walk") -> list[Walk]:
     """Those of the newest stop; the server's first."""
-    found = [json.loads(path.read_text()) for path in sorted(folder.glob("walk.*.json"))]
+    found = [json.loads(path.read_text()) for path in sorted(folder.glob(f"{kind}.*.json"))]
     return sorted(found, key=lambda walk: walk["role"] == _OWNER)
 
 

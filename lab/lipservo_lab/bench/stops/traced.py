@@ -8,6 +8,10 @@ a task, or gives to a thread of an executor. It ends in a server where a functio
 Unix socket; in the owner where `CommandQueue.stop` is called, which counts. Each walk becomes a
 file, `walk.PID.N.json`.
 
+Where a stop has come to the queue, what that process does in the tick in which it takes it up is a
+walk of its own, `register.PID.N.json`: from the end of a clock's `sleep_until` in the thread of the
+loop to the write whose bytes clear a servo's register of torque.
+
 A call is an entry into a function of ours, a coroutine's or generator's resumption included; what
 libraries do between is not counted, nor what only waits for the answer afterwards.
 """
@@ -38,6 +42,9 @@ _LOOK_S = 0.02
 _SENDS = ("send", "sendall", "sendmsg")
 _MOST_LOOKED_AT = 64
 _DEEPEST = 4
+#: https://emanual.robotis.com/docs/en/dxl/protocol2: write and sync write, to torque enable (64).
+_WRITE, _SYNC_WRITE = 0x03, 0x83
+_TORQUE_ENABLE = b"\x40\x00"
 
 
 class Walk:
@@ -55,11 +62,20 @@ class Walk:
 class StopTracer:
     """Finds the walks of stops among all calls of a process."""
 
-    def __init__(self, root: str, write: Callable[[Walk], None]) -> None:
-        """root: the folder that the packages lie in; write: takes each walk at its end."""
+    def __init__(
+        self, root: str, write: Callable[[Walk], None], write_register: Callable[[Walk], None]
+    ) -> None:
+        """root: the folder that the packages lie in; write: takes each walk at its end.
+
+        write_register: takes that from the tick's beginning to the register.
+        """
         self._prefixes = tuple(os.path.join(root, each) + os.sep for each in PACKAGES)
         self._root = os.path.join(root, "")
         self._write = write
+        self._write_register = write_register
+        #: What each thread passed since its last wait.
+        self._ticks = threading.local()
+        self._is_queued = False
         self._walk: contextvars.ContextVar[Walk | None] = contextvars.ContextVar(
             "walk", default=None
         )
@@ -76,6 +92,7 @@ class StopTracer:
             if walk is not None and not (walk.is_over or walk.at_owner) and _is_unix_send(arg):
                 self._end(walk)
             return
+        self._follow_tick(frame)
         if walk is None:
             if not has_marker(_arguments(frame)):
                 return
@@ -102,7 +119,21 @@ class StopTracer:
         code = frame.f_code
         walk.calls.append((code.co_filename.removeprefix(self._root), code.co_qualname))
         if code.co_qualname == QUEUE:
+            self._is_queued = True
             self._end(walk)
+
+    def _follow_tick(self, frame: FrameType) -> None:
+        code = frame.f_code
+        if code.co_name == "sleep_until":
+            self._ticks.walk = Walk()
+            return
+        walk = getattr(self._ticks, "walk", None)
+        if walk is None:
+            return
+        walk.calls.append((code.co_filename.removeprefix(self._root), code.co_qualname))
+        if self._is_queued and any(clears_torque(each) for each in _arguments(frame)):
+            self._is_queued = False
+            self._write_register(walk)
 
     def _end(self, walk: Walk) -> None:
         walk.is_over = True
@@ -111,6 +142,16 @@ class StopTracer:
 
     def _is_ours(self, frame: FrameType) -> bool:
         return frame.f_code.co_filename.startswith(self._prefixes)
+
+
+def clears_torque(value: Any) -> bool:
+    """Whether these are bytes of a packet that writes 0 to the register of torque."""
+    if not isinstance(value, bytes | bytearray) or len(value) < 13:
+        return False
+    instruction, address = value[7], bytes(value[8:10])
+    if address != _TORQUE_ENABLE or instruction not in (_WRITE, _SYNC_WRITE):
+        return False
+    return value[10 if instruction == _WRITE else 13] == 0
 
 
 def has_marker(value: Any, depth: int = 0) -> bool:
@@ -143,13 +184,13 @@ def install(folder: str, root: str) -> None:
     numbers = itertools.count()
     role = next((each for each in _ROLES if each in sys.orig_argv), "daemon")
 
-    def write(walk: Walk) -> None:
-        path = os.path.join(folder, f"walk.{os.getpid()}.{next(numbers)}.json")
+    def write(walk: Walk, kind: str = "walk") -> None:
+        path = os.path.join(folder, f"{kind}.{os.getpid()}.{next(numbers)}.json")
         with open(f"{path}.coming", "w", encoding="utf-8") as file:
             json.dump({"role": role, "calls": walk.calls}, file)
         os.replace(f"{path}.coming", path)
 
-    tracer = StopTracer(root, write)
+    tracer = StopTracer(root, write, partial(write, kind="register"))
     plain_recv, plain_submit = socket.socket.recv, ThreadPoolExecutor.submit
 
     def recv(end: socket.socket, *arguments: Any) -> bytes:

@@ -1,8 +1,12 @@
-"""From a sample at the microphone to the first goal that depends on it, on a virtual clock."""
+"""From a sample at the microphone to the first goal that depends on it, on a virtual clock.
+
+How soon the mouth follows a microphone, and how right it is: what a puppeteer chooses of.
+"""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -10,14 +14,26 @@ from numpy.typing import NDArray
 
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.simulator.bus import SimulatedBus
-from lipservo.face.assembly import assemble_face
-from lipservo.street.motion_options import MotionOptions, make_recognizer, make_synthesizer
-from lipservo.street.street import make_street
+from lipservo.runtime.motion_options import MotionOptions, make_recognizer, make_synthesizer
+from lipservo.runtime.servos.assembly import assemble_face
+from lipservo.runtime.speech.speech import Delay
+from lipservo.runtime.street import make_street
 from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ
+from lipservo_lab.evaluation.recognition.heard_motion import (
+    Closure,
+    closure_figures,
+    closure_hits,
+    heard_motion,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
-from lipsync.audio.cutter import BLOCK_SAMPLES
 from lipsync.audio.file import FileSource
+from lipsync.audio.source import BLOCK_SAMPLES
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
+from lipsync.motion.live_synthesizer import Style
+from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.network import find_weights
+from lipsync.recognition.network_recognizer import NetworkRecognizer
 
 #: A piece of 10 ms is handed over when it is full and has passed the driver.
 _DRIVER_S: Final = 0.010
@@ -103,3 +119,78 @@ def _goals_deg(samples: NDArray[np.float32], motion: MotionOptions) -> Array:
             if time_s > len(samples) / SAMPLE_RATE_HZ:
                 break
     return np.array(sent_deg)
+
+
+#: How one says how far it has got: what, number, of how many.
+Advance = Callable[[str, int, int], None]
+#: A recording, and the phones that are spoken in it.
+Recording = tuple[Path, Sequence[PhonemeEvent]]
+
+LOOKAHEADS_S: Final = (0.0, 0.05, 0.1)
+#: Of the recogniser: the network's two heads that are quick enough.
+LATENCIES_S: Final = (0.045, 0.095)
+_N_TIMES: Final = 20
+
+
+def microphone_table(
+    recordings: Sequence[Recording],
+    face: TrainedModel,
+    weights: str,
+    accuracy: Callable[[float], Mapping[str, object]],
+    advance: Advance,
+    *,
+    n_times: int = _N_TIMES,
+) -> list[dict[str, object]]:
+    """A row for each look-ahead and each recogniser.
+
+    `declared_delay_ms` is what `run` says at its start; `microphone_to_bus_p95_ms` is measured on
+    the bundled clip at `n_times` instants; the closures are those of the recordings. accuracy: more
+    figures of a recogniser, by its latency in seconds, which no look-ahead changes.
+    """
+    n_rows = len(LATENCIES_S) * len(LOOKAHEADS_S)
+    rows: list[dict[str, object]] = []
+    for latency_s in LATENCIES_S:
+        accurate = accuracy(latency_s)
+        for lookahead_s in LOOKAHEADS_S:
+            advance("table", len(rows), n_rows)
+            motion = MotionOptions(
+                weights=weights, style=Style(lookahead_s), recognizer_latency_s=latency_s
+            )
+            bus_s = clip_to_bus_s(motion, n_times)
+            met = _closures(recordings, face, motion)
+            rows.append(
+                {
+                    "lookahead_ms": _ms(lookahead_s),
+                    "latency_ms": _ms(latency_s),
+                    "declared_delay_ms": _ms(declared_delay_s(motion)),
+                    "microphone_to_bus_p95_ms": _ms(float(np.percentile(bus_s, 95))),
+                    **closure_figures(met),
+                    **accurate,
+                }
+            )
+    advance("table", n_rows, n_rows)
+    return rows
+
+
+def declared_delay_s(motion: MotionOptions) -> float:
+    """From sound to face, as a face says it whose servos are not made up for."""
+    recognizer = make_recognizer(latency_s=motion.recognizer_latency_s, weights=motion.weights)
+    return Delay(recognizer.latency_s, motion.style.lookahead_s).total_s
+
+
+def _closures(
+    recordings: Sequence[Recording], face: TrainedModel, motion: MotionOptions
+) -> list[Closure]:
+    recognizer = NetworkRecognizer(find_weights(motion.weights), motion.recognizer_latency_s)
+    lookahead_s = motion.style.lookahead_s
+    return [
+        closure
+        for sound, phones in recordings
+        for closure in closure_hits(
+            heard_motion(sound, recognizer, face, lookahead_s), phones, face
+        )
+    ]
+
+
+def _ms(seconds: float) -> float:
+    return round(seconds * 1e3, 1)

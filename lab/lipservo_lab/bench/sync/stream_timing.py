@@ -7,12 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lipservo_lab.bench.sync.simulated_loudspeaker import SimulatedLoudspeaker
-from lipservo_lab.bench.sync.speaking_robot import SpeakingRobot, Watched
+from lipservo_lab.bench.sync.speaking_robot import SimulatedLoudspeaker, SpeakingRobot, Watched
 from lipservo_lab.bench.sync.speech_timing import first_sample_s
 from lipsync.arrays import Array
-from lipsync.audio.playout_events import PlayoutRequest
-from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.markers import CLOSED_GAP_MM
 from lipsync.text_to_speech.spoken_text import SpokenText
 

@@ -1,5 +1,9 @@
-"""`lipservo bench NAME`: the figures that this project claims, measured here and now."""
+"""`lipservo bench NAME`: the figures that this project claims, measured here and now.
 
+`lipservo bench replay`: how much faster than sound a file is replayed.
+"""
+
+import tempfile
 import time
 from collections.abc import Mapping
 from importlib import resources
@@ -28,8 +32,8 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
-    from lipservo.street.settled_phonemes import settled_events
-    from lipservo_lab.bench import synthesis_figures as measure
+    from lipservo.runtime.settled_phonemes import settled_events
+    from lipservo_lab.bench import speed_figures as measure
     from lipservo_lab.learning.motion.trained_model import load_trained_model
     from lipsync.audio.file import FileSource
 
@@ -70,7 +74,7 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
     Against the wire and dynamixel-sdk; against rustypot too, when that is installed.
     """
     from lipservo_lab.bench.bus import bus_figures as measure
-    from lipservo_lab.bench.bus.bus_cpu_figures import cpu_ratios
+    from lipservo_lab.bench.bus.bus_figures import cpu_ratios
     from lipservo_lab.bench.bus.process_cpu_figures import process_ratios
     from lipservo_lab.bench.bus.tick_cpu_figures import tick_ratios
 
@@ -198,6 +202,25 @@ def stop_path(as_json: Json = False, quiet: Quiet = False) -> None:
         raise typer.Exit(1)
 
 
+def house(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Count what a tick, a stop and a command pass of the source, and the lines of each room.
+
+    Needs a checkout. Figures above a bar are named at the end; exit status 1 where there are any.
+    """
+    from lipservo_lab.bench.house.house_figures import house_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("house", total=None)
+        figures = house_figures(lambda what: progress.update(steps, description=what))
+    over = figures["over"]
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    for line in over:
+        MESSAGES.print(line, highlight=False)
+    if over:
+        raise typer.Exit(1)
+
+
 def endurance(
     cycles: Annotated[int, typer.Option(min=1_000, help="How many ticks of the bridge.")] = 100_000,
     resume: Annotated[
@@ -216,8 +239,8 @@ def endurance(
     Ctrl-C ends it with the figures so far; with --resume the same command goes on from there.
     Exit status 1 when anything happened that must not.
     """
-    from lipservo.street.daemon import stopped_by_signals
-    from lipservo_lab.bench.endurance_figures import endurance_figures, what_went_wrong
+    from lipservo.runtime.face_runtime import stopped_by_signals
+    from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
 
     began_s = time.perf_counter()
     with (
@@ -258,8 +281,8 @@ def calibration(
     quiet: Quiet = False,
 ) -> None:
     """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
+    from lipservo_lab.bench.calibration.calibration_figures import calibration_figures, read_seeds
     from lipservo_lab.bench.calibration.elastic_figures import elastic_figures
-    from lipservo_lab.bench.calibration_figures import calibration_figures, read_seeds
 
     if ways and family is not RobotFamily.ELASTIC:
         raise typer.BadParameter("--ways goes with --family elastic")
@@ -277,6 +300,33 @@ def calibration(
 
 def _print(figures: Mapping[str, object], seconds: float, *, as_json: bool) -> None:
     result = {**figures, "machine": machine_class(), "seconds": seconds}
+    if as_json:
+        print_json(result)
+        return
+    for name, value in result.items():
+        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def replay(
+    sound: Annotated[
+        Path | None,
+        typer.Argument(help="Sound file; default: 20 s of the bundled clip.", show_default=False),
+    ] = None,
+    times: Annotated[int, typer.Option(min=1, help="The median of so many replays counts.")] = 5,
+    as_json: Json = False,
+) -> None:
+    """Measure the speed of `replay`, and of its recogniser with sound ahead and without."""
+    from lipservo_lab.bench.speed_figures import repeated, replay_figures
+
+    if sound is not None:
+        figures = replay_figures(sound, times)
+    else:
+        with (
+            resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
+            tempfile.TemporaryDirectory() as folder,
+        ):
+            figures = replay_figures(repeated(clip, Path(folder) / "welcome.wav"), times)
+    result = {**figures, "machine": machine_class()}
     if as_json:
         print_json(result)
         return

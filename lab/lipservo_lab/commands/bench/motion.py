@@ -1,19 +1,23 @@
-"""`lipservo bench motion`: our motion and the baselines against recorded faces."""
+"""`lipservo bench motion`: our motion and the baselines against recorded faces.
+
+`lipservo bench motion --video`: our mouth beside faces that anybody filmed.
+"""
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 from rich.progress import Progress
 from rich.table import Table
 
 from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShare
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
-from lipservo_lab.commands.bench.video import measure_video
+from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
+from lipsync.errors import check_extra
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
 if TYPE_CHECKING:
     from lipservo_lab.bench.motion_figures import Question
@@ -22,8 +26,52 @@ if TYPE_CHECKING:
     from lipservo_lab.learning.motion.trained_model import TrainedModel
 
 
-#: What is printed of a row, and its heading; all of it together fits 80 columns.
 _HEADINGS = {
+    "clip": "clip",
+    "gap_r": "gap r",
+    "loudness_r": "loudness r",
+    "best_shift_ms": "best at ms",
+    "gap_r_at_best": "gap r there",
+    "seconds": "s",
+}
+
+
+def measure_video(
+    folder: Path, landmarker: Path | None, model: Path | None, *, as_json: bool, quiet: bool
+) -> None:
+    """Print how our lip gap, by the sound alone, goes with the one that is filmed."""
+    from lipservo_lab.bench.foreign_faces import foreign_figures
+    from lipservo_lab.video.video_clips import find_clips
+    from lipsync.video.face_tracker import open_tracker
+
+    began_s = time.perf_counter()
+    check_extra("av", "bench motion --video")
+    clips = find_clips(folder)
+    tracker = open_tracker(landmarker)
+    with progress_bar(quiet=quiet) as advance:
+        figures = foreign_figures(clips, tracker, model, advance)
+    answer = {
+        **figures,
+        "default_strategy": LIVE_STRATEGY,
+        "machine": machine_class(),
+        "wall_s": round(time.perf_counter() - began_s, 1),
+    }
+    if as_json:
+        print_json(answer)
+        return
+    rows = cast("list[dict[str, Any]]", figures["clips"])
+    table = Table(*_HEADINGS.values(), box=None, pad_edge=False)
+    for row in [r for r in rows if not r["left_out"]]:
+        table.add_row(*(str(row[name]) for name in _HEADINGS))
+    table.add_row("all", *(str(figures[name]) for name in list(_HEADINGS)[1:]))
+    RESULTS.print(table)
+    for row in rows:
+        if row["left_out"]:
+            MESSAGES.print(f"left out: {row['clip']}: {row['left_out']}", soft_wrap=True)
+
+
+#: What is printed of a row, and its heading; all of it together fits 80 columns.
+_MOTION_HEADINGS = {
     "split": "split",
     "strategy": "strategy",
     "lookahead_ms": "ms",
@@ -154,10 +202,10 @@ def _answer(
     from lipservo_lab.bench import motion_figures as measure
     from lipservo_lab.corpus.grid import read_grid
     from lipservo_lab.evaluation.motion.motion_scores import seen_in_training
-    from lipservo_lab.learning.expectation.hearing import hear_sentences
+    from lipservo_lab.learning.expectation.deviation import hear_sentences
     from lipservo_lab.learning.motion.face_training import train
     from lipsync.markers import MARKERS_47
-    from lipsync.recognition.weights import load_shipped_weights
+    from lipsync.recognition.network import load_shipped_weights
 
     sentences = read_grid(
         folder,
@@ -231,8 +279,8 @@ def _rendering(
     rendering: "OfflineModels", folder: Path, model: "TrainedModel", *, skip_bad: bool
 ) -> dict[str, Any]:
     """What a sentence costs and what a model of the folder does; nothing for one too small."""
-    from lipservo_lab.bench.building_cost import building_cost
     from lipservo_lab.bench.motion_figures import BenchError
+    from lipservo_lab.bench.offline_models import building_cost
     from lipsync.offline.line_methods import DEFAULT_METHOD
 
     seconds = rendering.seconds_per_sentence()
@@ -248,7 +296,7 @@ def _rendering(
 
 
 def _print_answer(answer: Mapping[str, Any]) -> None:
-    _print_table("Motion", answer["results"], _HEADINGS)
+    _print_table("Motion", answer["results"], _MOTION_HEADINGS)
     if "seconds_per_sentence" in answer:
         _print_table("Rendering", [{name: answer.get(name) for name in _RENDERING}])
     for name, rows in (answer["paper"] or {}).items():

@@ -72,8 +72,12 @@ def readability(
 ) -> None:
     """Measure how many words can be read off the mouth, by readers of recorded faces."""
     from lipservo.terminal.pictures import check_folder
-    from lipservo_lab.bench.readability.readability_figures import headline, reading_question
-    from lipservo_lab.bench.readability.readability_plot import PICTURES, draw_readability
+    from lipservo_lab.bench.readability.readability_figures import (
+        PICTURES,
+        draw_readability,
+        headline,
+        reading_question,
+    )
     from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 
     began_s = time.perf_counter()

@@ -1,16 +1,29 @@
-"""`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost."""
+"""`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost.
 
+`lipservo bench texts`: how well `align` tells what was said from what was not.
+
+`lipservo bench languages`: closures and openings heard in other languages than English.
+"""
+
+import tempfile
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
 import typer
+from rich.table import Table
 
 from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
-from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
-from lipservo.terminal.progress_bar import Advance, progress_bar
-from lipsync.recognition.weights import DEFAULT_WEIGHTS
+from lipservo.terminal.output import (
+    MESSAGES,
+    RESULTS,
+    Advance,
+    machine_class,
+    print_json,
+    progress_bar,
+)
+from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
 
 Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
 Limit = Annotated[
@@ -66,9 +79,12 @@ def recognition(
     quiet: Quiet = False,
 ) -> None:
     """Measure a recogniser, live, against forced alignment of the transcripts."""
-    from lipservo_lab.bench.aligned_corpus import aligned, selected
-    from lipservo_lab.bench.hearing.measured_recognizer import measured_recognizer
-    from lipservo_lab.bench.hearing.speaker_groups import speaker_groups
+    from lipservo_lab.bench.hearing.recognizer_bench import (
+        aligned,
+        measured_recognizer,
+        selected,
+        speaker_groups,
+    )
     from lipservo_lab.evaluation.recognition.benchmark import measure
     from lipservo_lab.evaluation.recognition.conditions import parse_condition
 
@@ -124,18 +140,18 @@ def listening(
     """Measure false speech, the time that a block costs, how soon the mouth closes and wakes."""
     import numpy as np
 
-    from lipservo_lab.bench.hearing.measured_recognizer import measured_recognizer
+    from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
     from lipservo_lab.evaluation.recognition.benchmark import (
         block_costs_s,
         false_speech,
         own_servo_figures,
         quiet_sounds,
     )
-    from lipsync.recognition.speech_file import read_speech
+    from lipsync.audio.file import read_speech
 
     utterances = None
     if corpus is not None:
-        from lipservo_lab.bench.aligned_corpus import aligned, selected
+        from lipservo_lab.bench.hearing.recognizer_bench import aligned, selected
 
         utterances = selected(corpus, speakers, limit=limit)
     recognizer = measured_recognizer(engine, latency_ms / 1e3, weights)()
@@ -150,8 +166,11 @@ def listening(
     for percent in (50, 99):
         figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
     if utterances is not None:
-        from lipservo_lab.evaluation.recognition.closing_times import ClosingBench, closing_figures
-        from lipservo_lab.evaluation.recognition.waking_times import waking_figures
+        from lipservo_lab.evaluation.recognition.closing_times import (
+            ClosingBench,
+            closing_figures,
+            waking_figures,
+        )
         from lipservo_lab.learning.motion.trained_model import load_trained_model
         from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
 
@@ -166,8 +185,8 @@ def listening(
                 )
                 figures |= measured(bench, recordings, np.random.default_rng(0))
     if hours > 0.0:
-        from lipservo.street.summary import resident_mb
-        from lipservo_lab.evaluation.recognition.endurance import endure, without_pauses
+        from lipservo.runtime.summary import resident_mb
+        from lipservo_lab.evaluation.recognition.stream_observers import endure, without_pauses
 
         speech = without_pauses(recognizer, speech)
         with progress_bar(quiet=quiet) as advance:
@@ -196,3 +215,75 @@ def _print(figures: dict[str, object], *, as_json: bool) -> None:
         return
     for name, value in figures.items():
         RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def texts(
+    corpus: Annotated[Path, typer.Option(help="Folder as for `bench recognition`.")],
+    speakers: Speakers = "",
+    limit: Limit = None,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how often `align` refuses, doubts and passes true and false texts."""
+    from lipservo_lab.bench.hearing.recognizer_bench import selected
+    from lipservo_lab.evaluation.recognition.benchmark import score_texts, text_figures
+
+    utterances = selected(corpus, speakers, limit=limit)
+    learned = find_weights(weights)
+    scores = []
+    with progress_bar(quiet=quiet) as advance:
+        for number, each in enumerate(score_texts(utterances, learned), start=1):
+            scores.append(each)
+            advance("aligning", number, len(utterances))
+    figures = {**text_figures(scores), "weights": weights, "machine": machine_class()}
+    if as_json:
+        print_json(figures)
+        return
+    for name, value in figures.items():
+        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+
+
+def languages(
+    languages: Annotated[
+        str, typer.Option(help="Only these, with commas between: de,fr,ja.", show_default=False)
+    ] = "",
+    engine: MeasuredEngineChoice = "network",
+    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure what is heard of languages that espeak-ng speaks, by its own phoneme times.
+
+    Ten sentences each. Phonemes that English lacks are taken for those that look alike on the lips.
+    """
+    from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
+    from lipservo_lab.bench.hearing.spoken_languages import (
+        language_scores,
+        language_sentences,
+        read_languages,
+    )
+
+    chosen = read_languages(languages)
+    make = measured_recognizer(engine, latency_ms / 1e3, weights)
+    n_sentences = sum(len(language_sentences()[tag]) for tag in chosen)
+    n_done = 0
+    with progress_bar(quiet=quiet) as advance, tempfile.TemporaryDirectory() as folder:
+
+        def count() -> None:
+            nonlocal n_done
+            n_done += 1
+            advance("speaking", n_done, n_sentences)
+
+        scores = language_scores(chosen, make, Path(folder), count)
+    figures = {tag: score.figures() for tag, score in scores.items()}
+    if as_json:
+        settings = {"engine": engine, "weights": weights, "latency_ms": latency_ms}
+        print_json({"languages": figures, **settings, "machine": machine_class()})
+        return
+    columns = ("closure_recall", "closure_precision", "opening_recall", "opening_precision")
+    table = Table("language", *(name.replace("_", " ") for name in columns), "visemes of speech")
+    for tag, row in figures.items():
+        table.add_row(tag, *(f"{row[name]:.2f}" for name in (*columns, "viseme_speech")))
+    RESULTS.print(table)

@@ -1,17 +1,29 @@
-"""`learn recognizer` and `learn plot`: the recogniser's weights, and the log of their training."""
+"""`learn recognizer` and `learn plot`: the recogniser's weights, and the log of their training.
 
+`adapt`: the recogniser's weights learn one voice.
+
+The picture of a recogniser's training: its loss, and what the validation speakers say.
+"""
+
+import json
 import os
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from rich.table import Table
 
-from lipservo.commands.options import Quiet
-from lipservo.terminal.output import MESSAGES
-from lipservo.terminal.progress_bar import progress_bar
-from lipsync.errors import UserError
-from lipsync.extras import check_extra
+from lipservo.commands.options import Json, Quiet, WeightsChoice
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
+from lipservo.terminal.pictures import save_picture, without_screen
+from lipsync.errors import UserError, check_extra
 from lipsync.output_file import check_output
+from lipsync.recognition.network import DEFAULT_WEIGHTS
+
+if TYPE_CHECKING:
+    from lipservo_lab.learning.adaptation.voice import Voice
 
 
 def train_recognizer(
@@ -96,10 +108,10 @@ def train_recognizer(
     """Learn the recogniser's weights (needs the extra `train`: torch)."""
     check_extra("torch", "learn recognizer")
     from lipservo_lab.corpus.transcribed import read_names
-    from lipservo_lab.learning.recognition.training_plan import TrainingPlan
+    from lipservo_lab.learning.recognition.synthetic_corpus import read_voices
+    from lipservo_lab.learning.recognition.training_data import TrainingPlan
     from lipservo_lab.learning.recognition.training_run import TrainingRun, run_training
-    from lipservo_lab.learning.synthetic.synthetic_corpus import read_voices
-    from lipsync.recognition.weights import find_weights, is_weights, save_weights
+    from lipsync.recognition.network import find_weights, is_weights, save_weights
 
     check_output(output, replaces=is_weights, kind="weights")
     if start_share and start_from is None:
@@ -138,7 +150,6 @@ def plot_training(
 ) -> None:
     """Draw the run log of `train-recognizer` (needs the extra `plots`)."""
     from lipservo.terminal.pictures import check_picture
-    from lipservo_lab.bench.training_plot import draw_log, read_log
 
     check_picture(output, [log])
 
@@ -148,9 +159,163 @@ def plot_training(
 
 def _speakers(listed: str) -> frozenset[str]:
     """Names with commas between; one that ends in .csv is a file of speakers."""
-    from lipservo_lab.corpus.speaker_table import read_speakers
+    from lipservo_lab.corpus.transcribed import read_speakers
 
     names: set[str] = set()
     for name in filter(None, (each.strip() for each in listed.split(","))):
         names |= set(read_speakers(Path(name))) if name.endswith(".csv") else {name}
     return frozenset(names)
+
+
+#: What is graded, in words for the table.
+_GRADED = {
+    "viseme_speech": "visemes, frames of speech",
+    "viseme_all": "visemes, all frames",
+    "closure_recall": "P B M heard",
+    "closure_precision": "of those heard, said",
+    "per": "phone error rate",
+}
+
+
+def adapt(
+    voice_folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of 2 to 10 minutes of one voice: NAME.wav and beside it NAME.txt, what is "
+            "said in it; or a corpus as for `train-recognizer`."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")],
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    speaker: Annotated[
+        str | None,
+        typer.Option(help="Of a corpus of several speakers: this one.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 100,
+    rate: Annotated[
+        float, typer.Option(min=0.0, max=0.01, help="Learning rate at its peak.")
+    ] = 5e-4,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the voice.")] = 2,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Processes, and threads of learning; default: one a core.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Adapt the recogniser to one voice: a synthetic one, or whoever speaks for the robot.
+
+    Every fifth sentence is not learned from but graded on; weights that do not hear the voice
+    better are refused. Needs the extra `train` (torch). Use them with `run --weights my.npz`.
+    """
+    check_extra("torch", "learn adapt")
+    from lipservo_lab.corpus.transcribed import read_transcribed
+    from lipservo_lab.evaluation.recognition.recognition_scores import settled_score
+    from lipservo_lab.learning.adaptation.voice import VoiceError, only_speaker, read_voice
+    from lipservo_lab.learning.adaptation.voice_learning import AdaptationPlan
+    from lipservo_lab.learning.adaptation.voice_learning import adapt as adapted
+    from lipsync.recognition.network import find_weights, is_weights, save_weights
+
+    start = find_weights(weights)
+    check_output(output, replaces=is_weights, kind="weights", inputs=[Path(weights)])
+    n_jobs = jobs or os.cpu_count() or 1
+    plan = AdaptationPlan(
+        n_steps=steps, peak_rate=rate, n_copies=copies, seed=seed, n_threads=n_jobs
+    )
+    with progress_bar(quiet=quiet) as advance:
+        voice = read_voice(only_speaker(read_transcribed(voice_folder), speaker), advance, n_jobs)
+        heard = [sentence.speech for sentence in voice.held_out]
+        before = settled_score(start, heard).figures()
+        learned = adapted(start, [sentence.speech for sentence in voice.learned], plan, advance)
+        after = settled_score(learned, heard).figures()
+    is_better = after["viseme_speech"] > before["viseme_speech"]
+    figures = {
+        "weights": weights,
+        "sentences": len(voice.learned),
+        "seconds": round(voice.learned_s, 1),
+        "held_out_sentences": len(voice.held_out),
+        "held_out_seconds": round(voice.held_out_s, 1),
+        "left_out": dict(voice.left_out),
+        "before": {key: before[key] for key in _GRADED},
+        "after": {key: after[key] for key in _GRADED},
+        "better": is_better,
+    }
+    if as_json:
+        print_json(figures)
+    else:
+        _print(voice, before, after)
+    if not is_better:
+        raise VoiceError(
+            f"{output}: not written, since the adapted weights do not hear this voice better than "
+            f"{weights}; keep those, or record more of the voice"
+        )
+    about = {
+        **figures,
+        "weights": Path(weights).name,
+        "voice": voice_folder.resolve().name,
+        "seed": seed,
+        "steps": plan.n_steps,
+    }
+    save_weights(learned, output, {**about, "lipservo": version("lipservo")})
+    MESSAGES.print(f"{output}: done; `lipservo run --weights {output}`", soft_wrap=True)
+
+
+def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
+    for name, reason in voice.left_out.items():
+        MESSAGES.print(f"left out: {name}: {reason}", soft_wrap=True)
+    RESULTS.print(
+        f"learned from {len(voice.learned)} sentences, {voice.learned_s:.0f} s; "
+        f"graded on {len(voice.held_out)} others, {voice.held_out_s:.0f} s:"
+    )
+    table = Table("", "before", "after", box=None, pad_edge=False)
+    for key, told in _GRADED.items():
+        table.add_row(told, f"{before[key]:.3f}", f"{after[key]:.3f}")
+    RESULTS.print(table)
+
+
+Record = Mapping[str, float]
+
+
+class TrainingLogError(UserError):
+    """A run log that cannot be drawn; the message is one line."""
+
+
+def read_log(path: Path) -> list[Record]:
+    """The lines of a `log.jsonl`; TrainingLogError for a file that is none."""
+    try:
+        records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except OSError as error:
+        raise TrainingLogError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise TrainingLogError(f"{path}: no run log: not one JSON object a line") from error
+    if not records or not all(
+        isinstance(r, dict) and {"step", "loss"} <= r.keys() for r in records
+    ):
+        raise TrainingLogError(f"{path}: no run log: every line must hold a step and a loss")
+    return records
+
+
+def draw_log(records: Sequence[Record], picture: Path) -> None:
+    """Loss on the left, accuracies of visemes by condition on the right, over the steps."""
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    left.plot([r["step"] for r in records], [r["loss"] for r in records])
+    left.set(xlabel="step", ylabel="loss", title="training")
+    checked = [r for r in records if len(r) > 2]
+    for key in sorted(checked[-1]) if checked else ():
+        if key.endswith("_viseme_all"):
+            points = [(r["step"], r[key]) for r in checked if key in r]
+            name = key.removesuffix("_viseme_all").replace("_", " ")
+            right.plot(*zip(*points, strict=True), marker="o", label=name)
+    right.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
+    if right.lines:
+        right.legend(fontsize="small")
+    save_picture(figure, picture)
+    plt.close(figure)

@@ -84,11 +84,9 @@ def record_corpus(
             f"{output}: {n_before} of {len(asked)} sentences are there already", soft_wrap=True
         )
     from firmware_bridge.stop_signals import SignalCounter
-    from lipservo.calibrating.camera import AvCamera
-    from lipservo.calibrating.camera_feed import CameraFeed
-    from lipservo.terminal.pressed_keys import PressedKeys
-    from lipservo_lab.recording.screen import Screen
-    from lipservo_lab.recording.session import Devices, Session
+    from lipservo.calibrating.camera import AvCamera, CameraFeed
+    from lipservo.terminal.keys import PressedKeys
+    from lipservo_lab.recording.session import Devices, Screen, Session
     from lipsync.audio.microphone import MicrophoneSource
 
     feed = CameraFeed(AvCamera(camera, mode))

@@ -1,21 +1,206 @@
-"""The figures of a face's expression that `lipservo bench face` prints."""
+"""The figures of a face's expression that `lipservo bench face` prints.
 
+Blinks found in the track of a lid, and how often they come.
+
+Saccades found in a track of gaze, with their sizes and durations.
+
+What a source of expressions shows to a voice, as arrays, and how long it takes.
+
+How a head's motion goes with the voice: how much later, and how closely.
+"""
+
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import cycle, islice
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from lipservo_lab.evaluation.expression.blink_times import blinks_per_min
-from lipservo_lab.evaluation.expression.gaze_shifts import GazeShifts, gaze_shifts
-from lipservo_lab.evaluation.expression.prosody_to_head import (
-    canonical_r,
-    canonical_r_shuffled,
-    lag_ms,
-)
-from lipservo_lab.evaluation.expression.shown_expression import ShownExpression, cues_of, shown
-from lipsync.expression.cue import CUE_PERIOD_S, ExpressionSource
+from lipsync.arrays import Array, Indices
+from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue, ExpressionSource
+from lipsync.face.frame import Expression
 from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
+
+#: A lid that is more than half shut blinks: a gaze down takes it to half at most.
+_SHUT = 0.66
+
+
+def blink_cues(lid: Array) -> Indices:
+    """The cues at which a lid (n,) passes two thirds on its way to shut."""
+    is_shut = lid > _SHUT
+    return np.flatnonzero(is_shut[1:] & ~is_shut[:-1]) + 1
+
+
+def blinks_per_min(lid: Array, counts: NDArray[np.bool_]) -> float:
+    """Blinks a minute among the cues that count (n,); NaN where none does."""
+    if not counts.any():
+        return float("nan")
+    minutes = float(counts.sum()) * CUE_PERIOD_S / 60.0
+    return float(counts[blink_cues(lid)].sum()) / minutes
+
+
+def blink_intervals_s(lid: Array) -> Array:
+    """From the beginning of each blink to that of the next, seconds."""
+    return np.diff(blink_cues(lid)) * CUE_PERIOD_S
+
+
+#: Between two saccades gaze holds; rounding alone moves it less.
+_HOLDS_DEG = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class GazeShifts:
+    """(k,) each: when they begin, how large they are, how long they take."""
+
+    start_s: Array
+    magnitude_deg: Array
+    duration_s: Array
+
+    @property
+    def seconds_per_deg(self) -> float:
+        """Slope of duration over magnitude, least squares."""
+        return float(np.polyfit(self.magnitude_deg, self.duration_s, 1)[0])
+
+
+def gaze_shifts(gaze_deg: Array) -> GazeShifts:
+    """gaze_deg: (n, 2), in the robot's frame, of a source whose gaze holds between saccades."""
+    moves = np.hypot(*np.diff(gaze_deg, axis=0).T) > _HOLDS_DEG
+    edges = np.diff(np.concatenate([[False], moves, [False]]).astype(int))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    way_deg = gaze_deg[ends] - gaze_deg[starts]
+    magnitude_deg = np.asarray(np.hypot(way_deg[:, 0], way_deg[:, 1]), np.float64)
+    duration_s = np.asarray((ends - starts) * CUE_PERIOD_S, np.float64)
+    return GazeShifts(np.asarray(starts * CUE_PERIOD_S, np.float64), magnitude_deg, duration_s)
+
+
+#: Columns of a track of expressions.
+NAMES: Final = tuple(field.name for field in fields(Expression))
+#: As the speech side counts: a pause within a sentence is speech until it has lasted so long.
+_PAUSE_S = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class ShownExpression:
+    """A track of n cues, CUE_PERIOD_S apart.
+
+    values: (n, 9), columns by NAMES, NaN where absent. is_speaking: (n,). loudness_z, pitch_z:
+    (n,), of the voice. step_ms: (n,), how long each step took.
+    """
+
+    values: Array
+    is_speaking: NDArray[np.bool_]
+    loudness_z: Array
+    pitch_z: Array
+    step_ms: Array
+
+    def column(self, name: str) -> Array:
+        """One degree of freedom by its name in `Expression`."""
+        return self.values[:, NAMES.index(name)]
+
+    @property
+    def gaze_deg(self) -> Array:
+        """(n, 2): yaw and pitch in the robot's frame, head and eyes together."""
+        yaw_deg = self.column("neck_yaw_deg") + self.column("eye_yaw_deg")
+        return np.column_stack(
+            [yaw_deg, self.column("neck_pitch_deg") + self.column("eye_pitch_deg")]
+        )
+
+
+def cues_of(voice: Iterable[VoiceFrame]) -> Iterator[ExpressionCue]:
+    """The cues of a face that speaks with this voice and looks at nobody in particular."""
+    silent_s, has_spoken = 0.0, False
+    for n, frame in enumerate(voice, start=1):
+        silent_s = 0.0 if frame.is_speech else silent_s + CUE_PERIOD_S
+        has_spoken = has_spoken or frame.is_speech
+        is_speaking = has_spoken and silent_s < _PAUSE_S
+        yield ExpressionCue(n * CUE_PERIOD_S, frame, is_speaking, silent_s, arousal=frame.arousal)
+
+
+def shown(source: ExpressionSource, cues: Iterable[ExpressionCue]) -> ShownExpression:
+    """Steps a source through cues, each step timed."""
+    values, speaking, loudness, pitch, took = [], [], [], [], []
+    for cue in cues:
+        began_ns = time.perf_counter_ns()
+        expression = source.step(cue)
+        took.append((time.perf_counter_ns() - began_ns) * 1e-6)
+        values.append([_number(getattr(expression, name)) for name in NAMES])
+        speaking.append(cue.is_speaking)
+        loudness.append(cue.voice.loudness_z if cue.voice.is_speech else 0.0)
+        pitch.append(cue.voice.pitch_z if cue.voice.is_speech else 0.0)
+    return ShownExpression(
+        np.array(values), np.array(speaking), np.array(loudness), np.array(pitch), np.array(took)
+    )
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+#: Lags looked through, either way.
+_MOST_LAG_S: Final = 0.5
+#: Other places of the same voice that the head is compared with, at least so far off.
+_N_SHUFFLED, _LEAST_SHIFT_S = 20, 5.0
+
+
+def lag_ms(shown: ShownExpression) -> float:
+    """By how much head pitch velocity follows loudness where |cross-correlation| is greatest.
+
+    Both over speech only, at cue times; positive: the head is later.
+    """
+    loudness = _centred(np.where(shown.is_speaking, shown.loudness_z, 0.0))
+    velocity = _centred(_velocity(shown.column("neck_pitch_deg")))
+    most = round(_MOST_LAG_S / CUE_PERIOD_S)
+    inner = slice(most, len(loudness) - most)
+    lags = np.arange(-most, most + 1)
+    strengths = [
+        abs(float(loudness[inner] @ velocity[most + lag : len(velocity) - most + lag]))
+        for lag in lags
+    ]
+    return float(lags[int(np.argmax(strengths))]) * CUE_PERIOD_S * 1e3
+
+
+def canonical_r(shown: ShownExpression, lag_s: float = 0.0) -> float:
+    """First canonical correlation of prosody and head, over speech.
+
+    Prosody: loudness, pitch, and their velocities. Head: velocities of pitch and yaw, `lag_s`
+    later. Hotelling, Biometrika 28, 1936; by the singular values of Bjorck and Golub, 1973.
+    """
+    return _first_canonical(*_features(shown, lag_s))
+
+
+def canonical_r_shuffled(shown: ShownExpression, lag_s: float = 0.0, seed: int = 0) -> float:
+    """The same against other places of the same voice, mean of 20: what chance alone gives."""
+    prosody, head = _features(shown, lag_s)
+    least = min(round(_LEAST_SHIFT_S / CUE_PERIOD_S), len(head) // 3)
+    shifts = np.random.default_rng(seed).integers(least, len(head) - least, _N_SHUFFLED)
+    return float(np.mean([_first_canonical(np.roll(prosody, s, axis=0), head) for s in shifts]))
+
+
+def _features(shown: ShownExpression, lag_s: float) -> tuple[Array, Array]:
+    """(n, 4) and (n, 2), n: cues of speech."""
+    lag = round(lag_s / CUE_PERIOD_S)
+    prosody = [shown.loudness_z, shown.pitch_z]
+    prosody += [_velocity(each) for each in prosody]
+    head = [np.roll(_velocity(shown.column(f"neck_{axis}_deg")), -lag) for axis in ("pitch", "yaw")]
+    rows = shown.is_speaking.copy()
+    rows[len(rows) - lag :] = False
+    return np.column_stack(prosody)[rows], np.column_stack(head)[rows]
+
+
+def _first_canonical(one: Array, other: Array) -> float:
+    bases = [np.linalg.qr(each - each.mean(axis=0))[0] for each in (one, other)]
+    return float(np.linalg.svd(bases[0].T @ bases[1], compute_uv=False)[0])
+
+
+def _velocity(values: Array) -> Array:
+    return np.asarray(np.gradient(values, CUE_PERIOD_S))
+
+
+def _centred(values: Array) -> Array:
+    return np.asarray(values - values.mean())
+
 
 #: Of a dialogue: this much of the voice, then as much silence.
 _TURN_S = 5.0

@@ -2,20 +2,47 @@
 
 Definitions: docs/motion.md. A sentence yields sums, so that figures of any set of sentences, and
 of any bootstrap sample of them, are cheap.
+
+What of the lips anybody sees, and a robot can show: how far apart, how wide, how far forward.
+
+How fast the lips go from one tick of 10 ms to the next: steps that 25 frames a second hide.
+
+Of recorded lips (grid_s1, 25 Hz) 99 % of frames are below 200 mm/s and none is above 310.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipservo_lab.corpus.utterance import Utterance
-from lipservo_lab.evaluation.motion.lip_shape import LIP_SHAPE, lip_shapes_mm
 from lipsync.arrays import Array
 from lipsync.face.model import FaceModel
 from lipsync.markers import CLOSED_GAP_MM
+from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import SILENCE, PhonemeEvent
+
+#: Columns of `lip_shapes_mm`.
+LIP_SHAPE = ("gap", "width", "protrusion")
+
+
+def lip_shapes_mm(face: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
+    """(n_frames, n_points, 3) -> (n_frames, 3), in the order of LIP_SHAPE.
+
+    gap: as `FaceModel.lip_gaps_mm`. width: from the outermost point of the lips on the one side to
+    that on the other, sideways; NaN for a layout without points of the lips. protrusion: how far
+    forward, in the head's pose, the middle of the two points of the lip gap stands.
+    """
+    layout = face.layout
+    gap_mm = face.lip_gaps_mm(markers_mm)
+    middle_mm = (markers_mm[:, layout.upper_lip] + markers_mm[:, layout.lower_lip]) / 2.0
+    if layout.lips:
+        width_mm = np.ptp(markers_mm[:, list(layout.lips), 0], axis=1)
+    else:
+        width_mm = np.full(len(gap_mm), np.nan)
+    return np.stack([gap_mm, width_mm, middle_mm[:, 2]], axis=1).astype(np.float64)
+
 
 Mask = NDArray[np.bool_]
 
@@ -230,3 +257,39 @@ def _share(part: float, whole: float) -> float:
 
 def _root_of(part: float, whole: float) -> float:
     return float((part / whole) ** 0.5) if whole else float("nan")
+
+
+#: No lip that was recorded goes so fast.
+STEP_MM_S = 400.0
+
+
+@dataclass(frozen=True, slots=True)
+class LipSpeed:
+    """Of one piece of motion. n_steps: ticks in which a point of the lips is above STEP_MM_S."""
+
+    fastest_mm_s: float
+    n_steps: int
+    spoken_s: float
+
+
+def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
+    """The speed of the fastest point of the lips in faces (n, n_components), one a tick.
+
+    spoken_s: how much of the time somebody speaks, which the steps are counted by.
+    """
+    lips_mm = model.markers_mm(faces)[:, list(model.layout.lips)]
+    fastest = np.linalg.norm(np.diff(lips_mm, axis=0), axis=2).max(axis=1, initial=0.0) / TICK_S
+    return LipSpeed(
+        float(fastest.max(initial=0.0)), int(np.count_nonzero(fastest > STEP_MM_S)), spoken_s
+    )
+
+
+def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
+    """Of many pieces together; steps are None where nobody speaks."""
+    found = list(speeds)
+    spoken_s = sum(one.spoken_s for one in found)
+    n_steps = sum(one.n_steps for one in found)
+    return {
+        "fastest_lip_mm_s": max((one.fastest_mm_s for one in found), default=0.0),
+        "fast_steps_per_s": n_steps / spoken_s if spoken_s else None,
+    }

@@ -7,8 +7,12 @@ from typing import Protocol
 
 import numpy as np
 
-from lipservo_lab.baselines.dominance import Dominance, fixed_reference
-from lipservo_lab.baselines.spline import spline_faces, viseme_centres
+from lipservo_lab.baselines.baselines import (
+    Dominance,
+    fixed_reference,
+    spline_faces,
+    viseme_centres,
+)
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.animpho.selection import STRATEGIES, SelectionStrategy
 from lipsync.animpho.synthesizer import PublishedSynthesizer

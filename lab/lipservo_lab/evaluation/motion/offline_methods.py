@@ -10,11 +10,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from lipservo_lab.baselines.baselines import joined_faces
 from lipservo_lab.baselines.context_visemes import ContextVisemes
-from lipservo_lab.baselines.spline import joined_faces
 from lipservo_lab.evaluation.motion.methods import CATMULL_ROM, Heard
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
+from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.offline.line_methods import (
     Line,
@@ -22,11 +23,10 @@ from lipsync.offline.line_methods import (
     Speaker,
     line_synthesizer,
     model_based_line,
+    shown_faces,
 )
+from lipsync.offline.line_synthesis import joined_phones
 from lipsync.offline.offline_model import OfflineModel
-from lipsync.offline.stored_units import joined_phones
-from lipsync.offline.wrapped_line import shown_faces
-from lipsync.recognition.speech_file import read_speech
 
 Train = Callable[[TrainedModel], OfflineModel]
 _Key = tuple[str, tuple[str, ...]]

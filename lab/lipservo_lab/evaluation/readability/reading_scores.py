@@ -1,12 +1,74 @@
-"""Scores of what was read; intervals: 95 % bootstrap over sentences (Efron 1979), percentiles."""
+"""Scores of what was read; intervals: 95 % bootstrap over sentences (Efron 1979), percentiles.
 
-from collections.abc import Sequence
+What is read: known words of held-out sentences, and sets of words that a model never saw.
+
+The readability of one method's motion on one model, in one call.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from lipservo_lab.evaluation.readability.readings import Reading
+from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance
+from lipservo_lab.evaluation.motion.methods import Method
+from lipservo_lab.evaluation.motion.motion_scores import (
+    Listen,
+    Part,
+    Progress,
+    true_phonemes,
+    words_part,
+)
+from lipservo_lab.evaluation.readability.readers import (
+    COMPONENT_READER,
+    MARGIN_S,
+    Motions,
+    ReaderKind,
+    Reading,
+    known_fold,
+    new_word_folds,
+    read_words,
+    sentences_with,
+    slotted,
+    spoken_words,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
+
+KNOWN = "known"
+
+
+def reading_parts(folder: Path, corpus: Corpus) -> list[Part]:
+    """`known`, the sentences of `random_test`, and `new_a`, `new_b`, ...: the sets of new words.
+
+    corpus: labelled. Raises CorpusError for a missing or damaged splits.json, one whose
+    `random_test` holds none or all of the sentences, and a set that leaves none to train on.
+    """
+    path = folder / "splits.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        random_test = frozenset(map(str, content["random_test"]))
+        word_sets = {str(k): frozenset(map(str, v)) for k, v in content["new_words"].items()}
+    except FileNotFoundError:
+        raise CorpusError(
+            f"{path}: no such file; it says which sentences and words are held out "
+            "(--words names words instead)"
+        ) from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise CorpusError(f"{path}: not a usable list of splits ({error})") from error
+    names = frozenset(u.name for u in corpus.utterances)
+    parts = [Part(KNOWN, names - random_test, names & random_test, None)]
+    if not parts[0].test:
+        raise CorpusError(f"{path}: its random_test names no labelled sentence of the folder")
+    parts += [words_part(f"new_{key.lower()}", corpus, each) for key, each in word_sets.items()]
+    for part in parts:
+        if not part.train:
+            raise CorpusError(f"{path}: split {part.split} leaves no sentence to train on")
+    return parts
+
 
 _N_SAMPLES = 1000
 
@@ -104,3 +166,90 @@ def _draws(n_sentences: int, seed: int) -> Array:
 def _interval(samples: Array) -> tuple[float, float]:
     low, high = np.percentile(samples, [2.5, 97.5])
     return float(low), float(high)
+
+
+def known_readability(
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    test: frozenset[str],
+    method: Method | None,
+    *,
+    lookahead_s: float = 0.1,
+    listen: Listen = true_phonemes,
+    kind: ReaderKind = COMPONENT_READER,
+    progress: Progress = iter,
+) -> ReadingScore:
+    """How well the test's words are read off the method's motion; None: off the recorded one.
+
+    utterances: test and what the reader is fitted on, in the model's points. The model must not
+    have learned the test.
+    """
+    sentences = slotted(utterances)
+    recorded = recorded_motions(model, sentences, kind)
+    folds = known_fold(kind, sentences, test, recorded)
+    made = recorded
+    if method is not None:
+        read = [u for u in sentences if u.name in test]
+        faces = made_faces(model, progress(read), method, lookahead_s, listen)
+        made = seen_motions(model, faces, kind)
+    return known_score(read_words(folds, made, recorded))
+
+
+def new_word_readability(
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    words: frozenset[str],
+    method: Method | None,
+    *,
+    lookahead_s: float = 0.1,
+    listen: Listen = true_phonemes,
+    kind: ReaderKind = COMPONENT_READER,
+    progress: Progress = iter,
+) -> ReadingScore:
+    """The same of words that the model has not learned, in all sentences that hold one of them."""
+    sentences = slotted(utterances)
+    recorded = recorded_motions(model, sentences, kind)
+    folds = new_word_folds(kind, sentences, words, recorded)
+    made = recorded
+    if method is not None:
+        read = sentences_with(words, sentences)
+        faces = made_faces(model, progress(read), method, lookahead_s, listen)
+        made = seen_motions(model, faces, kind)
+    return new_word_score(read_words(folds, made, recorded), words)
+
+
+def recorded_motions(model: FaceModel, sentences: Iterable[Utterance], kind: ReaderKind) -> Motions:
+    """Recorded faces as a reader sees them, at the recording's frames."""
+    return {u.name: kind.view(model, u.markers_mm) for u in sentences}
+
+
+def seen_motions(model: FaceModel, faces: Motions, kind: ReaderKind) -> Motions:
+    """Faces (n_frames, n_components) of sentences as a reader sees them."""
+    return {name: kind.view(model, model.markers_mm(each)) for name, each in faces.items()}
+
+
+def made_faces(
+    model: TrainedModel,
+    sentences: Iterable[Utterance],
+    method: Method,
+    lookahead_s: float,
+    listen: Listen,
+    rate_hz: float | None = None,
+) -> Motions:
+    """(n_frames, n_components) of each sentence; rate_hz: None for the recording's frames.
+
+    What comes after the last word is not played: nobody reads it.
+    """
+    made = {}
+    for utterance in sentences:
+        rate = rate_hz or utterance.frame_rate_hz
+        duration_s = len(utterance.markers_mm) / utterance.frame_rate_hz
+        until_s = min(duration_s, seen_until_s(utterance))
+        times_s = np.arange(0.0, until_s, 1.0 / rate)
+        made[utterance.name] = method.faces(model, listen(utterance), times_s, lookahead_s)
+    return made
+
+
+def seen_until_s(utterance: Utterance) -> float:
+    """When a reader has seen the last word, and the frame after it."""
+    return spoken_words(utterance)[-1].end_s + MARGIN_S + 1.0 / utterance.frame_rate_hz

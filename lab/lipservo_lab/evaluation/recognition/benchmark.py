@@ -1,21 +1,36 @@
-"""A recogniser measured on a corpus of transcribed speech."""
+"""A recogniser measured on a corpus of transcribed speech.
+
+How often a text that was not said is taken for one that was, and the other way round.
+"""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from lipservo_lab.corpus.alignment_cache import LABELLED, AlignedUtterance
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
-from lipservo_lab.evaluation.recognition.conditions import Condition
+from lipservo_lab.evaluation.recognition.conditions import (
+    Condition,
+    encoder_readings_deg,
+    servo_noise,
+)
 from lipservo_lab.evaluation.recognition.recognition_scores import Score, phone_sequence
-from lipservo_lab.evaluation.recognition.servo_noise import encoder_readings_deg, servo_noise
 from lipservo_lab.evaluation.recognition.stream_observers import label_frames
 from lipservo_lab.learning.recognition import noise
+from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.phonemes import LiveRecognizer
-from lipsync.recognition.speech_file import read_speech
+from lipsync.recognition.alignment import (
+    DOUBTFUL_SCORE,
+    LEAST_SCORE,
+    AlignmentError,
+    PronunciationError,
+    align,
+    goodness_of_pronunciation,
+)
+from lipsync.recognition.network import NetworkWeights
 
 #: Recordings that speak at once in babble noise.
 _N_VOICES = 20
@@ -187,3 +202,57 @@ def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, n_passes: int
     passes = [label_frames(recognizer, samples)[1].costs_s for _ in range(n_passes)]
     least: np.ndarray = np.min(passes, axis=0)
     return least
+
+
+#: The false text is one of so many that are nearest in length: aligners refuse others by that.
+_NEAREST = 5
+KINDS = ("true", "other", "half_other", "half_missing")
+
+
+def texts_of(
+    utterance: TranscribedUtterance, pool: Sequence[TranscribedUtterance], rng: np.random.Generator
+) -> dict[str, str]:
+    """By kind: what was said; what another utterance says; half of each; half of what was said."""
+    others = [u.text for u in pool if u.text != utterance.text]
+    nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
+    own, other = utterance.text.split(), str(rng.choice(nearest)).split()
+    half = max(1, len(own) // 2)
+    made = (own, other, [*own[:half], *other[half:]], own[:half])
+    return {kind: " ".join(words) for kind, words in zip(KINDS, made, strict=True)}
+
+
+def score_texts(
+    utterances: Sequence[TranscribedUtterance], weights: NetworkWeights, seed: int = 0
+) -> Iterator[dict[str, float | None]]:
+    """For each utterance the score of each kind of text; None where no alignment was found."""
+    rng = np.random.default_rng(seed)
+    for utterance in utterances:
+        samples = read_speech(utterance.sound)
+        scores: dict[str, float | None] = {}
+        for kind, text in texts_of(utterance, utterances, rng).items():
+            try:
+                scores[kind] = goodness_of_pronunciation(
+                    samples, align(samples, text).phones, weights
+                )
+            except (AlignmentError, PronunciationError):
+                scores[kind] = None
+        yield scores
+
+
+def text_figures(scores: Sequence[dict[str, float | None]]) -> dict[str, object]:
+    """For each kind: how many, how many found no way through, were refused, doubted, passed."""
+    figures: dict[str, object] = {"utterances": len(scores)}
+    counts: dict[str, Callable[[float], bool]] = {
+        "refused": lambda score: score < LEAST_SCORE,
+        "doubted": lambda score: LEAST_SCORE <= score < DOUBTFUL_SCORE,
+        "passed": lambda score: score >= DOUBTFUL_SCORE,
+    }
+    for kind in KINDS:
+        found = [score for each in scores if (score := each[kind]) is not None]
+        figures[f"{kind}_not_aligned"] = len(scores) - len(found)
+        for name, counted in counts.items():
+            figures[f"{kind}_{name}"] = sum(map(counted, found))
+        figures[f"{kind}_score_min_median_max"] = (
+            [round(float(x), 2) for x in np.percentile(found, [0, 50, 100])] if found else None
+        )
+    return figures

@@ -4,6 +4,12 @@ Recordings are cut dead in the middle of a vowel, or silence is put before a sto
 recogniser and synthesiser run as they do live. All times are sound time: the face that belongs to
 an instant of the sound. Shown it is a constant later (`ClosingBench.delay_s`), in which the
 look-ahead was spent; so a mouth may begin to close before the voice stops.
+
+How soon the mouth leaves rest when somebody begins to speak.
+
+Each recording is played after a pause, once with digital silence there and once with room noise
+40 dB below the speech all over, to a mouth at rest. Times are sound time, as in closing_times.py: a
+mouth that looks ahead leaves rest before the onset that it gets ready for.
 """
 
 import math
@@ -17,9 +23,9 @@ from numpy.typing import NDArray
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
-from lipsync.motion.lip_closure import lip_gap_of
+from lipsync.motion.closures import lip_gap_of
 from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
-from lipsync.phonemes import LiveRecognizer
+from lipsync.phonemes import SILENCE, LiveRecognizer
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 
 Samples = NDArray[np.float32]
@@ -233,3 +239,35 @@ def closing_times(opening_mm: Array) -> tuple[float, float] | None:
     n_open = int(open_ones[-1]) + 1
     complete_s = math.inf if n_open == len(opening_mm) else n_open * BLOCK_S
     return (widest + int(is_falling.argmax())) * BLOCK_S, complete_s
+
+
+#: A pause before the recording, and so much of it is played, s.
+_PAUSE_S, _PLAYED_S = 0.6, 1.5
+
+
+def waking_figures(
+    bench: ClosingBench, recordings: Iterable[tuple[Samples, Phones]], rng: np.random.Generator
+) -> dict[str, float]:
+    """From the onset of the first phone until the mouth leaves rest, ms: median, 95th percentile.
+
+    A mouth that has not left rest when the sound ends counts as infinitely late.
+    """
+    waking_ms: list[float] = []
+    for samples, phones in recordings:
+        onset_s = next((first * BLOCK_S for phone, first, _ in phones if phone != SILENCE), None)
+        if onset_s is None:
+            continue
+        pause = np.zeros(round(_PAUSE_S * SAMPLE_RATE_HZ), np.float32)
+        played = samples[: round((onset_s + _PLAYED_S) * SAMPLE_RATE_HZ)]
+        sound = np.concatenate((pause, played))
+        noise = room_noise(rng, samples, len(sound))
+        for noisy in (sound, sound + noise):
+            left = np.flatnonzero(~bench.watch(noisy, 0.0).is_resting)
+            left_s = float(left[0]) * BLOCK_S if len(left) else math.inf
+            waking_ms.append(1e3 * (left_s - onset_s - _PAUSE_S))
+    found = np.array(waking_ms or [math.nan])
+    return {
+        "waking_ms_p50": float(np.percentile(found, 50, method="higher")),
+        "waking_ms_p95": float(np.percentile(found, 95, method="higher")),
+        "waking_onsets": len(waking_ms),
+    }

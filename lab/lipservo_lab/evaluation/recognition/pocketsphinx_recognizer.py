@@ -13,7 +13,7 @@ from pocketsphinx import Decoder, get_model_path
 
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeUpdate
-from lipsync.recognition.update_builder import UpdateBuilder
+from lipsync.recognition.streaming import UpdateBuilder
 from lipsync.recognition.voice_activity import (
     FRAMES_PER_S,
     HANG_OVER_S,

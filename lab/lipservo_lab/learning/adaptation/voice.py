@@ -17,13 +17,10 @@ from lipservo_lab.corpus.transcribed import TranscribedUtterance
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.training_data import read_labelled
 from lipsync.arrays import Array32
+from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
-from lipsync.recognition.alignment.goodness_of_pronunciation import (
-    LEAST_SCORE,
-    goodness_of_pronunciation,
-)
-from lipsync.recognition.speech_file import read_speech
+from lipsync.recognition.alignment import LEAST_SCORE, goodness_of_pronunciation
 from lipsync.textgrid import LabelError
 
 #: Less of a voice is hardly learned from, and leaves too little to grade it on.

@@ -18,8 +18,12 @@ from torch import nn
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.network_training import learning_rate, training_loss
 from lipservo_lab.learning.recognition.torch_network import exported, started_from
-from lipservo_lab.learning.recognition.training_data import TrainingArray, training_arrays
-from lipservo_lab.learning.recognition.training_plan import TrainingPlan, draw_windows
+from lipservo_lab.learning.recognition.training_data import (
+    TrainingArray,
+    TrainingPlan,
+    draw_windows,
+    training_arrays,
+)
 from lipsync.recognition.network import NetworkWeights
 
 

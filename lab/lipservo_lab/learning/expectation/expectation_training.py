@@ -1,16 +1,28 @@
-"""Learning the expectation from recorded sentences: contexts in, faces out."""
+"""Learning the expectation from recorded sentences: contexts in, faces out.
+
+What each phoneme asks of the mouth, in numbers, so that sounds never seen resemble seen ones.
+
+The features are those of the IPA chart (place, manner, voice; for vowels openness, backness and
+rounding, at the beginning and at the end, so that a diphthong moves). Graded values are ours: only
+their order matters to a model that learns from them.
+
+Training a small network with two hidden layers of rectifiers, by Adam, in NumPy.
+
+Squared error, weight decay as part of the gradient, a learning rate that falls to zero over the
+second half. Kingma and Ba, "Adam", ICLR 2015, algorithm 1; initial weights: Glorot and Bengio,
+AISTATS 2010, eq. (16).
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from lipservo_lab.corpus.utterance import Utterance
-from lipservo_lab.learning.expectation.articulation import articulatory_features
-from lipservo_lab.learning.expectation.networks import Layers, Schedule, fit, initial_layers
 from lipsync.arrays import Array
 from lipsync.expectation.context import SLOTS, UNKNOWN, contexts, track_of
 from lipsync.expectation.expectation import (
@@ -23,7 +35,164 @@ from lipsync.expectation.expectation import (
 )
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
 
+#: Vowels: openness, backness and rounding, each at the beginning and at the end, 0 to 1.
+_VOWELS: dict[str, tuple[float, float, float, float, float, float]] = {
+    "IY": (0.1, 0.1, 0.0, 0.0, 0.0, 0.0),
+    "IH": (0.3, 0.3, 0.2, 0.2, 0.0, 0.0),
+    "EH": (0.55, 0.55, 0.2, 0.2, 0.0, 0.0),
+    "AE": (0.8, 0.8, 0.2, 0.2, 0.0, 0.0),
+    "AA": (1.0, 1.0, 0.8, 0.8, 0.1, 0.1),
+    "AH": (0.6, 0.6, 0.6, 0.6, 0.0, 0.0),
+    "AO": (0.8, 0.8, 1.0, 1.0, 0.6, 0.6),
+    "UH": (0.3, 0.3, 0.8, 0.8, 0.6, 0.6),
+    "UW": (0.1, 0.1, 0.8, 0.8, 1.0, 1.0),
+    "ER": (0.4, 0.4, 0.5, 0.5, 0.4, 0.4),
+    "EY": (0.5, 0.15, 0.2, 0.0, 0.0, 0.0),
+    "AY": (1.0, 0.2, 0.6, 0.1, 0.0, 0.0),
+    "OW": (0.55, 0.2, 0.8, 0.8, 0.5, 1.0),
+    "AW": (0.95, 0.3, 0.6, 0.8, 0.0, 0.8),
+    "OY": (0.7, 0.2, 1.0, 0.1, 0.7, 0.0),
+}
+
+_PLACES = ("labial", "labiodental", "dental", "alveolar", "palatal", "velar", "glottal")
+_MANNERS = ("stop", "fricative", "affricate", "nasal", "approximant")
+
+#: Consonants: place, manner, voiced, rounding 0 to 1.
+_CONSONANTS: dict[str, tuple[str, str, bool, float]] = {
+    "P": ("labial", "stop", False, 0.0),
+    "B": ("labial", "stop", True, 0.0),
+    "M": ("labial", "nasal", True, 0.0),
+    "F": ("labiodental", "fricative", False, 0.0),
+    "V": ("labiodental", "fricative", True, 0.0),
+    "TH": ("dental", "fricative", False, 0.0),
+    "DH": ("dental", "fricative", True, 0.0),
+    "T": ("alveolar", "stop", False, 0.0),
+    "D": ("alveolar", "stop", True, 0.0),
+    "N": ("alveolar", "nasal", True, 0.0),
+    "S": ("alveolar", "fricative", False, 0.0),
+    "Z": ("alveolar", "fricative", True, 0.0),
+    "L": ("alveolar", "approximant", True, 0.0),
+    "SH": ("palatal", "fricative", False, 0.6),
+    "ZH": ("palatal", "fricative", True, 0.6),
+    "CH": ("palatal", "affricate", False, 0.6),
+    "JH": ("palatal", "affricate", True, 0.6),
+    "Y": ("palatal", "approximant", True, 0.0),
+    "R": ("palatal", "approximant", True, 0.6),
+    "K": ("velar", "stop", False, 0.0),
+    "G": ("velar", "stop", True, 0.0),
+    "NG": ("velar", "nasal", True, 0.0),
+    "W": ("velar", "approximant", True, 1.0),
+    "HH": ("glottal", "fricative", False, 0.0),
+}
+
+
+def articulatory_features() -> Array:
+    """(40, 22), a row for each of `PHONEMES`.
+
+    Columns: silence, vowel, consonant; openness, backness, rounding, each at the beginning and at
+    the end; the places; the manners; voiced.
+    """
+    return np.array([_features(phoneme) for phoneme in PHONEMES])
+
+
+def _features(phoneme: str) -> list[float]:
+    kind = [0.0, 0.0, 0.0]
+    shape = [0.0] * 6
+    place, manner, voiced = [0.0] * len(_PLACES), [0.0] * len(_MANNERS), 0.0
+    if phoneme == SILENCE:
+        kind[0] = 1.0
+    elif phoneme in _VOWELS:
+        kind[1], voiced = 1.0, 1.0
+        shape = list(_VOWELS[phoneme])
+    else:
+        kind[2] = 1.0
+        where, how, is_voiced, rounding = _CONSONANTS[phoneme]
+        place[_PLACES.index(where)] = 1.0
+        manner[_MANNERS.index(how)] = 1.0
+        shape[4] = shape[5] = rounding
+        voiced = float(is_voiced)
+    return [*kind, *shape, *place, *manner, voiced]
+
+
 Array32 = NDArray[np.float32]
+
+_BATCH = 800
+_LEARNING_RATE = 2e-3
+#: Kingma and Ba's own.
+_BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """How long and how strictly to train.
+
+    decay: what every weight is pulled by, in units of itself, beside the mean gradient of a batch.
+    """
+
+    n_epochs: int
+    decay: float
+
+
+Layers = list[Array32]
+
+
+def initial_layers(sizes: tuple[int, ...], rng: np.random.Generator) -> Layers:
+    """Weights (n_in, n_out) and bias (n_out,) of each layer, alternating."""
+    layers: Layers = []
+    for n_in, n_out in pairwise(sizes):
+        bound = np.sqrt(6.0 / (n_in + n_out))
+        layers.append(rng.uniform(-bound, bound, (n_in, n_out)).astype(np.float32))
+        layers.append(np.zeros(n_out, dtype=np.float32))
+    return layers
+
+
+def forward(layers: Layers, inputs: Array32) -> list[Array32]:
+    """The inputs, and what every layer makes of them; the last one is linear."""
+    values = [inputs]
+    n_layers = len(layers) // 2
+    for i in range(n_layers):
+        value = values[-1] @ layers[2 * i] + layers[2 * i + 1]
+        values.append(np.maximum(value, 0.0, out=value) if i < n_layers - 1 else value)
+    return values
+
+
+def gradients(layers: Layers, inputs: Array32, targets: Array32) -> Layers:
+    """Of half the squared error, summed over outputs and averaged over the batch."""
+    values = forward(layers, inputs)
+    slope = (values[-1] - targets) / np.float32(len(inputs))
+    found: Layers = []
+    for i in reversed(range(len(layers) // 2)):
+        found += [slope.sum(axis=0), values[i].T @ slope]
+        if i:
+            slope = (slope @ layers[2 * i].T) * (values[i] > 0.0)
+    return found[::-1]
+
+
+def fit(
+    layers: Layers, inputs: Array32, targets: Array32, schedule: Schedule, rng: np.random.Generator
+) -> Layers:
+    """Train in place, and return the layers."""
+    first = [np.zeros_like(layer) for layer in layers]
+    second = [np.zeros_like(layer) for layer in layers]
+    n_batches = -(-len(inputs) // _BATCH)
+    n_steps, step = schedule.n_epochs * n_batches, 0
+    for _ in range(schedule.n_epochs):
+        for batch in np.array_split(rng.permutation(len(inputs)), n_batches):
+            slopes = gradients(layers, inputs[batch], targets[batch])
+            step += 1
+            rate = _LEARNING_RATE * min(1.0, 2.0 * (1.0 - (step - 1) / n_steps))
+            rate *= np.sqrt(1.0 - _BETA_2**step) / (1.0 - _BETA_1**step)
+            for layer, slope, m, v in zip(layers, slopes, first, second, strict=True):
+                if layer.ndim == 2:
+                    slope += np.float32(schedule.decay) * layer
+                m *= _BETA_1
+                m += (1.0 - _BETA_1) * slope
+                v *= _BETA_2
+                v += (1.0 - _BETA_2) * slope * slope
+                layer -= np.float32(rate) * m / (np.sqrt(v) + _EPSILON)
+    return layers
+
+
 Indices = NDArray[np.int64]
 Progress = Callable[[str], None]
 

@@ -1,11 +1,20 @@
-"""Head, gaze and lids by a learned model, live: causal, seeded, one `Expression` every 10 ms."""
+"""Head, gaze and lids by a learned model, live: causal, seeded, one `Expression` every 10 ms.
 
+Involuntary blinks: log-normal intervals, and how far a lid is shut in the course of one.
+
+Log-normal intervals: Le, Ma and Deng 2012. Down 90 ms, shut 20 ms, up 240 ms: VanderWerf and
+others, J. Neurophysiology 89(5), 2003, after a second source.
+
+Motion learned from tracks while there is a conversation; everything else as without it.
+"""
+
+import math
+from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from lipservo_lab.learning.learned_expression.blink_timing import BlinkTiming
-from lipservo_lab.learning.learned_expression.cholesky import solve_upper
 from lipservo_lab.learning.learned_expression.expression_model import (
     GAZE_POSES,
     HEAD_POSES,
@@ -13,11 +22,63 @@ from lipservo_lab.learning.learned_expression.expression_model import (
     ExpressionModel,
     gaze_inputs,
     lid_inputs,
+    load_expression,
 )
-from lipservo_lab.learning.learned_expression.pose_mixture import N_AXES
-from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
+from lipservo_lab.learning.learned_expression.pose_mixture import N_AXES, solve_upper
+from lipsync.expression.cue import (
+    CUE_PERIOD_S,
+    ExpressionCue,
+    ExpressionSource,
+    WholeExpression,
+    smoothstep,
+    toward,
+)
 from lipsync.face.frame import Expression
 from lipsync.prosody.voice_frame import VoiceFrame
+
+_CLOSE_S, _SHUT_S, _OPEN_S = 0.090, 0.020, 0.240
+BLINK_S = _CLOSE_S + _SHUT_S + _OPEN_S
+#: From the start of one blink to the next.
+LEAST_INTERVAL_S = 0.4
+_MOST_INTERVAL_S = 60.0
+
+
+def shut_share(since_s: float) -> float:
+    """How far the lid is shut (0 to 1) so long after a blink began; smooth at both ends."""
+    if not 0.0 < since_s < BLINK_S:
+        return 0.0
+    if since_s < _CLOSE_S:
+        return _smooth(since_s / _CLOSE_S)
+    return 1.0 - _smooth(max(0.0, since_s - _CLOSE_S - _SHUT_S) / _OPEN_S)
+
+
+def _smooth(share: float) -> float:
+    return share * share * (3.0 - 2.0 * share)
+
+
+class BlinkTiming:
+    """When blinks begin. log_mean, log_sd: of the natural logarithm of intervals in seconds."""
+
+    def __init__(self, log_mean: float, log_sd: float, rng: np.random.Generator) -> None:
+        self._log_mean, self._log_sd, self._rng = log_mean, log_sd, rng
+        self._began_s = -math.inf
+        self._next_s: float | None = None
+
+    def shut(self, time_s: float) -> float:
+        """How far the lids are shut at a time; ask in order."""
+        if self._next_s is None:
+            # In the middle of an interval: nobody begins by blinking.
+            self._next_s = time_s + 0.5 * self._interval_s()
+        if time_s >= self._next_s:
+            self._began_s = self._next_s
+            # Time may have jumped over many blinks.
+            self._next_s = max(time_s, self._began_s + self._interval_s())
+        return shut_share(time_s - self._began_s)
+
+    def _interval_s(self) -> float:
+        drawn = math.exp(min(10.0, self._log_mean + self._log_sd * self._rng.standard_normal()))
+        return min(_MOST_INTERVAL_S, max(LEAST_INTERVAL_S, drawn))
+
 
 #: What the mixture takes for loudness where nobody speaks.
 SILENT_Z: Final = -3.0
@@ -129,3 +190,60 @@ class LearnedExpression:
 
 def _within(value: float, farthest: float) -> float:
     return min(farthest, max(-farthest, value))
+
+
+#: What tracks tell; brow and smile they do not.
+_LEARNED: Final = (
+    "neck_pitch_deg", "neck_yaw_deg", "neck_roll_deg", "eye_pitch_deg", "eye_yaw_deg",
+    "lid_left", "lid_right",
+)  # fmt: skip
+#: A conversation is over after so long a silence.
+_CONVERSATION_S: Final = 4.0
+#: From one to the other: slower than any motion of either.
+_OVER_S: Final = 1.0
+
+
+class LearnedHead:
+    """A `WholeExpression` of two: `learned` in conversation, `otherwise` in all else.
+
+    Idle motion, rest and looking at somebody are not in the tracks of a talking head.
+    """
+
+    def __init__(self, learned: ExpressionSource, otherwise: WholeExpression) -> None:
+        self._learned = learned
+        self._otherwise = otherwise
+        self._share = 0.0
+
+    @property
+    def is_resting(self) -> bool:
+        """Whether it is at neutral, and stays there until somebody speaks or moves."""
+        return self._share == 0.0 and self._otherwise.is_resting
+
+    def step(self, cue: ExpressionCue) -> Expression:
+        """The expression of the cue's moment; call it once for each, in order."""
+        plain, learned = self._otherwise.step(cue), self._learned.step(cue)
+        is_talk = cue.silent_s < _CONVERSATION_S and cue.look_at_deg is None
+        self._share = toward(self._share, float(is_talk), CUE_PERIOD_S / _OVER_S)
+        share = smoothstep(self._share)
+        if share == 0.0:
+            return plain
+        mixed = {}
+        for name in _LEARNED:
+            ours, theirs = getattr(plain, name), getattr(learned, name)
+            if ours is not None and theirs is not None:
+                mixed[name] = ours + share * (theirs - ours)
+        return replace(plain, **mixed)
+
+
+def learned_expression(path: Path, seed: int, otherwise: WholeExpression) -> WholeExpression:
+    """What a face plays whose YAML names a learned model: the entry point `lipservo.expressions`.
+
+    Raises
+    ------
+    ExpressionModelError
+        For a file that holds no such model.
+
+    """
+    return LearnedHead(
+        LearnedExpression(load_expression(path), np.random.default_rng(seed)), otherwise
+    )

@@ -12,24 +12,22 @@ from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
-from lipservo_lab.baselines.baselines import Baselines
-from lipservo_lab.baselines.regression import fit_regression
+from lipservo_lab.baselines.baselines import Baselines, fit_regression
 from lipservo_lab.baselines.tuning import tune_dominance
-from lipservo_lab.corpus.recorded_closures import observe_closures
-from lipservo_lab.corpus.speech_frames import speech_frames
-from lipservo_lab.corpus.utterance import Corpus, Utterance
+from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
 from lipservo_lab.learning.expectation.deviation import with_deviation
 from lipservo_lab.learning.expectation.expectation_training import fit_expectation, joined
-from lipservo_lab.learning.motion.counted_frames import counted_sentences, counted_training_set
-from lipservo_lab.learning.motion.principal_components import (
+from lipservo_lab.learning.motion.frame_statistics import (
     PrincipalComponents,
+    counted_sentences,
+    counted_training_set,
+    mean_at_rest,
+    observe_closures,
     principal_components,
 )
-from lipservo_lab.learning.motion.rest_face import mean_at_rest
 from lipservo_lab.learning.motion.several_speakers import sentence_name, speaker_name
 from lipservo_lab.learning.motion.trained_model import TrainedModel
-from lipsync.animpho.index_lists import IndexLists
-from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, face_fields
+from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits, IndexLists, face_fields
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.face.model import FaceModel

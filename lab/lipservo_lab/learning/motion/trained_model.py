@@ -20,14 +20,13 @@ from lipsync.animpho.units import (
     face_fields,
     read_animphos,
 )
-from lipsync.expectation.expectation import Expectation
-from lipsync.expectation.expectation_file import (
+from lipsync.expectation.expectation import (
     EXPECTATION_PART,
+    Expectation,
     expectation_arrays,
     read_expectation,
 )
-from lipsync.face.model import FACE_PART, face_arrays, read_face
-from lipsync.face.model_file import open_model, write_model
+from lipsync.face.model import FACE_PART, face_arrays, open_model, read_face, write_model
 
 
 @dataclass(frozen=True, slots=True)

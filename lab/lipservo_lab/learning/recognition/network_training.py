@@ -15,8 +15,12 @@ import torch
 from torch import nn
 
 from lipservo_lab.learning.recognition.torch_network import TorchNetwork, exported, started_from
-from lipservo_lab.learning.recognition.training_data import NO_TARGET, TrainingArray
-from lipservo_lab.learning.recognition.training_plan import TrainingPlan, draw_windows
+from lipservo_lab.learning.recognition.training_data import (
+    NO_TARGET,
+    TrainingArray,
+    TrainingPlan,
+    draw_windows,
+)
 from lipsync.output_file import written_whole
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.features import FeatureScale

@@ -8,8 +8,8 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from lipservo_lab.learning.recognition.training_data import TrainingArray
-from lipservo_lab.learning.recognition.training_plan import (
+from lipservo_lab.learning.recognition.training_data import (
+    TrainingArray,
     TrainingError,
     TrainingPlan,
     draw_windows,

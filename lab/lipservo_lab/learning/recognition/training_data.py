@@ -2,10 +2,12 @@
 
 Every utterance is augmented several times (`augmentation`); each copy of the corpus is one long
 array, every utterance beginning as a stream does, with a fresh level and mean.
+
+How the network is trained: its shape, the schedule, and the windows that a step learns from.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -15,20 +17,23 @@ from lipservo_lab.corpus.alignment_cache import AlignedUtterance
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
 from lipservo_lab.learning.recognition import augmentation, noise
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples, Surroundings
-from lipservo_lab.learning.recognition.found_sounds import found
-from lipservo_lab.learning.recognition.laughter import laughter_of
+from lipservo_lab.learning.recognition.noise import found
+from lipservo_lab.learning.recognition.nonspeech_sounds import laughter_of
 from lipservo_lab.worker_pool import worker_pool
 from lipsync.arrays import Array32
+from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import (
     FRAMES_PER_S,
     HOP,
+    N_BANDS,
     FeatureScale,
     LevelNormalizer,
     LogMelStream,
 )
-from lipsync.recognition.speech_file import read_speech
+from lipsync.recognition.network import NetworkWeights
 
 #: Targets of frames that a head cannot know yet; torch's cross entropy passes over them.
 NO_TARGET = -100
@@ -144,3 +149,69 @@ def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterab
             n_frames = round(_SOUND_S * FRAMES_PER_S)
             samples = augmentation.no_speech(rng, n_frames * HOP, around)
             yield LabelledSamples(samples, np.full(n_frames, silence))
+
+
+#: Chance that a window of the lightly changed copy is drawn; the heavily changed share the rest.
+_LIGHT_SHARE = 0.25
+_MASKED_BANDS = 8
+
+
+class TrainingError(UserError):
+    """There is nothing to learn from, or the parts do not fit; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingPlan:
+    """How to learn; the defaults are those of `lipservo learn recognizer`.
+
+    closure_weight: of a frame of P B M or F V in the loss of the viseme classes. A closure that is
+    missed is seen by everybody, one too many by few, so missing one costs more.
+    """
+
+    delays: tuple[int, ...] = (2, 7, 12)
+    head_weights: tuple[float, ...] = (0.3, 0.5, 0.2)
+    dilations: tuple[int, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
+    channels: int = 192
+    n_steps: int = 5_000
+    batch: int = 32
+    window: int = 400
+    peak_rate: float = 3e-3
+    weight_decay: float = 0.02
+    closure_weight: float = 2.0
+    seed: int = 0
+    n_threads: int = 2
+    log_every: int = 50
+    check_every: int = 100
+
+    @property
+    def averaging(self) -> float:
+        """Share of the running average that stays at each step: it spans a quarter of the run."""
+        return 1.0 - 4.0 / max(8, self.n_steps)
+
+    def shaped_as(self, weights: NetworkWeights) -> "TrainingPlan":
+        """The same schedule for a network of this shape."""
+        return replace(
+            self,
+            delays=weights.delays,
+            dilations=tuple(layer.dilation for layer in weights.residuals),
+            channels=len(weights.entry.bias),
+        )
+
+
+def draw_windows(
+    arrays: Sequence[TrainingArray], plan: TrainingPlan, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Features (batch, 40, window), some bands blanked; targets (batch, n_heads, window)."""
+    features = np.empty((plan.batch, N_BANDS, plan.window), np.float32)
+    targets = np.empty((plan.batch, len(plan.delays), plan.window), np.int64)
+    for index in range(plan.batch):
+        heavy = len(arrays) > 1 and rng.random() > _LIGHT_SHARE
+        array = arrays[int(rng.integers(1, len(arrays)))] if heavy else arrays[0]
+        first = int(rng.integers(0, max(1, len(array.features) - plan.window)))
+        part = slice(first, first + plan.window)
+        features[index] = array.features[part].T
+        targets[index] = array.targets[part].T
+        if rng.random() < 0.5:
+            band = int(rng.integers(0, N_BANDS - _MASKED_BANDS))
+            features[index, band : band + int(rng.integers(1, _MASKED_BANDS))] = 0.0
+    return features, targets

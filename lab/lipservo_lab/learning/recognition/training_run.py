@@ -1,4 +1,11 @@
-"""One training from corpora to weights: align, split by speaker, disturb, learn, write a log."""
+"""One training from corpora to weights: align, split by speaker, disturb, learn, write a log.
+
+The mean of two sets of weights, one of which went on from the other.
+
+Weights that were trained further and those they began with mostly lie in one valley of the loss, so
+that the mean knows what is new and keeps what was known: Wortsman and others, "Robust fine-tuning
+of zero-shot models", CVPR 2022, equation 1.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -16,22 +23,45 @@ from lipservo_lab.corpus.transcribed import (
 )
 from lipservo_lab.learning.recognition import noise
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
-from lipservo_lab.learning.recognition.found_sounds import read_found_sounds
 from lipservo_lab.learning.recognition.network_training import train_network
+from lipservo_lab.learning.recognition.noise import read_found_sounds
+from lipservo_lab.learning.recognition.synthetic_corpus import SyntheticVoice, write_voice
 from lipservo_lab.learning.recognition.training_data import (
     TrainingArray,
+    TrainingError,
+    TrainingPlan,
     as_array,
     feature_scale,
     read_labelled,
     training_arrays,
 )
-from lipservo_lab.learning.recognition.training_plan import TrainingError, TrainingPlan
-from lipservo_lab.learning.recognition.weight_average import averaged
-from lipservo_lab.learning.synthetic.synthetic_corpus import SyntheticVoice, write_voice
+from lipsync.arrays import Array32
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
-from lipsync.recognition.alignment.goodness_of_pronunciation import LEAST_SCORE
+from lipsync.recognition.alignment import LEAST_SCORE
 from lipsync.recognition.features import FeatureScale
-from lipsync.recognition.network import NetworkWeights, StreamingNetwork
+from lipsync.recognition.network import Layer, NetworkWeights, StreamingNetwork
+
+
+def averaged(learned: NetworkWeights, start: NetworkWeights, start_share: float) -> NetworkWeights:
+    """`start_share` of `start` and the rest of `learned`, which began as `start`."""
+
+    def mean(one: Array32, other: Array32) -> Array32:
+        share = np.float32(start_share)
+        return np.asarray((1 - share) * one + share * other, np.float32)
+
+    def mean_layer(one: Layer, other: Layer) -> Layer:
+        kernel, bias = mean(one.kernel, other.kernel), mean(one.bias, other.bias)
+        return Layer(kernel, bias, one.dilation)
+
+    residuals = zip(learned.residuals, start.residuals, strict=True)
+    return replace(
+        learned,
+        entry=mean_layer(learned.entry, start.entry),
+        residuals=tuple(mean_layer(one, other) for one, other in residuals),
+        output=mean(learned.output, start.output),
+        output_bias=mean(learned.output_bias, start.output_bias),
+    )
+
 
 #: The scale needs no more than every sixth utterance.
 _SCALE_STEP = 6

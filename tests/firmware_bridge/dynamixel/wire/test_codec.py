@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from places import DATA
 
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.frames import FrameParser
+from firmware_bridge.dynamixel.wire.codec import FrameParser
 
 GOLDEN = {
     name: bytes.fromhex(text)

@@ -7,7 +7,6 @@ import pytest
 from dynamixel_chain import MemoryFace
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lipservo_lab.campaigns.disturbed_transport import Disturbance, DisturbedTransport
 from lipservo_lab.campaigns.line_campaign import (
     COUNTING,
     DISTURBANCES,
@@ -16,14 +15,16 @@ from lipservo_lab.campaigns.line_campaign import (
     MODEL,
     PAUSES_S,
     Answered,
+    Disturbance,
+    DisturbedTransport,
     Question,
     QuestionedChain,
     ask_many,
 )
 
 from firmware_bridge.dynamixel.handshake import identify, identify_all
-from firmware_bridge.dynamixel.wire.line import Line, SpanRead
-from firmware_bridge.dynamixel.wire.pending_answers import PendingAnswers
+from firmware_bridge.dynamixel.wire.codec import SpanRead
+from firmware_bridge.dynamixel.wire.line import Line, PendingAnswers
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
 from firmware_bridge.simulator.faults import Fault
 

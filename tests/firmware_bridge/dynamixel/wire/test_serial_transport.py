@@ -10,10 +10,10 @@ import tty
 
 import pytest
 
-from firmware_bridge.bus import PortError
 from firmware_bridge.dynamixel.control_table import baud_rates
 from firmware_bridge.dynamixel.wire.sdk_line import SdkTransport
 from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, adapter_serial, open_port
+from firmware_bridge.errors import PortError
 
 #: asm-generic/ioctls.h of Linux: is the terminal exclusive; all of its settings, rates as numbers.
 TIOCGEXCL, TCGETS2 = 0x80045440, 0x802C542A

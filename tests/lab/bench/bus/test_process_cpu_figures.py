@@ -9,12 +9,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.bus import measured_process, process_cpu_figures
-from lipservo_lab.bench.bus.client_loop import make_client, run
-from lipservo_lab.bench.bus.servo_clients import AnswerLost, SdkClient, canned_peer
+from lipservo_lab.bench.bus import process_cpu_figures
+from lipservo_lab.bench.bus import process_cpu_figures as measured_process
+from lipservo_lab.bench.bus.servo_clients import (
+    AnswerLost,
+    SdkClient,
+    canned_peer,
+    make_client,
+    run,
+)
 
-from firmware_bridge.process.socket_channel import SocketTargetChannel, channel_pair
-from firmware_bridge.targets import ServoTargets
+from firmware_bridge.loop.targets import ServoTargets, SocketTargetChannel, channel_pair
 
 
 class Recorder:

@@ -4,13 +4,14 @@ import struct
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.bus import bus_cpu_figures, tick_cpu_figures
+from lipservo_lab.bench.bus import bus_figures as bus_cpu_figures
+from lipservo_lab.bench.bus import tick_cpu_figures
 from lipservo_lab.bench.bus.canned_peer import CannedServos
 from lipservo_lab.bench.bus.servo_clients import AnswerLost, SdkClient, canned_peer
 from lipservo_lab.bench.bus.tick_cpu_figures import OthersTick, own_tick
 
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.frames import FrameParser
+from firmware_bridge.dynamixel.wire.codec import FrameParser
 
 #: After so many answers a canned peer begins its motion anew.
 N_MOMENTS = 64

@@ -2,8 +2,8 @@
 
 import pytest
 from linear_face import MODEL, SERVOS, LinearFace
-from lipservo_lab.bench.calibration import capture_faults
-from lipservo_lab.bench.calibration.capture_faults import FaultCount, count_faults
+from lipservo_lab.bench.calibration import hard_captures as capture_faults
+from lipservo_lab.bench.calibration.hard_captures import FaultCount, count_faults
 
 from calibration.calibration import CalibrationError
 from calibration.capture.sanity import CheckedCapture

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from lipservo_lab.bench.calibration import hard_captures
+from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 from lipservo_lab.bench.calibration.hard_captures import refusals
 
-from calibration.simulated.elastic_family import draw_elastic_robot
 from calibration.simulated.elastic_robot import ElasticFace
 from lipsync.animpho.units import load_face_with_animphos
 

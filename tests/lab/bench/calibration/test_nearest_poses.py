@@ -1,13 +1,12 @@
 """Nearest poses of a true robot, beside SciPy's bounded least squares."""
 
 import numpy as np
-from lipservo_lab.bench.calibration.nearest_poses import converged_poses_deg
-from lipservo_lab.bench.calibration.wanted_shapes import NAMES, wanted_shapes
+from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
+from lipservo_lab.bench.calibration.shown_motion import NAMES, converged_poses_deg, wanted_shapes
 from scipy.optimize import least_squares
 
 from calibration.fit.measured import split_frames
-from calibration.run.inverse import NEUTRAL_WEIGHT_MM_PER_DEG
-from calibration.simulated.elastic_family import draw_elastic_robot
+from calibration.fit.retargeting import NEUTRAL_WEIGHT_MM_PER_DEG
 from calibration.simulated.elastic_robot import ElasticFace
 from lipsync.animpho.units import load_face_with_animphos
 

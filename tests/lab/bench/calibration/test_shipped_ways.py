@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.calibration.dots_pictures import write_dots_pictures
-from lipservo_lab.bench.calibration.shipped_ways import WAYS, way_figures
+from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
+from lipservo_lab.bench.calibration.shipped_ways import WAYS, way_figures, write_dots_pictures
 from small_model import small_model
 
-from calibration.capture.dots_folder import DotsFolder
-from calibration.simulated.elastic_family import draw_elastic_robot
+from calibration.capture.dots import DotsFolder
 from calibration.simulated.elastic_robot import ElasticFace
 from lipsync.markers import MARKERS_47
 

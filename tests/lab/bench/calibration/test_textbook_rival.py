@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from linear_face import SERVOS, LinearFace
-from lipservo_lab.bench.calibration.textbook_rival import rival_poses_deg
-from lipservo_lab.bench.calibration.wanted_shapes import NAMES
+from lipservo_lab.bench.calibration.shown_motion import NAMES, rival_poses_deg
 
 from calibration.capture.capture import Capture
 from lipsync.markers import MARKERS_47

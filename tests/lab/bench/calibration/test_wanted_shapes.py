@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from linear_face import MODEL, NEUTRAL_MM, SERVOS, LinearFace
-from lipservo_lab.bench.calibration.wanted_shapes import (
+from lipservo_lab.bench.calibration.shown_motion import (
     MOST_SCALE,
     NAMES,
     wanted_shapes,
     widest_gap_mm,
 )
 
-from calibration.joint_range import JointRange
+from calibration.mouth_servos import JointRange
 
 FRAMES = MODEL.animphos.frames[::9]
 SPEAKERS_MM = np.array([MODEL.lip_gap_mm(frame) for frame in FRAMES])

@@ -4,7 +4,7 @@ import time
 from pathlib import Path
 
 import pytest
-from lipservo_lab.bench.face.page_ready import browser, page_ready_s
+from lipservo_lab.bench.face.face_figures import browser, page_ready_s
 from lipservo_lab.bench.face.play_queue import play_figures
 from lipservo_lab.bench.face.streams import clients, processor_s
 from served_dashboard import served

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.hearing.ladder_ticks import Load, Ticks, figures_of
+from lipservo_lab.bench.hearing.ladder_figures import Load, Ticks, figures_of
 from places import short_folder
 
 PATIENCE_S = 60.0

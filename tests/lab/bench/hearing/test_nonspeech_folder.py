@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import soundfile
-from lipservo_lab.bench.hearing.nonspeech_folder import NonspeechError, sound_files
+from lipservo_lab.evaluation.recognition.nonspeech_answers import NonspeechError, sound_files
 from typer.testing import CliRunner
 
 from lipservo.cli import app

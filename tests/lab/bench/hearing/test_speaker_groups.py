@@ -1,5 +1,5 @@
 import pytest
-from lipservo_lab.bench.hearing.speaker_groups import SpeakerGroupError, speaker_groups
+from lipservo_lab.bench.hearing.recognizer_bench import SpeakerGroupError, speaker_groups
 
 
 def test_groups_come_from_the_corpus_or_from_a_table_of_ones_own(tmp_path):

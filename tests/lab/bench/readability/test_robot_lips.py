@@ -5,7 +5,7 @@ import pytest
 from lipservo_lab.bench.readability.robot_lips import calibrated_robot, shown_markers_mm
 from small_model import small_model
 
-from lipservo.face.assembly import assemble_face
+from lipservo.runtime.servos.assembly import assemble_face
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.errors import UserError
 from lipsync.markers import MARKERS_39

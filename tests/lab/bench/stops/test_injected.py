@@ -49,7 +49,7 @@ def test_a_process_that_loads_it_has_the_trouble_in_the_module_that_makes_the_st
         (tmp_path / "sitecustomize.py").write_text(file.read())
     if is_on:
         (tmp_path / "status_raises").touch()
-    code = "from lipservo.status.face_status import whole_status; whole_status({}, None)"
+    code = "from lipservo.runtime.status.face_status import whole_status; whole_status({}, None)"
     environment = os.environ | {
         injected.FOLDER_VARIABLE: str(tmp_path),
         "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path]),

@@ -6,13 +6,13 @@ A handful here, two dozen in `make check`; all of them are `lipservo bench fault
 
 import pytest
 from lipservo_lab.bench.fault_figures import signal_campaign_figures, stop_campaign_figures
-from lipservo_lab.bench.stops.signal_campaign import play_signal
-from lipservo_lab.bench.stops.signal_cases import (
+from lipservo_lab.bench.stops.signal_campaign import (
     COMMANDS,
     SIGNALS,
     Ending,
     Moment,
     SignalCase,
+    play_signal,
     signal_cases,
 )
 

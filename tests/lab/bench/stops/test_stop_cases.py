@@ -3,9 +3,15 @@
 from itertools import product
 
 import pytest
-from lipservo_lab.bench.stops.stop_cases import MOMENTS_S, StopCase, batches, stop_cases
+from lipservo_lab.bench.stops.stop_cases import (
+    MOMENTS_S,
+    StopCase,
+    StopOutcome,
+    batches,
+    stop_cases,
+    stop_figures,
+)
 from lipservo_lab.bench.stops.stop_clients import StopClient
-from lipservo_lab.bench.stops.stop_outcome import StopOutcome, stop_figures
 from lipservo_lab.bench.stops.troubles import FIRST_TROUBLES, FOR_EVERY_CLIENT, NEED_START, Trouble
 
 from firmware_bridge.stopping import StopLevel

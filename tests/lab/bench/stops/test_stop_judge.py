@@ -4,13 +4,12 @@ import threading
 import time
 
 import pytest
-from lipservo_lab.bench.stops import stop_judge
+from lipservo_lab.bench.stops import stop_campaign as stop_judge
 from lipservo_lab.bench.stops.robot_at_port import robot_at_port
 from lipservo_lab.bench.stops.running_face import RunningFace
-from lipservo_lab.bench.stops.stop_cases import StopCase
+from lipservo_lab.bench.stops.stop_campaign import judge_frozen, judge_limp
+from lipservo_lab.bench.stops.stop_cases import StopCase, StopOutcome
 from lipservo_lab.bench.stops.stop_clients import Addresses, Requested
-from lipservo_lab.bench.stops.stop_judge import judge_frozen, judge_limp
-from lipservo_lab.bench.stops.stop_outcome import StopOutcome
 from lipservo_lab.bench.stops.troubles import Trouble
 
 from firmware_bridge.stopping import StopLevel

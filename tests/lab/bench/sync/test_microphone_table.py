@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import soundfile
-from lipservo_lab.bench.sync import microphone_table as table
+from lipservo_lab.bench.sync import microphone_latency as table
 from lipservo_lab.bench.sync.microphone_latency import clip_to_bus_s
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from places import ROOT
@@ -14,9 +14,9 @@ from speech import CLIP_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipservo.street.motion_options import LOW_LATENCY_LOOKAHEAD_S, LOW_LATENCY_S, MotionOptions
+from lipservo.runtime.motion_options import LOW_LATENCY_LOOKAHEAD_S, LOW_LATENCY_S, MotionOptions
 from lipsync.motion.live_synthesizer import Style
-from lipsync.recognition.weights import DEFAULT_WEIGHTS
+from lipsync.recognition.network import DEFAULT_WEIGHTS
 
 LOW_LATENCY = MotionOptions(
     style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S

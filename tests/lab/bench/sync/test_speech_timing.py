@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.sync.performed_texts import performances_of
-from lipservo_lab.bench.sync.speech_timing import speech_timing
+from lipservo_lab.bench.sync.speech_timing import performances_of, speech_timing
 
 from lipsync.text_to_speech.spoken_text import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for

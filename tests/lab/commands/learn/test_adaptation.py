@@ -13,7 +13,7 @@ from speech import CLIP_LABELS_PATH, CLIP_PATH
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipsync.recognition.weights import find_weights, save_weights
+from lipsync.recognition.network import find_weights, save_weights
 from lipsync.textgrid import read_tiers, write_tiers
 
 pytest.importorskip("torch", reason="the extra `train` is not installed")
@@ -119,7 +119,7 @@ def test_a_folder_that_is_not_there_is_told_before_the_work(adapt, voice, tmp_pa
 
 
 def test_without_torch_the_extra_is_named(adapt, voice, monkeypatch):
-    monkeypatch.setattr("lipsync.extras.find_spec", lambda _library: None)
+    monkeypatch.setattr("lipsync.errors.find_spec", lambda _library: None)
 
     line = told(*adapt(voice))
     assert "adapt needs torch" in line

@@ -11,15 +11,15 @@ pytest.importorskip("trimesh", reason="scans need the extra `scans`")
 pytest.importorskip("matplotlib", reason="the picture sheet needs the extra `plots`")
 
 import trimesh
-from lipservo_lab.bench.scans.synthetic_scans import known_scans
+from lipservo_lab.bench.scan_figures import known_scans
 from lipservo_lab.corpus.grid import read_grid
-from lipservo_lab.scans.template import shipped_template
+from lipservo_lab.scans.head_alignment import shipped_template
 from small_corpus import text_grid
 
 from lipservo import command_line
 from lipsync.face.model import load_face
 from lipsync.markers import find_layout
-from lipsync.twin.mean_face import load_mean_face
+from lipsync.twin.head_surface import load_mean_face
 
 TEMPLATE = shipped_template()
 NOISE = np.random.default_rng(0)

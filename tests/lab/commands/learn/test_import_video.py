@@ -11,7 +11,7 @@ from pixel_video import PixelTracker
 from talking_pixels import write_clip, write_pictures
 
 from lipservo import command_line
-from lipsync.video.tracking import trackers
+from lipsync.video import face_tracker as trackers
 
 
 @pytest.fixture(autouse=True)

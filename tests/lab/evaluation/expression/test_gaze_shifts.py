@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.expression.blink_times import blink_cues, blinks_per_min
-from lipservo_lab.evaluation.expression.gaze_shifts import gaze_shifts
+from lipservo_lab.evaluation.expression.expression_figures import (
+    blink_cues,
+    blinks_per_min,
+    gaze_shifts,
+)
 
-from lipsync.expression.saccade import Saccade
+from lipsync.expression.gaze import Saccade
 
 
 def test_saccades_are_found_with_their_sizes():

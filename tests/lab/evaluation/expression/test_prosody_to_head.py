@@ -2,15 +2,13 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.expression.prosody_to_head import (
-    canonical_r,
-    canonical_r_shuffled,
-    lag_ms,
-)
-from lipservo_lab.evaluation.expression.shown_expression import (
+from lipservo_lab.evaluation.expression.expression_figures import (
     NAMES,
     ShownExpression,
+    canonical_r,
+    canonical_r_shuffled,
     cues_of,
+    lag_ms,
     shown,
 )
 from lipservo_lab.evaluation.expression.synthetic_prosody import synthetic_voice

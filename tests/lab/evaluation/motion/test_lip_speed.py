@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.motion.lip_speed import LipSpeed, lip_speed, lip_speed_figures
+from lipservo_lab.evaluation.motion.measures import LipSpeed, lip_speed, lip_speed_figures
 
-from lipsync.face.model import read_face
-from lipsync.face.model_file import open_model
+from lipsync.face.model import open_model, read_face
 
 
 @pytest.fixture(scope="module")

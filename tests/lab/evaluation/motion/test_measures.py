@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lipservo_lab.corpus.recorded_closures import observe_closures
-from lipservo_lab.corpus.speech_frames import speech_frames
-from lipservo_lab.corpus.utterance import Utterance, Word
+from lipservo_lab.corpus.utterance import Utterance, Word, speech_frames
 from lipservo_lab.evaluation.motion.measures import (
     SUMS,
     Motion,
@@ -21,10 +19,15 @@ from lipservo_lab.evaluation.motion.minimal_pairs import (
     made_persistence,
     recorded_persistence,
 )
-from lipservo_lab.evaluation.motion.mishearing import KINDS, misheard
 from lipservo_lab.evaluation.motion.motion_scores import Scores, add_scores
-from lipservo_lab.evaluation.motion.recovery import NEVER_S, wrong_phoneme_persistence
-from lipservo_lab.evaluation.motion.wrong_phonemes import error_rows
+from lipservo_lab.evaluation.motion.recovery import (
+    KINDS,
+    NEVER_S,
+    error_rows,
+    misheard,
+    wrong_phoneme_persistence,
+)
+from lipservo_lab.learning.motion.frame_statistics import observe_closures
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from recorded_phrase import recorded
 from small_model import small_model

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.corpus.utterance import CorpusError
-from lipservo_lab.evaluation.motion.motion_scores import check_scorable
-from lipservo_lab.evaluation.motion.splits import read_parts, words_part
+from lipservo_lab.evaluation.motion.motion_scores import check_scorable, read_parts, words_part
 from small_corpus import write_corpus
 from small_model import small_model
 

@@ -5,7 +5,7 @@ import json
 import pytest
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.corpus.utterance import CorpusError
-from lipservo_lab.evaluation.readability.reading_parts import reading_parts
+from lipservo_lab.evaluation.readability.reading_scores import reading_parts
 from small_corpus import write_corpus
 
 

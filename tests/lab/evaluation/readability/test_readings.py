@@ -9,22 +9,28 @@ import pytest
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.corpus.utterance import CorpusError, Utterance, Word
 from lipservo_lab.evaluation.motion.motion_scores import true_phonemes
-from lipservo_lab.evaluation.readability.readability import (
-    known_readability,
-    made_faces,
-    new_word_readability,
-    recorded_motions,
-)
-from lipservo_lab.evaluation.readability.readers import COMPONENT_READER, LIP_READER, READERS
-from lipservo_lab.evaluation.readability.reading_scores import gain, known_score, new_word_score
-from lipservo_lab.evaluation.readability.readings import (
+from lipservo_lab.evaluation.readability.readers import (
+    COMPONENT_READER,
+    LIP_READER,
     N_FOLDS,
+    READERS,
     Reading,
     known_fold,
     new_word_folds,
     read_words,
+    slotted,
+    spoken_words,
+    word_motion,
 )
-from lipservo_lab.evaluation.readability.spoken_words import slotted, spoken_words, word_motion
+from lipservo_lab.evaluation.readability.reading_scores import (
+    gain,
+    known_readability,
+    known_score,
+    made_faces,
+    new_word_readability,
+    new_word_score,
+    recorded_motions,
+)
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from places import ROOT
 from small_model import small_model

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from lipservo_lab.evaluation.motion.measures import closes
-from lipservo_lab.evaluation.recognition.closure_hits import Closure, closure_figures
+from lipservo_lab.evaluation.recognition.heard_motion import Closure, closure_figures
 from speech import CLIP_LABELS_PATH
 from typer.testing import CliRunner
 

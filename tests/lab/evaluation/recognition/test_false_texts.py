@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
-from lipservo_lab.evaluation.recognition.false_texts import text_figures, texts_of
+from lipservo_lab.evaluation.recognition.benchmark import text_figures, texts_of
 
 POOL = [
     TranscribedUtterance(f"1-1-{n}", "1", text, Path())

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
-from lipservo_lab.evaluation.recognition.heard_closures import HeardClosures
+from lipservo_lab.evaluation.recognition.recognition_scores import HeardClosures
 
 
 def flags(text):

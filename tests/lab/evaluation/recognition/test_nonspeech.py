@@ -4,7 +4,7 @@ say."""
 import numpy as np
 import pytest
 import soundfile
-from lipservo_lab.evaluation.recognition.nonspeech import (
+from lipservo_lab.evaluation.recognition.nonspeech_answers import (
     MouthDuringSound,
     mouth_during,
     nonspeech_figures,

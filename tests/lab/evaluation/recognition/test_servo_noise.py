@@ -2,8 +2,12 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.recognition.conditions import ConditionError, parse_condition
-from lipservo_lab.evaluation.recognition.servo_noise import encoder_readings_deg, servo_noise
+from lipservo_lab.evaluation.recognition.conditions import (
+    ConditionError,
+    encoder_readings_deg,
+    parse_condition,
+    servo_noise,
+)
 
 RATE_HZ = 16_000
 

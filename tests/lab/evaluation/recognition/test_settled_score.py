@@ -5,13 +5,13 @@ import pytest
 from lipservo_lab.corpus.alignment_cache import align_utterance
 from lipservo_lab.corpus.transcribed import TranscribedUtterance
 from lipservo_lab.evaluation.recognition.benchmark import measure
-from lipservo_lab.evaluation.recognition.settled_score import settled_score
+from lipservo_lab.evaluation.recognition.recognition_scores import settled_score
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from speech import CLIP_LABELS_PATH, CLIP_PATH
 
+from lipsync.audio.file import read_speech
+from lipsync.recognition.network import load_shipped_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
-from lipsync.recognition.speech_file import read_speech
-from lipsync.recognition.weights import load_shipped_weights
 
 
 def test_it_is_what_bench_recognition_measures():

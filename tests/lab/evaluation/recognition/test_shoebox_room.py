@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.recognition.conditions import parse_condition
-from lipservo_lab.evaluation.recognition.shoebox_room import impulse_response, in_room
+from lipservo_lab.evaluation.recognition.conditions import (
+    impulse_response,
+    in_room,
+    parse_condition,
+)
 
 from lipsync.audio_block import SAMPLE_RATE_HZ
 

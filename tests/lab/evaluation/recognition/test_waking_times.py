@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.evaluation.recognition.closing_times import Mouth
-from lipservo_lab.evaluation.recognition.waking_times import waking_figures
+from lipservo_lab.evaluation.recognition.closing_times import Mouth, waking_figures
 
 PHONES = [("SIL", 0, 30), ("AA", 30, 90), ("SIL", 90, 120)]
 

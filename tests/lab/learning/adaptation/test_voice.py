@@ -18,7 +18,7 @@ from lipservo_lab.learning.adaptation.voice import (
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from speech import CLIP_LABELS_PATH, CLIP_PATH
 
-from lipsync.recognition.speech_file import read_speech
+from lipsync.audio.file import read_speech
 
 
 def sentence(number, text, duration_s, *, is_reference=True):

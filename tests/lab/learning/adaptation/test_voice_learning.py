@@ -56,7 +56,7 @@ def test_a_strong_pull_keeps_the_weights_near(adapted):
 
 
 def test_it_learns_the_voice(adapted, clip):
-    from lipservo_lab.evaluation.recognition.settled_score import settled_score
+    from lipservo_lab.evaluation.recognition.recognition_scores import settled_score
 
     start, end = adapted(n_steps=60, peak_rate=2e-2, pull=0.0)
     before, after = (settled_score(w, [clip]).figures()["viseme_all"] for w in (start, end))

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lipservo_lab.corpus.speech_frames import speech_frames
-from lipservo_lab.corpus.utterance import Utterance
+from lipservo_lab.corpus.utterance import Utterance, speech_frames
 from lipservo_lab.learning.expectation.deviation import SHARE, with_deviation
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 

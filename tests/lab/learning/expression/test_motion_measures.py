@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 from expression_tracks import sway
-from lipservo_lab.learning.expression.motion_measures import (
+from lipservo_lab.learning.expression.expression_training import (
     canonical_correlation,
     head_correlation,
     head_lag_s,

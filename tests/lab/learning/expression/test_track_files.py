@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import soundfile
 from expression_tracks import COLUMNS, write_csv
-from lipservo_lab.learning.expression.track_files import read_track_file, read_track_files
-from lipservo_lab.learning.expression.tracks import TrackError
+from lipservo_lab.learning.expression.tracks import TrackError, read_track_file, read_track_files
 
 N_ROWS = 60
 

@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from lipservo_lab.learning.learned_expression.blink_timing import (
+from lipservo_lab.learning.learned_expression.learned_expression import (
     BLINK_S,
     LEAST_INTERVAL_S,
     BlinkTiming,

@@ -2,7 +2,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lipservo_lab.learning.learned_expression.cholesky import factor_of, solve_lower, solve_upper
+from lipservo_lab.learning.learned_expression.pose_mixture import (
+    factor_of,
+    solve_lower,
+    solve_upper,
+)
 
 
 @given(st.lists(st.floats(-3.0, 3.0), min_size=12, max_size=12))

@@ -9,10 +9,10 @@ from lipservo_lab.learning.learned_expression.expression_model import (
     ExpressionModelError,
     save_expression,
 )
-from lipservo_lab.learning.learned_expression.learned_head import LearnedHead
+from lipservo_lab.learning.learned_expression.learned_expression import LearnedHead
 
+from lipservo.runtime.speech.expression import make_expression
 from lipservo.settings.settings import load_shipped_face
-from lipservo.speech.face_expression import make_expression
 from lipsync.expression.cue import ExpressionCue
 from lipsync.face.frame import Expression
 

@@ -3,8 +3,7 @@ import pytest
 from expression_tracks import RATE_HZ, small_model, sway
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lipservo_lab.learning.learned_expression.cholesky import solve_upper
-from lipservo_lab.learning.learned_expression.pose_mixture import PoseMixture
+from lipservo_lab.learning.learned_expression.pose_mixture import PoseMixture, solve_upper
 from scipy.optimize import minimize
 
 MIXTURE = small_model(3).head

@@ -9,7 +9,7 @@ import pytest
 import soundfile
 from lipservo_lab.corpus.grid import read_grid
 from lipservo_lab.corpus.utterance import Corpus
-from lipservo_lab.learning.expectation.hearing import hear_sentences
+from lipservo_lab.learning.expectation.deviation import hear_sentences
 from lipservo_lab.learning.motion.face_training import (
     DEFAULT_COMPONENTS,
     TrainingError,
@@ -19,10 +19,10 @@ from lipservo_lab.learning.motion.face_training import (
 from lipservo_lab.learning.motion.trained_model import load_trained_model, save_model
 from small_corpus import write_corpus
 
-from lipsync.face.model_file import ModelError
+from lipsync.face.model import ModelError
 from lipsync.markers import MARKERS_47
 from lipsync.phonemes import PHONEMES
-from lipsync.recognition.weights import load_shipped_weights
+from lipsync.recognition.network import load_shipped_weights
 
 
 @pytest.fixture(scope="module")

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from lipservo_lab.learning.motion.counted_frames import counted
-from lipservo_lab.learning.motion.principal_components import principal_components
+from lipservo_lab.learning.motion.frame_statistics import counted, principal_components
 from sklearn.decomposition import PCA
 
 

@@ -12,10 +12,10 @@ from lipservo_lab.learning.offline.offline_training import train_offline
 from lipservo_lab.learning.offline.state_training import BuildingError, Recipe, build_states
 from small_corpus import write_corpus
 
+from lipsync.audio.file import read_speech
 from lipsync.markers import MARKERS_47, PointLayout
 from lipsync.offline.line_methods import Line, Speaker, model_based_line
 from lipsync.phonemes import PhonemeEvent
-from lipsync.recognition.speech_file import read_speech
 
 pytest.importorskip("dtaidistance", reason="the model-based method needs the extra `offline`")
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.learning.offline.manifold import landmark_frames, speech_manifold
+from lipservo_lab.learning.offline.state_training import landmark_frames, speech_manifold
 from scipy.spatial.distance import cdist, pdist
 from sklearn.decomposition import PCA
 

@@ -2,7 +2,11 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.learning.offline.parameters import find_components, joint_parameters, velocities
+from lipservo_lab.learning.offline.state_training import (
+    find_components,
+    joint_parameters,
+    velocities,
+)
 
 
 def em_pca(frames, n_components, n_rounds):

@@ -2,7 +2,11 @@
 
 import numpy as np
 import pytest
-from lipservo_lab.learning.offline.states import bisected_states, state_gaussians, transitions
+from lipservo_lab.learning.offline.state_training import (
+    bisected_states,
+    state_gaussians,
+    transitions,
+)
 
 
 def test_well_parted_clusters_become_the_states():

@@ -1,7 +1,7 @@
 """Laughter made of a voice's own vowels."""
 
 import numpy as np
-from lipservo_lab.learning.recognition.laughter import laughter_of
+from lipservo_lab.learning.recognition.nonspeech_sounds import laughter_of
 
 from lipsync.phonemes import PHONEMES, SILENCE
 

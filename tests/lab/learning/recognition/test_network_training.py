@@ -11,11 +11,12 @@ from lipservo_lab.learning.recognition import augmentation, noise
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples
 from lipservo_lab.learning.recognition.training_data import (
     NO_TARGET,
+    TrainingError,
+    TrainingPlan,
     delayed,
     feature_scale,
     training_arrays,
 )
-from lipservo_lab.learning.recognition.training_plan import TrainingError, TrainingPlan
 from small_network import random_weights
 from speech import CLIP_PATH
 

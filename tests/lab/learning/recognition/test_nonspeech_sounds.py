@@ -5,12 +5,8 @@ import pytest
 import soundfile
 from lipservo_lab.learning.recognition import augmentation, noise, nonspeech_sounds
 from lipservo_lab.learning.recognition.augmentation import LabelledSamples, Surroundings
-from lipservo_lab.learning.recognition.found_sounds import (
-    FoundSoundsError,
-    found,
-    read_found_sounds,
-)
-from lipservo_lab.learning.recognition.laughter import laughter_of
+from lipservo_lab.learning.recognition.noise import FoundSoundsError, found, read_found_sounds
+from lipservo_lab.learning.recognition.nonspeech_sounds import laughter_of
 
 from lipsync.phonemes import PHONEMES, SILENCE
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import soundfile
-from lipservo_lab.learning.recognition.voice_changes import shouted, warped, whispered
+from lipservo_lab.learning.recognition.augmentation import shouted, warped, whispered
 from speech import CLIP_PATH
 
 RATE_HZ = 16_000

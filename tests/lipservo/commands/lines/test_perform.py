@@ -19,10 +19,15 @@ from small_model import small_model
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipservo.face.assembly import assemble_face
-from lipservo.traces.trace_reader import read_trace
-from lipsync.offline.performance import RATE_HZ, Performance, PerformedSound, performed_sound
-from lipsync.offline.performance_file import write_performance
+from lipservo.runtime.servos.assembly import assemble_face
+from lipservo.traces.trace_file import read_trace
+from lipsync.offline.performance import (
+    RATE_HZ,
+    Performance,
+    PerformedSound,
+    performed_sound,
+    write_performance,
+)
 from lipsync.offline.performed_motion import EASING_S
 from lipsync.phonemes import PhonemeEvent
 

@@ -10,9 +10,8 @@ import pytest
 import soundfile
 from null_sink import null_sink
 
-from lipservo.face.assembly import assemble_face
-from lipsync.offline.performance import Performance, performed_sound
-from lipsync.offline.performance_file import write_performance
+from lipservo.runtime.servos.assembly import assemble_face
+from lipsync.offline.performance import Performance, performed_sound, write_performance
 from lipsync.phonemes import PhonemeEvent
 
 # A PulseAudio server and a run in real time.

@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from lipservo.cli import app
 from lipsync.face.model import load_face
 from lipsync.offline.offline_model_file import load_offline_model
-from lipsync.offline.performance_file import read_performance, sound_file
+from lipsync.offline.performance import read_performance, sound_file
 
 
 def invoke(*arguments):

@@ -15,8 +15,7 @@ import pytest
 from places import ROOT
 
 from lipsync.face.model import load_face
-from lipsync.twin.head_surface import head_surface
-from lipsync.twin.mean_face import load_mean_face
+from lipsync.twin.head_surface import head_surface, load_mean_face
 from lipsync.twin.twin import skin_morphs
 
 sync_api = pytest.importorskip("playwright.sync_api")

@@ -13,7 +13,7 @@ from running_daemon import all_driven, log, own_folder, running, wait_for
 from websockets.asyncio.client import connect
 
 from firmware_bridge.process.control_client import ask
-from lipservo.face.sim_process import simulated_port
+from lipservo.runtime.servos.sim_process import simulated_port
 
 
 @pytest.fixture

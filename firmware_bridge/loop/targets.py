@@ -1,0 +1,264 @@
+"""Targets on their way to the bridge: the channels, and what the bridge makes of what came."""
+
+import math
+import select
+import socket
+import struct
+from bisect import bisect_left, bisect_right
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+
+from firmware_bridge.bus import Array, all_set
+from firmware_bridge.gate.ramp import StaleLevel, StaleRule
+
+
+@dataclass(frozen=True, slots=True)
+class ServoTargets:
+    """Joint angles wanted at monotonic display time `time_s`.
+
+    positions_deg: (n_servos,), in the order of the face's servo names, 0 = the joint's neutral.
+    """
+
+    time_s: float
+    positions_deg: Array
+
+
+class TargetChannel(Protocol):
+    """Carries targets one way. Nobody ever blocks; the newest targets win."""
+
+    def publish(self, targets: ServoTargets) -> None:
+        """Hand over one target record."""
+
+    def drain(self) -> list[ServoTargets]:
+        """All records published since the last call that still matter, oldest first."""
+
+
+#: Longest step beyond the newest target along its slope. At the mouth's usual 5 Hz and below it is
+#: a quarter of a cycle: the slope still tells the direction, later it does not.
+MAX_EXTRAPOLATION_S = 0.050
+#: Two targets closer than this say the same moment twice: a tenth of the 100 Hz spacing that the
+#: speech side publishes at. It also keeps the slope from being a quotient of two rounding errors.
+SAME_MOMENT_S = 0.001
+
+
+class MemoryTargetChannel:
+    """A `TargetChannel` inside one process and one thread: replay, tests, a face on this computer.
+
+    Holds `capacity` records; publishing into a full channel drops the oldest.
+    """
+
+    def __init__(self, capacity: int = 32) -> None:
+        self._records: deque[ServoTargets] = deque(maxlen=capacity)
+        self._n_dropped = 0
+
+    @property
+    def n_dropped(self) -> int:
+        """Records that were overwritten before anyone drained them."""
+        return self._n_dropped
+
+    def publish(self, targets: ServoTargets) -> None:
+        """Hand over one target record."""
+        if len(self._records) == self._records.maxlen:
+            self._n_dropped += 1
+        self._records.append(targets)
+
+    def drain(self) -> list[ServoTargets]:
+        """All records published since the last call that were not dropped, oldest first."""
+        records = list(self._records)
+        self._records.clear()
+        return records
+
+
+class TargetTrack:
+    """The newest targets in order of display time, read as one continuous motion.
+
+    A record says what holds from its time on: it replaces every kept one at or after that time, so
+    a speech side that thinks again, or starts again, is never mixed with what it said before.
+    Records with the wrong number of joints, or anything not finite, are left out and counted.
+    """
+
+    def __init__(self, n_servos: int, n_kept: int = 256) -> None:
+        """Keep `n_kept` records: 2.5 s at 100 Hz, more than any target is dated ahead."""
+        self._shape = (n_servos,)
+        self._n_kept = n_kept
+        self._times_s: list[float] = []
+        self._positions_deg: list[Array] = []
+        self._n_rejected = 0
+
+    @property
+    def n_rejected(self) -> int:
+        """Records left out because they were invalid."""
+        return self._n_rejected
+
+    def push(self, records: Iterable[ServoTargets]) -> None:
+        """Take records in the order they were published."""
+        for record in records:
+            positions_deg, time_s = record.positions_deg, record.time_s
+            is_valid = (
+                positions_deg.shape == self._shape
+                and math.isfinite(time_s)
+                and all_set(np.isfinite(positions_deg))
+            )
+            if not is_valid:
+                self._n_rejected += 1
+                continue
+            times_s = self._times_s
+            if not times_s or times_s[-1] < time_s - SAME_MOMENT_S:  # nearly always so
+                times_s.append(time_s)
+                self._positions_deg.append(positions_deg)
+            else:
+                replaced = bisect_left(times_s, time_s - SAME_MOMENT_S)
+                times_s[replaced:] = [time_s]
+                self._positions_deg[replaced:] = [positions_deg]
+            if len(times_s) > self._n_kept:
+                del times_s[0], self._positions_deg[0]
+
+    def at(self, time_s: float) -> tuple[Array | None, float]:
+        """Positions for `time_s`, (n_servos,), and the age of the newest target due by then.
+
+        Linear between targets; beyond the newest along its last slope for `MAX_EXTRAPOLATION_S`,
+        then held. Targets not yet due count for nothing in the age: a sender that dates them into
+        the far future has gone quiet. Before the first is due: (None, infinity).
+        """
+        n_due = bisect_right(self._times_s, time_s)
+        if n_due == 0:
+            return None, float("inf")
+        age_s = time_s - self._times_s[n_due - 1]
+        if n_due < len(self._times_s):
+            return self._on_line(n_due - 1, time_s), age_s
+        if n_due == 1:
+            return self._positions_deg[0], age_s
+        return self._on_line(n_due - 2, time_s - max(0.0, age_s - MAX_EXTRAPOLATION_S)), age_s
+
+    def _on_line(self, left: int, time_s: float) -> Array:
+        """Follow the straight line through targets `left` and `left + 1`, at `time_s`."""
+        start_s, end_s = self._times_s[left], self._times_s[left + 1]
+        start_deg, end_deg = self._positions_deg[left], self._positions_deg[left + 1]
+        return start_deg + (end_deg - start_deg) * ((time_s - start_s) / (end_s - start_s))
+
+
+_HEAD: Final = struct.Struct("<Qd")
+_ANGLE: Final = np.dtype("<f8")
+#: Room for a second of targets at 1000 a second; a reader at 30 Hz never lets it fill.
+_BUFFER_BYTES: Final = 1 << 20
+#: More than a reader needs in one go; bounds the time of a tick when somebody floods the channel.
+_MOST_AT_ONCE: Final = 1_000
+_LONGEST_RECORD: Final = 16_384
+
+
+def channel_pair() -> tuple[socket.socket, socket.socket]:
+    """(writer, reader), both inheritable by name only.
+
+    SOCK_SEQPACKET rather than SOCK_DGRAM: the kernel lets only ten datagrams wait
+    (net.unix.max_dgram_qlen), and a reader could not tell that the writer has died.
+    """
+    writer, reader = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    writer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+    return writer, reader
+
+
+class SocketTargetChannel:
+    """One end of a `channel_pair` as `TargetChannel`: publish at one end, drain at the other."""
+
+    def __init__(self, end: socket.socket) -> None:
+        self._end = end
+        self._end.setblocking(False)
+        self._ready = select.poll()
+        self._ready.register(end, select.POLLIN)
+        self._sequence = 0
+        self.n_dropped = 0
+        self.closed = False
+
+    def publish(self, targets: ServoTargets) -> None:
+        """Hand over one record; dropped and counted when the reader is far behind or gone."""
+        self._sequence += 1
+        values = np.ascontiguousarray(targets.positions_deg, dtype="<f8").tobytes()
+        try:
+            self._end.send(_HEAD.pack(self._sequence, targets.time_s) + values)
+        except OSError:
+            self.n_dropped += 1
+
+    def drain(self) -> list[ServoTargets]:
+        """All that has come, oldest first, the newest thousand at most; counts the gaps."""
+        records: list[ServoTargets] = []
+        for _ in range(_MOST_AT_ONCE):
+            if not self._ready.poll(0):  # half as dear as an error that says there is nothing
+                break
+            try:
+                raw = self._end.recv(_LONGEST_RECORD)
+            except OSError:
+                self.closed = True
+                break
+            if not raw:
+                self.closed = True
+                break
+            if len(raw) < _HEAD.size or (len(raw) - _HEAD.size) % 8:
+                self.n_dropped += 1
+                continue
+            sequence, time_s = _HEAD.unpack_from(raw)
+            if sequence > self._sequence + 1:
+                self.n_dropped += sequence - self._sequence - 1
+            self._sequence = sequence
+            records.append(ServoTargets(time_s, np.frombuffer(raw, _ANGLE, offset=_HEAD.size)))
+        return records
+
+
+_FRESH = StaleLevel.FRESH
+
+
+class FollowedTargets:
+    """Targets in, one wanted angle a joint out; arrays are (n_joints,).
+
+    held_deg: the newest that were followed. was_spoken_to: any, since the start.
+    """
+
+    def __init__(self, channel: TargetChannel, n_joints: int, stale: StaleRule) -> None:
+        self._channel = channel
+        self._stale = stale
+        self._track = TargetTrack(n_joints)
+        self._fresh_deg: Array | None = None
+        self._fresh_s = 0.0
+        self._heard_s = 0.0  # display time of the newest target due, or of the start if later
+        self.held_deg: Array = np.zeros(n_joints)
+        self.was_spoken_to = False
+
+    @property
+    def n_rejected(self) -> int:
+        """Targets that could not be used."""
+        return self._track.n_rejected
+
+    def begin(self, present_deg: Array, time_s: float) -> None:
+        """Hold the joints where they stand, until a target comes."""
+        self.held_deg = present_deg
+        self._heard_s = time_s
+        self.was_spoken_to = False
+
+    def take(self, time_s: float) -> bool:
+        """Take what came; whether there is a fresh target that may be followed."""
+        self._track.push(self._channel.drain())
+        target_deg, age_s = self._track.at(time_s)
+        if target_deg is None or self._stale.level(age_s) is not _FRESH:
+            return False
+        self._fresh_deg, self._fresh_s = target_deg, time_s - age_s
+        return True
+
+    def follow(self) -> None:
+        """From now on the fresh target is what is wanted."""
+        assert self._fresh_deg is not None
+        self._heard_s = max(self._heard_s, self._fresh_s)
+        self.held_deg = self._fresh_deg
+        self.was_spoken_to = True
+
+    def silence_s(self, time_s: float) -> float:
+        """How old the newest target is that was followed."""
+        return max(0.0, time_s - self._heard_s)
+
+    def wanted(self, silence_s: float, level: StaleLevel) -> Array:
+        """Degrees, after a silence that is at this level by now."""
+        if level is _FRESH:
+            return self.held_deg
+        return self.held_deg * self._stale.weight(silence_s)

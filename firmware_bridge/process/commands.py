@@ -1,0 +1,223 @@
+"""What people and programs ask of a running face, as words of the control socket and as a queue.
+
+Everybody who may command a face writes into the `CommandQueue`, and the loop of the face takes from
+it. It never grows: one place for each level of stop and one for each setting, so a stop is never
+lost and of several values of a setting the newest counts; orders keep their sequence, and there is
+room for a few. Nothing here locks, since a second signal may break into the loop anywhere; each
+step is one operation on a dictionary or a queue, which CPython does not interrupt.
+
+set NAME VALUE [NAME VALUE ...]     servo NAME off|on|reboot     jog arm | NAME DEG | end     start
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from firmware_bridge.stopping import (
+    ArmJog,
+    EndJog,
+    JogTo,
+    Order,
+    ServoOrder,
+    ServoSwitch,
+    StartFace,
+    StopLevel,
+    StopRequest,
+)
+
+#: A stop that goes further replaces the others: freezing gives way to an end, an end to limp.
+_FURTHEST_FIRST: Final = (StopLevel.LIMP, StopLevel.SOFT, StopLevel.FREEZE)
+#: Orders that wait for the next tick; more than as many clients as may be connected can send.
+_MOST_ORDERS: Final = 64
+_NOBODY_DRIVES: Final = "nobody drives the servos just now; ask again"
+
+
+class CommandError(ValueError):
+    """A command that is refused: one line, what and what is allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A number that may change while a face runs: its value, and the limits it must keep."""
+
+    value: float
+    low: float
+    high: float
+
+
+class CommandQueue:
+    """One face's commands. Any thread may write; one loop takes."""
+
+    def __init__(
+        self,
+        settings: Mapping[str, Setting] | None = None,
+        *,
+        on_change: Callable[[Mapping[str, float]], None] | None = None,
+    ) -> None:
+        """settings: what may be changed, by name.
+
+        on_change: called with names and values at every change; must return at once.
+        """
+        self._settings = dict(settings or {})
+        self._on_change = on_change
+        self._stops: dict[StopLevel, StopRequest] = {}
+        self._changes: dict[str, float] = {}
+        self._orders: deque[Order] = deque()
+        self._refusal: Callable[[Order], str] = _nobody_drives
+
+    @property
+    def values(self) -> dict[str, float]:
+        """What every setting was last set to."""
+        return {name: setting.value for name, setting in self._settings.items()}
+
+    def stop(self, level: StopLevel, requested_by: str = "", *, ends: bool = False) -> None:
+        """Request a stop."""
+        before = self._stops.get(level)
+        ends = ends or (before is not None and before.ends)
+        self._stops[level] = StopRequest(level, requested_by, ends)
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Ask for other values of settings, all of them or none. Raises CommandError."""
+        changed = {name: self._checked(name, value) for name, value in values.items()}
+        self._settings.update(changed)
+        self._changes.update(values)
+        if self._on_change is not None:
+            self._on_change(values)
+
+    def attend(self, refusal: Callable[[Order], str]) -> None:
+        """From now on somebody obeys orders. refusal: why not this one, in one line; empty: yes."""
+        self._refusal = refusal
+
+    def order(self, order: Order) -> None:
+        """Ask something of single servos. Raises CommandError."""
+        if len(self._orders) >= _MOST_ORDERS:
+            raise CommandError("too many orders at once; ask again")
+        if why_not := self._refusal(order):
+            raise CommandError(why_not)
+        self._orders.append(order)
+
+    def take_stop(self) -> StopRequest | None:
+        """The stop that goes furthest of those requested since the last call; None: none.
+
+        The process ends with it if it was to end with any of them.
+        """
+        if not self._stops:
+            return None
+        taken = [self._stops.pop(level, None) for level in _FURTHEST_FIRST]
+        requests = [each for each in taken if each is not None]
+        return replace(requests[0], ends=any(each.ends for each in requests))
+
+    def take_changes(self) -> dict[str, float]:
+        """The newest value of each setting that was changed since the last call."""
+        if not self._changes:
+            return {}
+        return {name: self._changes.pop(name) for name in list(self._changes)}
+
+    def take_orders(self) -> list[Order]:
+        """All orders since the last call, oldest first."""
+        if not self._orders:
+            return []
+        return [self._orders.popleft() for _ in range(len(self._orders))]
+
+    def _checked(self, name: str, value: float) -> Setting:
+        """The setting with another value. Raises CommandError."""
+        setting = self._settings.get(name)
+        if setting is None:
+            raise CommandError(f"{name!r}: no such setting; {self._names()}")
+        if not (math.isfinite(value) and setting.low <= value <= setting.high):
+            allowed = f"{setting.low:g} to {setting.high:g}"
+            raise CommandError(f"{name} is {value:g}; allowed: {allowed}")
+        return Setting(value, setting.low, setting.high)
+
+    def _names(self) -> str:
+        if not self._settings:
+            return "this face has no settings that change while it runs"
+        named = (f"{name} ({each.low:g} to {each.high:g})" for name, each in self._settings.items())
+        return f"there are: {', '.join(named)}"
+
+
+def _nobody_drives(_order: Order) -> str:
+    return _NOBODY_DRIVES
+
+
+#: The first words of the commands.
+SET_WORD: Final = "set"
+SERVO_WORD: Final = "servo"
+JOG_WORD: Final = "jog"
+ARM_WORD: Final = "arm"
+END_WORD: Final = "end"
+START_WORD: Final = "start"
+
+_SAY_SET: Final = "say: set NAME VALUE [NAME VALUE ...]"
+_SAY_SERVO: Final = "say: servo NAME off|on|reboot"
+_SAY_JOG: Final = "say: jog arm, jog NAME DEG, or jog end"
+
+
+def command_answer(
+    word: str, commands: CommandQueue, requested_by: Callable[[], str]
+) -> dict[str, object] | None:
+    """What is answered to `word`, which is in `commands` now; None: it is no command of these.
+
+    requested_by: who asks, for a log.
+    """
+    first, *rest = word.split()
+    try:
+        if first == SET_WORD:
+            return _set(rest, commands)
+        if first == SERVO_WORD:
+            return _switch(rest, commands, requested_by)
+        if first == JOG_WORD:
+            return _jog(rest, commands)
+        if word == START_WORD:
+            commands.order(StartFace(requested_by()))
+            return {"accepted": START_WORD}
+    except CommandError as error:
+        return {"error": str(error)}
+    return None
+
+
+def _set(words: list[str], commands: CommandQueue) -> dict[str, object]:
+    if not words or len(words) % 2:
+        raise CommandError(_SAY_SET)
+    names = words[::2]
+    if len(set(names)) < len(names):
+        raise CommandError("a setting is named twice")
+    values = {name: _number(text) for name, text in zip(names, words[1::2], strict=True)}
+    commands.change(values)
+    if len(names) == 1:
+        return {"set": names[0], "value": values[names[0]]}
+    return {"set": values}
+
+
+def _switch(
+    words: list[str], commands: CommandQueue, requested_by: Callable[[], str]
+) -> dict[str, object]:
+    if len(words) != 2 or words[1] not in set(ServoSwitch):
+        raise CommandError(_SAY_SERVO)
+    name, switch = words
+    commands.order(ServoOrder(name, ServoSwitch(switch), requested_by()))
+    return {"servo": name, "asked": switch}
+
+
+def _jog(words: list[str], commands: CommandQueue) -> dict[str, object]:
+    match words:
+        case [word] if word == ARM_WORD:
+            commands.order(ArmJog())
+            return {"jog": ARM_WORD}
+        case [word] if word == END_WORD:
+            commands.order(EndJog())
+            return {"jog": END_WORD}
+        case [name, angle]:
+            position_deg = _number(angle)
+            commands.order(JogTo(name, position_deg))
+            return {"jog": name, "position_deg": position_deg}
+    raise CommandError(_SAY_JOG)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise CommandError(f"{text[:40]!r} is not a number") from None

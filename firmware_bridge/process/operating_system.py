@@ -1,0 +1,105 @@
+"""What Linux and systemd do for the processes of a face: they die together, run on time, report."""
+
+import contextlib
+import ctypes
+import gc
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import Final
+
+#: linux/prctl.h: the signal that a process gets when its parent dies.
+_PR_SET_PDEATHSIG: Final = 1
+#: Above everything ordinary, below the kernel's own threads. Ours.
+_FIFO_PRIORITY: Final = 50
+
+
+def die_with_parent(number: int = signal.SIGTERM) -> None:
+    """Ask the kernel for a signal when the parent dies. Nothing happens where it cannot."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
+
+
+def write_from_background() -> None:
+    """Go on when a terminal lets only its foreground write; a child in a group of its own may not.
+
+    See `stty tostop`. Stopped there, a bridge would be taken for one that hangs.
+    """
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def on_time() -> Iterator[bool]:
+    """`run_on_time` for a while; gives back the ordinary scheduling."""
+    granted = run_on_time()
+    try:
+        yield granted
+    finally:
+        if granted:
+            os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+
+
+def run_on_time() -> bool:
+    """First-in-first-out scheduling if permitted, and no more collection of garbage there is.
+
+    Whether the scheduling was granted.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
+    except (OSError, AttributeError):
+        return False
+    return True
+
+
+#: systemd waits for 20 s (`WatchdogSec` of the unit).
+_ALIVE_S: Final = 1.0
+
+
+class ServiceNotice:
+    """Says READY=1 once and WATCHDOG=1 every second; nothing when systemd did not start us.
+
+    A socket that is no longer there is said once and otherwise ignored.
+    """
+
+    def __init__(
+        self, say: Callable[[str], None], now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._say = say
+        self._now_s = now_s
+        self._address = os.environ.get("NOTIFY_SOCKET", "")
+        self._ready = False
+        self._has_warned = False
+        self._alive_s = float("-inf")
+
+    def ready(self) -> None:
+        """The servos are driven."""
+        if not self._ready:
+            self._ready = True
+            self._notify("READY=1")
+
+    def alive(self) -> None:
+        """The loop that moves the face is alive; call it often."""
+        now_s = self._now_s()
+        if self._ready and now_s - self._alive_s >= _ALIVE_S:
+            self._alive_s = now_s
+            self._notify("WATCHDOG=1")
+
+    def _notify(self, state: str) -> None:
+        """See sd_notify(3)."""
+        if not self._address:
+            return
+        address = self._address
+        if address.startswith("@"):
+            address = "\0" + address[1:]
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notifier:
+                notifier.setblocking(False)
+                notifier.sendto(state.encode(), address)
+        except (OSError, ValueError) as error:
+            if not self._has_warned:
+                self._has_warned = True
+                self._say(f"systemd is not told: NOTIFY_SOCKET={self._address}: {error}")

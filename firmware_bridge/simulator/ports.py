@@ -1,0 +1,333 @@
+"""A simulated chain as a port: in memory on any clock, or a pseudo-terminal for any program."""
+
+import contextlib
+import ctypes
+import fcntl
+import os
+import secrets
+import select
+import struct
+import termios
+import time
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from firmware_bridge.clock import Clock
+from firmware_bridge.errors import PortError, PortGone
+from firmware_bridge.simulator.chain import SimulatedChain
+
+
+class MemoryTransport:
+    """A `Transport` whose other end is a chain. `tap` sees every write, as (time_s, bytes)."""
+
+    def __init__(
+        self,
+        chain: SimulatedChain,
+        clock: Clock,
+        baud_rate: int = 1_000_000,
+        tap: Callable[[float, bytes], None] | None = None,
+    ) -> None:
+        """Raises PortGone while the chain is unplugged, as opening its port would."""
+        self._chain = chain
+        self._clock = clock
+        self.baud_rate = baud_rate
+        self._tap = tap
+        self._closed = False
+        self._check()
+
+    @property
+    def clock(self) -> Clock:
+        """The clock it was given."""
+        return self._clock
+
+    def write(self, data: bytes) -> None:
+        """Put bytes on the simulated wire."""
+        self._check()
+        if self._tap is not None:
+            self._tap(self._clock.now(), data)
+        self._chain.receive(data, self._clock.now(), self.baud_rate)
+
+    def read(self, deadline_s: float) -> bytes:
+        """Jump to the next delivery or to the deadline, whichever comes first."""
+        self._check()
+        self._clock.sleep_until(min(self._chain.next_delivery_s, deadline_s))
+        data = self._chain.deliver(self._clock.now())
+        if not data:
+            self._clock.sleep_until(deadline_s)
+        return data
+
+    def discard_input(self) -> bytes:
+        """What has been delivered by now."""
+        self._check()
+        return self._chain.deliver(self._clock.now())
+
+    def close(self) -> None:
+        """Forget the chain's pending bytes."""
+        if not self._closed:
+            self._closed = True
+            self._chain.deliver(float("inf"))
+
+    def _check(self) -> None:
+        self._chain.advance(self._clock.now())
+        if self._closed or not self._chain.plugged:
+            self._closed = True
+            raise PortGone("the simulated port is gone; plug the chain in again")
+
+
+_TERMINALS: Final = Path("/dev/pts")
+
+
+class PortLink:
+    """A symbolic link of ours. Whatever is somebody else's stays as it is."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._port = ""
+
+    def lead_to(self, port: str) -> None:
+        """Let the path lead to `port`.
+
+        Taken over is a link of ours, or one to a pseudo-terminal that is no more, as a simulator
+        that was killed leaves behind. Raises PortError for anything else, and where no link can
+        be made.
+        """
+        if not self._path.name:
+            raise PortError(f"--link {self._path}: is a folder, not the name of a link")
+        if not self._may_take(port):
+            raise PortError(
+                f"--link {self._path}: something is there already, which is left alone; "
+                "remove it or give another path"
+            )
+        # Beside it under a name that nobody has, then in one step to its place.
+        fresh = self._path.with_name(f"{self._path.name}.{secrets.token_hex(8)}")
+        try:
+            fresh.symlink_to(port)
+            try:
+                fresh.replace(self._path)
+            except OSError:
+                fresh.unlink()
+                raise
+        except OSError as error:
+            raise PortError(
+                f"--link {self._path}: no link can be made there: {error.strerror}"
+            ) from error
+        self._port = port
+
+    def remove(self) -> None:
+        """Take the link away, if it still leads to our port."""
+        if self._port and self._target() == self._port:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+        self._port = ""
+
+    def _may_take(self, port: str) -> bool:
+        target = self._target()
+        if target is None:
+            return not os.path.lexists(self._path)
+        if target in (port, self._port):
+            return True
+        return Path(target).parent == _TERMINALS and not os.path.lexists(target)
+
+    def _target(self) -> str | None:
+        """Where the link leads; None where there is none."""
+        try:
+            return os.readlink(self._path)
+        except (OSError, ValueError):
+            return None
+
+
+#: asm-generic/ioctls.h, sys/inotify.h
+_TIOCGEXCL: Final = 0x80045440
+_IN_CLOSE: Final = 0x08 | 0x10
+_EVENTS: Final = 16_384
+
+
+class ExclusiveAccess:
+    """Watches one pseudo-terminal from its host's side."""
+
+    def __init__(self, slave: int, port: str) -> None:
+        """slave: the host's own descriptor of `port`. Where inotify is missing, nothing happens."""
+        self._slave = slave
+        self._port = port
+        self._watch = _watch_closes(port)
+
+    @property
+    def descriptors(self) -> list[int]:
+        """Readable once somebody has closed the port."""
+        return [] if self._watch is None else [self._watch]
+
+    def somebody_closed(self) -> None:
+        """Open the port to everybody again, unless a client still holds it."""
+        if self._watch is not None:
+            with contextlib.suppress(BlockingIOError):
+                os.read(self._watch, _EVENTS)
+        if self._is_exclusive() and not self._is_held():
+            fcntl.ioctl(self._slave, termios.TIOCNXCL)
+
+    def close(self) -> None:
+        """Stop watching."""
+        if self._watch is not None:
+            os.close(self._watch)
+            self._watch = None
+
+    def _is_exclusive(self) -> bool:
+        try:
+            answer = fcntl.ioctl(self._slave, _TIOCGEXCL, bytes(4))
+        except OSError:
+            return False
+        return struct.unpack("i", answer) != (0,)
+
+    def _is_held(self) -> bool:
+        """Whether any process, this one included, has the port open besides the host itself.
+
+        Processes of other users cannot be looked into. They could not open the port either, except
+        for root, whom exclusive access never kept out.
+        """
+        own = f"/proc/{os.getpid()}/fd/{self._slave}"
+        for folder in Path("/proc").glob("[0-9]*/fd"):
+            with contextlib.suppress(OSError):
+                for name in os.listdir(folder):
+                    path = f"{folder}/{name}"
+                    with contextlib.suppress(OSError):
+                        if os.readlink(path) == self._port and path != own:
+                            return True
+        return False
+
+
+def _watch_closes(path: str) -> int | None:
+    """A descriptor that tells of every close of `path`; None where the computer cannot."""
+    try:
+        libc = ctypes.CDLL(None, use_errno=True)
+        watch = libc.inotify_init1(os.O_NONBLOCK | os.O_CLOEXEC)
+        if watch < 0:
+            return None
+        if libc.inotify_add_watch(watch, os.fsencode(path), _IN_CLOSE) >= 0:
+            return int(watch)
+        os.close(watch)
+    except (OSError, AttributeError):
+        pass
+    return None
+
+
+_RATES: Final = {
+    value: int(name[1:])
+    for name, value in vars(termios).items()
+    if name[:1] == "B" and name[1:].isdigit()
+}
+#: asm-generic/ioctls.h and termbits.h: settings with the rate as a number, which also tells rates
+#: that have no name. Rust's serialport sets them so, and with it rustypot.
+_TCGETS2: Final = 0x802C542A
+_TERMIOS2_SIZE, _OUTPUT_SPEED_AT = 44, 40
+#: How long the loop sleeps at most, so that scripted faults and a stop are noticed.
+_LONGEST_SLEEP_S: Final = 0.05
+_CHUNK: Final = 65_536
+#: Motors are not moved on when a reply is due within this: it would be late.
+_BUSY_S: Final = 0.001
+
+
+class PtyHost:
+    """Serves one chain on the computer's clock until stopped. Linux only.
+
+    The simulator sees the client's baud rate, so a wrong one is silence, as on the wire. `unplug`
+    closes the terminal, by the chain's method or by its script; plugged in again it has a new name,
+    and `link`, if given, leads to it, as /dev/serial/by-id does.
+    """
+
+    def __init__(self, chain: SimulatedChain, link: Path | None = None) -> None:
+        """Raises PortError when there is no pseudo-terminal, or no link can be made at `link`."""
+        self._chain = chain
+        self._link = None if link is None else PortLink(link)
+        self._zero_s = time.monotonic()
+        self._master = self._slave = -1
+        self._access: ExclusiveAccess | None = None
+        self.port = ""
+        self._plug_in()
+        if self._link is not None:
+            try:
+                self._link.lead_to(self.port)
+            except PortError:
+                self.close()
+                raise
+
+    def serve(self, stopped: Callable[[], bool], wake_fd: int | None = None) -> None:
+        """Serve until `stopped` says so; readable bytes on `wake_fd` make it ask at once."""
+        while not stopped():
+            now_s = time.monotonic() - self._zero_s
+            wait_s = self._chain.next_delivery_s - now_s
+            if wait_s > _BUSY_S:  # nothing to say soon: time for everything else
+                self._chain.advance(now_s)
+                self._mind_the_plug()
+            elif wait_s <= 0.0:
+                self._deliver(now_s)
+                continue
+            closed = [] if self._access is None else self._access.descriptors
+            watched = [fd for fd in (self._master, wake_fd, *closed) if fd is not None and fd >= 0]
+            longest_s = _LONGEST_SLEEP_S if self._master >= 0 else _LONGEST_SLEEP_S / 10
+            ready = select.select(watched, [], [], min(max(wait_s, 0.0), longest_s))[0]
+            if self._master in ready:
+                self._receive()
+            if wake_fd in ready:
+                return
+            if self._access is not None and closed and closed[0] in ready:
+                self._access.somebody_closed()
+
+    def close(self) -> None:
+        """Hang up: clients see the end of file."""
+        if self._access is not None:
+            self._access.close()
+            self._access = None
+        for fd in (self._master, self._slave):
+            if fd >= 0:
+                os.close(fd)
+        self._master = self._slave = -1
+        if self._link is not None:
+            self._link.remove()
+
+    def _plug_in(self) -> None:
+        try:
+            self._master, self._slave = os.openpty()
+        except OSError as error:
+            raise PortError(f"no pseudo-terminal can be opened: {error.strerror}") from error
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.port = os.ttyname(self._slave)
+        self._access = ExclusiveAccess(self._slave, self.port)
+
+    def _mind_the_plug(self) -> None:
+        if self._chain.plugged and self._master < 0:
+            self._plug_in()
+            if self._link is not None:
+                # Somebody may have put something else there meanwhile: then that stays.
+                with contextlib.suppress(PortError):
+                    self._link.lead_to(self.port)
+        elif not self._chain.plugged and self._master >= 0:
+            self.close()
+
+    def _receive(self) -> None:
+        now_s = time.monotonic() - self._zero_s
+        try:
+            data = os.read(self._master, _CHUNK)
+        except OSError:
+            return
+        rate = _baud_rate(self._slave)
+        if rate:
+            self._chain.receive(data, now_s, rate)
+
+    def _deliver(self, now_s: float) -> None:
+        data = self._chain.deliver(now_s)
+        if data:
+            # A client that does not read loses bytes, as from a full receive buffer.
+            with contextlib.suppress(BlockingIOError, OSError):
+                os.write(self._master, data)
+
+
+def _baud_rate(terminal: int) -> int | None:
+    """The rate that a client has set, in bits a second; None for one that nobody can tell."""
+    try:
+        settings = fcntl.ioctl(terminal, _TCGETS2, bytes(_TERMIOS2_SIZE))
+    except OSError:  # other numbers on some machines
+        return _RATES.get(termios.tcgetattr(terminal)[5])
+    rate: int = struct.unpack_from("I", settings, _OUTPUT_SPEED_AT)[0]
+    return rate

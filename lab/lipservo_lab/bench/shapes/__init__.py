@@ -1,1 +1,0 @@
-"""Drawn mouths beside our lips: when they close, as figures and as a picture."""

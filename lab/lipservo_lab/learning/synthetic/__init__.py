@@ -1,1 +1,0 @@
-"""Speech of synthesisers with their own phone times, to train on and to score on. Offline."""

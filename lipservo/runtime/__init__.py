@@ -1,0 +1,1 @@
+"""A face at work: a request becomes sound, speech, servos and status."""

@@ -1,0 +1,152 @@
+"""Every frame that the face shows, sent on to screen avatars while it is shown."""
+
+import math
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from lipservo.runtime.run_request import Address, AvatarError, AvatarTargets
+from lipservo.runtime.status.street_tick import StreetTick
+from lipsync.animpho.units import load_face_with_animphos
+from lipsync.arrays import Array
+from lipsync.export.arkit import ARKIT_NAMES, MOUTH_NAMES, ArkitMap, lip_measures
+from lipsync.export.weight_track import live_link_packet, vmc_packets
+from lipsync.face.frame import Frame
+
+#: The name under which Unreal Engine lists the face.
+SUBJECT = "lipservo"
+#: What avatars are drawn at.
+_RATE_HZ = 60.0
+#: Sums of the same times differ by less.
+_ROUNDING_S = 1e-9
+_MOUTH = frozenset(MOUTH_NAMES)
+
+
+class AvatarStream:
+    """A `TickObserver` that sends frames as datagrams, 60 a second at most.
+
+    Nothing is waited for. A receiver that is slow, or is not there, loses frames; what could not be
+    handed to the system is counted.
+    """
+
+    def __init__(self, arkit: ArkitMap, rest: Array) -> None:
+        """rest: (n_components,), the closed mouth that is sent at the end."""
+        self._arkit = arkit
+        self._rest = rest
+        self._osc: socket.socket | None = None
+        self._live_link: socket.socket | None = None
+        self._due_s = -math.inf
+        self._sound_s = 0.0
+        self._said: set[str] = set(_MOUTH)
+        #: Datagrams that were handed to the system, and those that it did not take.
+        self.n_sent = 0
+        self.n_failed = 0
+
+    def send_to(self, osc: socket.socket | None, live_link: socket.socket | None) -> None:
+        """The connected, non-blocking UDP sockets to send to."""
+        self._osc, self._live_link = osc, live_link
+
+    def observe(self, tick: StreetTick) -> None:
+        """Send what a tick showed, if the last frame is long enough ago."""
+        self.show(tick.report.time_s, tick.sound_s, tick.frame)
+
+    def show(self, time_s: float, sound_s: float, frame: Frame) -> None:
+        """The same where nobody ticks. time_s: monotonic, ascending."""
+        if time_s < self._due_s - _ROUNDING_S:
+            return
+        # On a grid, so that ticks a little late make the frames no fewer.
+        on_grid = time_s < self._due_s + 1.0 / _RATE_HZ
+        self._due_s = (self._due_s if on_grid else time_s) + 1.0 / _RATE_HZ
+        self._sound_s = sound_s
+        self._send(sound_s, frame)
+
+    def _send(self, sound_s: float, frame: Frame) -> None:
+        values = self._arkit.values(frame)
+        if self._osc is not None:
+            for packet in vmc_packets(self._shapes(values)):
+                self._hand_over(self._osc, packet)
+        if self._live_link is not None:
+            self._hand_over(self._live_link, live_link_packet(values, SUBJECT, sound_s))
+
+    def end(self) -> None:
+        """Send the closed mouth, which is what an avatar keeps."""
+        self._send(self._sound_s, Frame(self._sound_s, self._rest))
+
+    def _shapes(self, values: Array) -> list[tuple[str, float]]:
+        """The mouth's shapes, and of the others those of which anything was ever said."""
+        pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
+        self._said.update(name for name, value in pairs if value > 0.0)
+        return [pair for pair in pairs if pair[0] in self._said]
+
+    def _hand_over(self, to: socket.socket, packet: bytes) -> None:
+        try:
+            to.send(packet)
+            self.n_sent += 1
+        except OSError:  # nobody listens there, no way there, or no room: the next frame counts
+            self.n_failed += 1
+
+
+@contextmanager
+def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator[AvatarStream]:
+    """Send to the targets while the face is shown; at the end, the mouth is closed there too.
+
+    model: the file of the face model, None for the shipped one. Raises AvatarError for a target
+    that cannot be sent to, ModelError and MeasureError.
+    """
+    face = load_face_with_animphos(model)
+    stream = AvatarStream(ArkitMap(lip_measures(face)), face.rest)
+    osc_at, live_link_at = targets.addresses()
+    with _sender(osc_at) as osc, _sender(live_link_at) as live_link:
+        stream.send_to(osc, live_link)
+        try:
+            yield stream
+        finally:
+            stream.end()
+
+
+def entered_avatars(
+    targets: AvatarTargets, model: Path | None, stack: ExitStack, log: Callable[[str], None]
+) -> AvatarStream | None:
+    """The stream, entered; None for no targets, or where there is no way to them, which is said.
+
+    For a process that speaks on without them. Raises ModelError and MeasureError.
+    """
+    if not targets.is_any:
+        return None
+    try:
+        return stack.enter_context(avatar_stream(targets, model))
+    except AvatarError as error:
+        log(f"avatars are not sent to: {error}")
+        return None
+
+
+def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
+    """The targets with the numbers of their hosts, so that nobody need ask for them again.
+
+    Raises AvatarError for a target that cannot be sent to.
+    """
+    found: list[str | None] = []
+    for address in targets.addresses():
+        with _sender(address) as sender:
+            found.append(None if sender is None else "{}:{}".format(*sender.getpeername()))
+    return AvatarTargets(*found)
+
+
+@contextmanager
+def _sender(address: Address | None) -> Iterator[socket.socket | None]:
+    """A UDP socket that sends there and never waits; None for no address."""
+    if address is None:
+        yield None
+        return
+    try:
+        found = socket.getaddrinfo(address.host, address.port, socket.AF_INET, socket.SOCK_DGRAM)
+    except (OSError, UnicodeError) as error:
+        raise AvatarError(f"{address.option}: no such host ({error})") from error
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.setblocking(False)
+        try:
+            sender.connect(found[0][4])
+        except OSError as error:
+            raise AvatarError(f"{address.option}: cannot be sent to: {error.strerror}") from error
+        yield sender

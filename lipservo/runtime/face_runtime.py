@@ -1,0 +1,284 @@
+"""A face at work in one process, on whatever clock it is given, from beginning to end."""
+
+import math
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from types import FrameType
+
+from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.loop.bridge import face_status
+from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.targets import MemoryTargetChannel
+from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.simulator.bus import SimulatedBus
+from firmware_bridge.stopping import StopReport
+from lipservo.runtime.face_speech import FaceSpeech
+from lipservo.runtime.requested_face import RequestedFace
+from lipservo.runtime.run_request import RunRequest
+from lipservo.runtime.servos.assembly import bridge_for, bus_for, check_servos
+from lipservo.runtime.servos.face_life import ControlOptions, face_life
+from lipservo.runtime.sound import warn
+from lipservo.runtime.status.face_status import Status, whole_status
+from lipservo.runtime.status.live_board import ServoBoard
+from lipservo.runtime.status.street_tick import StreetTick, TickObserver
+from lipservo.runtime.street import Street
+from lipservo.runtime.summary import Summary, Tally
+from lipservo.terminal.output import MESSAGES, say_simulated
+from lipsync.audio.playout import Playout
+from lipsync.audio.source import AudioSource
+from lipsync.face.frame import Synthesizer
+
+#: The mouth closes after the last sound; then the run is over.
+_TAIL_S = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """What came of a run. status: at its end; signal_number: of the signal that stopped it."""
+
+    summary: Summary
+    status: Status
+    report: StopReport
+    signal_number: int | None
+
+
+def run_face(
+    request: RunRequest,
+    source: AudioSource,
+    clock: Clock,
+    *,
+    live: bool = False,
+    endless: bool = False,
+    listener: socket.socket | None = None,
+    synthesizer: Synthesizer | None = None,
+) -> RunOutcome:
+    """Play an entered source to its end or until stopped; the face is limp afterwards.
+
+    live: draw the face in the terminal; endless: go on in silence when the source is over, and wait
+    for a start when a person has stopped the face;
+    listener: where voice agents connect; synthesizer: of what needs no recogniser; None: whom the
+    request's motion asks for.
+    """
+    began_s = time.perf_counter()
+    requested = RequestedFace(request)
+    check_servos(requested.face)
+    request = requested.with_resolved_avatars()
+    length_s = math.inf if endless or source.duration_s is None else source.duration_s
+    with bus_for(requested.settings, clock) as bus, requested.live_board() as board:
+        # On a clock of its own nobody waits or looks, and the same file must give the same trace.
+        is_live = not isinstance(clock, ManualClock)
+        channel = MemoryTargetChannel()
+        speech = FaceSpeech(
+            requested,
+            source,
+            channel,
+            has_soft_start=not isinstance(bus, SimulatedBus),
+            board=board if is_live else None,
+            timer_s=time.perf_counter if is_live else None,
+            synthesizer=synthesizer,
+        )
+        bridge = bridge_for(
+            requested.settings, bus, channel, rate_hz=requested.rate_hz, dry_run=request.dry_run
+        )
+        street = Street(speech.side, bridge, requested.face.model.rest)
+        delay = street.speech.delay
+        if not request.quiet:
+            if requested.settings.bus.kind == "simulated":
+                say_simulated()
+            MESSAGES.print(str(request.motion), soft_wrap=True)
+            MESSAGES.print(f"delay from sound to face: {delay}")
+        tally = Tally(clock, street)
+        with ExitStack() as stack:
+            run = _Run(requested, speech, street, clock)
+            control = ControlOptions(
+                requested.control_path,
+                run.commands,
+                run.describe,
+                requested.about,
+                board.fileno(),
+                endless,
+            )
+            name, port = requested.settings.name, requested.settings.servo_port
+            life = stack.enter_context(
+                face_life(name, port, bridge, clock, quiet=request.quiet, control=control)
+            )
+            observers = run.observers(ServoBoard(board, bridge), stack, live=live)
+            if listener is not None:
+                from lipservo.runtime.voice_agents import voice_agents
+
+                serving = voice_agents(
+                    listener,
+                    street.side,
+                    request.voice,
+                    requested.face.model,
+                    requested.control_path,
+                    run.log,
+                )
+                run.serve(stack.enter_context(serving))
+            life.start()
+            zero_s = clock.now()
+            street.begin(zero_s)
+            playout = source if isinstance(source, Playout) and not endless else None
+            end = _End(zero_s + length_s + delay.total_s, playout)
+            play(street, life, is_over=end.is_over, tally=tally, observers=observers)
+        heard_s = max(0.0, min(length_s, clock.now() - zero_s))
+        status = run.status()
+    took_s = time.perf_counter() - began_s
+    for line in speech.recognizer.take_changes():
+        MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+    assert life.report is not None
+    summary = tally.summary(status, heard_s, took_s)
+    return RunOutcome(summary, status, life.report, life.signal_number)
+
+
+def play(
+    street: Street,
+    life: LifeCycle,
+    *,
+    is_over: Callable[[float], bool],
+    tally: Tally,
+    observers: Sequence[TickObserver] = (),
+) -> None:
+    """Run the street until it is over or a person stops the face; then to rest.
+
+    A life cycle that waits for a start goes on: sound is heard and dropped meanwhile, so that
+    nothing has to be caught up with. is_over: asked at the monotonic time of each tick.
+    """
+    for time_s, late in life.ticks():
+        if not life.stopping and is_over(time_s):
+            life.stop()
+        tally.begin_tick(time_s)
+        if life.stopping and not life.waits:
+            tick = street.rest(time_s, late)
+        else:
+            street.side.follow_stop(time_s, is_stopped=life.stopping)
+            tick = street.tick(time_s, late)
+        tally.observe(tick)
+        for observer in observers:
+            observer.observe(tick)
+
+
+class _End:
+    """When a run is over: a little after its sound, of whatever kind, has been shown."""
+
+    def __init__(self, shown_s: float, playout: Playout | None) -> None:
+        """shown_s: monotonic; inf: not known. playout: which tells it in place of that."""
+        self._shown_s = shown_s
+        self._playout = playout
+
+    def is_over(self, now_s: float) -> bool:
+        """Whether it is, at monotonic `now_s`."""
+        if self._shown_s == math.inf and self._playout is not None and self._playout.is_over:
+            self._shown_s = now_s
+        return now_s >= self._shown_s + _TAIL_S
+
+
+class _Run:
+    """One run while it goes on: its commands, who watches it, and how it is."""
+
+    def __init__(
+        self, requested: RequestedFace, speech: FaceSpeech, street: Street, clock: Clock
+    ) -> None:
+        self._requested = requested
+        self._speech = speech
+        self._street = street
+        self._clock = clock
+        self.commands = requested.commands()
+        self._listens_on: str | None = None
+
+    def serve(self, url: str | None) -> None:
+        """Voice agents are waited for there."""
+        self._listens_on = url
+
+    def log(self, line: str) -> None:
+        """A line for people, unless --quiet."""
+        if not self._requested.request.quiet:
+            MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+
+    def status(self) -> Status:
+        """The whole face, now."""
+        return self._whole({**face_status(self._street.bridge), **self._requested.about})
+
+    def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
+        """The same for JSON, of what the bridge knows."""
+        return self._whole(bridge).as_dict()
+
+    def _whole(self, bridge: Mapping[str, object]) -> Status:
+        return whole_status(bridge, self._speech.status(self.commands.values, self._listens_on))
+
+    def observers(self, servos: ServoBoard, stack: ExitStack, *, live: bool) -> list[TickObserver]:
+        """Who watches: settings, trace, avatars, and the view when somebody looks at a terminal."""
+        request, face = self._requested.request, self._requested.face
+        is_live = not isinstance(self._clock, ManualClock)
+        log = stack.enter_context(LogLines(write=self.log)) if is_live else None
+        observers: list[TickObserver] = [_Attendant(self, servos, log)]
+        if request.trace is not None:
+            from lipservo.traces.trace_file import BackgroundTrace, TraceFile
+
+            file = TraceFile(request.trace, self._requested.trace_header(self.status()))
+            # Where nobody waits for a tick, none may be dropped.
+            if is_live:
+                observers.append(stack.enter_context(BackgroundTrace(file, warn)))
+            else:
+                observers.append(stack.enter_context(file))
+        if request.avatars.is_any:
+            from lipservo.runtime.avatar_stream import avatar_stream
+
+            watching = avatar_stream(request.avatars, request.model)
+            observers.append(stack.enter_context(watching))
+        if live:
+            from lipservo.terminal.view import TerminalView
+
+            view = TerminalView(MESSAGES, self.status, face.joints, face.model)
+            observers.append(stack.enter_context(view))
+        return observers
+
+    def apply_settings(self) -> None:
+        """Hand what somebody has set to the speech side."""
+        if changes := self.commands.take_changes():
+            self._street.side.change(changes)
+
+    def take_changes(self) -> list[str]:
+        """A line for each recogniser that has taken over."""
+        return self._speech.recognizer.take_changes()
+
+
+class _Attendant:
+    """Between two ticks: what was set, what whoever watches sees, who listens now."""
+
+    def __init__(self, run: _Run, servos: ServoBoard, log: Callable[[str], None] | None) -> None:
+        """log: None where nobody looks."""
+        self._run, self._servos, self._log = run, servos, log
+
+    def observe(self, tick: StreetTick) -> None:
+        """See one tick."""
+        self._run.apply_settings()
+        if self._log is None:
+            return
+        self._servos.tell(tick.report)
+        for line in self._run.take_changes():
+            self._log(line)
+
+
+@contextmanager
+def stopped_by_signals() -> Iterator[threading.Event]:
+    """An event that SIGINT and SIGTERM set: for work that moves nothing and has a result to keep.
+
+    A handler that only sets an event cannot leave anything half done, wherever it strikes.
+    """
+    stop = threading.Event()
+
+    def ask_to_stop(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    previous = {n: signal.signal(n, ask_to_stop) for n in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)

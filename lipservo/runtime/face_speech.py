@@ -1,0 +1,109 @@
+"""The speech side of a requested face, with what it was made of, and its status."""
+
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from firmware_bridge.loop.targets import TargetChannel
+from lipservo.runtime.motion_options import (
+    MotionOptions,
+    make_recognizer,
+    make_synthesizer,
+    no_recognizer,
+)
+from lipservo.runtime.requested_face import RequestedFace
+from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side
+from lipservo.runtime.status.face_status import SpeechStatus
+from lipservo.runtime.status.live_board import LiveBoard
+from lipservo.settings.motion_names import LIP_GAP_OFFSET
+from lipsync.audio.playout import Playout
+from lipsync.audio.source import AudioSource
+from lipsync.face.frame import Synthesizer
+
+#: Recognisers from the best down; each takes over where the one before it fails.
+_LEVELS: Final = ("network", "energy", "neutral")
+#: In place of who listens, of what it has learned and of the strategy, where all was rendered.
+_NOBODY: Final = "none"
+_PERFORMED: Final = "performed"
+
+
+class FaceSpeech:
+    """What a requested face hears, says and shows, and how that is."""
+
+    def __init__(
+        self,
+        requested: RequestedFace,
+        source: AudioSource,
+        channel: TargetChannel,
+        *,
+        has_soft_start: bool,
+        board: LiveBoard | None = None,
+        timer_s: Callable[[], float] | None = None,
+        synthesizer: Synthesizer | None = None,
+    ) -> None:
+        """source: entered. board, timer_s: None on a clock of its own, where nobody looks or waits.
+
+        synthesizer: of what needs no recogniser; None: whom the request's motion asks for.
+        """
+        face, motion = requested.face, requested.request.motion
+        if synthesizer is None:
+            self.recognizer = make_recognizer(
+                motion.engine, timer_s, motion.weights, motion.recognizer_latency_s
+            )
+            synthesizer = make_synthesizer(face.model, motion, requested.request.model)
+        else:
+            self.recognizer = no_recognizer()
+        self.source = source
+        self.side: SpeechSide = make_speech_side(
+            face,
+            source,
+            self.recognizer,
+            synthesizer,
+            channel,
+            has_soft_start=has_soft_start,
+            is_watchable=board is not None,
+            board=board,
+        )
+        self._motion = motion
+
+    def status(self, settings: Mapping[str, float], listens_on: str | None = None) -> SpeechStatus:
+        """The speech side as it is now. settings: those changed since the start, by name."""
+        motion, source, speech = self._motion, self.source, self.side.speech
+        playout = source if isinstance(source, Playout) else None
+        output = None if playout is None else playout.loudspeaker
+        expression = speech.expression
+        asked = motion.style_settings
+        named: dict[str, str] = {
+            "recognizer": self.recognizer.level,
+            "engine": motion.engine,
+            "weights": motion.weights,
+            "strategy": motion.strategy,
+        }
+        if motion.performed:
+            named = {**dict.fromkeys(named, _NOBODY), "strategy": _PERFORMED}
+        return SpeechStatus(
+            **named,
+            sound=source.name,
+            fallback_level=self._levels_left(motion),
+            fallback_reasons=self.recognizer.reasons,
+            hears=speech.hears,
+            settings={
+                **{name: settings.get(name, value) for name, value in asked.items()},
+                **({} if speech.lip_gap is None else {LIP_GAP_OFFSET: speech.lip_gap.wanted_mm}),
+            },
+            delay_ms=round(speech.delay.total_s * 1e3, 3),
+            n_phonemes=speech.phonemes_planned,
+            n_lost_sound_blocks=source.lost_blocks,
+            output=None if output is None else output.name,
+            output_lost=None if output is None else output.is_lost,
+            listens_on=listens_on,
+            speaking=None if playout is None else playout.speaking,
+            n_playout_underruns=None if playout is None else playout.n_underruns,
+            arousal=None if expression is None else round(expression.arousal, 3),
+            is_resting=None if expression is None else expression.is_resting,
+            expression={} if expression is None else expression.wishes.values,
+        )
+
+    def _levels_left(self, motion: MotionOptions) -> int:
+        if motion.performed:
+            return 0
+        return _LEVELS.index(self.recognizer.level) - _LEVELS.index(motion.engine)

@@ -1,0 +1,243 @@
+"""How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from firmware_bridge.process.commands import Setting
+from lipservo.settings.motion_names import (
+    DEFAULT_ENGINE,
+    DEFAULT_STRATEGY,
+    ONLY_UNITS,
+    SMOOTHEST,
+    STRATEGIES,
+    STRONGEST,
+    STYLE_NAMES,
+    STYLES_OF,
+    Engine,
+    Strategy,
+)
+from lipservo.settings.sections import MotionSettings
+from lipsync.errors import UserError
+from lipsync.expectation.expectation import read_expectation
+from lipsync.face.frame import Synthesizer
+from lipsync.face.model import FaceModel, ModelError, open_model, read_face
+from lipsync.motion.live_synthesizer import (
+    DEFAULT_LOOKAHEAD_S,
+    DEFAULT_UNIT_SHARE,
+    LIVE_STRATEGY,
+    UNIT_STRATEGY,
+    FinishedSynthesizer,
+    LiveSynthesizer,
+    Style,
+    StyleError,
+)
+from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
+from lipsync.recognition.network import (
+    DEFAULT_WEIGHTS,
+    LATENCY_S,
+    SHIPPED,
+    check_weights,
+    find_weights,
+)
+
+_ENERGY_LATENCY_S = 0.05
+#: For `--low-latency`: the best of those with which a goal follows its sound within 150 ms
+#: (docs/benchmarks.md, From microphone to bus).
+LOW_LATENCY_S = 0.045
+LOW_LATENCY_LOOKAHEAD_S = 0.05
+#: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
+#: from sound to face, which is declared at the start and stays.
+_LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST, "unit_share": ONLY_UNITS}
+
+
+@dataclass(frozen=True, slots=True)
+class MotionOptions:
+    """The recogniser to begin with, the strategy by name, and the style of a strategy that has one.
+
+    weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
+    to a lesser recogniser. recognizer_latency_s: when a phoneme is settled; sooner is less right.
+    performed: how the performance was rendered that is played; then nobody listens and no strategy
+    plans anything. Raises WeightsError, StyleError.
+    """
+
+    engine: Engine = DEFAULT_ENGINE
+    weights: str = DEFAULT_WEIGHTS
+    strategy: Strategy = DEFAULT_STRATEGY
+    style: Style = field(default_factory=Style)
+    recognizer_latency_s: float = LATENCY_S
+    performed: str = ""
+
+    def __post_init__(self) -> None:
+        check_weights(self.weights)
+        known = STRATEGIES
+        if self.strategy not in known:
+            raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
+
+    @property
+    def style_settings(self) -> dict[str, float]:
+        """What the strategy lets its user set, by the names of the face YAML; may be empty."""
+        if self.performed:
+            return {}
+        style = self.style
+        values = (style.lookahead_s * 1e3, style.strength, style.smoothness, style.unit_share)
+        named = dict(zip(STYLE_NAMES, values, strict=True))
+        return {name: round(named[name], 6) for name in STYLES_OF[self.strategy]}
+
+    def live_settings(self) -> dict[str, Setting]:
+        """What may change while a face runs."""
+        values = self.style_settings
+        return {
+            name: Setting(values[name], 0.0, most)
+            for name, most in _LIVE_SETTINGS.items()
+            if name in values
+        }
+
+    def __str__(self) -> str:
+        if self.performed:
+            return f"performance, rendered by {self.performed}"
+        style = ", ".join(f"{name} {value:g}" for name, value in self.style_settings.items())
+        return (
+            f"strategy {self.strategy}{f' ({style})' if style else ''}; "
+            f"recogniser {self.engine}, weights {self.weights}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenMotion:
+    """What a user typed of `MotionOptions`; None: not typed. The names are those of the options."""
+
+    engine: Engine | None = None
+    weights: str | None = None
+    strategy: Strategy | None = None
+    lookahead_ms: float | None = None
+    strength: float | None = None
+    smoothness: float | None = None
+    unit_share: float | None = None
+    low_latency: bool = False
+
+
+def motion_options(
+    chosen: ChosenMotion, of_the_face: MotionSettings, folder: Path | None
+) -> MotionOptions:
+    """What was typed before what the face's YAML says, before the defaults.
+
+    folder: of the YAML, from which its weights file is named; None: a shipped face. Raises
+    UserError for an option that the strategy ignores, WeightsError and StyleError.
+    """
+    strategy = chosen.strategy or of_the_face.strategy or DEFAULT_STRATEGY
+    low_latency = chosen.low_latency or of_the_face.low_latency
+    if low_latency:
+        _refuse_what_is_late(chosen, of_the_face)
+        chosen = replace(chosen, lookahead_ms=LOW_LATENCY_LOOKAHEAD_S * 1e3)
+    ignored = [
+        f"--{name.replace('_', '-')}"
+        for name in STYLE_NAMES
+        if getattr(chosen, name) is not None and name not in STYLES_OF[strategy]
+    ]
+    if ignored:
+        raise UserError(
+            f"{', '.join(ignored)}: strategy {strategy} ignores it; leave it out, or take "
+            f"--strategy {DEFAULT_STRATEGY}"
+        )
+
+    def style(name: str, default: float) -> float:
+        if name not in STYLES_OF[strategy]:
+            return default
+        for value in (getattr(chosen, name), getattr(of_the_face, name)):
+            if value is not None:
+                return float(value)
+        return default
+
+    weights = of_the_face.weights
+    if weights is not None and weights not in SHIPPED and folder is not None:
+        weights = str(folder / weights)
+    return MotionOptions(
+        chosen.engine or of_the_face.engine or DEFAULT_ENGINE,
+        chosen.weights or weights or DEFAULT_WEIGHTS,
+        strategy,
+        Style(
+            style("lookahead_ms", DEFAULT_LOOKAHEAD_S * 1e3) / 1e3,
+            style("strength", 1.0),
+            style("smoothness", 0.0),
+            style("unit_share", DEFAULT_UNIT_SHARE),
+        ),
+        LOW_LATENCY_S if low_latency else LATENCY_S,
+    )
+
+
+def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> None:
+    """What goes against --low-latency, typed or in the face's YAML. Raises UserError."""
+    found = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
+    ours = (None, LIVE_STRATEGY, UNIT_STRATEGY)
+    for name, possible in (("strategy", ours), ("engine", (None, DEFAULT_ENGINE))):
+        typed, written = getattr(chosen, name), getattr(of_the_face, name)
+        if typed not in possible:
+            found.append(f"--{name} {typed}")
+        elif typed is None and written not in possible:
+            found.append(f"the face's `{name}: {written}`")
+    if found:
+        raise UserError(f"--low-latency and {found[0]} contradict each other; leave one out")
+
+
+def make_synthesizer(
+    face: FaceModel, options: MotionOptions, model_path: Path | None = None
+) -> Synthesizer:
+    """One of ours, or the paper's with one of its two selections, finished as ours are.
+
+    model_path: the file that the face came from, None for the shipped one; of it is read only what
+    the strategy plays. Raises ModelError.
+    """
+    with open_model(model_path) as file:
+        if read_face(file).checksum != face.checksum:
+            raise ModelError(f"{file.name}: has changed while it was being read; start again")
+        style = options.style
+        if options.strategy == LIVE_STRATEGY:
+            return LiveSynthesizer(face, read_expectation(file, face.n_components), style)
+        from lipsync.animpho.selection import STRATEGIES as SELECTIONS
+        from lipsync.animpho.synthesizer import PublishedSynthesizer
+        from lipsync.animpho.units import read_animphos
+
+        units = read_animphos(file, face)
+        if options.strategy == UNIT_STRATEGY:
+            return LiveSynthesizer(face, read_expectation(file, face.n_components), style, units)
+        published = PublishedSynthesizer(units, SELECTIONS[options.strategy])
+        return FinishedSynthesizer(face, published, style.strength)
+
+
+def make_recognizer(
+    engine: Engine = DEFAULT_ENGINE,
+    timer_s: Callable[[], float] | None = None,
+    weights: str = DEFAULT_WEIGHTS,
+    latency_s: float = LATENCY_S,
+) -> FallbackRecognizer:
+    """The live recogniser: the engine's, and the levels below it that are as quick.
+
+    timer_s: a clock in seconds, to leave a level that does not keep up with its sound, and to try
+    better ones again; None where nobody waits for it.
+    """
+    levels = [
+        FallbackLevel("network", lambda: _network(weights, latency_s)),
+        FallbackLevel("energy", _energy),
+    ]
+    first = [level.name for level in levels].index(engine)
+    # The level of sound alone needs 5 ms more than the quickest network.
+    return FallbackRecognizer(levels[first:], max(latency_s, _ENERGY_LATENCY_S), timer_s)
+
+
+def no_recognizer() -> FallbackRecognizer:
+    """Nobody listens: all is known."""
+    return FallbackRecognizer((), 0.0)
+
+
+def _network(weights: str, latency_s: float) -> LiveRecognizer:
+    from lipsync.recognition.network_recognizer import NetworkRecognizer
+
+    return NetworkRecognizer(find_weights(weights), latency_s)
+
+
+def _energy() -> LiveRecognizer:
+    from lipsync.recognition.energy_recognizer import EnergyRecognizer
+
+    return EnergyRecognizer()

@@ -1,0 +1,300 @@
+"""A face in three processes: one that owns the port, one that hears, one that watches over both."""
+
+import os
+import socket
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from firmware_bridge.loop.report import TickReport
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.lifeline import Lifeline
+from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.stop_signals import SignalCounter
+from firmware_bridge.stopping import StopRequest
+from lipservo.runtime.requested_face import RequestedFace
+from lipservo.runtime.run_request import RunRequest, request_json
+from lipservo.runtime.status.face_status import Status, whole_status
+from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
+from lipservo.runtime.status.status_board import StatusBoard
+from lipservo.terminal.output import MESSAGES, print_json
+from lipsync.errors import UserError
+from lipsync.output_file import check_output
+
+if TYPE_CHECKING:
+    from firmware_bridge.process.supervisor import Supervisor
+
+#: The speech side says so often how it is.
+_STATUS_EVERY_S: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Handed:
+    """What a process inherits from the supervisor.
+
+    channel, board, live: descriptors of the socket of targets, of the notes that the processes
+    share, and of what whoever watches may read. control_path: of the face's socket.
+    """
+
+    channel: int
+    board: int
+    live: int
+    control_path: Path
+    lifeline: Lifeline
+
+
+def run_bridge_process(
+    request: RunRequest,
+    handed: Handed,
+    control: int,
+    *,
+    stopped: StopRequest | None,
+    given_up: Mapping[int, str],
+    switched_off: list[int],
+) -> int:
+    """Own the port and drive the servos; targets come through a socket. The exit status.
+
+    control: the descriptor of the face's control socket. stopped: what a person had asked of the
+    bridge that died before this one. given_up: servos that stay limp, by index, and why.
+    """
+    from firmware_bridge.clock import MonotonicClock
+    from firmware_bridge.loop.targets import SocketTargetChannel
+    from firmware_bridge.process.bridge_process import run_bridge
+    from lipservo.health.health_log import health_log
+    from lipservo.runtime.servos.assembly import bridge_for, bus_for
+
+    if request.port is None:
+        raise UserError(
+            "request.port: is missing; only servos at a port have processes of their own"
+        )
+    face = RequestedFace(request)
+    settings = face.settings
+    with ExitStack() as stack:
+        lines = stack.enter_context(LogLines(prefix="bridge: "))
+        say = no_log if request.quiet else lines
+        end = stack.enter_context(socket.socket(fileno=handed.channel))
+        shared = stack.enter_context(StatusBoard.adopt(handed.board))
+        live = stack.enter_context(LiveBoard.adopt(handed.live))
+        listener = ControlSocket.adopt(
+            control,
+            handed.control_path,
+            face.about,
+            face.commands(shared.add_settings),
+            shared.describe,
+            live.fileno(),
+        )
+        stack.enter_context(listener)
+        bus = bus_for(settings, MonotonicClock(), strict=False)
+        bridge = bridge_for(
+            settings,
+            bus,
+            SocketTargetChannel(end),
+            rate_hz=face.rate_hz,
+            tolerant=True,
+            given_up=given_up,
+            switched_off=switched_off,
+        )
+        for index, reason in given_up.items():
+            say(f"stays limp: {settings.joints()[index].name}: {reason}")
+        healths = health_log(settings.name, request.port, lines, os.environ)
+        if healths is not None:
+            stack.enter_context(healths)
+        on_tick = servos = ServoBoard(live, bridge).tell
+        if request.trace is not None:
+            from lipservo.runtime.supervised_trace import SupervisedTrace
+
+            trace = stack.enter_context(SupervisedTrace(face, shared, live, lines))
+
+            def on_tick(report: TickReport) -> None:
+                servos(report)
+                trace.observe(report)
+
+        return run_bridge(
+            bus,
+            bridge,
+            control=listener,
+            lifeline=handed.lifeline,
+            stopped=stopped,
+            log=say,
+            on_health=None if healths is None else healths.offer,
+            on_tick=on_tick,
+        )
+
+
+def run_speech_process(
+    request: RunRequest, handed: Handed, agents: int | None, zero_s: float | None
+) -> None:
+    """Hear, recognise, and publish targets through a socket, until told to end.
+
+    agents: the socket where voice agents connect. zero_s: monotonic time at which the sound began;
+    a file is taken up where it is by now.
+    """
+    from firmware_bridge.clock import MonotonicClock, ticks
+    from firmware_bridge.loop.targets import SocketTargetChannel
+    from lipservo.runtime.avatar_stream import entered_avatars
+    from lipservo.runtime.face_speech import FaceSpeech
+    from lipservo.runtime.sound import entered_sound
+    from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S
+    from lipservo.runtime.voice_agents import voice_agents
+
+    requested = RequestedFace(request)
+    model = requested.face.model
+    with ExitStack() as stack:
+        signals = stack.enter_context(SignalCounter())
+        say = no_log if request.quiet else stack.enter_context(LogLines(prefix="speech: "))
+        end = stack.enter_context(socket.socket(fileno=handed.channel))
+        shared = stack.enter_context(StatusBoard.adopt(handed.board))
+        live = stack.enter_context(LiveBoard.adopt(handed.live))
+        clock = MonotonicClock()
+        is_file = request.sound.kind == "file"
+        start_s = 0.0 if zero_s is None or not is_file else max(0.0, clock.now() - zero_s)
+        source = stack.enter_context(entered_sound(request, start_s))
+        speech = FaceSpeech(
+            requested,
+            source,
+            SocketTargetChannel(end),
+            has_soft_start=True,
+            board=live,
+            timer_s=time.perf_counter,
+        )
+        side = speech.side
+        avatars = entered_avatars(request.avatars, request.model, stack, say)
+        if zero_s is None or not start_s:
+            zero_s = clock.now()
+        else:
+            say(f"{source.name} goes on at {start_s:.1f} s")
+        # What the robot says is on a timeline of its own, which begins anew with each process.
+        side.begin(zero_s if request.voice is None else clock.now())
+        handed.lifeline.began(zero_s)
+        listener = None if agents is None else socket.socket(fileno=agents)
+        serving = voice_agents(listener, side, request.voice, model, handed.control_path, say)
+        url = stack.enter_context(serving)
+        n_servo_ticks = 0
+        settings: dict[str, float] = {}
+        status_due_s = float("-inf")
+        for time_s, _ in ticks(clock, 1.0 / PUBLISH_PERIOD_S):
+            handed.lifeline.beat()
+            if signals.count or handed.lifeline.closed:
+                return
+            side.follow_stop(time_s, is_stopped=shared.is_stopped())
+            if (wanted := shared.settings()) != settings:
+                side.change(wanted)
+                settings, status_due_s = wanted, time_s
+            for number, servos in live.servos_since(n_servo_ticks):
+                side.note_servos(float(servos["time_s"]), servos["encoder_deg"])
+                n_servo_ticks = number
+            side.advance(time_s)
+            if avatars is not None:
+                sound_s, _, frame = side.shown(time_s)
+                avatars.show(time_s, sound_s, frame)
+            for change in speech.recognizer.take_changes():
+                say(change)
+            if time_s >= status_due_s:
+                status_due_s = time_s + _STATUS_EVERY_S
+                shared.write_speech(speech.status(settings, url))
+
+
+def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
+    """Run bridge and speech as processes until stopped; the exit status.
+
+    agents: where voice agents connect, which outlives the process that serves them.
+
+    What cannot be used, sound and servos included, is refused before anything is armed.
+    """
+    from firmware_bridge.loop.targets import channel_pair
+    from firmware_bridge.process.child import Child, HeartbeatTimeouts
+    from firmware_bridge.process.operating_system import ServiceNotice
+    from firmware_bridge.process.stop_record import StopRecord
+    from firmware_bridge.process.supervisor import Supervisor
+    from firmware_bridge.process.torque_release import TorqueRelease
+    from lipservo.health.health_log import stop_record_path
+    from lipservo.runtime.servos.assembly import check_servos, port_opener
+    from lipservo.runtime.sound import check_sound
+    from lipservo.runtime.speech.expression import check_expression
+    from lipservo.traces.trace_file import is_trace
+
+    if request.trace is not None:
+        check_output(request.trace, replaces=is_trace, kind="trace")
+    requested = RequestedFace(request)
+    face, settings = requested.face, requested.settings
+    port = settings.servo_port
+    assert port is not None
+    check_sound(request)
+    request = requested.with_resolved_avatars()
+    check_expression(settings, face.folder)
+    opener = port_opener(port, settings.bus.baud_rate)
+    opener().close()  # one that another face holds is refused before anything is started
+    check_servos(face)
+    servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
+    about = requested.about
+    with ExitStack() as stack:
+        signals = stack.enter_context(SignalCounter())
+        say = no_log if request.quiet else stack.enter_context(LogLines())
+        say(str(request.motion))
+        board = stack.enter_context(StatusBoard.create())
+        live = stack.enter_context(requested.live_board())
+        path, commands = requested.control_path, requested.commands(board.add_settings)
+        listener = ControlSocket.bind(path, about, commands, board.describe_stopped, live.fileno())
+        stack.enter_context(listener)
+        record = StopRecord(
+            stop_record_path(settings.name, port, os.environ),
+            started_by_person=sys.stdin is not None and sys.stdin.isatty(),
+            drives_after_power_cut=settings.start_after_power_cut,
+            on_change=lambda stop: board.write_stopped(is_stopped=stop is not None),
+            say=say,
+        )
+        stack.callback(record.close)
+        board.write_stopped(is_stopped=record.stopped is not None)
+        if record.stopped is not None:
+            say(f"starts limp, and `lipservo start` drives it: {record.why}")
+        writer, reader = channel_pair()
+        command = [sys.executable, "-m", "lipservo"]
+        shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
+        shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
+        bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
+        bridge += ["--control-path", str(listener.path)]
+        of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
+        speech = [*command, "speech-process", *shared, "--control-path", str(listener.path)]
+        of_speech = {"{channel}": writer.fileno()}
+        if agents is not None:
+            speech += ["--agents", "{agents}"]
+            of_speech["{agents}"] = agents.fileno()
+        ours = {"{board}": board.fileno(), "{live}": live.fileno()}
+        supervisor = Supervisor(
+            Child(
+                "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)
+            ),
+            Child(
+                "speech",
+                speech,
+                {**of_speech, **ours},
+                HeartbeatTimeouts(60.0, 3.0),
+            ),
+            listener,
+            lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
+            servo_names=servo_names,
+            say=say,
+            notice=ServiceNotice(say),
+            record=record,
+        )
+        supervisor.run(signals)
+        _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))
+    return supervisor.exit_status
+
+
+def no_log(_line: str) -> None:
+    """What --quiet asks for."""
+
+
+def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:
+    report = supervisor.report
+    assert report is not None
+    if request.as_json:
+        ended = {"exit_status": supervisor.exit_status, **report.as_dict()}
+        print_json({**ended, "face_status": status.as_dict()})
+    elif not request.quiet or report.unconfirmed:
+        MESSAGES.print(f"ended; {report.line()}", soft_wrap=True, highlight=False)

@@ -1,0 +1,90 @@
+"""The face that a request asks for, unpacked once: what each of its processes makes of it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+from firmware_bridge.process.commands import CommandQueue, Setting
+from firmware_bridge.process.runtime_folder import socket_path
+from lipservo.runtime.run_request import RunRequest, about_run
+from lipservo.runtime.servos.assembly import Face, assembled_face, load_settings, settings_at_port
+from lipservo.runtime.speech.expression import expression_settings
+from lipservo.runtime.status.face_status import Status
+from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
+from lipservo.settings.motion_names import FARTHEST_LIP_GAP_OFFSET_MM, LIP_GAP_OFFSET
+from lipsync.phonemes import PHONEMES
+
+
+class RequestedFace:
+    """The face of one request, in whichever process."""
+
+    def __init__(self, request: RunRequest) -> None:
+        """Raises SettingsError."""
+        settings, self._folder = load_settings(request.config)
+        self.request = request
+        self.settings = (
+            settings if request.port is None else settings_at_port(settings, request.port)
+        )
+        self.rate_hz = request.rate_hz or settings.rate_hz
+        self.control_path: Path = request.control or socket_path(settings.name)
+
+    @cached_property
+    def face(self) -> Face:
+        """With its model and calibration. Raises ModelError, CalibrationError."""
+        return assembled_face(self.settings, self._folder, self.request.model)
+
+    @property
+    def about(self) -> dict[str, object]:
+        """What every answer of the face says besides its state."""
+        about = {"name": self.settings.name, "port": self.settings.servo_port}
+        return {**about_run(self.request), **about}
+
+    def commands(
+        self, on_change: Callable[[Mapping[str, float]], None] | None = None
+    ) -> CommandQueue:
+        """What may be asked of it while it runs. on_change: as `CommandQueue` has it."""
+        offset_mm, most_mm = self.settings.motion.lip_gap_offset_mm, FARTHEST_LIP_GAP_OFFSET_MM
+        settings = {
+            **self.request.motion.live_settings(),
+            LIP_GAP_OFFSET: Setting(offset_mm or 0.0, -most_mm, most_mm),
+            **expression_settings(self.settings.expression.amount),
+        }
+        return CommandQueue(settings, on_change=on_change)
+
+    def live_board(self) -> LiveBoard:
+        """A new one for it."""
+        return LiveBoard.create(
+            BoardLayout(
+                name=self.settings.name,
+                config=self.request.config,
+                servos=tuple(self.settings.servos),
+                states=FACE_STATES,
+                phonemes=PHONEMES,
+                n_components=self.face.model.n_components,
+                rate_hz=self.rate_hz,
+            )
+        )
+
+    def with_resolved_avatars(self) -> RunRequest:
+        """The request with the numbers of its avatars' hosts. Raises AvatarError."""
+        if self.request.avatars.is_any:
+            from lipservo.runtime.avatar_stream import resolved_avatars
+
+            self.request = replace(self.request, avatars=resolved_avatars(self.request.avatars))
+        return self.request
+
+    def trace_header(self, status: Status) -> dict[str, object]:
+        """The first line of its trace. status: with the speech side in it."""
+        return {
+            "source": status.sound,
+            "face": self.settings.name,
+            "servos": list(self.settings.servos),
+            "rate_hz": self.rate_hz,
+            "model": self.face.model.checksum,
+            "delay_s": None if status.delay_ms is None else round(status.delay_ms / 1e3, 6),
+            "strategy": status.strategy,
+            "settings": status.settings,
+            "recognizer": status.recognizer,
+            "weights": status.weights,
+        }

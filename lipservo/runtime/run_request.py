@@ -1,0 +1,187 @@
+"""What the user asked for: run this face, with this sound, this motion, these outputs.
+
+Made once, from a command's options. The processes of a supervised face receive it whole, as one
+argument of JSON: an option cannot fall out on the way.
+"""
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Final, Literal
+
+from pydantic import TypeAdapter, ValidationError, with_config
+
+from lipservo.runtime.motion_options import MotionOptions
+from lipsync.errors import UserError, shown
+from lipsync.export.weight_track import LIVE_LINK_PORT, VMC_PORT
+
+#: The microphone that the system prefers.
+DEFAULT_MICROPHONE = "default"
+
+
+@with_config(extra="forbid")
+@dataclass(frozen=True, slots=True)
+class Sound:
+    """Which sound a face is to hear, or to say.
+
+    name: a file's path, a microphone by number or name, or the text. language: of the text.
+    phonemes: a file of what is said when; without one it is recognised.
+    """
+
+    kind: Literal["clip", "file", "microphone", "silence", "text"]
+    name: str = ""
+    language: str = ""
+    phonemes: str = ""
+
+
+#: The bundled clip.
+CLIP = Sound("clip")
+#: Nothing, without end.
+SILENCE = Sound("silence")
+
+
+def chosen_sound(wav: Path | None, mic: str | None, otherwise: Sound) -> Sound:
+    """The file or the microphone, of which at most one is given; with neither, `otherwise`."""
+    if mic is not None:
+        return Sound("microphone", mic)
+    return otherwise if wav is None else Sound("file", str(wav))
+
+
+#: Where a daemon waits for voice agents.
+DEFAULT_LISTEN = "127.0.0.1:8765"
+#: The loudspeaker that the system prefers.
+DEFAULT_OUTPUT = "default"
+
+
+@with_config(extra="forbid")
+@dataclass(frozen=True, slots=True)
+class VoiceOptions:
+    """A robot that speaks by itself.
+
+    output: its loudspeaker, by number, name or part of a name; None: nobody plays, or whoever sends
+    the sound does. token_file: whose first line clients must send; None: those of this computer
+    need none. sounds: the folder below which they may let sound files be played. queue: whether
+    they wait for their turn while another speaks, or are refused. origins: of web pages that may
+    connect, as the face's YAML lists them, with commas between.
+    """
+
+    output: str | None = None
+    token_file: str | None = None
+    sounds: str | None = None
+    queue: bool = False
+    origins: str = ""
+
+
+_HIGHEST_PORT: Final = 65_535
+
+
+class AvatarError(UserError):
+    """Nobody can be sent to where the user says; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where to send datagrams. option: where the user named it, as text: `--osc HOST`."""
+
+    option: str
+    host: str
+    port: int
+
+
+@with_config(extra="forbid")
+@dataclass(frozen=True, slots=True)
+class AvatarTargets:
+    """Who is sent to, each as HOST or HOST:PORT, or None: OSC of the VMC protocol, Live Link Face.
+
+    Nothing is sent anywhere by default: another computer has to be named by the user. Raises
+    AvatarError for what is no address; whether there is such a host, nobody asks here.
+    """
+
+    osc: str | None = None
+    live_link: str | None = None
+
+    def __post_init__(self) -> None:
+        self.addresses()
+
+    def addresses(self) -> tuple[Address | None, Address | None]:
+        """Of OSC and of Live Link Face; without a port that which receivers begin with."""
+        return (
+            _address("--osc", self.osc, VMC_PORT),
+            _address("--live-link", self.live_link, LIVE_LINK_PORT),
+        )
+
+    @property
+    def is_any(self) -> bool:
+        """Whether anybody is sent to."""
+        return self.osc is not None or self.live_link is not None
+
+
+def _address(option: str, target: str | None, default_port: int) -> Address | None:
+    if target is None:
+        return None
+    typed = f"{option} {shown(target)}"
+    host, colon, port = target.partition(":")
+    if not host or not host.isprintable() or " " in host:
+        raise AvatarError(f"{typed}: give HOST:PORT, 127.0.0.1:{default_port} for one")
+    if not colon:
+        return Address(typed, host, default_port)
+    if not port.isascii() or not port.isdigit():
+        raise AvatarError(f"{typed}: give HOST:PORT, {host}:{default_port} for one")
+    if len(port) > len(str(_HIGHEST_PORT)) or not 0 < int(port) <= _HIGHEST_PORT:
+        raise AvatarError(f"{typed}: a port is a number from 1 to {_HIGHEST_PORT}")
+    return Address(typed, host, int(port))
+
+
+@with_config(extra="forbid")
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """A run of one face, whole.
+
+    config: the face, by the name of a shipped one or the path of its YAML. model: the face model's
+    file; None: the shipped one. port: of the servos; None: where the face's YAML says. rate_hz:
+    ticks a second; None: the face's. trace: the file that every tick is written to. control: where
+    the control socket is made; None: in the runtime folder. as_json: results are printed as JSON.
+    quiet: nothing is printed for people. dry_run: servos are read and never moved. voice: of a
+    robot that speaks; None: it only listens. avatars: to whom the face is sent besides.
+    """
+
+    config: str
+    sound: Sound
+    motion: MotionOptions = field(default_factory=MotionOptions)
+    model: Path | None = None
+    port: str | None = None
+    rate_hz: float | None = None
+    trace: Path | None = None
+    control: Path | None = None
+    as_json: bool = False
+    quiet: bool = False
+    dry_run: bool = False
+    voice: VoiceOptions | None = None
+    avatars: AvatarTargets = field(default_factory=AvatarTargets)
+
+
+def about_run(request: RunRequest) -> dict[str, object]:
+    """What a face says of its request in every answer."""
+    sounds = None if request.voice is None else request.voice.sounds
+    return {"config": request.config, "sounds": sounds}
+
+
+class RequestError(UserError):
+    """A text that is no whole request: one line, where and what is wrong."""
+
+
+def request_json(request: RunRequest) -> str:
+    """The request on one line."""
+    return json.dumps(asdict(request), default=str)
+
+
+def request_of_json(text: str) -> RunRequest:
+    """What `request_json` wrote. Raises RequestError for anything else."""
+    try:
+        return TypeAdapter(RunRequest).validate_python(json.loads(text))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(["request", *map(str, first["loc"])])
+        raise RequestError(f"{where}: {first['msg']}, not {shown(first['input'])}") from error
+    except (ValueError, RecursionError) as error:
+        raise RequestError(f"request: not JSON: {error}") from error

@@ -1,0 +1,268 @@
+"""A face whose servos are on and held: moved from pose to pose through the bridge, as speech is.
+
+Everything goes through the last gate. One thread speaks to the bus; whoever waits for a person or a
+tracker does so in `hold`, or in `hold_while`, so that the servos hear something all the time.
+"""
+
+import math
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from typing import Any, Self, TypeVar
+
+import numpy as np
+
+from firmware_bridge.bus import Feedback, ServoBus
+from firmware_bridge.clock import Clock
+from firmware_bridge.dynamixel.bus import budget
+from firmware_bridge.errors import BusError, PortError, PortGone
+from firmware_bridge.gate.ramp import Ramp
+from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.stopping import StopLevel
+from lipservo.runtime.servos.assembly import bridge_for
+from lipservo.runtime.servos.face_life import face_life
+from lipservo.runtime.servos.face_stopped import FaceStopped
+from lipservo.settings.settings import FaceSettings
+from lipsync.arrays import Array
+
+Answer = TypeVar("Answer")
+
+#: Slow enough to watch and to stop; no joint is in a hurry here.
+SPEED_DEG_S = 30.0
+#: A joint stands when its encoder changes by less than this in that time: two steps of it.
+_STILL_DEG, _STILL_S = 0.18, 0.2
+#: Longer than any servo needs that is not held up.
+_SETTLE_S = 1.5
+#: Chirps to 12 Hz need four samples a period.
+_DRIVE_RATE_HZ = 50.0
+#: A servo's goals and places are asked for twice in a tick while it is driven.
+_TWICE = 1.6
+
+
+def held_rate_hz(settings: FaceSettings) -> float:
+    """Fast enough for chirps where the bus can do it, else the face's own rate."""
+    if settings.rate_hz >= _DRIVE_RATE_HZ:
+        return settings.rate_hz
+    n_servos, baud_rate = len(settings.servos), settings.bus.baud_rate
+    fast = budget(n_servos, baud_rate, _TWICE * _DRIVE_RATE_HZ) is None
+    return _DRIVE_RATE_HZ if fast else settings.rate_hz
+
+
+class HeldFace:
+    """Servos of an open bus, armed from `__enter__` to `__exit__`, on a life cycle of their own.
+
+    Poses are joint degrees (n_joints,) of the joints named, by default the mouth's in the order of
+    the YAML; all others stay where they are asked to be at the beginning. Raises what `Bridge` and
+    the bus raise, and FaceStopped when a person stops the face; it is limp then.
+    """
+
+    def __init__(
+        self,
+        settings: FaceSettings,
+        bus: ServoBus,
+        clock: Clock,
+        *,
+        speed_deg_s: float = SPEED_DEG_S,
+        joints: Sequence[str] | None = None,
+        from_neutral: bool = True,
+        end: StopLevel = StopLevel.SOFT,
+    ) -> None:
+        """joints: which ones poses speak of. from_neutral: go there first, else stay in place.
+
+        end: how the face is left when the block ends well.
+        """
+        self.rate_hz = held_rate_hz(settings)
+        self._bus, self._clock = bus, clock
+        self._channel = MemoryTargetChannel()
+        self._bridge = bridge_for(settings, bus, self._channel, rate_hz=self.rate_hz)
+        self._name, self._port = settings.name, settings.servo_port
+        self._life: LifeCycle | None = None
+        self._speed_deg_s = speed_deg_s
+        names = list(settings.servos)
+        self._posed = [names.index(name) for name in joints or settings.mouth_servos]
+        self._goal_deg = np.zeros(len(names))
+        self._from_neutral = from_neutral
+        self._end = end
+        self._ticks: Iterator[tuple[float, int]] = iter(())
+        self._leaving = ExitStack()
+
+    @property
+    def life(self) -> LifeCycle:
+        """What is known of its end. Raises RuntimeError before it was entered."""
+        if self._life is None:
+            raise RuntimeError("the face is used outside its `with` block")
+        return self._life
+
+    @property
+    def stands_deg(self) -> Array:
+        """Where the posed joints stand, (n_joints,). Raises PortGone."""
+        return self._stands_deg()[self._posed]
+
+    @property
+    def effort(self) -> Array:
+        """How hard the posed joints pull, (n_joints,), in stall torques. Raises PortGone."""
+        return self._feedback().effort[self._posed]
+
+    def move(self, goal_deg: Array) -> Array:
+        """Lead the mouth there, wait until it stands, and say where it does."""
+        self.lead(goal_deg)
+        return self._settle()
+
+    def lead(self, goal_deg: Array) -> Array:
+        """The same without waiting; where it stands on the way."""
+        whole_deg = self._goal_deg.copy()
+        whole_deg[self._posed] = goal_deg
+        self._move_all(whole_deg)
+        return self.stands_deg
+
+    def hold(self, seconds: float) -> None:
+        """Stay for a while."""
+        until_s = self._clock.now() + seconds
+        while self._clock.now() < until_s:
+            self._tick()
+
+    def hold_while(self, ask: Callable[[], Answer]) -> Answer:
+        """Stay until `ask`, which may wait for a person, has an answer; its errors are raised."""
+        answers: list[Answer] = []
+        errors: list[BaseException] = []
+
+        def wait() -> None:
+            try:
+                answers.append(ask())
+            except BaseException as error:
+                errors.append(error)
+
+        waiting = threading.Thread(target=wait, daemon=True)
+        waiting.start()
+        while waiting.is_alive():
+            self._tick()
+        if errors:
+            raise errors[0]
+        return answers[0]
+
+    def drive(self, goals_deg: Array, rate_hz: float) -> Array:
+        """Goals (n, n_mouth_servos), one a tick, through the gate -> encoders of the same instants.
+
+        An encoder is read half a tick after its goal was sent: a goal that is held for a tick is on
+        average half a tick old. Ticks that the computer missed are filled in between. Raises
+        ValueError for another rate than `rate_hz` of this face.
+        """
+        if rate_hz != self.rate_hz:
+            raise ValueError(f"this face is driven at {self.rate_hz:g} Hz, not {rate_hz:g}")
+        self.move(goals_deg[0])
+        seen_deg = np.full(goals_deg.shape, np.nan)
+        self._next_tick()  # those that passed until now are of no concern
+        row = -1
+        while True:
+            time_s, late = self._next_tick()
+            row += 1 + late
+            if row >= len(goals_deg):
+                break
+            whole_deg = self._goal_deg.copy()
+            whole_deg[self._posed] = goals_deg[row]
+            self._goal_deg = whole_deg
+            self._send(time_s, late)
+            self._clock.sleep_until(time_s + 0.5 / rate_hz)
+            seen_deg[row] = self._stands_deg()[self._posed]
+        return _filled(seen_deg)
+
+    def __enter__(self) -> Self:
+        try:
+            self._arm()
+        except BusError as error:
+            self._tell_stopped(error)
+            raise
+        if self.life.report is not None:  # let go by a second signal
+            raise FaceStopped(self.life.report, self.life.signal_number)
+        return self
+
+    def _arm(self) -> None:
+        with ExitStack() as leaving:
+            self._life = leaving.enter_context(
+                face_life(self._name, self._port, self._bridge, self._clock)
+            )
+            self._ticks = self._life.ticks()
+            self._life.start()
+            self._goal_deg = np.nan_to_num(self._bus.read().positions_deg)
+            if self._from_neutral:
+                self._move_all(np.zeros_like(self._goal_deg))
+                self._settle()
+            self._leaving = leaving.pop_all()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: Any
+    ) -> None:
+        if kind is None and not self.life.stopping:
+            self.life.stop(self._end)
+        self._leaving.__exit__(kind, error, trace)
+        self._tell_stopped(error)
+
+    def _tell_stopped(self, error: BaseException | None) -> None:
+        """Raises FaceStopped where a person stopped the face, whatever overtook the stop."""
+        life = self._life
+        if life is None or life.report is None:
+            return
+        overtaken = life.stopped_by_person and isinstance(error, BusError)
+        if isinstance(error, ImmediateStop) or overtaken:
+            raise FaceStopped(life.report, life.signal_number) from error
+
+    def _move_all(self, whole_deg: Array) -> None:
+        start_s = self._clock.now()
+        ramp = Ramp.at_speed(self._goal_deg, whole_deg, start_s, self._speed_deg_s)
+        over = False
+        while not over:
+            now_s = self._clock.now()
+            over = ramp.is_over(now_s)
+            self._goal_deg = ramp.at(now_s)
+            self._tick()
+
+    def _settle(self) -> Array:
+        """Until every encoder is still, for as long as any servo needs at most."""
+        until_s = self._clock.now() + _SETTLE_S
+        before_deg = self._heard_deg()
+        while self._clock.now() < until_s:
+            # By ticks: of a computer that stands still for so long no servo hears anything.
+            for _ in range(math.ceil(_STILL_S * self.rate_hz)):
+                self._tick()
+            now_deg = self._heard_deg()
+            if np.abs(now_deg - before_deg).max() < _STILL_DEG:
+                break
+            before_deg = now_deg
+        return self.stands_deg
+
+    def _heard_deg(self) -> Array:
+        """Where the servos stand that have just said so; NaN, never still, for the others."""
+        told = self._feedback()
+        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)
+
+    def _stands_deg(self) -> Array:
+        return self._feedback().positions_deg
+
+    def _feedback(self) -> Feedback:
+        try:
+            return self._bus.feedback()
+        except PortError as error:
+            raise PortGone(
+                "the port of the servos is gone; plug it in and go on with what was kept"
+            ) from error
+
+    def _tick(self) -> None:
+        self._send(*self._next_tick())
+
+    def _next_tick(self) -> tuple[float, int]:
+        """Raises FaceStopped when a person stopped the face, once it has come to its end."""
+        for time_s, late in self._ticks:
+            return time_s, late
+        raise FaceStopped(self._bridge.stop_report(), self.life.signal_number)
+
+    def _send(self, time_s: float, late: int) -> None:
+        self._channel.publish(ServoTargets(time_s, self._goal_deg))
+        self._bridge.tick(time_s, late)
+
+
+def _filled(columns: Array) -> Array:
+    """(n, k) with rows of NaN -> the same with what lies between the others."""
+    rows = np.arange(len(columns))
+    seen = np.isfinite(columns).all(axis=1)
+    return np.stack([np.interp(rows, rows[seen], column[seen]) for column in columns.T], axis=1)

@@ -1,0 +1,236 @@
+"""Ending a face from outside: asked if it hears, by force if it does not, and who confirmed it."""
+
+import contextlib
+import os
+import signal
+import socket
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from firmware_bridge.errors import BusError
+from firmware_bridge.process.control_client import RunningFace, ask, send_stop, stop_and_wait
+from firmware_bridge.process.port_holders import (
+    end_hung,
+    holders_of,
+    holders_of_socket,
+    is_ours,
+    ports_held_by,
+    supervisor_of,
+    with_children,
+)
+from firmware_bridge.process.runtime_folder import knock
+from firmware_bridge.stopping import StopLevel, named_by_reason
+
+#: Easing takes 2 s, a bridge that hangs in it is noticed and its servos let go in as much again.
+_END_S = 10.0
+#: A port is free this long after its holder has died.
+_PORT_S = 2.0
+#: A process that holds a port may end by itself when it is asked.
+_POLITE_S = 2.0
+_LOOK_S = 0.05
+_ANSWER_S = 1.0
+
+Say = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What became of one face or port.
+
+    problem: empty when all servos confirmed what was requested. waits: the face's process lives on,
+    limp, and can be started again.
+    """
+
+    name: str
+    port: str | None = None
+    pid: int | None = None
+    confirmed: list[str] = field(default_factory=list)
+    unconfirmed: dict[str, str] = field(default_factory=dict)
+    problem: str = ""
+    waits: bool = False
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether everybody confirmed."""
+        return not (self.problem or self.unconfirmed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    def text(self, done: str) -> str:
+        """In one line; `done`: what was asked, as in "limp"."""
+        if self.problem:
+            return f"{self.name}: {self.problem}"
+        if not self.unconfirmed:
+            by = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
+            waits = "; it waits: `lipservo start`" if self.waits else ""
+            return f"{self.name}: {done}{by}{waits}"
+        left = named_by_reason(self.unconfirmed)
+        return f"{self.name}: confirmed by {len(self.confirmed)} servos, NOT by {left}"
+
+
+def stop_faces(
+    faces: Sequence[RunningFace], level: StopLevel, say: Say, *, end: bool = False
+) -> list[Outcome]:
+    """Stop faces and wait for the end of each; one that hangs is let go by force, never frozen.
+
+    Every face is sent the stop before the first is waited for, so that none in trouble delays
+    another. end: as `send_stop`.
+    """
+    sent: list[socket.socket | None] = []
+    for face in faces:
+        try:
+            sent.append(send_stop(face.path, level, end=end))
+        except OSError:
+            sent.append(None)  # what is wrong is found when it is waited for
+    with ThreadPoolExecutor(max(1, len(faces)), thread_name_prefix="stop") as pool:
+        waiting = [
+            pool.submit(_await_stop, face, level, say, client, end=end)
+            for face, client in zip(faces, sent, strict=True)
+        ]
+        return [each.result() for each in waiting]
+
+
+def _await_stop(
+    face: RunningFace, level: StopLevel, say: Say, sent: socket.socket | None, *, end: bool
+) -> Outcome:
+    outcome = Outcome(face.name, pid=face.pid)
+    # Only a port that its processes hold open is ever opened here, never one out of an answer.
+    held = _ports_of(face)
+    try:
+        answer, report = stop_and_wait(face.path, level, _END_S, end=end, sent=sent)
+    except TimeoutError:
+        return _end_by_force(face, level, outcome, say)
+    except PermissionError:
+        outcome.problem = "we may not stop it; join the group of its socket, or use sudo"
+        return outcome
+    except OSError as error:
+        outcome.problem = f"has gone: {error.strerror or error}; `lipservo limp --port PORT`"
+        return outcome
+    outcome.port = answer.get("port")
+    if level is StopLevel.FREEZE:
+        return outcome
+    if report is not None:
+        outcome.confirmed = list(report.get("confirmed", ()))
+        outcome.unconfirmed = dict(report.get("unconfirmed", {}))
+        outcome.waits = bool(report.get("waits"))
+    elif knock(face.path) == 0:
+        troubles = "; ".join(_troubles_of(face))
+        outcome.problem = f"will stop, but has not confirmed it within {_END_S:g} s" + (
+            f": {troubles}" if troubles else ""
+        )
+    elif held:
+        say(f"{face.name} has gone without a word; its port is opened")
+        for port in held:
+            _take_over(outcome, release(port, say=say))
+    else:
+        port = outcome.port or "PORT"
+        outcome.problem = f"has gone without a word; `lipservo limp --port {port}`"
+    return outcome
+
+
+def _ports_of(face: RunningFace) -> list[str]:
+    """The ports that the processes behind a face's socket have locked just now."""
+    held = [port for pid in holders_of_socket(face.path) for port in ports_held_by(pid)]
+    return list(dict.fromkeys(held))
+
+
+def _troubles_of(face: RunningFace) -> list[str]:
+    try:
+        return [str(each) for each in ask(face.path, "status", _ANSWER_S).get("troubles", ())]
+    except OSError:
+        return []
+
+
+def release(port: str, rate: int | None = None, ids: Sequence[int] = (), *, say: Say) -> Outcome:
+    """Torque off at a port, whoever of us holds it; verified by every servo that is there.
+
+    rate: the servos' baud rate; None: all usual ones are tried. ids: must confirm too.
+    """
+    # Loaded only here: whoever stops a face that hears waits for none of it.
+    from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
+    from firmware_bridge.dynamixel.wire.serial_transport import open_port
+    from firmware_bridge.process.torque_release import release_port
+
+    outcome = Outcome(port, port)
+    _free(port, say)
+    rates = SCANNED_RATES if rate is None else (rate,)
+    try:
+        found = release_port(lambda each: open_port(port, each), rates, ids, timeout_s=_PORT_S)
+    except BusError as error:
+        outcome.problem = str(error)
+        return outcome
+    outcome.confirmed = [f"id {each}" for each in found.confirmed]
+    outcome.unconfirmed = {f"id {each}": why for each, why in found.unconfirmed.items()}
+    if not (found.confirmed or found.unconfirmed):
+        outcome.problem = "no servo answers there"
+    return outcome
+
+
+def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
+    """Those that hold this port, or say that it is theirs; all are asked at once."""
+    real = os.path.realpath(port)
+
+    def is_there(face: RunningFace) -> bool:
+        if real in _ports_of(face):
+            return True
+        try:
+            at = ask(face.path, "status", _ANSWER_S).get("port")
+        except OSError:
+            return False
+        return at is not None and os.path.realpath(str(at)) == real
+
+    with ThreadPoolExecutor(max(1, len(faces)), thread_name_prefix="port") as pool:
+        return [face for face, there in zip(faces, pool.map(is_there, faces), strict=True) if there]
+
+
+def _free(port: str, say: Say) -> None:
+    """End the processes of ours that hold a port: asked twice, which means limp, then killed.
+
+    With a supervisor, which would start its bridge again, that is ended; never any other parent.
+    """
+    holders = [pid for pid in holders_of(port) if is_ours(pid)]
+    pids = list(dict.fromkeys(supervisor_of(pid) or pid for pid in holders))
+    if not pids:
+        return
+    say(f"process {', '.join(str(pid) for pid in pids)} holds {port} and is ended")
+    for _ in range(2):
+        for pid in pids:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGTERM)
+        time.sleep(_LOOK_S)
+    give_up_s = time.monotonic() + _POLITE_S
+    while holders_of(port) and time.monotonic() < give_up_s:
+        time.sleep(_LOOK_S)
+    if any(is_ours(pid) for pid in holders_of(port)):
+        say("it does not hear and is killed")
+        end_hung(with_children(pids))
+
+
+def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome, say: Say) -> Outcome:
+    if level is StopLevel.FREEZE:
+        outcome.problem = "hangs: does not answer, and was not frozen; `lipservo stop --limp`"
+        return outcome
+    pids = with_children(holders_of_socket(face.path))
+    if not pids or not all(is_ours(pid) for pid in pids):
+        outcome.problem = "hangs: does not answer, and is not ours to end; use sudo"
+        return outcome
+    ports = {port for pid in pids for port in ports_held_by(pid)}
+    say(f"{face.name} hangs: it does not answer; processes {pids} are killed")
+    left = end_hung(pids)
+    if left:
+        outcome.problem = f"processes {left} cannot be killed; switch the servos' power off"
+    for port in sorted(ports):
+        outcome.port = port
+        _take_over(outcome, release(port, say=say))
+    return outcome
+
+
+def _take_over(outcome: Outcome, released: Outcome) -> None:
+    outcome.confirmed += released.confirmed
+    outcome.unconfirmed |= released.unconfirmed
+    outcome.problem = outcome.problem or released.problem

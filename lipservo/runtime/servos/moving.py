@@ -1,0 +1,57 @@
+"""Moving a face to a pose by hand: the same bus, bridge and gate as speech uses."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from firmware_bridge.clock import MonotonicClock
+from firmware_bridge.stopping import StopLevel, StopReport
+from lipservo.runtime.servos.assembly import bus_for, load_settings, settings_at_port
+from lipservo.runtime.servos.held_face import HeldFace
+from lipsync.errors import UserError
+
+
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """Where every joint stood before it was let go, degrees, and what the servos said of that."""
+
+    reached_deg: dict[str, float]
+    report: StopReport
+
+
+def move_to(
+    config: str, port: str | None, wanted_deg: Mapping[str, float] | None, hold_s: float
+) -> Moved:
+    """Lead the named joints, None: all to neutral, and let go there.
+
+    Raises UserError for a joint or an angle that the face has not; nothing has moved then.
+    """
+    settings, _ = load_settings(config)
+    if port is not None:
+        settings = settings_at_port(settings, port)
+    joints = settings.joints()
+    names = [joint.name for joint in joints]
+    for name, angle_deg in (wanted_deg or {}).items():
+        if name not in names:
+            raise UserError(f"no joint {name!r} in this face; it has {', '.join(names)}")
+        joint = joints[names.index(name)]
+        if not joint.min_deg <= angle_deg <= joint.max_deg:
+            raise UserError(
+                f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g}"
+            )
+    clock = MonotonicClock()
+    with (
+        bus_for(settings, clock) as bus,
+        HeldFace(
+            settings, bus, clock, joints=names, from_neutral=False, end=StopLevel.LIMP
+        ) as face,
+    ):
+        goal_deg = np.zeros(len(joints)) if wanted_deg is None else face.stands_deg
+        for name, angle_deg in (wanted_deg or {}).items():
+            goal_deg[names.index(name)] = angle_deg
+        face.lead(goal_deg)
+        face.hold(hold_s)
+        reached_deg = face.stands_deg
+    assert face.life.report is not None
+    return Moved(dict(zip(names, reached_deg.tolist(), strict=True)), face.life.report)

@@ -1,0 +1,66 @@
+"""A source of sound becomes settled phonemes, one after the other."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from lipservo.runtime.motion_options import make_recognizer
+from lipservo.settings.motion_names import Engine
+from lipsync.audio.source import AudioSource, SilenceAfter
+from lipsync.audio_block import BLOCK_S
+from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.network import DEFAULT_WEIGHTS
+from lipsync.recognition.streaming import RecognizerStream, SoundAhead
+from lipsync.timeline import PhonemeTimeline
+
+#: How often a microphone is asked for what has come.
+_ASK_EVERY_S = 0.02
+
+
+def settled_events(
+    source: AudioSource,
+    engine: Engine,
+    weights: str = DEFAULT_WEIGHTS,
+    warn: Callable[[str], None] = lambda _line: None,
+) -> Iterator[PhonemeEvent]:
+    """Every phoneme of the source with its start and end, as soon as its end is settled.
+
+    `warn` gets a line whenever another recogniser takes over. A file is recognised as fast as
+    the computer can, and to its end; a microphone until nobody asks any more.
+    """
+    length_s = source.duration_s
+    recognizer = make_recognizer(
+        engine, None if length_s is not None else time.perf_counter, weights
+    )
+    sound = source if length_s is None else SilenceAfter(source)
+    ahead, stream = SoundAhead(sound, recognizer), RecognizerStream(recognizer)
+    end_s = math.inf if length_s is None else length_s
+    timeline, told_until_s, heard_s = PhonemeTimeline(), 0.0, 0.0
+    with sound:
+        while heard_s < end_s + recognizer.latency_s + 2 * BLOCK_S:
+            heard_s = math.inf if length_s is None else heard_s + BLOCK_S
+            step = stream.feed(ahead.blocks(heard_s))
+            if length_s is None:
+                heard_s = step.blocks[-1].end_s if step.blocks else 0.0
+                time.sleep(0.0 if step.blocks else _ASK_EVERY_S)
+            for change in recognizer.take_changes():
+                warn(change)
+            for update in step.updates:
+                timeline.apply(update)
+            for event in _settled(timeline, told_until_s, end_s):
+                told_until_s = event.end_s or told_until_s
+                yield event
+
+
+def _settled(
+    timeline: PhonemeTimeline, told_until_s: float, length_s: float
+) -> Iterator[PhonemeEvent]:
+    """Final events not told yet; the last one is cut at the sound's end."""
+    for event in timeline.events:
+        end_s = min(math.inf if event.end_s is None else event.end_s, length_s)
+        if end_s <= told_until_s + 1e-9 or event.start_s >= length_s:
+            continue
+        # One that reaches what is not final may yet go on, but not beyond the sound's end.
+        if end_s < timeline.final_until_s - 1e-9 or timeline.final_until_s >= length_s:
+            yield replace(event, end_s=end_s)

@@ -1,0 +1,330 @@
+"""The sound of a face: what it hears, and what it says besides the streams of its agents."""
+
+import threading
+from collections import deque
+from collections.abc import Generator, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo.runtime.run_request import (
+    DEFAULT_MICROPHONE,
+    DEFAULT_OUTPUT,
+    RunRequest,
+    Sound,
+    VoiceOptions,
+)
+from lipservo.runtime.servos.assembly import load_settings
+from lipservo.terminal.output import MESSAGES
+from lipsync.audio.file import FileSource, checked_sound, sound_chunks
+from lipsync.audio.playout import ListenedMicrophone, Playout
+from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
+from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
+from lipsync.errors import UserError
+from lipsync.phonemes import PhonemeEvent
+
+if TYPE_CHECKING:
+    from lipsync.text_to_speech.spoken_text import SpokenText
+
+
+def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
+    """The sound, to be entered. Raises SoundError.
+
+    start_s: the sound time at which a file is taken up; its blocks keep the file's times. A file
+    is checked here, in a time that does not depend on its length.
+    """
+    if sound.kind == "microphone":
+        return open_microphone(sound.name)
+    if sound.kind == "silence":
+        return SilentSource(start_s)
+    if sound.kind == "file":
+        return _file(Path(sound.name), start_s)
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        return _file(clip, start_s)
+
+
+def open_microphone(device: str) -> AudioSource:
+    """A microphone by number, by part of its name, or the default one. Raises SoundError."""
+    from lipsync.audio.microphone import MicrophoneSource
+
+    return MicrophoneSource(None if device == DEFAULT_MICROPHONE else device)
+
+
+def warn(line: str) -> None:
+    """One line on stderr about a sound that is used all the same."""
+    MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _file(path: Path, start_s: float) -> AudioSource:
+    return SilenceAfter(FileSource(path, start_s=start_s, warn=warn), start_s)
+
+
+#: Texts, sounds and performances that are said or wait, together.
+MOST_WAITING: Final = 8
+_SOUND_AHEAD_S: Final = 5.0
+#: A sentence or two.
+_TEXT_AHEAD_S: Final = 20.0
+#: Of one text; each is a request to the playout, which keeps 64 from all who speak.
+_SENTENCES_AHEAD: Final = 4
+_LOOK_AGAIN_S: Final = 0.1
+_END_S: Final = 2.0
+_LANGUAGE: Final = "en-us"
+
+
+class QueueFullError(UserError):
+    """No room for one more; says so in one line."""
+
+
+@dataclass(eq=False, slots=True)
+class Spoken:
+    """Something to be said, in one stream or in several of which each is requested after the last.
+
+    pieces: every `next` does a bounded piece of work, and gives the stream that it belongs to.
+    streams: the first one; grows, and loses from its beginning what was said. ahead_s: so much may
+    wait to be said before the work goes on.
+    """
+
+    pieces: Generator[PlayoutStream, None, None]
+    streams: deque[PlayoutStream]
+    ahead_s: float
+    is_whole: bool = field(default=False, init=False)
+
+    @property
+    def is_dropped(self) -> bool:
+        """Cut off: no more of it is said."""
+        return self.streams[-1].is_dropped
+
+    @property
+    def is_over(self) -> bool:
+        """Nothing of it waits to be said any more."""
+        return self.is_dropped or (self.is_whole and self.streams[-1].is_over)
+
+    @property
+    def is_ahead(self) -> bool:
+        """Enough of it waits to be said."""
+        while len(self.streams) > 1 and self.streams[0].is_over:
+            self.streams.popleft()
+        waiting_s = sum(stream.waiting_s for stream in self.streams)
+        return waiting_s > self.ahead_s or len(self.streams) > _SENTENCES_AHEAD
+
+
+def spoken_chunks(chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream) -> Spoken:
+    """Chunks of sound, mono (n,), of the rate of an empty stream."""
+
+    def pieces() -> Generator[PlayoutStream, None, None]:
+        for chunk in chunks:
+            stream.push(chunk)
+            yield stream
+
+    return Spoken(pieces(), deque([stream]), _SOUND_AHEAD_S)
+
+
+def spoken_file(
+    path: Path, playout: Playout, *, start_s: float = 0.0, phonemes: Path | None = None
+) -> tuple[Spoken, float]:
+    """A sound file from `start_s` to its end, and how long that is in seconds.
+
+    phonemes: a file of what is said when. Raises SoundError, LabelError.
+    """
+    rate_hz, duration_s = checked_sound(path, warn)
+    known = () if phonemes is None else known_from(phonemes, start_s)
+    stream = PlayoutStream(path.name, rate_hz, playout.output_rate_hz, known)
+    return spoken_chunks(sound_chunks(path, start_s), stream), max(0.0, duration_s - start_s)
+
+
+def spoken_text(text: str, language: str, playout: Playout, name: str = "text") -> Spoken:
+    """A text; its first sentence is synthesised at once, so that a mistake is known at once.
+
+    name: of the streams, one for each sentence. Raises SynthesisError.
+    """
+    from lipsync.text_to_speech.spoken_text import Voice
+    from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
+
+    sentences = speak_in_pieces(synthesizer_for(), text, Voice(language or _LANGUAGE))
+
+    def stream_of(sentence: "SpokenText") -> PlayoutStream:
+        rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
+        stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
+        stream.push(sentence.samples)
+        stream.end()
+        return stream
+
+    def pieces(last: PlayoutStream) -> Generator[PlayoutStream, None, None]:
+        for sentence in sentences:
+            stream = stream_of(sentence)
+            playout.requests.append(PlayoutRequest("say", stream, after=last))
+            yield stream
+            last = stream
+
+    first = stream_of(next(sentences))
+    return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S)
+
+
+class SpeechQueue:
+    """At most `MOST_WAITING`, said in the order in which they were added.
+
+    An interruption, which is the playout's, drops all that were added before it.
+    """
+
+    def __init__(self, playout: Playout) -> None:
+        self._playout = playout
+        self._changed = threading.Condition()
+        #: Said or waiting; of those `_unread` is still to be read, the first of them now.
+        self._kept: list[Spoken] = []
+        self._unread: deque[Spoken] = deque()
+        self._closed = False
+        self._thread: threading.Thread | None = None
+
+    def check_room(self, name: str) -> None:
+        """Raises QueueFullError. name: of what would be added."""
+        with self._changed:
+            self._kept = [each for each in self._kept if not each.is_over]
+            if len(self._kept) >= MOST_WAITING:
+                raise QueueFullError(
+                    f"{name}: {MOST_WAITING} texts, sounds or performances are said or wait "
+                    "already; wait, or interrupt them"
+                )
+
+    def add(self, spoken: Spoken, name: str) -> None:
+        """Let it be said after all that was requested before. Raises QueueFullError."""
+        with self._changed:
+            self.check_room(name)
+            if self._closed:
+                return
+            self._playout.announced.add(spoken)
+            self._playout.requests.append(PlayoutRequest("say", spoken.streams[0]))
+            self._kept.append(spoken)
+            self._unread.append(spoken)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._read, name="speech queue", daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Read and synthesise no more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join(timeout=_END_S)
+
+    def _read(self) -> None:
+        while True:
+            with self._changed:
+                while not self._unread and not self._closed:
+                    self._changed.wait()
+                if not self._unread:
+                    return
+                spoken = self._unread[0]
+                if not (self._closed or spoken.is_dropped) and spoken.is_ahead:
+                    self._changed.wait(_LOOK_AGAIN_S)
+                    continue
+                is_cut = self._closed or spoken.is_dropped
+            if is_cut or not self._go_on(spoken):
+                self._finish(spoken)
+
+    def _go_on(self, spoken: Spoken) -> bool:
+        """Do a piece of the work; whether there may be more of it."""
+        try:
+            stream = next(spoken.pieces, None)
+        except UserError as error:
+            warn(f"{error}; what came before it is said")
+            return False
+        except Exception as error:  # of one of them; the others are said
+            warn(f"{type(error).__name__}: {error}; what came before it is said")
+            return False
+        if stream is not None and stream is not spoken.streams[-1]:
+            spoken.streams.append(stream)
+        return stream is not None
+
+    def _finish(self, spoken: Spoken) -> None:
+        spoken.pieces.close()
+        for stream in spoken.streams:
+            stream.end()
+        spoken.is_whole = True
+        self._playout.announced.discard(spoken)
+        with self._changed:
+            self._unread.popleft()
+
+
+def known_from(path: Path, start_s: float) -> tuple[PhonemeEvent, ...]:
+    """The phonemes of a file that begin at `start_s` or later, counted from there."""
+    from lipsync.phoneme_files.reader import read_known_phonemes
+
+    return tuple(
+        PhonemeEvent(
+            event.phoneme,
+            event.start_s - start_s,
+            None if event.end_s is None else event.end_s - start_s,
+        )
+        for event in read_known_phonemes(path)
+        if event.start_s >= start_s
+    )
+
+
+@contextmanager
+def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSource]:
+    """The sound of a request, entered: a source that is only heard, or a `Playout`.
+
+    start_s: the sound time at which a file is taken up. Raises SoundError.
+    """
+    request = replace(request, sound=_of_the_face(request))
+    if request.voice is None:
+        with open_sound(request.sound, start_s) as source:
+            yield source
+        return
+    with ExitStack() as stack:
+        loudspeaker = _entered_loudspeaker(request.config, request.voice, stack)
+        microphone = None
+        if request.sound.kind == "microphone":
+            device = stack.enter_context(open_microphone(request.sound.name))
+            microphone = ListenedMicrophone(device)
+        playout = Playout(loudspeaker, microphone)
+        first = _first_words(request.sound, playout, start_s, stack)
+        if first is not None:
+            queue = SpeechQueue(playout)
+            stack.callback(queue.close)
+            queue.add(first, request.sound.name)
+        yield playout
+
+
+def check_sound(request: RunRequest) -> None:
+    """Refuse now what `entered_sound` would refuse later, without opening a device."""
+    if request.sound.kind == "file":
+        open_sound(request.sound)
+
+
+def _of_the_face(request: RunRequest) -> Sound:
+    """The default microphone is the one that the face's YAML names, if it names one."""
+    sound = request.sound
+    if (sound.kind, sound.name) != ("microphone", DEFAULT_MICROPHONE):
+        return sound
+    return replace(sound, name=load_settings(request.config)[0].sound.input or DEFAULT_MICROPHONE)
+
+
+def _entered_loudspeaker(config: str, voice: VoiceOptions, stack: ExitStack) -> Loudspeaker | None:
+    if voice.output is None:
+        return None
+    from lipsync.audio.loudspeaker import LoudspeakerOutput
+
+    settings = load_settings(config)[0].sound
+    device = settings.output if voice.output == DEFAULT_OUTPUT else voice.output
+    return stack.enter_context(LoudspeakerOutput(device, settings.output_offset_ms))
+
+
+def _first_words(sound: Sound, playout: Playout, start_s: float, stack: ExitStack) -> Spoken | None:
+    if sound.kind == "text":
+        return spoken_text(sound.name, sound.language, playout)
+    if sound.kind not in ("file", "clip"):
+        return None
+    path = Path(sound.name)
+    if sound.kind == "clip":
+        clip = resources.files("lipservo.clips") / "welcome.flac"
+        path = stack.enter_context(resources.as_file(clip))
+    phonemes = Path(sound.phonemes) if sound.phonemes else None
+    return spoken_file(path, playout, start_s=start_s, phonemes=phonemes)[0]

@@ -1,0 +1,334 @@
+"""Head, eyes, lids, brows and a smile of a face that speaks.
+
+What may be set of them, which servos show them, and the layer that claims those servos. A model
+learned from tracks is played by lipservo-lab: the entry point `lipservo.expressions`.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Final, cast
+
+import numpy as np
+
+from firmware_bridge.process.commands import Setting
+from lipservo.runtime.speech.layers import Claim, Indices, Layer
+from lipservo.runtime.speech.phoneme_sources import HeardVoice
+from lipservo.settings.sections import LIVELIEST
+from lipservo.settings.settings import FaceSettings
+from lipsync.errors import UserError
+from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue, WholeExpression
+from lipsync.expression.live_expression import LiveExpression, PerformedExpression, mouth_gain
+from lipsync.face.frame import NO_EXPRESSION, Expression
+from lipsync.prosody.voice_tracker import VoiceTracker
+
+#: Farther to the side than a person looks without turning round.
+_FARTHEST_YAW_DEG: Final = 60.0
+_FARTHEST_PITCH_DEG: Final = 40.0
+_LONGEST_TAU_S: Final = 600.0
+_SHORTEST_TAU_S: Final = 0.1
+#: Monotonic seconds of a computer that runs for thirty years.
+_LATEST_S: Final = 1e9
+
+
+def expression_settings(amount: float) -> dict[str, Setting]:
+    """What may be set, with its bounds.
+
+    look_weight: 1 = look at (look_yaw_deg, look_pitch_deg), 0 = at nobody. The affect that a
+    dialogue system wishes fades with affect_tau_s from monotonic affect_at_s on.
+    """
+    return {
+        "expression": Setting(amount, 0.0, LIVELIEST),
+        "look_weight": Setting(0.0, 0.0, 1.0),
+        "look_yaw_deg": Setting(0.0, -_FARTHEST_YAW_DEG, _FARTHEST_YAW_DEG),
+        "look_pitch_deg": Setting(0.0, -_FARTHEST_PITCH_DEG, _FARTHEST_PITCH_DEG),
+        "affect_valence": Setting(0.0, -1.0, 1.0),
+        "affect_arousal": Setting(0.0, -1.0, 1.0),
+        "affect_tau_s": Setting(10.0, _SHORTEST_TAU_S, _LONGEST_TAU_S),
+        "affect_at_s": Setting(0.0, 0.0, _LATEST_S),
+    }
+
+
+class ExpressionWishes:
+    """The values that were set last."""
+
+    #: Names of what is wished for the moment: no face has them as its way.
+    PASSING: Final = frozenset(expression_settings(0.0)) - {"expression"}
+
+    def __init__(self, amount: float) -> None:
+        self._values = {name: each.value for name, each in expression_settings(amount).items()}
+
+    def change(self, settings: Mapping[str, float]) -> bool:
+        """Take those that are known here; whether any is another than before."""
+        news = {
+            name: value
+            for name, value in settings.items()
+            if name in self._values and value != self._values[name]
+        }
+        self._values.update(news)
+        return bool(news)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """All of them, by name."""
+        return dict(self._values)
+
+    @property
+    def amount(self) -> float:
+        """How lively: 0 still, 1 as people are."""
+        return self._values["expression"]
+
+    @property
+    def look_at_deg(self) -> tuple[float, float] | None:
+        """(yaw, pitch) to look at; None: nobody is there."""
+        if self._values["look_weight"] < 0.5:
+            return None
+        return self._values["look_yaw_deg"], self._values["look_pitch_deg"]
+
+    def affect_at(self, now_s: float) -> tuple[float, float]:
+        """(valence, arousal) that were set, as far as they have not faded by monotonic `now_s`."""
+        values = self._values
+        age_s = max(0.0, now_s - values["affect_at_s"])
+        left = math.exp(-age_s / values["affect_tau_s"])
+        return values["affect_valence"] * left, values["affect_arousal"] * left
+
+
+#: A corner that lips do not need moves for a smile from here on; less nobody sees.
+_SMALLEST_SMILE = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class ExpressionServo:
+    """A servo, by its number in the face, that shows a part of an expression.
+
+    of: a name of `Expression`, or `lids`. min_deg to max_deg: its range.
+    """
+
+    index: int
+    of: str
+    deg_per_unit: float
+    min_deg: float
+    max_deg: float
+    max_speed_deg_s: float
+    is_mouth: bool
+
+
+def expression_servos(face: FaceSettings) -> list[ExpressionServo]:
+    """Those of a face's YAML, in its order."""
+    return [
+        ExpressionServo(
+            index,
+            servo.expression.of,
+            servo.expression.deg_per_unit,
+            servo.min_deg,
+            servo.max_deg,
+            servo.max_speed_deg_s,
+            servo.part == "mouth",
+        )
+        for index, servo in enumerate(face.servos.values())
+        if servo.expression is not None
+    ]
+
+
+class ExpressionClaims:
+    """What the expression wants of its servos, one period after the other.
+
+    Lips go before expression: the corners of the mouth smile in silence, and belong to the lips
+    from the moment a word is known, over the 0.3 s of every hand-over.
+    """
+
+    def __init__(self, servos: Sequence[ExpressionServo], period_s: float) -> None:
+        self._head = [servo for servo in servos if not servo.is_mouth]
+        self._corners = [servo for servo in servos if servo.is_mouth]
+        self._head_indices = _indices(self._head)
+        self._corner_indices = _indices(self._corners)
+        self._steps_deg = np.array([servo.max_speed_deg_s * period_s for servo in self._head])
+        self._shown_deg = np.zeros(len(self._head))
+
+    @property
+    def any_servos(self) -> bool:
+        """Whether the face has servos besides its mouth that show an expression."""
+        return bool(self._head)
+
+    def claims(self, expression: Expression, layer: Layer) -> list[Claim]:
+        """For neck, eyes, lids and brows. layer: of whom the expression is."""
+        if not self._head:
+            return []
+        wanted_deg = np.array([_wanted_deg(servo, expression) for servo in self._head])
+        # A saccade is faster than any servo: asked for no more than it can, it overshoots nothing.
+        step_deg = np.clip(wanted_deg - self._shown_deg, -self._steps_deg, self._steps_deg)
+        self._shown_deg = self._shown_deg + step_deg
+        return [Claim(layer, self._head_indices, self._shown_deg)]
+
+    def mouth(self, expression: Expression, lips: Claim) -> list[Claim]:
+        """For a silent mouth: its lips as they are, its corners moved from there by the smile."""
+        smile = expression.smile or 0.0
+        if not self._corners or abs(smile) < _SMALLEST_SMILE:
+            return [lips]
+        at_rest_deg = dict(zip(lips.servos.tolist(), lips.positions_deg.tolist(), strict=True))
+        smiling_deg = [
+            _within_range(servo, at_rest_deg[servo.index] + servo.deg_per_unit * smile)
+            for servo in self._corners
+        ]
+        kept = ~np.isin(lips.servos, self._corner_indices)
+        return [
+            Claim(Layer.LIPS, lips.servos[kept], lips.positions_deg[kept]),
+            Claim(Layer.EXPRESSION, self._corner_indices, np.array(smiling_deg)),
+        ]
+
+
+def _indices(servos: Sequence[ExpressionServo]) -> Indices:
+    return np.array([servo.index for servo in servos], dtype=np.intp)
+
+
+def _wanted_deg(servo: ExpressionServo, expression: Expression) -> float:
+    if servo.of == "lids":
+        value = 0.5 * ((expression.lid_left or 0.0) + (expression.lid_right or 0.0))
+    else:
+        value = getattr(expression, servo.of) or 0.0
+    return _within_range(servo, servo.deg_per_unit * value)
+
+
+def _within_range(servo: ExpressionServo, angle_deg: float) -> float:
+    return min(servo.max_deg, max(servo.min_deg, angle_deg))
+
+
+#: A pause within a sentence: whoever makes it still speaks.
+_PAUSE_S: Final = 0.3
+#: After so long a silence what the head does is nobody's business but its own.
+_IDLE_AFTER_S: Final = 4.0
+
+
+class ExpressionLayer:
+    """`advance` once for every 10 ms that are shown, then `claims`."""
+
+    def __init__(
+        self,
+        source: WholeExpression,
+        voice: HeardVoice,
+        servos: Sequence[ExpressionServo],
+        wishes: ExpressionWishes,
+    ) -> None:
+        self.voice = voice
+        self._source = source
+        self._claims = ExpressionClaims(servos, CUE_PERIOD_S)
+        self.wishes = wishes
+        self._performed = PerformedExpression()
+        self._n_steps = 0
+        self._silent_s = 0.0
+        self._arousal = 0.0
+        self._is_speaking = False
+        #: What is shown now.
+        self.expression: Expression = NO_EXPRESSION
+
+    @property
+    def is_resting(self) -> bool:
+        """Whether it is at neutral after a long silence and stays there: servos may be let go."""
+        return self._silent_s > _IDLE_AFTER_S and self._source.is_resting
+
+    @property
+    def arousal(self) -> float:
+        """Of the voice that is shown now, and of what was set: -1 to 1."""
+        return self._arousal
+
+    @property
+    def mouth_gain(self) -> float:
+        """How much livelier the mouth moves for it. A face that is only a mouth moves as ever."""
+        return mouth_gain(self._arousal) if self._claims.any_servos else 1.0
+
+    def change(self, settings: Mapping[str, float]) -> None:
+        """Take what was set, by the names of `ExpressionWishes`."""
+        if self.wishes.change(settings):
+            self.wake()
+
+    def wake(self) -> None:
+        """Something is about to happen: a face that rests gets up."""
+        self._silent_s = 0.0
+
+    def advance(
+        self,
+        sound_s: float,
+        now_s: float,
+        *,
+        is_speaking: bool,
+        performed: Expression = NO_EXPRESSION,
+    ) -> None:
+        """The next 10 ms, of what was heard at `sound_s`; shown at monotonic `now_s`.
+
+        is_speaking: the mouth says a phoneme at that moment. performed: what a performance stores
+        of it, which is shown in place of ours.
+        """
+        self._silent_s = 0.0 if is_speaking else self._silent_s + CUE_PERIOD_S
+        self._is_speaking = self._silent_s < _PAUSE_S
+        voice = self.voice.at(sound_s)
+        valence, arousal = self.wishes.affect_at(now_s)
+        self._arousal = min(1.0, max(-1.0, voice.arousal + arousal))
+        self._n_steps += 1
+        amount = self.wishes.amount
+        live = self._source.step(
+            ExpressionCue(
+                time_s=self._n_steps * CUE_PERIOD_S,
+                voice=voice,
+                is_speaking=self._is_speaking,
+                silent_s=self._silent_s,
+                look_at_deg=self.wishes.look_at_deg,
+                valence=valence,
+                arousal=self._arousal,
+                amount=amount,
+            )
+        )
+        self.expression = self._performed.step(live, performed, amount)
+
+    def claims(self, mouth: Claim) -> list[Claim]:
+        """What lips and expression want. mouth: what the lips would have."""
+        is_idle = self._silent_s > _IDLE_AFTER_S and self.wishes.look_at_deg is None
+        claims = self._claims.claims(self.expression, Layer.IDLE if is_idle else Layer.EXPRESSION)
+        if self._is_speaking:
+            return [*claims, mouth]
+        return [*claims, *self._claims.mouth(self.expression, mouth)]
+
+
+def check_expression(face: FaceSettings, folder: Path | None) -> None:
+    """Refuse now what `make_expression` would refuse later. Raises ExpressionModelError."""
+    if face.expression.model is not None:
+        expression_source(face, folder, face.expression.seed)
+
+
+def expression_source(face: FaceSettings, folder: Path | None, seed: int) -> WholeExpression:
+    """Who makes the expressions of a face. Raises ExpressionModelError.
+
+    folder: of the YAML, from which a learned model is named; None: a shipped face.
+    """
+    asked = face.expression
+    # Of a face that its YAML lets look more or less often at whoever it speaks with.
+    shares = {} if asked.eye_contact is None else {"talking_mutual_share": asked.eye_contact}
+    source: WholeExpression = LiveExpression(seed, rest_after_s=asked.rest_after_s, **shares)
+    if asked.model is None:
+        return source
+    return _player_of_models()((folder or Path()) / asked.model, seed, source)
+
+
+def _player_of_models() -> Callable[[Path, int, WholeExpression], WholeExpression]:
+    """What plays a learned model in place of a source. Raises UserError without lipservo-lab."""
+    for point in entry_points(group="lipservo.expressions"):
+        return cast(Callable[[Path, int, WholeExpression], WholeExpression], point.load())
+    raise UserError(
+        "expression: {model: ...} needs lipservo-lab, which is not installed: "
+        "`pip install lipservo-lab`, or remove the key"
+    )
+
+
+def make_expression(face: FaceSettings, folder: Path | None) -> ExpressionLayer:
+    """Everything between the sound that is heard and the servos besides the mouth.
+
+    folder: as `expression_source` has it. Raises ExpressionModelError for a model that cannot be
+    used.
+    """
+    return ExpressionLayer(
+        expression_source(face, folder, face.expression.seed),
+        HeardVoice(VoiceTracker()),
+        expression_servos(face),
+        ExpressionWishes(face.expression.amount),
+    )

@@ -1,0 +1,137 @@
+"""The sound of a performance, ready to be said: decoded as it is said, silence at both ends."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from math import ceil
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.audio.file import Warn, checked_sound, sound_chunks
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.audio.source import SoundError
+from lipsync.offline.performance import Performance, PerformanceError, sound_file
+from lipsync.offline.performed_motion import EASING_S, StoredMotion
+from lipsync.phonemes import PhonemeEvent
+
+#: Faces last to the end of the sound, rounded up to 10 ms; formats differ by a packet.
+_MOST_APART_S: Final = 0.1
+
+Samples = NDArray[np.float32]
+
+
+class PerformedStream(PlayoutStream):
+    """A stream that brings its motion with it."""
+
+    motion: StoredMotion
+
+
+@dataclass(frozen=True, slots=True)
+class PerformedLine:
+    """A line with `EASING_S` of silence before its sound and after its faces.
+
+    sounds: gives the sound between, mono (n,) in pieces, from its beginning at every call. lasts_s:
+    that and the silence after it. phonemes: counted from the first sample of the silence.
+    """
+
+    name: str
+    sounds: Callable[[], Iterator[Samples]]
+    lasts_s: float
+    sample_rate_hz: int
+    phonemes: tuple[PhonemeEvent, ...]
+    motion: StoredMotion
+
+    def stream(self, playout: Playout) -> PerformedStream:
+        """An empty stream for the playout, that is to be given the chunks."""
+        rates_hz = self.sample_rate_hz, playout.output_rate_hz
+        stream = PerformedStream(self.name, *rates_hz, self.phonemes)
+        stream.motion = self.motion
+        return stream
+
+    def chunks(self) -> Iterator[Samples]:
+        """Silence, the sound, a second at a time at most, and silence.
+
+        Raises PerformanceError where the sound is another one than it was, or is damaged late.
+        """
+        n_left = ceil(self.lasts_s * self.sample_rate_hz)
+        yield np.zeros(round(EASING_S * self.sample_rate_hz), np.float32)
+        for chunk in self.sounds():
+            yield chunk[:n_left]
+            n_left -= min(n_left, len(chunk))
+        yield np.zeros(n_left, np.float32)
+
+
+def performed_line(performance: Performance, path: Path, warn: Warn) -> PerformedLine:
+    """The line of the performance that was read from `path`.
+
+    warn: as `checked_sound` has it. Raises PerformanceError where the sound is missing, another
+    one, damaged within its first minute, or not as long as the faces.
+    """
+    sound = performance.sound
+
+    def sounds() -> Iterator[Samples]:
+        with sound_file(sound, path) as file:
+            try:
+                yield from sound_chunks(file)
+            except SoundError as error:
+                raise PerformanceError(_with_names(str(error), file)) from error
+
+    def _with_names(line: str, file: Path) -> str:
+        return f"{path}: its sound {line.replace(str(file), sound.name)}"
+
+    with sound_file(sound, path) as file:
+        try:
+            rate_hz, sound_s = checked_sound(file, lambda line: warn(_with_names(line, file)))
+        except SoundError as error:
+            raise PerformanceError(_with_names(str(error), file)) from error
+    if abs(performance.duration_s - sound_s) > _MOST_APART_S:
+        raise PerformanceError(
+            f"{path}: damaged: faces for {performance.duration_s:.2f} s, sound for {sound_s:.2f} "
+            "s; render it again with `lipservo lines render`"
+        )
+    return _line(performance, path.name, sounds, sound_s, rate_hz)
+
+
+def line_of(
+    performance: Performance, name: str, samples: Samples, sample_rate_hz: int
+) -> PerformedLine:
+    """The same of a sound (n,) that is decoded already."""
+    sound_s = len(samples) / sample_rate_hz
+    return _line(performance, name, lambda: iter([samples]), sound_s, sample_rate_hz)
+
+
+def _line(
+    performance: Performance,
+    name: str,
+    sounds: Callable[[], Iterator[Samples]],
+    sound_s: float,
+    sample_rate_hz: int,
+) -> PerformedLine:
+    return PerformedLine(
+        name,
+        sounds,
+        max(sound_s, performance.duration_s) + EASING_S,
+        sample_rate_hz,
+        tuple(_later(event) for event in performance.phonemes),
+        StoredMotion(performance),
+    )
+
+
+def performed_in(playout: Playout) -> Callable[[float], tuple[StoredMotion, float] | None]:
+    """What is performed at a sound time, by what the playout has committed: `PerformedMotion`."""
+
+    def performed_at(sound_s: float) -> tuple[StoredMotion, float] | None:
+        said = playout.stream_at(sound_s)
+        if said is None or not isinstance(said[0], PerformedStream):
+            return None
+        return said[0].motion, said[1] - EASING_S
+
+    return performed_at
+
+
+def _later(event: PhonemeEvent) -> PhonemeEvent:
+    end_s = None if event.end_s is None else event.end_s + EASING_S
+    return replace(event, start_s=event.start_s + EASING_S, end_s=end_s)

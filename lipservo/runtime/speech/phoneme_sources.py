@@ -1,0 +1,177 @@
+"""Phonemes of what a face hears or says, and how its voice sounds."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import KnownStretch
+from lipsync.audio.source import AudioSource
+from lipsync.audio_block import BLOCK_S, AudioBlock
+from lipsync.phonemes import (
+    Hearing,
+    Listener,
+    LiveRecognizer,
+    PhonemeEvent,
+    PhonemeUpdate,
+    ServoListener,
+)
+from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
+from lipsync.recognition.streaming import RecognizerStream, SoundAhead
+
+#: Ten seconds: more than any delay from sound to face.
+_N_KEPT: Final = 1_000
+
+
+class VoiceListener(Protocol):
+    """Who tells how something is said: `lipsync.prosody.voice_tracker.VoiceTracker`."""
+
+    def feed(self, samples: NDArray[np.float32]) -> VoiceFrame:
+        """Hear the next 10 ms."""
+
+
+class HeardVoice:
+    """Keeps the voice frames of the last seconds."""
+
+    def __init__(self, listener: VoiceListener) -> None:
+        self._listener = listener
+        self._kept: list[tuple[int, VoiceFrame]] = [(-1, SILENT_VOICE)] * _N_KEPT
+
+    def hear(self, block: AudioBlock) -> None:
+        """The next 10 ms of sound."""
+        n = round(block.start_s / BLOCK_S)
+        self._kept[n % _N_KEPT] = (n, self._listener.feed(block.samples))
+
+    def at(self, sound_s: float) -> VoiceFrame:
+        """The 10 ms around a sound time; silence where nothing was heard."""
+        n = math.floor(sound_s / BLOCK_S + 1e-6)
+        kept, frame = self._kept[n % _N_KEPT]
+        return frame if kept == n else SILENT_VOICE
+
+    def peaks(self, after_s: float, until_s: float, most: int) -> list[float]:
+        """Of every 10 ms between two sound times, the newest `most` of them."""
+        first, last = (math.floor(each / BLOCK_S + 1e-6) for each in (after_s, until_s))
+        return [self.at(n * BLOCK_S).peak for n in range(max(first, last - most) + 1, last + 1)]
+
+
+class RecognizedPhonemes:
+    """A `PhonemeSource` that feeds the sound of a source to a recogniser."""
+
+    def __init__(
+        self, source: AudioSource, recognizer: LiveRecognizer, voice: HeardVoice | None = None
+    ) -> None:
+        """voice: hears the same sound."""
+        self._voice = voice
+        self._source = source
+        self._recognizer = recognizer
+        self._sound = SoundAhead(source, recognizer)
+        self._recognition = RecognizerStream(recognizer)
+        self._heard_until_s = 0.0
+
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+        return self._recognizer.latency_s
+
+    @property
+    def heard_until_s(self) -> float:
+        """Sound has been heard until then."""
+        return self._heard_until_s
+
+    @property
+    def hears(self) -> Hearing | None:
+        """What is believed about the sound; None where the recogniser does not say."""
+        return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
+
+    def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
+        """The robot's servos turned so fast; only a device can hear them, a file cannot."""
+        if self._source.is_live and isinstance(self._recognizer, ServoListener):
+            self._recognizer.note_servo_speeds(sound_s, speeds_deg_s)
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """Hear the sound that is due at sound time `until_s`; what became known by it."""
+        # A device gives what has arrived, whatever the clock says.
+        blocks = self._sound.blocks(math.inf if self._source.is_live else until_s)
+        if self._voice is not None:
+            for block in blocks:
+                self._voice.hear(block)
+        step = self._recognition.feed(blocks)
+        if blocks:
+            self._heard_until_s = blocks[-1].end_s
+        return list(step.updates)
+
+
+#: What is known beforehand is told so far ahead of the sound: more than the longest look-ahead
+#: that moves a mouth, less than a sentence in every update.
+_AHEAD_S = 1.0
+
+
+class SpokenPhonemes:
+    """A `PhonemeSource` of a playout: a recogniser, and what the streams bring with them."""
+
+    def __init__(self, playout: Playout, recognizer: LiveRecognizer) -> None:
+        self._playout = playout
+        self._recognizer = recognizer
+        self._recognition = RecognizerStream(recognizer)
+
+    @property
+    def latency_s(self) -> float:
+        """At sound time t the phonemes before t - latency_s are settled."""
+        return self._recognizer.latency_s
+
+    @property
+    def heard_until_s(self) -> float:
+        """Sound has been committed until then."""
+        return self._playout.committed_s
+
+    @property
+    def hears(self) -> Hearing | None:
+        """What is believed about the sound; None where the recogniser does not say."""
+        return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        """Commit the sound that is due at sound time `until_s`; what became known by it."""
+        step = self._recognition.feed(self._playout.blocks(until_s))
+        return [
+            with_known(update, self._playout.known_phonemes(update.replace_from_s))
+            for update in step.updates
+        ]
+
+
+def with_known(update: PhonemeUpdate, stretches: Iterable[KnownStretch]) -> PhonemeUpdate:
+    """The update with what is known beforehand in place of what was recognised there.
+
+    stretches: (start_s, end_s, events) in order of time, not overlapping.
+    """
+    events = list(update.events)
+    for start_s, end_s, known in stretches:
+        told_until_s = min(end_s, update.heard_until_s + _AHEAD_S)
+        near = [event for event in known if event.start_s < told_until_s]
+        near = [event for event in near if _end_s(event) > update.replace_from_s]
+        # What is said may be cut off within a phoneme, and go on within one.
+        said = _cut(near, start_s, end_s)
+        # Beyond what is told of a stretch nothing else is, or the two would overlap later.
+        after = _cut(events, end_s, math.inf) if told_until_s == end_s else []
+        events = [*_cut(events, -math.inf, start_s), *said, *after]
+    return replace(update, events=tuple(events))
+
+
+def _cut(events: Iterable[PhonemeEvent], from_s: float, until_s: float) -> list[PhonemeEvent]:
+    """What of the events lies between."""
+    found = []
+    for event in events:
+        start_s, end_s = max(event.start_s, from_s), min(_end_s(event), until_s)
+        if end_s > start_s:
+            found.append(
+                replace(event, start_s=start_s, end_s=None if end_s == math.inf else end_s)
+            )
+    return found
+
+
+def _end_s(event: PhonemeEvent) -> float:
+    return math.inf if event.end_s is None else event.end_s

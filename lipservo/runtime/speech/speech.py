@@ -1,0 +1,370 @@
+"""The speech side of a face: phonemes in, targets for servos out. No threads, no sleep."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from calibration.calibration import Calibration
+from calibration.run.compensation import Follower, VisemeTrim
+from firmware_bridge.loop.targets import ServoTargets, TargetChannel
+from lipservo.runtime.speech.expression import ExpressionLayer
+from lipservo.runtime.speech.layers import Claim, Layer, ServoLayers
+from lipservo.settings.motion_names import LIP_GAP_OFFSET
+from lipsync.arrays import Array
+from lipsync.audio.playback_clock import PlaybackClock
+from lipsync.audio_block import BLOCK_S
+from lipsync.face.frame import NO_EXPRESSION, Expression, Frame, Synthesizer
+from lipsync.face.model import FaceModel
+from lipsync.motion.closures import lip_gap_of
+from lipsync.phonemes import (
+    SILENCE,
+    Hearing,
+    Listener,
+    PhonemeEvent,
+    PhonemeSource,
+    ServoListener,
+)
+
+#: The speech side publishes at 100 Hz (architecture.md, Time).
+PUBLISH_PERIOD_S = 0.010
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """How much later than its sound a face is shown, part by part. Added up here and only here."""
+
+    recognizer_s: float
+    lookahead_s: float
+    sound_block_s: float = BLOCK_S
+    publish_period_s: float = PUBLISH_PERIOD_S
+    actuation_s: float = 0.0
+    loudspeaker_s: float = 0.0
+
+    @property
+    def synthesis_s(self) -> float:
+        """How much sound must have been heard after an instant before its face is computed."""
+        return self.recognizer_s + self.lookahead_s + self.sound_block_s + self.loudspeaker_s
+
+    def at_least(self, delay_s: float) -> "Delay":
+        """The same, with the face waiting for a loudspeaker that is later than all else."""
+        return replace(self, loudspeaker_s=max(0.0, delay_s - self.total_s))
+
+    @property
+    def total_s(self) -> float:
+        """Display time minus sound time."""
+        return self.synthesis_s + self.publish_period_s + self.actuation_s
+
+    def __str__(self) -> str:
+        parts = {
+            "recogniser": self.recognizer_s,
+            "look-ahead": self.lookahead_s,
+            "sound block": self.sound_block_s,
+            "publishing": self.publish_period_s,
+            "actuation": self.actuation_s,
+            "loudspeaker": self.loudspeaker_s,
+        }
+        listed = " + ".join(f"{name} {s * 1e3:.0f}" for name, s in parts.items() if s)
+        return f"{self.total_s * 1e3:.0f} ms = {listed}"
+
+
+#: From wherever it is to rest: as fast as a mouth closes for a P, so that with the servos' own lag
+#: it is closed within 200 ms.
+CLOSING_S = 0.10
+#: Back from rest to what is said by then: no jump, and over before the first vowel is.
+JOINING_S = 0.08
+
+
+class CutOff:
+    """Poses of all servos, one each period; positions are joint angles in degrees (n_servos,)."""
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._start_deg: Array = np.zeros(0)
+        self._rest_deg: Array = np.zeros(0)
+        self._closed = 1.0
+        self._joined = 1.0
+        #: Sound that comes before it is not shown.
+        self.until_s = -np.inf
+        self.is_closing = False
+
+    def begin(self, shown_deg: Array, rest_deg: Array, until_s: float) -> None:
+        """The mouth is at `shown_deg` and is to rest until sound time `until_s`."""
+        self.until_s = max(self.until_s, until_s) if self.is_closing else until_s
+        if self.is_closing:
+            return
+        self.is_closing = True
+        self._start_deg, self._rest_deg = shown_deg, rest_deg
+        self._closed = 0.0
+
+    def close(self) -> Array:
+        """The next pose on the way to rest."""
+        self._closed = min(1.0, self._closed + self._period_s / CLOSING_S)
+        return self._between(self._start_deg, self._rest_deg, self._closed)
+
+    def join(self, live_deg: Array) -> Array:
+        """The next pose on the way back to what speech wants."""
+        if self.is_closing:
+            self.is_closing = False
+            self._start_deg = self._between(self._start_deg, self._rest_deg, self._closed)
+            self._joined = 0.0
+        if self._joined >= 1.0:
+            return live_deg
+        self._joined = min(1.0, self._joined + self._period_s / JOINING_S)
+        return self._between(self._start_deg, live_deg, self._joined)
+
+    @staticmethod
+    def _between(start_deg: Array, end_deg: Array, share: float) -> Array:
+        """3 u^2 - 2 u^3 of the way: it begins and ends at rest."""
+        return np.asarray(start_deg + share * share * (3.0 - 2.0 * share) * (end_deg - start_deg))
+
+
+#: Two of these, one after the other: 3 mm in a third of a second, without a step in speed.
+_TIME_CONSTANT_S: Final = 0.06
+#: Closer than an encoder step moves a lip.
+_THERE_MM: Final = 0.005
+
+
+class LipGapOffset:
+    """Streaming: `feed` a face each `period_s`, get the one to show. NumPy only."""
+
+    def __init__(self, model: FaceModel, offset_mm: float, period_s: float) -> None:
+        """offset_mm: from the beginning on."""
+        #: The change of the face (n_components,) that goes with a gap 1 mm higher.
+        self._per_mm: Array = np.asarray(lip_gap_of(model).response[1])
+        self._share = float(1.0 - np.exp(-period_s / _TIME_CONSTANT_S))
+        self.wanted_mm = self._halfway_mm = self._shown_mm = offset_mm
+
+    def change(self, settings: Mapping[str, float]) -> None:
+        """Take what was set, by name, eased in."""
+        self.wanted_mm = settings.get(LIP_GAP_OFFSET, self.wanted_mm)
+
+    def feed(self, face: Array) -> Array:
+        """The face (n_components,) of the next period."""
+        if self._shown_mm != self.wanted_mm:
+            self._halfway_mm += self._share * (self.wanted_mm - self._halfway_mm)
+            self._shown_mm += self._share * (self._halfway_mm - self._shown_mm)
+            if max(abs(self.wanted_mm - mm) for mm in (self._halfway_mm, self._shown_mm)) < (
+                _THERE_MM
+            ):
+                self._halfway_mm = self._shown_mm = self.wanted_mm
+        return self.shifted(face)
+
+    def shifted(self, face: Array) -> Array:
+        """The face as it would be shown now."""
+        if self._shown_mm == 0.0:
+            return face
+        return np.asarray(face + self._shown_mm * self._per_mm)
+
+
+#: After a stall, targets that would be shown longer ago than this are not computed any more.
+_OLDEST_WORTH_SHOWING_S = 0.100
+#: Of what a stall skipped, so much is still worked out for those that remember: filters of lag and
+#: trim (0.2 s), backlash (until the joint turns), hand-overs (0.3 s) and the motion itself, which
+#: goes back as far.
+_REMEMBERED_S = 1.0
+#: A sound that stood still goes on once it is so much further.
+_GOES_ON_S = 0.03
+#: Servos that are later than this are not fully made up for: all else would wait for them.
+_MOST_ADVANCE_S = 0.200
+
+
+@dataclass(frozen=True, slots=True)
+class SpeechOptions:
+    """What a face has besides a mouth that speaks at once.
+
+    least_delay_s: the face waits for a loudspeaker that is so late. expression: moves all else.
+    lip_gap: lips more open or closed than planned; None: as planned.
+    """
+
+    least_delay_s: float = 0.0
+    expression: ExpressionLayer | None = None
+    lip_gap: LipGapOffset | None = None
+
+
+class Speech:
+    """The speech side: follows phonemes, publishes targets for times still to come."""
+
+    def __init__(
+        self,
+        phonemes: PhonemeSource,
+        clock: PlaybackClock,
+        synthesizer: Synthesizer,
+        calibration: Calibration,
+        servo_names: Sequence[str],
+        channel: TargetChannel,
+        options: SpeechOptions | None = None,
+    ) -> None:
+        """servo_names: of the whole face, in the order of the targets.
+
+        Those without calibration that the expression does not move stay at neutral. Raises
+        ValueError for a calibrated servo that is not among them.
+        """
+        options = options or SpeechOptions()
+        self._phonemes = phonemes
+        self._clock = clock
+        self._synthesizer = synthesizer
+        self._calibration = calibration
+        self._channel = channel
+        n_servos = len(servo_names)
+        # A joint's neutral is its 0 degrees (`firmware_bridge.joints.Joint`).
+        self._layers = ServoLayers(servo_names, np.zeros(n_servos), PUBLISH_PERIOD_S)
+        #: The numbers of the calibrated servos among those of the face.
+        self.mouth = self._layers.indices(calibration.servo_names)
+        self._trim = VisemeTrim(calibration.trim, len(self.mouth), PUBLISH_PERIOD_S)
+        following = calibration.following
+        self._follower = Follower(
+            following and following.spread(self.mouth, n_servos),
+            n_servos,
+            PUBLISH_PERIOD_S,
+            look_ahead_s=_MOST_ADVANCE_S,
+        )
+        self.delay = Delay(
+            phonemes.latency_s,
+            synthesizer.lookahead_s,
+            actuation_s=self._follower.advance_s,
+        ).at_least(options.least_delay_s)
+        self._cut_off = CutOff(PUBLISH_PERIOD_S)
+        self.expression = options.expression
+        self.lip_gap = options.lip_gap
+        self._newest_mouth_deg = np.zeros(len(self.mouth))
+        self._newest_asked_s = self._newest_sound_s = -math.inf
+        # The first sound is shown a delay late; until then the closed mouth is published.
+        self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
+
+    @property
+    def phonemes_planned(self) -> int:
+        """Phonemes that moved the mouth so far."""
+        return self._synthesizer.phonemes_planned
+
+    @property
+    def hears(self) -> Hearing | None:
+        """What is believed about the sound that was settled last; None: nobody listens."""
+        return self._phonemes.hears if isinstance(self._phonemes, Listener) else None
+
+    @property
+    def calibration(self) -> Calibration:
+        """How faces become joint angles, for the servos of the mouth."""
+        return self._calibration
+
+    def note_servo_speeds(self, now_s: float, speeds_deg_s: Array) -> None:
+        """All servos of the face (n_servos,) turned so fast at monotonic `now_s`."""
+        if isinstance(self._phonemes, ServoListener):
+            self._phonemes.note_servo_speeds(self._clock.sound_s(now_s), speeds_deg_s)
+
+    def begin(self, zero_s: float) -> None:
+        """The sound begins at monotonic `zero_s`."""
+        self._clock.begin(zero_s)
+
+    def sound_time_s(self, display_s: float) -> float:
+        """The sound time whose face belongs to monotonic display time `display_s`."""
+        return self._clock.sound_s(display_s) - self.delay.total_s
+
+    def advance(self, now_s: float) -> None:
+        """Hear and publish all that is due at monotonic `now_s`."""
+        self._hear(now_s)
+        heard_s = self._clock.sound_s(now_s)
+        if self._cut_off.is_closing and heard_s - self.delay.synthesis_s < self._cut_off.until_s:
+            self._close(now_s)
+            return
+        # Half a nanosecond of grace, or rounding would hold a target back for a whole period.
+        n_due = math.floor((heard_s - self.delay.synthesis_s + 5e-10) / PUBLISH_PERIOD_S) + 1
+        n_too_old = n_due - round(_OLDEST_WORTH_SHOWING_S / PUBLISH_PERIOD_S)
+        n_remembered = n_too_old - round(_REMEMBERED_S / PUBLISH_PERIOD_S)
+        if self._cut_off.is_closing:
+            self._n_published = max(self._n_published, n_due - 1)
+        for n in range(max(self._n_published, n_remembered), n_due):
+            targets = self._targets(n * PUBLISH_PERIOD_S)
+            if n >= n_too_old:
+                self._publish(targets)
+        self._n_published = max(self._n_published, n_due)
+
+    def cut_off(self, now_s: float, rest: Array, until_s: float | None = None) -> None:
+        """Close the mouth now, whatever was planned; what is said from `until_s` on is shown again.
+
+        rest: the face (n_components,) of a mouth at rest. until_s: in sound time; None: until the
+        sound, which stands still, goes on.
+        """
+        if until_s is None:
+            until_s = self._clock.sound_s(now_s) - self.delay.synthesis_s + _GOES_ON_S
+        rest_deg = self._calibration.positions_deg(
+            rest if self.lip_gap is None else self.lip_gap.shifted(rest)
+        )
+        self._cut_off.begin(self._newest_mouth_deg, rest_deg, until_s)
+        # Targets may have been dated ahead of this moment.
+        self._newest_asked_s = min(self._newest_asked_s, now_s)
+
+    @property
+    def is_cut_off(self) -> bool:
+        """Whether the mouth is at rest, or on its way there, because its sound was cut off."""
+        return self._cut_off.is_closing
+
+    def event_at(self, sound_s: float) -> PhonemeEvent | None:
+        """The phoneme of a sound time, as far as it is known."""
+        return self._synthesizer.event_at(sound_s)
+
+    def captured_s(self, asked_s: float) -> float | None:
+        """When the sound was captured that moves the servos at `asked_s`, on the same clock.
+
+        Before any sound moves them, or where nobody knows: None. Ask in order.
+        """
+        # Beyond the newest target, whatever is shown was made of that one.
+        sound_s = self._newest_sound_s - max(0.0, self._newest_asked_s - asked_s)
+        return None if sound_s < 0.0 else self._clock.captured_s(sound_s)
+
+    def shown_at(self, sound_s: float) -> tuple[str, Frame]:
+        """The phoneme and the frame of a sound time that was published."""
+        event = self._synthesizer.event_at(sound_s)
+        phoneme = SILENCE if event is None else event.phoneme
+        return phoneme, self._synthesizer.frame_at(sound_s)
+
+    def _hear(self, now_s: float) -> None:
+        updates = self._phonemes.updates(self._clock.sound_s(now_s))
+        self._clock.arrived(now_s, self._phonemes.heard_until_s)
+        for update in updates:
+            self._synthesizer.push(update)
+
+    def _close(self, now_s: float) -> None:
+        """The mouth goes to rest by the clock of the computer, whatever the sound's clock does."""
+        self._newest_asked_s = max(self._newest_asked_s, now_s - _OLDEST_WORTH_SHOWING_S)
+        # Every period counts, also where ticks are farther apart: it closes in the same time.
+        while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
+            self._newest_asked_s += PUBLISH_PERIOD_S
+            self._newest_mouth_deg = self._cut_off.close()
+            shown_s = self._newest_asked_s + self.delay.actuation_s
+            pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
+            goals_deg = self._follower.feed(pose_deg)
+            self._publish(ServoTargets(self._newest_asked_s, goals_deg))
+
+    def _targets(self, sound_s: float) -> ServoTargets:
+        phoneme, frame = self.shown_at(sound_s)
+        face = frame.coefficients if self.lip_gap is None else self.lip_gap.feed(frame.coefficients)
+        mouth_deg = self._calibration.positions_deg(face) + self._trim.feed(phoneme)
+        self._newest_mouth_deg = self._cut_off.join(mouth_deg)
+        shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
+        # Servos are asked before the face is shown, by as much as they are late.
+        asked_s = shown_s - self.delay.actuation_s
+        self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
+        pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
+        return ServoTargets(asked_s, self._follower.feed(pose_deg))
+
+    def _compose(
+        self, sound_s: float, shown_s: float, phoneme: str, performed: Expression
+    ) -> Array:
+        """The pose (n_servos,) of the next 10 ms: the newest of the mouth, and the expression.
+
+        performed: what a performance says of head and eyes.
+        """
+        mouth = Claim(Layer.LIPS, self.mouth, self._newest_mouth_deg)
+        if self.expression is None:
+            return self._layers.compose([mouth])
+        is_speaking = phoneme != SILENCE
+        self.expression.advance(sound_s, shown_s, is_speaking=is_speaking, performed=performed)
+        return self._layers.compose(self.expression.claims(mouth))
+
+    def _publish(self, targets: ServoTargets) -> None:
+        """Nothing of a face that rests: the bridge lets its servos go, and takes them up again."""
+        if self.expression is None or not self.expression.is_resting:
+            self._channel.publish(targets)

@@ -1,0 +1,303 @@
+"""Sound to targets: the speech side of a face, with its own voice where it has one."""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from firmware_bridge.bus import SOFT_START_S
+from firmware_bridge.loop.targets import TargetChannel
+from lipservo.runtime.servos.assembly import Face
+from lipservo.runtime.speech.expression import expression_servos, make_expression
+from lipservo.runtime.speech.performed_line import performed_in
+from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes, SpokenPhonemes
+from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, LipGapOffset, Speech, SpeechOptions
+from lipservo.runtime.status.live_board import MOST_PEAKS, LiveBoard, expression_values
+from lipsync.arrays import Array
+from lipsync.audio.playback_clock import OwnPlaybackClock, clock_for
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutRequest
+from lipsync.audio.source import AudioSource
+from lipsync.face.frame import Frame, Synthesizer
+from lipsync.motion.live_synthesizer import STRONGEST, FinishedSynthesizer
+from lipsync.offline.performed_motion import PerformedMotion
+from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
+from lipsync.recognition.own_noise import ServoSpeeds
+
+#: The gain is followed so often, and once it is so far from the one that is in force: arousal
+#: takes half a second to rise, and each change is eased over 0.3 s.
+_EVERY_S: Final = 0.5
+_SMALLEST_CHANGE: Final = 0.02
+
+
+class AdjustableMouth:
+    """Strength, and what else the strategy in use lets its user set.
+
+    Closures lie outside of the strength (`FinishedSynthesizer`): a gain never opens them.
+    """
+
+    def __init__(self, synthesizer: Synthesizer) -> None:
+        self._live = synthesizer if isinstance(synthesizer, FinishedSynthesizer) else None
+        self._strength = 1.0 if self._live is None else self._live.strength
+        self._gain = 1.0
+        self._due_s = 0.0
+
+    def change(self, settings: Mapping[str, float]) -> None:
+        """Take what was set, by name, eased in."""
+        if self._live is None:
+            return
+        if "strength" in settings and settings["strength"] != self._strength:
+            self._strength = settings["strength"]
+            self._set_strength()
+        for name in self._live.adjustable & settings.keys() - {"strength"}:
+            self._live.adjust(name, settings[name])
+
+    def follow(self, now_s: float, gain: float) -> None:
+        """Move so much livelier, at monotonic `now_s`."""
+        if now_s < self._due_s or abs(gain - self._gain) < _SMALLEST_CHANGE:
+            return
+        self._due_s = now_s + _EVERY_S
+        self._gain = gain
+        self._set_strength()
+
+    def _set_strength(self) -> None:
+        if self._live is not None:
+            self._live.adjust("strength", min(STRONGEST, self._strength * self._gain))
+
+
+#: A loudspeaker whose position stays for so long stands still: a few buffers of the slowest device.
+_STALE_S: Final = 0.15
+#: Its clock runs on a little until it stands still, too. The mouth opens again once lips and sound
+#: are as near as that, which nobody notices.
+_MET_S: Final = 0.03
+#: Phonemes that wait to be told; nobody is told those of a minute ago.
+_MOST_PHONEMES: Final = 256
+
+
+class OwnVoice:
+    """Joins playout, its clock and speech; call `advance` in each tick, before that of speech."""
+
+    def __init__(
+        self,
+        playout: Playout,
+        clock: OwnPlaybackClock,
+        speech: Speech,
+        rest: Array,
+        *,
+        quiet_s: float = 0.0,
+    ) -> None:
+        """clock: of the same speech side. rest: the face (n_components,) of a mouth at rest.
+
+        quiet_s: nothing is said so long after the beginning, as servos are slow at first.
+        """
+        self._quiet_s = quiet_s
+        self.playout = playout
+        self._clock = clock
+        self._speech = speech
+        self._rest = rest
+        self._said_s = -1.0
+        self._told_position_s, self._moved_s = -math.inf, -math.inf
+        self._is_standing = False
+        #: (phoneme, start_s, end_s) on the timeline, each when it begins to be heard; one other
+        #: thread takes, and may put a deque of its own here before it begins.
+        self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
+        clock.lead_s = speech.delay.total_s
+
+    def begin(self) -> None:
+        """The timeline begins now: what is committed is played one declared delay later."""
+        self.playout.begin(self._clock.lead_s, self._quiet_s)
+
+    def advance(self, now_s: float) -> None:
+        """Follow whoever plays, do what was asked for, note which phoneme is heard."""
+        self._follow(now_s)
+        self._get_up()
+        position_s = self._clock.sound_s(now_s) - self._clock.lead_s
+        if self.playout.advance(position_s):
+            self._speech.cut_off(now_s, self._rest, self.playout.committed_s)
+        event = self._speech.event_at(max(0.0, position_s))
+        if event is not None and event.start_s > self._said_s:
+            self._said_s = event.start_s
+            end_s = event.start_s if event.end_s is None else event.end_s
+            self.phonemes.append((event.phoneme, event.start_s, end_s))
+
+    def fall_silent(self) -> None:
+        """The face is stopped: what was not heard never will be."""
+        self.playout.requests.append(PlayoutRequest("interrupt"))
+        self.playout.advance(self.playout.position_s)
+
+    def _get_up(self) -> None:
+        """A face whose servos rest has them back before anything is said."""
+        expression = self._speech.expression
+        if expression is not None and expression.is_resting and not self.playout.is_over:
+            expression.wake()
+            self.playout.be_quiet(self._quiet_s)
+
+    def _follow(self, now_s: float) -> None:
+        """A device that stands still closes the mouth; its clock stands still with it."""
+        report = self.playout.report()
+        if report is None:
+            return
+        told_s, position_s = report
+        self._clock.played(told_s, position_s)
+        ahead_s = self._clock.sound_s(now_s) - self._clock.lead_s - position_s - (now_s - told_s)
+        if position_s != self._told_position_s:
+            self._told_position_s, self._moved_s = position_s, now_s
+            self._is_standing = self._is_standing and ahead_s > _MET_S
+        elif now_s - self._moved_s > _STALE_S:
+            self._is_standing = True
+        if self._is_standing:
+            self._speech.cut_off(now_s, self._rest)
+
+
+class SpeechBoard:
+    """Writes to a `LiveBoard` what is shown."""
+
+    def __init__(self, board: LiveBoard, rest: Array) -> None:
+        """rest: the face (n_components,) of a mouth at rest."""
+        self._board = board
+        self._rest = rest
+        self._numbers = {phoneme: number for number, phoneme in enumerate(PHONEMES)}
+        self._told_s = 0.0
+
+    def tell(self, now_s: float, speech: Speech) -> None:
+        """What is shown at monotonic `now_s`."""
+        sound_s = speech.sound_time_s(now_s)
+        phoneme, frame = speech.shown_at(max(0.0, sound_s))
+        expression = speech.expression
+        is_cut_off = speech.is_cut_off
+        heard = None if expression is None else expression.voice
+        self._board.write_speech(
+            [] if heard is None else heard.peaks(self._told_s, sound_s, MOST_PEAKS),
+            time_s=now_s,
+            sound_s=sound_s,
+            phoneme=self._numbers[phoneme],
+            is_cut_off=is_cut_off,
+            is_speech=heard is not None and heard.at(sound_s).is_speech,
+            arousal=0.0 if expression is None else expression.arousal,
+            coefficients=self._rest if is_cut_off else frame.coefficients,
+            expression=expression_values()
+            if expression is None
+            else expression_values(expression.expression),
+        )
+        self._told_s = max(self._told_s, sound_s)
+
+
+#: Full speed is told three times, a tenth of a second apart, since nobody acknowledges it.
+_MARGIN_S: Final = 0.3
+
+
+class SpeechSide:
+    """`begin` once, `advance` in each tick."""
+
+    def __init__(
+        self,
+        speech: Speech,
+        voice: OwnVoice | None = None,
+        mouth: AdjustableMouth | None = None,
+        rest: Array | None = None,
+        board: SpeechBoard | None = None,
+    ) -> None:
+        """mouth: takes what is set of it, and moves livelier with a voice that is excited.
+
+        rest: the face (n_components,) of a mouth at rest, for while the face is stopped. board:
+        where it tells what it shows; None: nobody watches.
+        """
+        self._rest = rest
+        self.speech = speech
+        self.voice = voice
+        self._mouth = mouth
+        self._servo_speeds = ServoSpeeds()
+        self._board = board
+
+    def begin(self, zero_s: float) -> None:
+        """The sound begins at monotonic `zero_s`."""
+        self.speech.begin(zero_s)
+        if self.voice is not None:
+            self.voice.begin()
+
+    def advance(self, now_s: float) -> None:
+        """Hear, play and publish all that is due at monotonic `now_s`."""
+        if self.voice is not None:
+            self.voice.advance(now_s)
+        self.speech.advance(now_s)
+        if self._mouth is not None and self.speech.expression is not None:
+            self._mouth.follow(now_s, self.speech.expression.mouth_gain)
+        if self._board is not None:
+            self._board.tell(now_s, self.speech)
+
+    def shown(self, time_s: float) -> tuple[float, str, Frame]:
+        """What is shown at monotonic `time_s`: sound time, phoneme and face; rest once cut off."""
+        sound_s = self.speech.sound_time_s(time_s)
+        if self.speech.is_cut_off and self._rest is not None:
+            return sound_s, SILENCE, Frame(sound_s, self._rest)
+        return sound_s, *self.speech.shown_at(max(0.0, sound_s))
+
+    def note_servos(self, time_s: float, positions_deg: Array) -> None:
+        """All servos of the face (n_servos,) stood there at monotonic `time_s`, by encoders."""
+        found = self._servo_speeds.take(time_s, positions_deg)
+        if found is not None:
+            self.speech.note_servo_speeds(*found)
+
+    def change(self, settings: Mapping[str, float]) -> None:
+        """Take what was set while the face runs, by name; what nobody here knows is left alone."""
+        if self._mouth is not None:
+            self._mouth.change(settings)
+        if self.speech.lip_gap is not None:
+            self.speech.lip_gap.change(settings)
+        if self.speech.expression is not None:
+            self.speech.expression.change(settings)
+
+    def fall_silent(self) -> None:
+        """The face is stopped: nothing is said any more."""
+        if self.voice is not None:
+            self.voice.fall_silent()
+
+    def follow_stop(self, now_s: float, *, is_stopped: bool) -> None:
+        """Before `advance`: a face that a person has stopped says nothing, and its mouth rests."""
+        if is_stopped:
+            self.fall_silent()
+            if self._rest is not None:
+                self.speech.cut_off(now_s, self._rest)
+
+
+def make_speech_side(
+    face: Face,
+    source: AudioSource,
+    recognizer: LiveRecognizer,
+    synthesizer: Synthesizer,
+    channel: TargetChannel,
+    *,
+    has_soft_start: bool,
+    is_watchable: bool = True,
+    board: LiveBoard | None = None,
+) -> SpeechSide:
+    """Everything between an entered source and the targets of a face's servos.
+
+    has_soft_start: the servos are slow at first, so that nothing is said until they are not.
+    is_watchable: somebody may look on whose twin has eyes; where nobody can, a face that is only a
+    mouth has no expression.
+    """
+    names: Sequence[str] = list(face.settings.servos)
+    mouth, rest = AdjustableMouth(synthesizer), face.model.rest
+    expression = None
+    if is_watchable or expression_servos(face.settings):
+        expression = make_expression(face.settings, face.folder)
+    voice = None if expression is None else expression.voice
+    offset_mm = face.settings.motion.lip_gap_offset_mm or 0.0
+    lip_gap = LipGapOffset(face.model, offset_mm, PUBLISH_PERIOD_S)
+    watched = None if board is None else SpeechBoard(board, rest)
+    if not isinstance(source, Playout):
+        heard = RecognizedPhonemes(source, recognizer, voice)
+        options = SpeechOptions(expression=expression, lip_gap=lip_gap)
+        clock = clock_for(source)
+        speech = Speech(heard, clock, synthesizer, face.calibration, names, channel, options)
+        return SpeechSide(speech, None, mouth, rest, watched)
+    spoken = SpokenPhonemes(source, recognizer)
+    source.on_said = None if voice is None else voice.hear
+    played = OwnPlaybackClock()
+    motion = PerformedMotion(synthesizer, performed_in(source))
+    options = SpeechOptions(source.latency_s, expression, lip_gap)
+    speech = Speech(spoken, played, motion, face.calibration, names, channel, options)
+    quiet_s = SOFT_START_S + _MARGIN_S if has_soft_start else 0.0
+    own = OwnVoice(source, played, speech, rest, quiet_s=quiet_s)
+    return SpeechSide(speech, own, mouth, rest, watched)

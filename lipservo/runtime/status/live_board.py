@@ -1,0 +1,262 @@
+"""What a face does at this very moment, in memory that whoever watches may read.
+
+The loop that drives the servos and the one that hears each write a record a tick, some hundred
+bytes, and know nothing of who reads: one watcher or twenty cost them the same. A record has a
+number and a checksum; one that is read while it is being written is not believed.
+`firmware_bridge.process.control_socket` hands the memory to those who ask, to read only.
+"""
+
+import json
+import mmap
+import os
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+
+from firmware_bridge.bus import Array, Feedback, any_set
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import FaceState, TickReport
+from firmware_bridge.loop.servo_supervision import SILENT_S
+from lipsync.face.frame import NO_EXPRESSION, Expression
+
+Record = np.void
+
+#: Names of `Expression`, in the order of a record.
+EXPRESSION_NAMES: Final = tuple(Expression.__dataclass_fields__)
+#: Blocks of sound between two ticks of the slowest face (10 Hz), and some that came late.
+MOST_PEAKS: Final = 16
+#: What is said once: names and numbers of everything.
+_ABOUT_BYTES: Final = 1 << 16
+_ABOUT_HEAD: Final = struct.Struct("<II")
+#: Number, checksum, then the record.
+_HEAD: Final = struct.Struct("<QI")
+#: Half a second of a loop at 100 Hz, for a reader that looks 30 times a second.
+_N_SLOTS: Final = 64
+
+
+@dataclass(frozen=True, slots=True)
+class BoardLayout:
+    """What the records hold. servos: names; states: of the face, by their number in a record."""
+
+    name: str
+    config: str
+    servos: tuple[str, ...]
+    states: tuple[str, ...]
+    phonemes: tuple[str, ...]
+    n_components: int
+    rate_hz: float
+
+    def servo_type(self) -> np.dtype[Any]:
+        """A record of the servo side: `time_s` is monotonic, NaN where a servo never answered."""
+        n = len(self.servos)
+        return np.dtype(
+            [
+                ("time_s", "<f8"), ("goal_deg", "<f4", (n,)), ("encoder_deg", "<f4", (n,)),
+                ("effort", "<f4", (n,)), ("state", "u1"), ("torque_on", "u1"),
+                ("n_ticks", "<u4"), ("n_late", "<u4"), ("n_stale", "<u4"),
+            ]
+        )  # fmt: skip
+
+    def speech_type(self) -> np.dtype[Any]:
+        """A record of the speech side: what is shown at monotonic `time_s`.
+
+        sound_s: its sound time; phoneme: number in `phonemes`; peaks: of the 10 ms blocks shown
+        since the record before, 255 = full scale; expression: NaN where nothing is said.
+        """
+        return np.dtype(
+            [
+                ("time_s", "<f8"), ("sound_s", "<f8"), ("phoneme", "<i2"), ("is_cut_off", "u1"),
+                ("is_speech", "u1"), ("n_peaks", "u1"), ("peaks", "u1", (MOST_PEAKS,)),
+                ("arousal", "<f4"), ("coefficients", "<f4", (self.n_components,)),
+                ("expression", "<f4", (len(EXPRESSION_NAMES),)),
+            ]
+        )  # fmt: skip
+
+
+class _Ring:
+    """Records of one writer, the newest `_N_SLOTS` of them."""
+
+    def __init__(self, memory: mmap.mmap, offset: int, kind: np.dtype[Any]) -> None:
+        self._memory = memory
+        self._offset = offset
+        self._kind = kind
+        self._slot_bytes = _HEAD.size + kind.itemsize
+        self._n_written = 0
+
+    @property
+    def size(self) -> int:
+        """Bytes that the ring takes."""
+        return self._slot_bytes * _N_SLOTS
+
+    def write(self, raw: bytes) -> None:
+        self._n_written += 1
+        start = self._offset + self._n_written % _N_SLOTS * self._slot_bytes
+        self._memory[start + _HEAD.size : start + self._slot_bytes] = raw
+        _HEAD.pack_into(self._memory, start, self._n_written, zlib.crc32(raw))
+
+    def continue_numbers(self) -> None:
+        """Go on where the writer before this one, which has died, left off."""
+        self._n_written = max((number for number, _ in self._slots()), default=0)
+
+    def newer_than(self, number: int) -> list[tuple[int, Record]]:
+        """(number, record) of every whole one after `number`, oldest first."""
+        found = []
+        for n, start in self._slots():
+            if n <= number:
+                continue
+            raw = self._memory[start + _HEAD.size : start + self._slot_bytes]
+            if zlib.crc32(raw) == _HEAD.unpack_from(self._memory, start)[1]:
+                found.append((n, np.frombuffer(raw, self._kind)[0]))
+        return sorted(found, key=_number)
+
+    def _slots(self) -> list[tuple[int, int]]:
+        starts = (self._offset + i * self._slot_bytes for i in range(_N_SLOTS))
+        return [(_HEAD.unpack_from(self._memory, start)[0], start) for start in starts]
+
+
+class _NextRecord:
+    """A record in the making; what is not given stays as in the one before. fields: by name."""
+
+    def __init__(self, kind: np.dtype[Any]) -> None:
+        self._record = np.zeros((), kind)
+        self.fields = {name: self._record[name] for name in kind.names or ()}
+
+    def with_values(self, values: Mapping[str, object]) -> bytes:
+        """The bytes of the record with these values."""
+        for name, value in values.items():
+            self.fields[name][...] = value
+        return self._record.tobytes()
+
+
+class LiveBoard:
+    """Both rings. Make it with `create`, hand its `fileno` to a child, which does `adopt`."""
+
+    def __init__(self, fd: int, *, writable: bool) -> None:
+        """Raises ValueError where the descriptor holds no board."""
+        self._fd = fd
+        access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
+        self._memory = mmap.mmap(fd, 0, access=access)
+        length, checksum = _ABOUT_HEAD.unpack_from(self._memory, 0)
+        text = self._memory[_ABOUT_HEAD.size : _ABOUT_HEAD.size + length]
+        if not length or zlib.crc32(text) != checksum:
+            raise ValueError("no live board")
+        self.layout = _layout(json.loads(text))
+        self._servos = _Ring(self._memory, _ABOUT_BYTES, self.layout.servo_type())
+        after = _ABOUT_BYTES + self._servos.size
+        self._speech = _Ring(self._memory, after, self.layout.speech_type())
+        self._servo_record = _NextRecord(self.layout.servo_type())
+        self._speech_record = _NextRecord(self.layout.speech_type())
+        if writable:
+            self._servos.continue_numbers()
+            self._speech.continue_numbers()
+
+    @classmethod
+    def create(cls, layout: BoardLayout) -> Self:
+        """A new one, empty."""
+        text = json.dumps(asdict(layout)).encode()
+        if len(text) > _ABOUT_BYTES - _ABOUT_HEAD.size:
+            raise ValueError("names of servos are too long for a live board")
+        kinds = (layout.servo_type(), layout.speech_type())
+        rings = sum((_HEAD.size + kind.itemsize) * _N_SLOTS for kind in kinds)
+        fd = os.memfd_create("lipservo-live")
+        os.ftruncate(fd, _ABOUT_BYTES + rings)
+        with mmap.mmap(fd, 0) as memory:
+            memory[_ABOUT_HEAD.size : _ABOUT_HEAD.size + len(text)] = text
+            _ABOUT_HEAD.pack_into(memory, 0, len(text), zlib.crc32(text))
+        return cls(fd, writable=True)
+
+    @classmethod
+    def adopt(cls, fd: int) -> Self:
+        """The one whose descriptor a supervisor handed over."""
+        os.set_inheritable(fd, False)
+        return cls(fd, writable=True)
+
+    @classmethod
+    def watch(cls, fd: int) -> Self:
+        """One to read only, as the control socket gives it. Raises ValueError, OSError."""
+        return cls(fd, writable=False)
+
+    def fileno(self) -> int:
+        """The descriptor that a child inherits."""
+        return self._fd
+
+    def write_servos(self, **values: object) -> None:
+        """One tick of the servo side; `BoardLayout.servo_type` has the names."""
+        self._servos.write(self._servo_record.with_values(values))
+
+    def write_speech(self, peaks: Sequence[float] = (), **values: object) -> None:
+        """One tick of the speech side; `BoardLayout.speech_type` has the names. peaks: 0 to 1."""
+        newest = [round(255 * min(1.0, max(0.0, p))) for p in peaks[-MOST_PEAKS:]]
+        self._speech_record.fields["peaks"][: len(newest)] = newest
+        self._speech.write(self._speech_record.with_values({**values, "n_peaks": len(newest)}))
+
+    def servos_since(self, number: int) -> list[tuple[int, Record]]:
+        """(number, record) of every tick of the servo side after `number`, oldest first."""
+        return self._servos.newer_than(number)
+
+    def speech_since(self, number: int) -> list[tuple[int, Record]]:
+        """The same of the speech side."""
+        return self._speech.newer_than(number)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._memory.close()
+        os.close(self._fd)
+
+
+def expression_values(expression: Expression = NO_EXPRESSION) -> list[float]:
+    """In the order of a record, NaN where nothing is said."""
+    values = (getattr(expression, name) for name in EXPRESSION_NAMES)
+    return [float("nan") if value is None else value for value in values]
+
+
+def _layout(told: Mapping[str, Any]) -> BoardLayout:
+    lists = {name: tuple(told[name]) for name in ("servos", "states", "phonemes")}
+    return BoardLayout(**{**told, **lists})
+
+
+def _number(found: tuple[int, Record]) -> int:
+    return found[0]
+
+
+#: Of a face, by their numbers on the board.
+FACE_STATES = tuple(state.value for state in FaceState)
+
+
+class ServoBoard:
+    """Writes to a `LiveBoard` what was sent and where the servos stand."""
+
+    def __init__(self, board: LiveBoard, bridge: Bridge) -> None:
+        self._board = board
+        self._bridge = bridge
+        self._never = np.full(len(bridge.names), np.nan)
+        self._numbers = {state: FACE_STATES.index(state.value) for state in FaceState}
+
+    def tell(self, report: TickReport) -> None:
+        """One tick."""
+        feedback = self._bridge.feedback
+        n_ticks, n_late, n_stale = self._bridge.tick_counts
+        self._board.write_servos(
+            time_s=report.time_s,
+            goal_deg=report.sent_deg,
+            encoder_deg=self._never if feedback is None else _answered_deg(feedback),
+            effort=self._never if feedback is None else feedback.effort,
+            state=self._numbers[self._bridge.state],
+            torque_on=report.torque_on,
+            n_ticks=n_ticks,
+            n_late=n_late,
+            n_stale=n_stale,
+        )
+
+
+def _answered_deg(feedback: Feedback) -> Array:
+    """NaN for a servo that has said nothing for so long that its goals are withheld."""
+    if not any_set(feedback.age_s):  # all answered just now
+        return feedback.positions_deg
+    return np.where(feedback.age_s > SILENT_S, np.nan, feedback.positions_deg)

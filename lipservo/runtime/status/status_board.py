@@ -1,0 +1,129 @@
+"""What the processes of one face know of each other: three notes in memory that they share.
+
+The bridge process answers people and writes down which settings they want; the speech process
+follows them, and writes down how it is. The supervisor writes down whether a person has stopped the
+face, so that speech falls silent. The memory is the supervisor's, so that what was set and
+what was said outlives either of them. Nobody waits: a note that is being written is read at the
+next look. Each note has one writer at a time.
+"""
+
+import json
+import mmap
+import os
+import struct
+import zlib
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Final, Self
+
+from lipservo.runtime.status.face_status import SpeechStatus, Status, whole_status
+
+#: Version, length in bytes and checksum of a note, then its JSON.
+_HEAD: Final = struct.Struct("<QII")
+#: The reasons of a few fallbacks and a path or two; a longer note is not written.
+_NOTE_BYTES: Final = 16_384
+#: Every field of a status, with what stands for "not known".
+_UNKNOWN: Final = Status().as_dict()
+_SIZE: Final = 3 * _NOTE_BYTES
+
+
+class _Note:
+    """A JSON object at a place in shared memory."""
+
+    def __init__(self, memory: mmap.mmap, offset: int) -> None:
+        self._memory = memory
+        self._offset = offset
+        self._version = 0
+        self._value: dict[str, object] = {}
+
+    def write(self, value: Mapping[str, object]) -> None:
+        text = json.dumps(value).encode()
+        if len(text) > _NOTE_BYTES - _HEAD.size:
+            return
+        version, _, _ = _HEAD.unpack_from(self._memory, self._offset)
+        start = self._offset + _HEAD.size
+        # A reader that looks in between finds a checksum that does not fit.
+        self._memory[start : start + len(text)] = text
+        _HEAD.pack_into(self._memory, self._offset, version + 1, len(text), zlib.crc32(text))
+
+    def read(self) -> dict[str, object]:
+        """The newest whole note; {} before the first."""
+        version, length, checksum = _HEAD.unpack_from(self._memory, self._offset)
+        if version != self._version and length <= _NOTE_BYTES - _HEAD.size:
+            start = self._offset + _HEAD.size
+            text = self._memory[start : start + length]
+            if zlib.crc32(text) == checksum:
+                self._version, self._value = version, json.loads(text)
+        return self._value
+
+
+class StatusBoard:
+    """The notes. Make it with `create`, hand its `fileno` to a child, which does `adopt`."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+        self._memory = mmap.mmap(fd, _SIZE)
+        self._settings = _Note(self._memory, 0)
+        self._speech = _Note(self._memory, _NOTE_BYTES)
+        self._stop = _Note(self._memory, 2 * _NOTE_BYTES)
+
+    @classmethod
+    def create(cls) -> Self:
+        """A new one, empty."""
+        fd = os.memfd_create("lipservo-status")
+        os.ftruncate(fd, _SIZE)
+        return cls(fd)
+
+    @classmethod
+    def adopt(cls, fd: int) -> Self:
+        """The one whose descriptor was inherited."""
+        os.set_inheritable(fd, False)
+        return cls(fd)
+
+    def fileno(self) -> int:
+        """The descriptor that a child inherits."""
+        return self._fd
+
+    def write_settings(self, values: Mapping[str, float]) -> None:
+        """From now on these are wanted."""
+        self._settings.write(values)
+
+    def add_settings(self, changed: Mapping[str, float]) -> None:
+        """From now on these are wanted too."""
+        self.write_settings({**self.settings(), **changed})
+
+    def settings(self) -> dict[str, float]:
+        """What was wanted last, by name; {} where nobody has set anything."""
+        return {name: float(str(value)) for name, value in self._settings.read().items()}
+
+    def write_stopped(self, *, is_stopped: bool) -> None:
+        """Whether a person has stopped the face."""
+        self._stop.write({"is_stopped": is_stopped})
+
+    def is_stopped(self) -> bool:
+        """Whether a person has stopped the face; False before anything was written."""
+        return self._stop.read().get("is_stopped") is True
+
+    def write_speech(self, status: SpeechStatus) -> None:
+        """How the speech side is."""
+        self._speech.write(asdict(status))
+
+    def speech(self) -> SpeechStatus | None:
+        """How the speech side was last; None before it has said so."""
+        told = self._speech.read()
+        return SpeechStatus(**told) if told else None  # type: ignore[arg-type]  # as written
+
+    def describe_stopped(self, supervisor: Mapping[str, object]) -> dict[str, object]:
+        """The status for JSON while no bridge runs: copied, so that nothing in it can fail."""
+        return {**_UNKNOWN, **self._speech.read(), **supervisor}
+
+    def describe(self, bridge: Mapping[str, object]) -> dict[str, object]:
+        """The status of the whole face for JSON. bridge: what the bridge knows."""
+        return whole_status(bridge, self.speech()).as_dict()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._memory.close()
+        os.close(self._fd)

@@ -1,0 +1,232 @@
+"""What a run amounted to: counted while it goes on, in bounded memory, printed at its end."""
+
+import resource
+import sys
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from firmware_bridge.clock import Clock
+from lipservo.runtime.status.face_status import Status
+from lipservo.runtime.status.street_tick import StreetTick
+from lipservo.runtime.street import Street
+
+#: Lateness is counted in bins of 0.1 ms up to one second; later than that counts as one second.
+_BIN_S = 1e-4
+_N_BINS = 10_000
+#: Less than an encoder's step, 360 / 4096 deg.
+_AT_LIMIT_DEG = 0.05
+#: A joint at its limit in so large a share of the frames is worth a word.
+_OFTEN = 0.05
+
+
+class Histogram:
+    """Counts of durations, for percentiles without keeping the values."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_N_BINS, dtype=np.int64)
+
+    def add(self, duration_s: float) -> None:
+        """Count one duration; negative ones count as 0."""
+        self._counts[min(max(int(duration_s / _BIN_S), 0), _N_BINS - 1)] += 1
+
+    def percentile_ms(self, percent: float) -> float:
+        """Upper edge of the bin that holds the percentile, in ms; 0 when nothing was counted."""
+        total = self._counts.sum()
+        if total == 0:
+            return 0.0
+        reached = np.cumsum(self._counts) >= total * percent / 100.0
+        return float((np.argmax(reached) + 1) * _BIN_S * 1e3)
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The figures of one run, as `--json` prints them.
+
+    latency: from the moment a sound was captured until the face made of it is due, that is the bus
+    write that asks for it and as much later as the calibration says that servos are; measured, so
+    it may exceed the declared one; lateness: from a grid tick's time to when it was worked on;
+    speed: sound seconds in a second; recognizer: the one that listened last, after fallback_level
+    others that had failed.
+    """
+
+    source: str
+    duration_s: float
+    phonemes: int
+    frames_sent: int
+    late_ticks: int
+    lateness_p50_ms: float
+    lateness_p99_ms: float
+    latency_declared_ms: float
+    latency_p50_ms: float
+    latency_p99_ms: float
+    range_limits_hit: int
+    rate_limits_hit: int
+    targets_rejected: int
+    stale_ticks: int
+    lost_sound_blocks: int
+    speed: float
+    start_to_first_command_s: float
+    rss_mb: float
+    seconds: float
+    strategy: str = ""
+    recognizer: str = ""
+    fallback_level: int = 0
+    #: Joints that often stood at a limit in speech, and in which share of the frames.
+    joints_at_limit: Mapping[str, float] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON."""
+        return asdict(self)
+
+
+class Tally:
+    """Watches ticks and counts."""
+
+    def __init__(self, clock: Clock, street: Street) -> None:
+        self._clock = clock
+        self._street = street
+        self._lateness = Histogram()
+        self._latency = Histogram()
+        calibration = street.speech.calibration
+        self._mouth = street.speech.mouth
+        self._limits_deg = np.stack([calibration.min_deg, calibration.max_deg])
+        self._n_at_limit = np.zeros(len(calibration.servo_names), dtype=np.int64)
+        self.frames_sent = 0
+        self.first_command_s = 0.0
+
+    def begin_tick(self, time_s: float) -> None:
+        """Note how late the work on grid time `time_s` begins."""
+        self._lateness.add(self._clock.now() - time_s)
+
+    def observe(self, tick: StreetTick) -> None:
+        """Count a finished tick."""
+        if not tick.report.torque_on:
+            return
+        if self.frames_sent == 0:
+            self.first_command_s = seconds_since_process_start()
+        self.frames_sent += 1
+        sent_deg = tick.report.sent_deg[self._mouth]
+        at_limit = (np.abs(sent_deg - self._limits_deg) < _AT_LIMIT_DEG).any(axis=0)
+        # A joint whose neutral is its limit is there at rest.
+        self._n_at_limit += at_limit & (np.abs(sent_deg) > _AT_LIMIT_DEG)
+        if tick.captured_s is not None:
+            actuation_s = self._street.speech.delay.actuation_s
+            self._latency.add(self._clock.now() - tick.captured_s + actuation_s)
+
+    def summary(self, status: Status, duration_s: float, seconds: float) -> Summary:
+        """The figures of a run that ended like this. seconds: what it took on a real clock."""
+        return Summary(
+            source=status.sound or "",
+            duration_s=duration_s,
+            phonemes=status.n_phonemes or 0,
+            frames_sent=self.frames_sent,
+            late_ticks=status.n_late or 0,
+            lateness_p50_ms=self._lateness.percentile_ms(50),
+            lateness_p99_ms=self._lateness.percentile_ms(99),
+            latency_declared_ms=self._street.speech.delay.total_s * 1e3,
+            latency_p50_ms=self._latency.percentile_ms(50),
+            latency_p99_ms=self._latency.percentile_ms(99),
+            range_limits_hit=status.range_hits_total or 0,
+            rate_limits_hit=status.rate_hits_total or 0,
+            targets_rejected=status.n_rejected_targets or 0,
+            stale_ticks=status.n_stale or 0,
+            lost_sound_blocks=status.n_lost_sound_blocks or 0,
+            strategy=status.strategy or "",
+            recognizer=status.recognizer or "",
+            fallback_level=status.fallback_level or 0,
+            speed=duration_s / seconds if seconds else 0.0,
+            start_to_first_command_s=self.first_command_s,
+            rss_mb=peak_resident_mb(),
+            seconds=seconds,
+            joints_at_limit={
+                name: round(float(n) / self.frames_sent, 3)
+                for name, n in zip(
+                    self._street.speech.calibration.servo_names, self._n_at_limit, strict=True
+                )
+                if n >= _OFTEN * max(self.frames_sent, 1)
+            },
+        )
+
+
+def peak_resident_mb() -> float:
+    """The largest resident memory of this process so far, in MB (10^6 bytes)."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+
+
+def resident_mb() -> float:
+    """The resident memory of this process now, in MB (10^6 bytes); its peak without /proc."""
+    import os
+
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return peak_resident_mb()
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def seconds_since_process_start() -> float:
+    """How long this process has lived, interpreter start included; 0 where /proc does not tell."""
+    import os
+    import time
+
+    try:
+        after_name = Path("/proc/self/stat").read_text().rpartition(")")[2]
+    except OSError:
+        return 0.0
+    # Field 22 of proc(5): start in clock ticks since boot; 3 is the first after the name.
+    started_s = int(after_name.split()[22 - 3]) / os.sysconf("SC_CLK_TCK")
+    return time.clock_gettime(time.CLOCK_BOOTTIME) - started_s
+
+
+_UNITS = {"_ms": "ms", "_s": "s", "_mb": "MB"}
+#: What a figure tells, and when it is good.
+_MEANINGS = {
+    "duration_s": "of sound",
+    "phonemes": "moved the mouth",
+    "frames_sent": "goals sent to every servo",
+    "late_ticks": "good: 0; the computer was busy",
+    "lateness_p50_ms": "good: below 1; how late ticks began",
+    "lateness_p99_ms": "good: below 10; one in a hundred",
+    "latency_declared_ms": "the face is so far behind the sound",
+    "latency_p50_ms": "good: as declared",
+    "latency_p99_ms": "good: at most 10 more",
+    "range_limits_hit": "good: few; goals beyond a limit",
+    "rate_limits_hit": "a few are normal; steps slowed",
+    "targets_rejected": "good: 0; not let through the gate",
+    "stale_ticks": "good: 0; nothing new to show",
+    "lost_sound_blocks": "good: 0; sound not heard",
+    "speed": "good: near 1 live, above 1 in replay",
+    "start_to_first_command_s": "from the start of the program",
+    "rss_mb": "the most memory used",
+    "seconds": "the whole run took",
+    "strategy": "moved the mouth; docs/motion.md",
+    "recognizer": "good: network; others hear worse",
+    "fallback_level": "good: 0; recognisers that failed",
+}
+
+
+def print_summary(summary: Summary, console: Console) -> None:
+    """A table of the figures for people: what each is, and when it is good."""
+    table = Table(title=summary.source, show_header=False, title_justify="left", box=None)
+    for name, meaning in _MEANINGS.items():
+        value = getattr(summary, name)
+        shown, unit = name, "x real time" if name == "speed" else ""
+        for suffix, symbol in _UNITS.items():
+            if name.endswith(suffix):
+                shown, unit = name.removesuffix(suffix), symbol
+                break
+        text = f"{value:.2f}" if isinstance(value, float) else str(value)
+        table.add_row(shown.replace("_", " "), f"{text} {unit}".rstrip(), meaning)
+    console.print(table)
+    for name, share in summary.joints_at_limit.items():
+        console.print(
+            f"{name} stood at a limit in {share:.0%} of the frames: widen its min_deg and "
+            "max_deg if it can go farther, else calibrate it again",
+            soft_wrap=True,
+        )

@@ -1,0 +1,87 @@
+"""The trace of a face in three processes, written by the one that drives the servos.
+
+What was sent it knows; what was shown it reads on the live board, where the process that hears
+writes it a hundred times a second.
+"""
+
+import threading
+from collections.abc import Callable
+from typing import Final, Self
+
+import numpy as np
+
+from firmware_bridge.loop.report import TickReport
+from lipservo.runtime.requested_face import RequestedFace
+from lipservo.runtime.status.face_status import whole_status
+from lipservo.runtime.status.live_board import LiveBoard
+from lipservo.runtime.status.status_board import StatusBoard
+from lipservo.runtime.status.street_tick import StreetTick
+from lipservo.traces.trace_file import BackgroundTrace, TraceFile
+from lipsync.errors import UserError
+from lipsync.face.frame import Frame
+
+#: How often the thread that opens the file asks whether the speech side has said how it is.
+_EVERY_S: Final = 0.05
+_END_S: Final = 2.0
+
+
+class SupervisedTrace:
+    """`observe` every tick of the bridge; ticks before the speech side is there are not traced."""
+
+    def __init__(
+        self,
+        requested: RequestedFace,
+        notes: StatusBoard,
+        live: LiveBoard,
+        say: Callable[[str], None],
+    ) -> None:
+        """notes: where the speech side says how it is. say: takes a line where none is written."""
+        self._requested = requested
+        self._notes = notes
+        self._live = live
+        self._say = say
+        self._closed = threading.Event()
+        self._trace: BackgroundTrace | None = None
+        self._opener = threading.Thread(target=self._open, name="trace of a daemon", daemon=True)
+        self._number = 0
+        self._shown: tuple[float, float, str, Frame] | None = None
+
+    def observe(self, report: TickReport) -> None:
+        """Note one tick."""
+        if self._trace is None:
+            return
+        for number, shown in self._live.speech_since(self._number)[-1:]:
+            self._number = number
+            phoneme = self._live.layout.phonemes[int(shown["phoneme"])]
+            sound_s = float(shown["sound_s"])
+            frame = Frame(sound_s, np.array(shown["coefficients"], dtype=np.float64))
+            self._shown = float(shown["time_s"]), sound_s, phoneme, frame
+        if self._shown is not None:
+            time_s, sound_s, phoneme, frame = self._shown
+            now_s = sound_s + report.time_s - time_s
+            self._trace.observe(StreetTick(now_s, phoneme, frame, report))
+
+    def __enter__(self) -> Self:
+        self._opener.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._closed.set()
+        self._opener.join(_END_S)
+        if self._trace is not None:
+            self._trace.__exit__(*exc)
+
+    def _open(self) -> None:
+        """The header names what only the speech side knows: its delay, its recogniser."""
+        while (speech := self._notes.speech()) is None:
+            if self._closed.wait(_EVERY_S):
+                return
+        path = self._requested.request.trace
+        assert path is not None
+        status = whole_status(self._requested.about, speech)
+        try:
+            file = TraceFile(path, self._requested.trace_header(status))
+        except UserError as error:
+            self._say(str(error))
+            return
+        self._trace = BackgroundTrace(file, self._say)

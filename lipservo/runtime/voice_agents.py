@@ -1,0 +1,144 @@
+"""Voice agents at a face: where they are waited for, and what they may ask."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lipservo.access.token_file import read_token
+from lipservo.agents.listener import bind_listener, url_of
+from lipservo.agents.messages import MessageError
+from lipservo.runtime.run_request import DEFAULT_LISTEN, VoiceOptions
+from lipservo.runtime.sound import (
+    QueueFullError,
+    SpeechQueue,
+    spoken_chunks,
+    spoken_file,
+    spoken_text,
+    warn,
+)
+from lipservo.runtime.speech.performed_line import performed_line
+from lipsync.audio.playout import Playout
+from lipsync.errors import UserError
+from lipsync.face.model import FaceModel
+from lipsync.offline.performance import SUFFIX, read_performance
+
+if TYPE_CHECKING:
+    import socket
+
+    from lipservo.runtime.speech.speech_side import SpeechSide
+
+
+def bound_listener(listen: str | None, token_file: str | None) -> "socket.socket | None":
+    """Where voice agents connect.
+
+    listen: HOST:PORT; `none`: nowhere; None: the usual port, or any that is free where another face
+    has it. Raises UserError.
+    """
+    if listen == "none":
+        return None
+    token = read_token(token_file)
+    if listen is not None:
+        return bind_listener(listen, token)
+    try:
+        return bind_listener(DEFAULT_LISTEN, token)
+    except UserError:
+        return bind_listener(f"{DEFAULT_LISTEN.rpartition(':')[0]}:0", token)
+
+
+@contextmanager
+def voice_agents(
+    listener: "socket.socket | None",
+    side: "SpeechSide",
+    options: VoiceOptions | None,
+    model: FaceModel,
+    control_path: Path,
+    log: Callable[[str], None],
+) -> Iterator[str | None]:
+    """Serve voice agents at a listener that is bound; the address. None: nobody is waited for.
+
+    model: of the face, which performances must be rendered for.
+    """
+    if listener is None or side.voice is None or options is None:
+        yield None
+        return
+    from lipservo.access.admission import Policy
+    from lipservo.agents.agent_server import AgentServer
+    from lipservo.agents.listener import AgentSettings
+
+    try:
+        token = read_token(options.token_file)
+    except UserError as error:
+        # It was there when the face was started: this process is a later one, and the face goes on.
+        log(f"voice agents: none are served: {error}")
+        yield None
+        return
+    voice, delay = side.voice, side.speech.delay
+    spoken = _Spoken(voice.playout, options, model)
+    url = url_of(listener)
+    with AgentServer(
+        listener,
+        voice.playout,
+        control_path=control_path,
+        delay_ms=lambda: delay.total_s * 1e3,
+        settings=AgentSettings(
+            policy=Policy(token, tuple(each for each in options.origins.split(",") if each)),
+            when_busy="queue" if options.queue else "refuse",
+        ),
+        say=spoken.say,
+        play=spoken.play if options.sounds is not None else None,
+        log=log,
+    ) as server:
+        voice.phonemes = server.phonemes
+        try:
+            yield url
+        finally:
+            spoken.close()
+
+
+class _Spoken:
+    """What agents let the face say besides their streams: one queue of all of it."""
+
+    def __init__(self, playout: Playout, options: VoiceOptions, model: FaceModel) -> None:
+        self._playout = playout
+        self._model = model
+        self._folder = Path(options.sounds or ".").resolve()
+        self._queue = SpeechQueue(playout)
+
+    def say(self, text: str) -> Mapping[str, object]:
+        """A text. Raises SynthesisError, and MessageError where too much waits."""
+        self._check_room("text")
+        self._queue.add(spoken_text(text, "", self._playout), "text")
+        return {}
+
+    def play(self, name: str) -> Mapping[str, object]:
+        """A sound file or performance below the folder that the user allowed.
+
+        Whatever can be wrong is known before the face gets it. Raises UserError, and MessageError
+        where too much waits.
+        """
+        path = (self._folder / name).resolve()
+        if not path.is_relative_to(self._folder):
+            raise UserError(f"{name}: lies outside the folder of sounds")
+        # Before the file is read: it may be large, and this may be the ten thousandth time.
+        self._check_room(path.name)
+        if path.suffix.lower() == SUFFIX:
+            performance = read_performance(path)
+            performance.check_face(self._model, str(path))
+            line = performed_line(performance, path, warn)
+            spoken = spoken_chunks(line.chunks(), line.stream(self._playout))
+            duration_s = performance.duration_s
+        else:
+            spoken, duration_s = spoken_file(path, self._playout)
+        self._queue.add(spoken, path.name)
+        return {"stream": path.name, "duration_s": round(duration_s, 3)}
+
+    def close(self) -> None:
+        """Nothing more is read or synthesised."""
+        self._queue.close()
+
+    def _check_room(self, name: str) -> None:
+        try:
+            self._queue.check_room(name)
+        except QueueFullError as error:
+            raise MessageError("too_many_streams", str(error)) from error

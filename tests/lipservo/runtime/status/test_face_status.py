@@ -1,0 +1,73 @@
+"""One status of the whole face: every part of it documented, put together, unchangeable."""
+
+import json
+import re
+from dataclasses import FrozenInstanceError, asdict, fields, replace
+
+import pytest
+from places import ROOT
+from speaking_status import SPEECH
+
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.loop.bridge import face_status
+from firmware_bridge.loop.targets import MemoryTargetChannel
+from lipservo.runtime.servos.assembly import assemble_face, bridge_for, make_bus
+from lipservo.runtime.status.face_status import SpeechStatus, Status, whole_status
+
+
+@pytest.fixture(scope="module")
+def of_bridge():
+    face = assemble_face("face_jaw", None)
+    with make_bus(face, ManualClock()) as bus:
+        return face_status(bridge_for(face.settings, bus, MemoryTargetChannel(), rate_hz=30.0))
+
+
+def test_bridge_and_speech_fill_in_every_field_but_what_only_a_loop_that_stops_knows(of_bridge):
+    about = {"name": "tom", "port": "/dev/x", "config": "face_jaw", "sounds": "."}
+    status = whole_status({**of_bridge, **about}, SPEECH)
+
+    unknown = [name for name, value in status.as_dict().items() if value is None]
+    assert unknown == ["stopped", "stopped_by", "stop_report", "can_start"]
+    assert status.servos == {"jaw": status.servos["jaw"]}
+    assert status.fallback_reasons == SPEECH.fallback_reasons
+    assert asdict(SPEECH).items() <= status.as_dict().items()
+
+
+def test_a_lesser_recogniser_is_a_trouble_beside_those_of_the_servos():
+    ears = "recogniser energy in use: network: broken"
+    bridge = {"state": "driven", "troubles": ["joint 'jaw' is hot"]}
+    assert whole_status(bridge, SPEECH).troubles == ("joint 'jaw' is hot", ears)
+    heard_by_the_best = whole_status(bridge, replace(SPEECH, fallback_level=0))
+    assert heard_by_the_best.troubles == ("joint 'jaw' is hot",)
+
+
+def test_what_nobody_knows_is_none_and_the_whole_is_json():
+    status = whole_status({"state": "waiting", "stopped": "freeze", "troubles": []}, None)
+
+    told = json.loads(json.dumps(status.as_dict()))
+    assert (told["state"], told["stopped"], told["strategy"]) == (
+        "waiting",
+        "freeze",
+        None,
+    )
+    assert list(told) == [field.name for field in fields(Status)]
+
+
+def test_a_part_that_has_no_field_is_refused():
+    with pytest.raises(TypeError, match="heat"):
+        whole_status({"heat": 3}, None)
+
+
+def test_a_status_cannot_be_changed():
+    with pytest.raises(FrozenInstanceError):
+        Status().state = "driven"
+
+
+def test_the_table_in_the_documentation_has_the_fields_in_their_order():
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    section = text.split("## Status", 1)[1].split("\n## ", 1)[0]
+    named = re.findall(r"^\| `(\w+)` \| (\w+) \| .+ \|$", section, re.MULTILINE)
+
+    assert [name for name, _ in named] == [field.name for field in fields(Status)]
+    of_speech = {field.name for field in fields(SpeechStatus)}
+    assert {name for name, who in named if who == "speech"} == of_speech

@@ -1,0 +1,187 @@
+"""What a face says by itself: eight at most, one after the other, by one thread."""
+
+import threading
+import time
+from contextlib import closing
+
+import numpy as np
+import pytest
+import soundfile
+
+from lipservo.runtime.sound import (
+    QueueFullError,
+    SpeechQueue,
+    spoken_chunks,
+    spoken_file,
+    spoken_text,
+)
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
+from lipsync.audio.source import SoundError
+
+RATE_HZ = 16_000
+PATIENCE_S = 30.0
+
+
+class Face:
+    """A playout that is played as fast as it can."""
+
+    def __init__(self):
+        self.playout = Playout()
+        self.now_s = 0.0
+
+    def play(self, until, step_s=0.1):
+        """Until something holds."""
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not until():
+            assert time.monotonic() < give_up_s
+            self.now_s += step_s
+            self.playout.blocks(self.now_s)
+            self.playout.advance(self.now_s)
+            time.sleep(0.001)
+
+    def finished(self):
+        return [each.stream for each in self.playout.events if each.kind == "finished"]
+
+    def ask(self, kind):
+        self.playout.requests.append(PlayoutRequest(kind))
+
+
+@pytest.fixture
+def face():
+    return Face()
+
+
+@pytest.fixture
+def queue(face):
+    with closing(SpeechQueue(face.playout)) as queue:
+        yield queue
+
+
+def tone(duration_s):
+    return np.full(round(duration_s * RATE_HZ), 0.3, np.float32)
+
+
+def sound(face, name, *chunks):
+    return spoken_chunks(iter(chunks), PlayoutStream(name, RATE_HZ, face.playout.output_rate_hz))
+
+
+def add(queue, face, name, *chunks):
+    spoken = sound(face, name, *chunks)
+    queue.add(spoken, name)
+    return spoken
+
+
+def settle(until):
+    give_up_s = time.monotonic() + PATIENCE_S
+    while not until():
+        assert time.monotonic() < give_up_s
+        time.sleep(0.005)
+
+
+def test_a_ninth_is_refused_until_the_first_was_said_whatever_they_are(face, queue, tmp_path):
+    soundfile.write(tmp_path / "line.wav", tone(0.2), RATE_HZ)
+    for number in range(8):
+        if number % 3 == 0:
+            queue.add(spoken_text("Good morning. And good night.", "", face.playout), "text")
+        elif number % 3 == 1:
+            queue.add(spoken_file(tmp_path / "line.wav", face.playout)[0], "line.wav")
+        else:
+            add(queue, face, "chunks", tone(0.2))
+
+    refused = sound(face, "ninth", tone(0.2))
+    for _ in range(3):
+        with pytest.raises(QueueFullError, match="ninth: 8 texts, sounds or performances are said"):
+            queue.add(refused, "ninth")
+    face.play(lambda: face.finished().count("text") == 2)
+    queue.add(refused, "ninth")
+    face.play(lambda: face.playout.is_over)
+    expected = ["text", "text", "line.wav", "chunks"]
+    assert face.finished() == [*expected, *expected, *expected[:3], "ninth"]
+
+
+def test_all_are_read_by_one_thread(face, queue):
+    before = threading.active_count()
+    for number in range(8):
+        add(queue, face, str(number), *[tone(1.0)] * 20)
+    assert threading.active_count() == before + 1
+
+
+def test_of_those_that_wait_nothing_is_read(face, queue):
+    first = add(queue, face, "first", *[tone(1.0)] * 60)
+    second = add(queue, face, "second", *[tone(1.0)] * 60)
+    settle(lambda: first.is_ahead)
+    assert first.streams[0].waiting_s < 10.0
+    assert second.streams[0].n_received == 0
+    face.play(lambda: face.finished() == ["first", "second"])
+
+
+def test_an_interruption_drops_all_that_came_before_it_and_nothing_after(face, queue):
+    for name in "abc":
+        add(queue, face, name, *[tone(1.0)] * 60)
+    queue.add(spoken_text("One. Two. Three. " * 40, "", face.playout), "text")
+    settle(lambda: face.playout.requests)
+    face.ask("interrupt")
+    add(queue, face, "after", tone(0.2))
+    face.play(lambda: face.playout.is_over)
+    assert face.finished() == ["after"]
+    cut = [each.stream for each in face.playout.events if each.kind == "interrupted"]
+    assert cut == ["a", "b", "c", "text"]
+    for _ in range(8):
+        add(queue, face, "again", tone(0.1))
+
+
+def test_what_is_cleared_leaves_room(face, queue):
+    for _ in range(8):
+        add(queue, face, "long", *[tone(1.0)] * 60)
+    face.ask("clear")
+    face.play(lambda: face.playout.is_over)
+    queue.check_room("next")
+
+
+@pytest.mark.parametrize("error", [SoundError("disk: gone"), RuntimeError("a fault of ours")])
+def test_one_that_breaks_off_is_said_so_far_and_the_others_whole(face, queue, error, capfd):
+    def broken():
+        yield tone(0.5)
+        raise error
+
+    stream = PlayoutStream("broken", RATE_HZ, face.playout.output_rate_hz)
+    queue.add(spoken_chunks(broken(), stream), "broken")
+    add(queue, face, "whole", tone(0.3))
+    face.play(lambda: face.playout.is_over)
+    assert face.finished() == ["broken", "whole"]
+    assert stream.n_received == len(tone(0.5))
+    assert f"{error}; what came before it is said" in capfd.readouterr().err
+
+
+def test_short_sentences_are_synthesised_a_few_ahead(face, queue):
+    """Each is a request to the playout, which keeps 64 of everybody's."""
+    spoken = spoken_text("Hi. " * 200, "", face.playout)
+    queue.add(spoken, "text")
+    settle(lambda: spoken.is_ahead)
+    time.sleep(0.2)
+    assert len(face.playout.requests) <= 6
+    face.play(lambda: face.playout.is_over)
+    assert face.finished() == ["text"] * 200
+
+
+def test_when_it_is_closed_nothing_more_is_read_and_its_thread_ends(face):
+    read = []
+
+    def endless():
+        while True:
+            read.append(1)
+            yield tone(1.0)
+
+    queue = SpeechQueue(face.playout)
+    for _ in range(3):
+        stream = PlayoutStream("a", RATE_HZ, face.playout.output_rate_hz)
+        queue.add(spoken_chunks(endless(), stream), "a")
+    settle(lambda: read)
+    before = threading.active_count()
+    queue.close()
+    assert threading.active_count() == before - 1
+    assert not face.playout.announced
+    n_read = len(read)
+    add(queue, face, "later", tone(1.0))
+    assert len(read) == n_read
