@@ -14,6 +14,8 @@ _SERVOS, _OTHER = "Servos and stops", "Calibration, faces and pictures"
 class BenchGroup(LazyGroup):
     """Each prints figures that the documentation gives."""
 
+    prefix = "bench."
+
     table = MappingProxyType(
         {
             "motion": Command(f"{_BENCH}.motion:motion", "Motion against recordings.", _MOTION),
@@ -60,6 +62,8 @@ class BenchGroup(LazyGroup):
 
 class LearnGroup(LazyGroup):
     """Each writes a model, or recordings that a model is learned from."""
+
+    prefix = "learn."
 
     table = MappingProxyType(
         {

@@ -8,8 +8,8 @@ The displacement u of the template's vertices, in the pose of the head, minimise
 with q_v the point of the scan nearest to vertex v and n_v its normal (Chen and Medioni, "Object
 modelling by registration of multiple range images", 1992), A_v the area round the vertex, p_k the
 markers, and the bending and stretching of a thin shell (`lipsync.twin.head_surface`). Closest
-points are looked for anew, and the length l, below which the shell hardly bends, is shortened from coarse to
-fine, as by Amberg, Romdhani and Vetter ("Optimal step nonrigid ICP algorithms for surface
+points are looked for anew, and the length l, below which the shell hardly bends, is shortened from
+coarse to fine, as by Amberg, Romdhani and Vetter ("Optimal step nonrigid ICP algorithms for surface
 registration", CVPR 2007). Distances along the surface count nothing: there the shell alone holds
 the vertices, which neither lets them slide as nearest points do nor holds them back.
 

@@ -303,7 +303,10 @@ def _face(code: str, folder: Path, sound: Path, trace: Path) -> Iterator[subproc
         "OPENBLAS_NUM_THREADS": "1",  # as `lipservo run` itself sets it
     }
     environment.pop("RUNTIME_DIRECTORY", None)
-    arguments = ["run", "--wav", str(sound), "--trace", str(trace), "--rate-hz", str(RATE_HZ)]
+    shipped = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
+    face = folder / "face.yaml"
+    face.write_text(shipped.replace("rate_hz: 30", f"rate_hz: {RATE_HZ:g}"))
+    arguments = ["run", "--wav", str(sound), "--trace", str(trace), "--config", str(face)]
     with (folder / "log").open("ab") as log:
         process = subprocess.Popen(
             [sys.executable, "-c", code, *arguments],

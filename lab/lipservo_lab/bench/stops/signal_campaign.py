@@ -220,7 +220,6 @@ _GONE_S: Final = 15.0
 _PORT_GONE_S: Final = 45.0
 #: Everything is watched for so much longer: nobody gets torque again.
 _WATCH_S: Final = 1.0
-_HOUR_S: Final = 3600
 
 
 @dataclass(slots=True)

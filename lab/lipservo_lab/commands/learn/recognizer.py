@@ -211,7 +211,7 @@ def adapt(
     """Adapt the recogniser to one voice: a synthetic one, or whoever speaks for the robot.
 
     Every fifth sentence is not learned from but graded on; weights that do not hear the voice
-    better are refused. Needs the extra `train` (torch). Use them with `run --weights my.npz`.
+    better are refused. Needs the extra `train` (torch). Use them with `motion: {weights: my.npz}` in the YAML.
     """
     check_extra("torch", "learn adapt")
     from lipservo_lab.corpus.transcribed import read_transcribed
@@ -262,7 +262,9 @@ def adapt(
         "steps": plan.n_steps,
     }
     save_weights(learned, output, {**about, "lipservo": version("lipservo")})
-    MESSAGES.print(f"{output}: done; `lipservo run --weights {output}`", soft_wrap=True)
+    MESSAGES.print(
+        f"{output}: done; write `motion: {{weights: {output}}}` in the face YAML", soft_wrap=True
+    )
 
 
 def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:

@@ -35,33 +35,11 @@ from lipservo_lab.learning.recognition.training_data import (
     read_labelled,
     training_arrays,
 )
-from lipsync.arrays import Array32
+from lipservo_lab.learning.recognition.weight_average import averaged
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
 from lipsync.recognition.alignment import LEAST_SCORE
 from lipsync.recognition.features import FeatureScale
-from lipsync.recognition.network import Layer, NetworkWeights, StreamingNetwork
-
-
-def averaged(learned: NetworkWeights, start: NetworkWeights, start_share: float) -> NetworkWeights:
-    """`start_share` of `start` and the rest of `learned`, which began as `start`."""
-
-    def mean(one: Array32, other: Array32) -> Array32:
-        share = np.float32(start_share)
-        return np.asarray((1 - share) * one + share * other, np.float32)
-
-    def mean_layer(one: Layer, other: Layer) -> Layer:
-        kernel, bias = mean(one.kernel, other.kernel), mean(one.bias, other.bias)
-        return Layer(kernel, bias, one.dilation)
-
-    residuals = zip(learned.residuals, start.residuals, strict=True)
-    return replace(
-        learned,
-        entry=mean_layer(learned.entry, start.entry),
-        residuals=tuple(mean_layer(one, other) for one, other in residuals),
-        output=mean(learned.output, start.output),
-        output_bias=mean(learned.output_bias, start.output_bias),
-    )
-
+from lipsync.recognition.network import NetworkWeights, StreamingNetwork
 
 #: The scale needs no more than every sixth utterance.
 _SCALE_STEP = 6

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from lipservo_lab.learning.recognition.training_run import averaged
+from lipservo_lab.learning.recognition.weight_average import averaged
 
 from lipsync.recognition.network import load_shipped_weights
 
