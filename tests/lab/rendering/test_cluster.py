@@ -9,7 +9,7 @@ import pytest
 from lipservo_lab.rendering import cluster
 from lipservo_lab.rendering.cluster import ClusterError, cluster_at, done_on_cluster
 
-distributed = pytest.importorskip("distributed", reason="pip install 'lipservo[cluster]'")
+distributed = pytest.importorskip("distributed", reason="pip install 'lipservo-lab[cluster]'")
 
 # Processes that are started, shot and started again.
 pytestmark = [

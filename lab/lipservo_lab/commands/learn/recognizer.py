@@ -211,7 +211,8 @@ def adapt(
     """Adapt the recogniser to one voice: a synthetic one, or whoever speaks for the robot.
 
     Every fifth sentence is not learned from but graded on; weights that do not hear the voice
-    better are refused. Needs the extra `train` (torch). Use them with `motion: {weights: my.npz}` in the YAML.
+    better are refused. Needs the extra `train` (torch). Use them with
+    `motion: {weights: my.npz}` in the YAML of the face.
     """
     check_extra("torch", "learn adapt")
     from lipservo_lab.corpus.transcribed import read_transcribed

@@ -123,7 +123,7 @@ def test_without_torch_the_extra_is_named(adapt, voice, monkeypatch):
 
     line = told(*adapt(voice))
     assert "adapt needs torch" in line
-    assert "lipservo[train]" in line
+    assert "lipservo-lab[train]" in line
 
 
 #: What the aligner's dictionary holds: sentences for sounds in which something else is heard.

@@ -141,7 +141,7 @@ def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
 def test_a_folder_on_a_cluster_of_two_workers_is_the_same_as_one_by_one(
     made, tmp_path, monkeypatch
 ):
-    distributed = pytest.importorskip("distributed", reason="pip install 'lipservo[cluster]'")
+    distributed = pytest.importorskip("distributed", reason="pip install 'lipservo-lab[cluster]'")
     lines = tmp_path / "lines"
     lines.mkdir()
     for number in range(5):
