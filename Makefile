@@ -2,12 +2,13 @@
 # make test   the tests
 # make traces the motion that tests/lipservo/traces/test_reference_traces.py holds, anew: docs/traces.md
 # make docs   the reference of all public names, from their docstrings, into site/
-# make check  style, types, the docs, and the wheel: what it holds, and that it runs when installed alone
+# make check  style, types, the docs, samples of campaigns, and the wheels: what they hold, and that they run alone
+# make campaign  every campaign whole: an hour and a half
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: run test traces docs check format clean
+.PHONY: run test traces docs check campaign format clean
 
 run: $(VENV)/.installed
 	$(BIN)/lipservo run --config face_head --dashboard --open
@@ -35,7 +36,15 @@ check: $(VENV)/.installed-dev
 	rm -rf dist build
 	$(BIN)/python -m build --wheel --outdir dist . >/dev/null
 	$(BIN)/check-wheel-contents dist
-	$(BIN)/python -m pytest --durations 15 -m "packaging or campaign"
+	$(BIN)/python -m pytest --durations 15 -m packaging
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile --durations 15 -m slow
+
+campaign: $(VENV)/.installed-dev
+	$(BIN)/python -m pytest --durations 15 -m campaign
+	$(BIN)/lipservo bench faults
+	$(BIN)/lipservo bench faults --stops
+	$(BIN)/lipservo bench faults --signals
+	$(BIN)/lipservo bench endurance
 
 format: $(VENV)/.installed-dev
 	$(BIN)/ruff check --fix .

@@ -18,8 +18,7 @@ from firmware_bridge.bus import (
     any_set,
 )
 from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.handshake import identify_all
-from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
+from firmware_bridge.dynamixel.mounting import MountedServo, Mounting, identify_all
 from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.torque import SoftStart, TorqueSwitch, Watchdogs
 from firmware_bridge.dynamixel.wire import codec

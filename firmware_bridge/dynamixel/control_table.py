@@ -113,6 +113,12 @@ def model_by_number(number: int) -> ServoModel | None:
     return next((m for m in servo_models().values() if m.model_number == number), None)
 
 
+def model_name(number: int) -> str:
+    """For people: `XL330-M288`, or `unknown model 4711`."""
+    known = model_by_number(number)
+    return known.name if known else f"unknown model {number}"
+
+
 def register(name: str) -> Register:
     """A register that all models share, by name. Raises KeyError for any other."""
     raw = _tables()["registers"][name]

@@ -8,7 +8,7 @@ from typing import Final
 
 from firmware_bridge.bus import describe_errors
 from firmware_bridge.dynamixel.bus import budget, slow_adapter
-from firmware_bridge.dynamixel.control_table import model_by_number
+from firmware_bridge.dynamixel.control_table import model_name
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
@@ -128,11 +128,9 @@ def examine(
         if servo_id not in doubled:
             yield from _servo(line, servo, at_rate.get(servo_id), wanted_rate)
     for each in sorted(set(at_rate) - set(ids)):
-        known = model_by_number(at_rate[each][1])
-        name = known.name if known else f"unknown model {at_rate[each][1]}"
         yield Finding(
             Severity.WARNING,
-            f"id {each} ({name}) is on the bus but not in the YAML",
+            f"id {each} ({model_name(at_rate[each][1])}) is on the bus but not in the YAML",
             "add it to the YAML, or unplug it",
         )
     yield from _strength(servos)
@@ -217,11 +215,8 @@ def _servo(
         )
         return
     if number != servo.model.model_number:
-        known = model_by_number(number)
-        found = known.name if known else f"unknown model {number}"
-        yield Finding(
-            Severity.BAD, f"{name} is {found}, the YAML says {servo.model.name}", "correct the YAML"
-        )
+        what = f"{name} is {model_name(number)}, the YAML says {servo.model.name}"
+        yield Finding(Severity.BAD, what, "correct the YAML")
         return
     try:
         yield from _state(line, servo, name)

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array, Health
 from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN
-from firmware_bridge.dynamixel.handshake import ServoIdentity
-from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo, ServoIdentity
 from firmware_bridge.dynamixel.wire.codec import CommonFrame, Status
 from firmware_bridge.dynamixel.wire.line import FACTORY_RETURN_DELAY_S
 

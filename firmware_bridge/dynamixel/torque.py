@@ -8,8 +8,7 @@ import numpy as np
 
 from firmware_bridge.bus import SOFT_START_S, any_set
 from firmware_bridge.dynamixel.control_table import VELOCITY_UNIT_DEG_S, WATCHDOG_UNIT_S, register
-from firmware_bridge.dynamixel.handshake import identify, mismatches
-from firmware_bridge.dynamixel.mounting import MountedServo, Mounting
+from firmware_bridge.dynamixel.mounting import MountedServo, Mounting, identify, mismatches
 from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.line import Line

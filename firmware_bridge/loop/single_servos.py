@@ -98,10 +98,6 @@ class Jog:
         return guided_deg
 
 
-#: The face has torque, or will have it again by itself.
-_LIVE = (FaceState.DRIVEN, FaceState.SILENT)
-
-
 class SingleServos:
     """Notes the orders; the ticks carry them out, through gate, limiter and supervision."""
 

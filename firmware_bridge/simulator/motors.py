@@ -119,7 +119,6 @@ class Environment:
     overload_share: float = 0.8
     overload_after_s: float = 1.0
     standby_a: float = 0.017  # XL330 specifications
-    brown_out_v: float = 2.8
 
 
 class Motors:

@@ -39,62 +39,6 @@ _LIMIT_OF: Final = {
 }
 
 
-class Refusals:
-    """Asked before every write; answers with a `StatusError`, or 0 to let it pass."""
-
-    def __init__(self, model: ServoModel, drive: Drive) -> None:
-        self._drive = drive
-        self._table = drive.table
-        self._memory = drive.table.bytes
-        self._modes = SIMULATED_MODES & set(model.modes)
-
-    def of_all(self, pieces: Sequence[tuple[Register, int]]) -> int:
-        """The first reason against a write of these registers, with these values."""
-        for entry, value in pieces:
-            error = self._of_one(entry, value)
-            if error:
-                return error
-        values = {entry.name: value for entry, value in pieces}
-        if "min_position_limit" in values or "max_position_limit" in values:
-            low = values.get("min_position_limit", self._table["min_position_limit"])
-            high = values.get("max_position_limit", self._table["max_position_limit"])
-            if low > high:
-                return StatusError.DATA_LIMIT
-        return 0
-
-    def of_goal_position(self, goal: int) -> int:
-        """Whether this goal is outside the range, or the watchdog has tripped."""
-        if self._memory[_WATCHDOG] == _TRIPPED:
-            return StatusError.DATA_RANGE
-        low, high = -_FARTHEST, _FARTHEST
-        if self._memory[_MODE] == POSITION:
-            high, low = struct.unpack_from("<II", self._memory, _LIMITS)
-        return 0 if low <= goal <= high else StatusError.DATA_LIMIT
-
-    def _of_one(self, entry: Register, value: int) -> int:
-        name, table = entry.name, self._table
-        if entry.in_eeprom and self._drive.torque_on:
-            return StatusError.ACCESS
-        if entry.low is not None and not entry.low <= value <= (entry.high or 0):
-            return StatusError.DATA_RANGE
-        if name == "goal_position":
-            return self.of_goal_position(value)
-        wrong = False
-        if name == "operating_mode":
-            wrong = value not in self._modes
-        elif name == "drive_mode":
-            wrong = bool(value & ~_DRIVE_MODE_BITS)
-        elif name == "bus_watchdog":
-            wrong = value != 0 and self._memory[_WATCHDOG] == _TRIPPED
-        elif name in _LIMIT_OF:
-            wrong = self._memory[_WATCHDOG] == _TRIPPED
-            if not wrong and abs(value) > table[_LIMIT_OF[name]]:
-                return StatusError.DATA_LIMIT
-        elif name == "torque_enable" and value and self._drive.broken:
-            return StatusError.ACCESS
-        return StatusError.DATA_RANGE if wrong else 0
-
-
 _GOAL: Final = register("goal_position").address
 _PRESENT: Final = register("realtime_tick").address
 _RAM: Final = register("torque_enable").address
@@ -130,7 +74,7 @@ class SimulatedServo:
         self.model = model
         self.index = index
         self._drive = Drive(model, index, motors)
-        self._refusals = Refusals(model, self._drive)
+        self._modes = SIMULATED_MODES & set(model.modes)
         self._motors = motors
         self._registers = model.registers
         self._table = self._drive.table
@@ -257,7 +201,7 @@ class SimulatedServo:
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
         if address == _GOAL and len(data) == 4:  # what nearly every write is
             goal = int.from_bytes(data, "little", signed=True)
-            error = self._refusals.of_goal_position(goal)
+            error = self._refusal_of_goal(goal)
             if not error:
                 self._memory[_GOAL : _GOAL + 4] = data
                 self._drive.pursue(goal)
@@ -265,7 +209,7 @@ class SimulatedServo:
         pieces = self._table.pieces(address, data, locked=self.torque_on)
         if isinstance(pieces, StatusError):
             return pieces
-        error = self._refusals.of_all(pieces)
+        error = self._refusal_of_all(pieces)
         if error:
             return error
         for entry, value in pieces:
@@ -273,6 +217,52 @@ class SimulatedServo:
         if not pieces:
             self._table.map_indirect(address, data)
         return 0
+
+    def _refusal_of_all(self, pieces: Sequence[tuple[Register, int]]) -> int:
+        """The first reason against a write of these registers, with these values."""
+        for entry, value in pieces:
+            error = self._refusal_of_one(entry, value)
+            if error:
+                return error
+        values = {entry.name: value for entry, value in pieces}
+        if "min_position_limit" in values or "max_position_limit" in values:
+            low = values.get("min_position_limit", self._table["min_position_limit"])
+            high = values.get("max_position_limit", self._table["max_position_limit"])
+            if low > high:
+                return StatusError.DATA_LIMIT
+        return 0
+
+    def _refusal_of_goal(self, goal: int) -> int:
+        """Whether this goal is outside the range, or the watchdog has tripped."""
+        if self._memory[_WATCHDOG] == _TRIPPED:
+            return StatusError.DATA_RANGE
+        low, high = -_FARTHEST, _FARTHEST
+        if self._memory[_MODE] == POSITION:
+            high, low = struct.unpack_from("<II", self._memory, _LIMITS)
+        return 0 if low <= goal <= high else StatusError.DATA_LIMIT
+
+    def _refusal_of_one(self, entry: Register, value: int) -> int:
+        name, table = entry.name, self._table
+        if entry.in_eeprom and self._drive.torque_on:
+            return StatusError.ACCESS
+        if entry.low is not None and not entry.low <= value <= (entry.high or 0):
+            return StatusError.DATA_RANGE
+        if name == "goal_position":
+            return self._refusal_of_goal(value)
+        wrong = False
+        if name == "operating_mode":
+            wrong = value not in self._modes
+        elif name == "drive_mode":
+            wrong = bool(value & ~_DRIVE_MODE_BITS)
+        elif name == "bus_watchdog":
+            wrong = value != 0 and self._memory[_WATCHDOG] == _TRIPPED
+        elif name in _LIMIT_OF:
+            wrong = self._memory[_WATCHDOG] == _TRIPPED
+            if not wrong and abs(value) > table[_LIMIT_OF[name]]:
+                return StatusError.DATA_LIMIT
+        elif name == "torque_enable" and value and self._drive.broken:
+            return StatusError.ACCESS
+        return StatusError.DATA_RANGE if wrong else 0
 
     def _set(self, name: str, value: int) -> None:
         """One register of a write, with all that goes with it."""
@@ -293,7 +283,7 @@ class SimulatedServo:
             return StatusError.DATA_LENGTH
         address, data = parameters[0] | parameters[1] << 8, parameters[2:]
         pieces = self._table.pieces(address, data, locked=self.torque_on)
-        error = pieces if isinstance(pieces, StatusError) else self._refusals.of_all(pieces)
+        error = pieces if isinstance(pieces, StatusError) else self._refusal_of_all(pieces)
         if not error:
             self._registered = parameters
             self["registered_instruction"] = 1

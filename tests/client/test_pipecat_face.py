@@ -10,7 +10,7 @@ from voice_agents.served_face import RATE_HZ, ServedFace, tone
 # Its own imports warn of what it will drop one day.
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
-    pytest.importorskip("pipecat", reason="pipecat-ai is 512 MB: pip install 'lipservo-client[pipecat]'")
+    pytest.importorskip("pipecat", reason="pip install 'lipservo-client[pipecat]', 512 MB")
     from lipservo_client.pipecat_face import PipecatFace
     from pipecat.frames.frames import (
         BotStartedSpeakingFrame,

@@ -30,7 +30,7 @@ def test_the_reference_is_built_without_a_warning_and_has_every_package(tmp_path
     for page, name in {
         "calibration/calibration.html": "Calibration.positions_deg",
         "firmware_bridge/bus.html": "ServoBus.write_positions",
-        "lipservo/street/street.html": "Street.tick",
+        "lipservo/runtime/street.html": "Street.tick",
         "lipsync/phonemes.html": "LiveRecognizer.feed",
     }.items():
         text = (site / page).read_text("utf-8")

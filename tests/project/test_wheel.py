@@ -1,4 +1,4 @@
-"""The wheel holds what it must, and runs alone in an empty environment."""
+"""The wheels hold what they must, and run in an empty environment: first without the lab."""
 
 import json
 import subprocess
@@ -71,8 +71,8 @@ class Environment:
         self._bin = folder / "venv" / "bin"
         venv.create(folder / "venv", with_pip=True)
 
-    def install(self, requirement: str) -> None:
-        command = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", requirement]
+    def install(self, *requirements: str) -> None:
+        command = ["-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements]
         subprocess.run([self._bin / "python", *command], check=True, capture_output=True)
 
     def command(self, *arguments: object) -> list[str]:
@@ -97,9 +97,9 @@ class Environment:
 
 @pytest.fixture(scope="module")
 def alone(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Environment:
-    """The wheel without any extra."""
+    """The wheel and its client, in one call of pip, without any extra and without the lab."""
     environment = Environment(tmp_path_factory.mktemp("alone"))
-    environment.install(str(wheel))
+    environment.install(str(wheel), str(ROOT / "client"))
     return environment
 
 
@@ -116,15 +116,20 @@ def short_clip(alone: Environment) -> Path:
 
 
 _HELP_OF_EVERY_COMMAND = """
-import sys, typer
+import sys
+import typer
 from lipservo import cli
 from lipservo.__main__ import main
+from lipservo.commands.lazy_group import LazyGroup
 
 def names(group):
-    for name, command in group.commands.items():
+    for name in group.list_commands(None):
+        if not group.table[name].target:
+            continue
         yield [name]
-        for below in names(command) if hasattr(command, "commands") else ():
-            yield [name, *below]
+        below = group.get_command(None, name)
+        for words in names(below) if isinstance(below, LazyGroup) else ():
+            yield [name, *words]
 
 for words in [[], *names(typer.main.get_command(cli.app))]:
     sys.argv = ["lipservo", *words, "--help"]
@@ -140,9 +145,18 @@ for words in [[], *names(typer.main.get_command(cli.app))]:
 def test_the_wheel_alone_knows_the_help_of_every_command(alone):
     printed = alone.python(_HELP_OF_EVERY_COMMAND)
     told = {line for line in printed.splitlines() if line.startswith("told")}
-    assert {"told", "told run", "told calibrate", "told align", "told bench motion"} <= told
-    assert len(told) > 25
+    assert {"told", "told run", "told calibrate", "told lines align", "told calibrate fit"} <= told
+    assert len(told) > 30
     assert "Usage: lipservo [OPTIONS]" in alone.succeeds()
+
+
+@pytest.mark.packaging
+@pytest.mark.parametrize("words", [("bench", "bus"), ("learn", "face"), ("lines", "align-folder")])
+def test_without_the_lab_its_commands_say_in_a_line_what_to_install(alone, words):
+    done = alone.lipservo(*words)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 1
+    assert "pip install lipservo-lab" in line
 
 
 @pytest.mark.packaging
@@ -195,35 +209,32 @@ def test_the_wheel_alone_simulates_examines_and_moves_servos(alone):
 
 
 @pytest.mark.packaging
-def test_an_absent_extra_is_one_line_that_names_it(alone, short_clip):
+def test_with_the_lab_an_absent_extra_is_one_line_that_names_it(alone, short_clip):
+    """Changes the environment: the lab is there from here on."""
+    alone.install(str(ROOT / "lab"))
+    assert "motion" in alone.succeeds("bench", "--help")
     log = alone.folder / "log.jsonl"
     log.write_text('{"step": 1, "loss": 2.0}\n')
+    line_file = alone.folder / "l.perf"
+    by_model = ("lines", "render", short_clip, "-o", line_file, "--method", "model-based")
     for extra, arguments in {
-        "align": ("lines", "align", short_clip, SAID),
-        "train": ("learn", "recognizer", alone.folder, "-o", alone.folder / "w.npz"),
-        "plots": ("learn", "plot", log, "-o", alone.folder / "log.png"),
-        "video": ("learn", "import-video", alone.folder, "-o", alone.folder / "corpus"),
-        "offline": (
-            "lines",
-            "render",
-            short_clip,
-            "-o",
-            log.with_name("l.perf"),
-            "--method",
-            "model-based",
-        ),
+        "lipservo[align]": ("lines", "align", short_clip, SAID),
+        "lipservo-lab[train]": ("learn", "recognizer", alone.folder, "-o", alone.folder / "w.npz"),
+        "lipservo[plots]": ("learn", "plot", log, "-o", alone.folder / "log.png"),
+        "lipservo[video]": ("learn", "import-video", alone.folder, "-o", alone.folder / "corpus"),
+        "lipservo[offline]": by_model,
     }.items():
         done = alone.lipservo(*arguments)
         (line,) = done.stderr.splitlines()
         assert done.returncode == 1
         assert line.startswith("lipservo: ")
-        assert f"`pip install 'lipservo[{extra}]'`" in line
+        assert f"`pip install '{extra}'`" in line
 
 
 @pytest.mark.packaging
 def test_with_its_extra_align_finds_words_and_guesses_others(alone, wheel, short_clip):
     """Last, for it changes the environment."""
-    alone.install(f"{wheel}[align]")
+    alone.install(f"{wheel}[align]", str(ROOT / "client"))
     assert "HH" in alone.succeeds("lines", "align", short_clip, SAID)
     said = (ROOT / "lipservo" / "clips" / "welcome.txt").read_text()
     told = json.loads(

@@ -39,6 +39,9 @@ BY_DEG = np.stack(
 class LinearFace:
     """off_edge_mm: how far each dot lies beside the edge of its lip, upper three, lower three."""
 
+    noise_stream = (7,)
+    backlash_deg = np.ones(2)
+
     def __init__(self, off_edge_mm: Array | None = None) -> None:
         off_mm = np.zeros(6) if off_edge_mm is None else off_edge_mm
         self.draw = SimpleNamespace(
@@ -48,6 +51,10 @@ class LinearFace:
     def markers_mm(self, angles_deg: Array) -> Array:
         """(n, 2) -> (n, 47, 3)."""
         return np.asarray(NEUTRAL_MM + np.einsum("ns,smk->nmk", angles_deg, BY_DEG))
+
+    def seen_mm(self, output_deg: Array, _n_moves: int) -> Array:
+        """(2,) -> (47, 3)."""
+        return np.asarray(self.markers_mm(output_deg[None])[0])
 
     def state(self, angles_deg: Array, _warmth: float = 1.0) -> SimpleNamespace:
         """Markers, and the gaps of the lips' own edges, which are closed at neutral."""

@@ -19,6 +19,8 @@ class LinesGroup(LazyGroup):
             "perform": Command(f"{_HERE}.perform:perform", "Play a performance on a face."),
             "align": Command(f"{_HERE}.phones:align", "Find when each phone of a text is said."),
             "recognize": Command(f"{_HERE}.phones:recognize", "Print the phonemes of a sound."),
+            "render-folder": Command("", "Render every sound of a folder.", _LAB),
+            "align-folder": Command("", "Align all texts of a folder.", _LAB),
         }
     )
     prefix = "lines."

@@ -113,7 +113,7 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
     """
     if face.bus.kind == "simulated" or face.bus.port is None:
         return ()
-    from firmware_bridge.dynamixel.handshake import read_identities
+    from firmware_bridge.dynamixel.mounting import read_identities
 
     mouth = [servo for servo in mounted_servos(face) if servo.joint.name in face.mouth_servos]
     said = read_identities(port_opener(face.bus.port, face.bus.baud_rate), mouth)

@@ -164,7 +164,7 @@ def test_the_heavier_closures_count_the_nearer_they_come():
     assert (np.diff(open_rms_deg) > 0.0).all()
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_the_figures_of_one_robot_meet_their_bars():
     """A robot that is not among those that are scored (seeds 0 to 19)."""
     figures = calibration_figures([102])

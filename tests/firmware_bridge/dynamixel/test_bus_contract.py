@@ -86,6 +86,15 @@ def test_a_bus_just_entered_is_limp_and_says_where_everybody_stands(face):
         assert not readings.torque_on.any()
 
 
+def test_what_a_bus_can_do_is_known_before_its_port_is_open(face):
+    can = face.bus.capabilities
+    is_plain = isinstance(face.bus, SimulatedBus)
+
+    assert (can.place, can.hold, can.confirmed_limp) == (True, True, True)
+    assert {can.load, can.heat, can.watchdog, can.profile} == {not is_plain}
+    assert (can.soft_start_s > 0.0) is not is_plain
+
+
 def test_outside_its_block_a_bus_is_closed(face):
     with pytest.raises(PortError):
         face.bus.read()

@@ -9,7 +9,7 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import budget
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
-from firmware_bridge.dynamixel.handshake import read_identities
+from firmware_bridge.dynamixel.mounting import read_identities
 from firmware_bridge.dynamixel.provisioning import (
     Difference,
     differences,

@@ -19,7 +19,7 @@ def test_a_fault_is_survived_without_a_wrong_goal(kind):
     assert outcome.survived, outcome
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_of_fault_is_survived(kind):
     for case in cases():
@@ -27,7 +27,7 @@ def test_every_kind_of_fault_is_survived(kind):
             assert play(case).survived, case
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_a_servo_that_was_not_heard_when_the_face_froze_stands_as_soon_as_it_is():
     """It had come back a moment before: slow, and half a second away from its goal."""
     outcome = play(Case("late_reply", 2, 20, 100.0, True, StopLevel.FREEZE))

@@ -125,7 +125,7 @@ def test_there_are_47_markers_and_20_lip_points():
     assert len(MARKERS_47.lips) == 20
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_the_real_corpus_is_read(corpus_dir):
     corpus = read_grid(corpus_dir / "grid_s1")
     assert len(corpus.utterances) == 890

@@ -13,7 +13,7 @@ distributed = pytest.importorskip("distributed", reason="pip install 'lipservo-l
 
 # Processes that are started, shot and started again.
 pytestmark = [
-    pytest.mark.campaign,
+    pytest.mark.slow,
     pytest.mark.filterwarnings("default"),  # what its event loops leave is not ours
 ]
 

@@ -5,7 +5,7 @@ import random
 import pytest
 from voice_agents.random_clients import survive
 
-#: Of 5,000 and of 50,000 messages alike: what pools and tables keep.
+#: Of 500 and of 5,000 messages alike: what pools and tables keep.
 _MOST_GROWTH_BYTES = 1 << 20
 
 

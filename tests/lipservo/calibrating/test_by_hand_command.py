@@ -31,7 +31,7 @@ def begin(file, *options):
     )  # fmt: skip
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_poses_of_a_script_are_kept_in_the_file_and_torque_off_is_confirmed(file):
     with simulated_port(["--config", "face_jaw", "--on-time"]) as port:
         done = begin(file, "--port", port)
@@ -44,7 +44,7 @@ def test_poses_of_a_script_are_kept_in_the_file_and_torque_off_is_confirmed(file
     assert "touched is the touch pose" in out
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_whoever_does_not_say_yes_finds_all_as_it_was(file):
     before = file.read_bytes()
     done = begin(file)
@@ -59,7 +59,7 @@ def test_whoever_does_not_say_yes_finds_all_as_it_was(file):
     [
         signal.SIGTERM,
         *(
-            pytest.param(each, marks=pytest.mark.campaign)
+            pytest.param(each, marks=pytest.mark.slow)
             for each in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT)
         ),
     ],

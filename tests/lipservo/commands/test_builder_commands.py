@@ -14,7 +14,7 @@ from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.settings.settings import load_face
 
 # Real processes in real time.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 FACE = (resources.files("lipservo.config") / "face_sim.yaml").read_text()
 

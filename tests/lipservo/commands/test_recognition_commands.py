@@ -165,7 +165,7 @@ def test_align_tells_which_transcripts_of_a_folder_were_not_said(corpus):
     assert [*told["not_said"], *told["failed"]] == ["4-1-0000"]
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
     cache = corpus / "alignments.jsonl"
     done = lipservo("bench", "recognition", "--corpus", corpus, "--cache", cache, "--json")

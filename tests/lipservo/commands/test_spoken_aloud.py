@@ -13,7 +13,7 @@ from lipsync.text_to_speech.spoken_text import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 # A PulseAudio server and a run in real time.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 TEXT = "Maybe Bob."
 RATE_HZ = 16_000

@@ -19,7 +19,7 @@ from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.motion.live_synthesizer import Style
 
 # Real processes in real time.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

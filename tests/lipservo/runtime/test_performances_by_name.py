@@ -93,7 +93,7 @@ def test_performances_are_played_by_name_refused_in_one_line_and_cut_off(tmp_pat
     assert "at rest and limp: confirmed by 10 servos" in said(tmp_path)
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_a_daemon_at_a_port_that_performs_ends_limp_whatever_happens(tmp_path, monkeypatch):
     """Its speech process is shot in the middle, a second start is refused, then it is ended."""
     own_folder(monkeypatch)

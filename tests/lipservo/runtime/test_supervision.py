@@ -29,7 +29,7 @@ from lipservo.traces.trace_file import read_trace
 from lipsync.errors import UserError
 
 # Real processes in real time.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")

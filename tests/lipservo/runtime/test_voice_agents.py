@@ -100,7 +100,7 @@ def test_a_daemon_tells_where_it_listens_is_spoken_through_and_stopped(tmp_path,
         assert faces() == []
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_a_speech_process_that_is_shot_while_an_agent_speaks_leaves_a_port_that_answers(
     tmp_path, monkeypatch
 ):

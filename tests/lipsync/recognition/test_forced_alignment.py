@@ -184,7 +184,7 @@ def test_the_score_tells_what_was_said_from_what_was_not(clip, aligned):
     assert goodness_of_pronunciation(np.zeros(16_000, np.float32), ()) == 0.0
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_the_transcripts_of_librispeech_are_not_taken_for_one_anothers(corpus_dir):
     """A sentence each of four speakers who trained nothing, with its own text and another's."""
     folder = corpus_dir / "librispeech"

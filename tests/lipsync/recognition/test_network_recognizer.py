@@ -212,7 +212,7 @@ def test_a_latency_that_no_head_can_keep_is_refused():
         NetworkRecognizer(WEIGHTS, 0.03)
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_an_hour_of_sound_leaves_no_more_behind_than_a_minute(clip):
     """What is kept is counted, not the process: the same number of labels after any time."""
     recognizer = NetworkRecognizer(WEIGHTS)

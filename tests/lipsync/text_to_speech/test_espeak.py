@@ -171,7 +171,7 @@ def test_every_phoneme_of_a_language_is_in_the_table(espeak, language):
     assert spoken.guessed == ()
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_every_phoneme_of_every_language_is_in_the_table(espeak):
     silent = set()
     for language in espeak.languages():

@@ -27,7 +27,7 @@ def write_long(path, n_times, hidden_s):
     return write_video(path, pictures, times_s, samples)
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_a_long_take_becomes_sentences_and_a_hidden_face_costs_one(tmp_path):
     write_long(tmp_path / "take.mkv", 4, (6.5, 7.0))
     imported = import_videos(

@@ -149,7 +149,7 @@ def test_a_damaged_packet_costs_that_packet_only():
     check_damage(1_000, seed=1)
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_a_million_packets_survive_the_trip_and_damage_costs_one_each():
     rng = random.Random(2)
     parser = FrameParser()

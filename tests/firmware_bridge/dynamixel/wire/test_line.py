@@ -22,7 +22,7 @@ from lipservo_lab.campaigns.line_campaign import (
     ask_many,
 )
 
-from firmware_bridge.dynamixel.handshake import identify, identify_all
+from firmware_bridge.dynamixel.mounting import identify, identify_all
 from firmware_bridge.dynamixel.wire.codec import SpanRead
 from firmware_bridge.dynamixel.wire.line import Line, PendingAnswers
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup

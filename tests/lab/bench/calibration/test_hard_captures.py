@@ -27,12 +27,12 @@ def test_a_dead_joint_is_refused_before_all_and_named(monkeypatch):
     face, servos = drawn(109, 4)
     dead = servos.names.index("m4_smile")
 
-    class Robot(hard_captures.ElasticRobot):
+    class Robot(hard_captures.SimulatedRobot):
         def move(self, positions_deg):
             super().move(np.where(np.arange(4) == dead, 0.0, positions_deg))
             return positions_deg
 
-    monkeypatch.setattr(hard_captures, "ElasticRobot", Robot)
+    monkeypatch.setattr(hard_captures, "SimulatedRobot", Robot)
     told = refusals(MODEL, face, servos, 109)
     assert len(told) == 3
     for why in told.values():

@@ -30,7 +30,7 @@ def test_pictures_of_dots_say_where_the_markers_are_across_and_up(tmp_path):
         assert np.sqrt(np.mean(off_mm**2)) < 0.25
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_every_way_calibrates_robots_of_one_and_four_servos():
     pytest.importorskip("cv2", reason="dots need OpenCV, the extra `dots`")
     found = way_figures(MODEL, 3, (1, 4))

@@ -58,7 +58,7 @@ def program(tmp_path):
 def traced(tmp_path):
     """A tracer that is on in this thread and those that it starts, and the walks it has found."""
     walks = []
-    tracer = StopTracer(str(tmp_path), walks.append)
+    tracer = StopTracer(str(tmp_path), walks.append, lambda _walk: None)
     tracer.is_on = True
     before = sys.getprofile()
     threading.setprofile(tracer.profile)

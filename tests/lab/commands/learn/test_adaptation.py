@@ -136,7 +136,7 @@ OTHER_TEXTS = (
 )
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 @pytest.mark.parametrize("sound", ["speech", "music"])
 def test_texts_that_nobody_says_are_refused(adapt, tmp_path, sound):
     speech, rate_hz = soundfile.read(

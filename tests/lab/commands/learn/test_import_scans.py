@@ -124,7 +124,7 @@ def test_a_folder_that_is_there_is_not_written_over(tmp_path, capsys):
     assert "exists already" in refused(capsys, tmp_path, folder, "-o", folder)
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_unregistered_scans_become_a_corpus_and_lost_ones_are_bridged(tmp_path, capsys):
     folder, corpus = tmp_path / "scans", tmp_path / "c"
     n = 5

@@ -58,7 +58,7 @@ def test_bench_motion_wants_a_corpus_or_video(capsys):
     assert "give --corpus FOLDER or --video FOLDER" in err
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_bench_motion_compares_our_mouth_with_the_filmed_one(tmp_path, capsys):
     write_clip(tmp_path / "good.mkv")
     write_clip(tmp_path / "late.mkv", sound_late_s=0.2)

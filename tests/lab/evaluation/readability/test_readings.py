@@ -220,7 +220,7 @@ def test_the_reader_of_lips_sees_gap_width_and_protrusion_from_the_mouth_at_rest
     assert abs(seen[2, 2]) > 0.3
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 @pytest.mark.skipif(not GRID.is_dir(), reason="no corpus grid_s1")
 def test_recorded_words_are_read_as_issue_15_says():
     """0.877 in the components of a model trained without the test; the shipped one's are near."""

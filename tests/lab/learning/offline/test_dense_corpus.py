@@ -99,7 +99,7 @@ def test_a_corpus_without_a_point_of_the_face_and_too_many_components_are_refuse
         train_offline(corpus, face, Recipe(n_components=500, n_states=12))
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 def test_5000_points_of_1000_frames_are_built():
     rng = np.random.default_rng(0)
     modes = (rng.normal(size=(12, 15_000)) / 100.0).astype(np.float32)

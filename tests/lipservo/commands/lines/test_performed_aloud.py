@@ -15,7 +15,7 @@ from lipsync.offline.performance import Performance, performed_sound, write_perf
 from lipsync.phonemes import PhonemeEvent
 
 # A PulseAudio server and a run in real time.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 RATE_HZ = 16_000
 PATIENCE_S = 120.0

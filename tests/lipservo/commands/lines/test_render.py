@@ -136,7 +136,7 @@ def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
         assert (both[0] / name).read_bytes() == (both[1] / name).read_bytes()
 
 
-@pytest.mark.campaign
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # what Dask's event loops leave is not ours
 def test_a_folder_on_a_cluster_of_two_workers_is_the_same_as_one_by_one(
     made, tmp_path, monkeypatch

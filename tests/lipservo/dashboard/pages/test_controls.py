@@ -6,7 +6,7 @@ import pytest
 from places import ROOT
 
 #: A minute of a real browser; CI runs it once.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 
 def asked_of(page, path):

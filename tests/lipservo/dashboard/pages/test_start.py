@@ -16,7 +16,7 @@ LIMP = "at rest and limp, confirmed by 16 servos"
 SURE_MS = 600
 
 #: Half a minute of a real browser; CI runs them once.
-long = pytest.mark.campaign
+long = pytest.mark.slow
 
 
 def reads(page, place, text):

@@ -8,7 +8,7 @@ import pytest
 from lipsync.face.model import load_face
 
 #: A minute of a real browser; CI runs it once.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 #: So many frames a second are sent.
 RATE_HZ = 30

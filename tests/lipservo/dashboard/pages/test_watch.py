@@ -10,7 +10,7 @@ BANNER = "#face-banner"
 SOON_S = 2.5
 
 #: A minute of a real browser; CI runs it once.
-pytestmark = pytest.mark.campaign
+pytestmark = pytest.mark.slow
 
 
 def banner_after_s(page, text):

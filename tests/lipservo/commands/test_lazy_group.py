@@ -1,0 +1,60 @@
+"""Commands that are imported when they are run, and those of another distribution."""
+
+from types import SimpleNamespace
+
+import pytest
+from every_command import every_command
+from typer.testing import CliRunner
+
+from lipservo.cli import MOVED, app
+from lipservo.commands import lazy_group
+from lipservo.commands.run import stop
+from lipsync.errors import UserError
+
+#: At the top; `wyoming`, `film` and `study` are to come.
+MOST_COMMANDS = 24
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, list(arguments))
+
+
+@pytest.mark.parametrize(("old", "new"), MOVED.items())
+def test_an_old_name_prints_the_new_one(old, new):
+    done = run(old, "--help")
+
+    assert done.exit_code == 2
+    assert f"it is now `lipservo {new}`" in done.stderr
+    assert f"lipservo {new}" in dict(every_command())
+
+
+def test_there_are_so_few_commands_that_one_finds_the_right_one():
+    listed = run("--help").stdout
+
+    visible = [path for path, _ in every_command() if len(path.split()) == 2]
+    named = [path.split()[1] for path in visible if f"\n  {path.split()[1]} " in listed]
+    assert 20 < len(named) <= MOST_COMMANDS
+
+
+def test_without_the_lab_bench_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(lazy_group, "entry_points", lambda **_: ())
+
+    for words in (["bench"], ["learn", "face"], ["lines", "render-folder"]):
+        assert "pip install lipservo-lab" in str(run(*words).exception)
+
+
+def test_a_lab_of_another_version_is_refused_in_a_line_that_names_both(monkeypatch):
+    other = SimpleNamespace(name="lipservo-lab", version="0.1.0")
+    point = SimpleNamespace(name="bench", dist=other, load=lambda: stop)
+    monkeypatch.setattr(lazy_group, "entry_points", lambda **_: (point,))
+
+    error = run("bench").exception
+    assert isinstance(error, UserError)
+    assert "lipservo-lab 0.1.0 does not fit lipservo" in str(error)
+
+
+def test_a_mistyped_name_is_answered_with_the_nearest():
+    done = run("stpo")
+
+    assert done.exit_code == 2
+    assert "did you mean stop?" in done.stderr
