@@ -4,6 +4,5 @@
 here or on another computer.
 """
 
-from lipservo_client import connect, connect_async
-
-__all__ = ["connect", "connect_async"]
+from lipservo_client import connect as connect
+from lipservo_client import connect_async as connect_async

@@ -113,6 +113,7 @@ def test_frames_come_one_after_the_other(opened):
     assert lost < came / 10
 
 
+@pytest.mark.campaign
 def test_thirty_frames_a_second_come_for_a_minute(opened):
     came, lost = received(opened(), 60)
 

@@ -1,0 +1,440 @@
+"""A face to speak through, for programs with an event loop, and the WebSocket that it goes over."""
+
+import asyncio
+import contextlib
+import itertools
+import json
+from collections.abc import AsyncGenerator, Callable
+from http import HTTPStatus
+from typing import Any, Final, Literal, Self
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
+
+from lipservo_client.local_token import found_tokens
+from lipservo_client.protocol import (
+    PROTOCOL,
+    Event,
+    FaceError,
+    Pcm,
+    Played,
+    error_of,
+    pcm_bytes,
+    played_of,
+)
+
+#: A chunk is sent in pieces: the face takes messages of up to 1 MB.
+_PIECE_BYTES: Final = 1 << 16
+#: An answer that takes longer will not come.
+PATIENCE_S: Final = 10.0
+#: Events that a slow reader of `events` finds; the oldest are lost beyond it.
+_MOST_EVENTS: Final = 1024
+
+
+class Wire:
+    """A connection whose events are read at all times, since the face drops who does not read."""
+
+    def __init__(
+        self,
+        socket: ClientConnection,
+        on_event: Callable[[Event], None],
+        on_close: Callable[[FaceError], None],
+    ) -> None:
+        self._socket = socket
+        self._on_event = on_event
+        self._on_close = on_close
+        self._reading = asyncio.get_running_loop().create_task(self._read())
+
+    async def send(self, kind: str, **fields: object) -> None:
+        """A message. Raises FaceError once the connection is gone."""
+        given = {name: value for name, value in fields.items() if value is not None}
+        await self._send(json.dumps({"type": kind, **given}))
+
+    async def send_audio(self, data: bytes) -> None:
+        """Samples; waits while the face takes them slower. Raises FaceError."""
+        for first in range(0, len(data), _PIECE_BYTES):
+            await self._send(data[first : first + _PIECE_BYTES])
+
+    async def close(self) -> None:
+        """Hang up; what was said whole is said to its end."""
+        await self._socket.close()
+        await self._reading
+
+    async def _send(self, message: str | bytes) -> None:
+        try:
+            await self._socket.send(message)
+        except ConnectionClosed as error:
+            raise _gone(error) from error
+
+    async def _read(self) -> None:
+        try:
+            while True:
+                with contextlib.suppress(ValueError):
+                    event = json.loads(await self._socket.recv())
+                    if isinstance(event, dict) and isinstance(event.get("type"), str):
+                        self._on_event(event)
+        except ConnectionClosed as error:
+            self._on_close(_gone(error))
+
+
+async def connected(
+    url: str,
+    token: str | None,
+    on_event: Callable[[Event], None],
+    on_close: Callable[[FaceError], None],
+    patience_s: float,
+) -> Wire:
+    """Connect to a face.
+
+    Parameters
+    ----------
+    token : that the face requires; None: on this computer it is found in the runtime folders, of
+        another none is sent.
+
+    Raises
+    ------
+    FaceError
+        unauthorized, refused, not_answering.
+
+    """
+    tokens = [token] if token is not None else await asyncio.to_thread(found_tokens, url)
+    for each in tokens[:-1]:
+        with contextlib.suppress(_UnauthorizedError):
+            return Wire(await _opened(url, each, patience_s), on_event, on_close)
+    last = tokens[-1] if tokens else None
+    return Wire(await _opened(url, last, patience_s), on_event, on_close)
+
+
+class _UnauthorizedError(FaceError):
+    """The token is another, or none was sent."""
+
+
+async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
+    """Raises FaceError."""
+    headers = None if token is None else {"Authorization": f"Bearer {token}"}
+    try:
+        return await connect(
+            url,
+            additional_headers=headers,
+            compression=None,
+            open_timeout=patience_s,
+            close_timeout=patience_s,
+        )
+    except InvalidStatus as error:
+        answer = error.response
+        why = bytes(answer.body or b"").decode("utf-8", "replace").strip()
+        line = f"{url}: {why or answer.status_code}"
+        if answer.status_code == HTTPStatus.UNAUTHORIZED:
+            raise _UnauthorizedError("unauthorized", line) from error
+        raise FaceError("refused", line) from error
+    except (InvalidURI, InvalidHandshake) as error:
+        raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
+    except (OSError, TimeoutError) as error:
+        hint = "is a face running that takes speech?"
+        raise FaceError("not_answering", f"{url}: nobody answers there; {hint}") from error
+
+
+def _gone(error: ConnectionClosed) -> FaceError:
+    reason = error.rcvd.reason if error.rcvd is not None else ""
+    code, _, rest = reason.partition(":")
+    return FaceError(code or "disconnected", rest.strip() or "the face has hung up")
+
+
+class AsyncSpeech:
+    """One stream of speech, from `async with face.stream() as speech`.
+
+    delay_ms: how long after its sound is sent it is seen on the face; who plays the sound itself
+    plays it so much later.
+    """
+
+    def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
+        self._face = face
+        self._start = start
+        self._is_complete = False
+        self._error: FaceError | None = None
+        loop = asyncio.get_running_loop()
+        self._ready: asyncio.Future[float] = loop.create_future()
+        self._heard: asyncio.Future[Played] = loop.create_future()
+        self.stream = stream
+        self.delay_ms = 0.0
+
+    @property
+    def is_over(self) -> bool:
+        """It was heard to its end, or cut off: by us or by somebody else."""
+        return self._heard.done()
+
+    async def write(self, samples: Pcm) -> bool:
+        """Send samples at any pace; False once it was cut off, and no more are wanted.
+
+        Raises FaceError for what the face refused, ValueError for arrays that are no mono sound.
+        """
+        self._raise_error()
+        if self.is_over:
+            return False
+        await self._face.wire.send_audio(pcm_bytes(samples))
+        return True
+
+    async def mark(self, name: str) -> None:
+        """Ask for a `mark` event when all that was written until now has been heard."""
+        await self._face.wire.send("mark", name=name)
+
+    async def report_played(self, played_s: float) -> None:
+        """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""
+        await self._face.wire.send("position", stream=self.stream, played_s=played_s)
+
+    async def end(self) -> None:
+        """No more comes; what was written is said to its end."""
+        if not self._is_complete:
+            self._is_complete = True
+            await self._face.wire.send("end")
+
+    async def wait(self) -> Played:
+        """End it, and wait until it was heard or cut off. Raises FaceError."""
+        await self.end()
+        played = await self.heard()
+        self._raise_error()
+        return played
+
+    async def heard(self) -> Played:
+        """Wait until it was heard or cut off, without ending it."""
+        return await asyncio.shield(self._heard)
+
+    async def __aenter__(self) -> Self:
+        await self._face.wire.send("start", stream=self.stream, **self._start)
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                self.delay_ms = await self._ready
+        except TimeoutError as error:
+            raise FaceError("not_answering", "the face does not answer") from error
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        """Complete; or, where something went wrong on the way, silent."""
+        with contextlib.suppress(FaceError):
+            if kind is None:
+                await self.end()
+            elif not self.is_over:
+                self._is_complete = True
+                await self._face.wire.send("interrupt")
+
+    def hear(self, event: Event) -> None:
+        """What the face tells of this stream."""
+        match event["type"]:
+            case "ready" if not self._ready.done():
+                self._ready.set_result(float(event["delay_ms"]))
+            case "finished" | "interrupted" if not self.is_over:
+                self._heard.set_result(played_of(event))
+            case "error":
+                self.fail(error_of(event))
+
+    def fail(self, error: FaceError) -> None:
+        """The face refused something of it."""
+        if not self._ready.done():
+            self._ready.set_exception(error)
+            self._ready.exception()  # nobody need wait for it
+            if not self.is_over:  # it never began, and an interruption waits for no end of it
+                self._heard.set_result(Played(finished=False, played_s=0.0))
+        else:
+            self._error = self._error or error
+
+    def lose(self, error: FaceError) -> None:
+        """The connection is gone."""
+        self.fail(error)
+        if not self.is_over:
+            self._heard.set_exception(error)
+            self._heard.exception()  # nobody need wait for it
+
+    @property
+    def is_starting(self) -> bool:
+        """Whether the face has not answered yet."""
+        return not self._ready.done()
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None
+        if error is not None:
+            raise error
+
+
+class AsyncFace:
+    """A connection to a face; from `lipservo.connect_async`."""
+
+    def __init__(self, url: str, token: str | None) -> None:
+        self._url = url.rstrip("/")
+        self._token = token
+        self._numbers = itertools.count(1)
+        self._speeches: dict[str, AsyncSpeech] = {}
+        self._listeners: list[asyncio.Queue[Event | None]] = []
+        self._lost: FaceError | None = None
+        self._greeting: asyncio.Future[object] | None = None
+        self._control: Wire | None = None
+        self._connecting = asyncio.Lock()
+        self._asked: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self.wire: Wire
+
+    async def __aenter__(self) -> Self:
+        """Raises FaceError: unauthorized, refused, not_answering, bad_protocol."""
+        url = f"{self._url}/stream"
+        self._greeting = asyncio.get_running_loop().create_future()
+        self.wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
+        try:
+            await self.wire.send("hello", protocol=PROTOCOL)
+            async with asyncio.timeout(PATIENCE_S):
+                version = await self._greeting
+            if version != PROTOCOL:
+                differ = f"the face speaks protocol {version}, this lipservo-client {PROTOCOL}"
+                remedy = "install the lipservo-client of the face's version"
+                raise FaceError("bad_protocol", f"{url}: {differ}; {remedy}")
+        except TimeoutError as error:
+            await self.wire.close()
+            raise FaceError("not_answering", f"{url}: the face does not answer") from error
+        except BaseException:
+            await self.wire.close()
+            raise
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        """Hang up. What was ended is said to its end; what was not is cut off."""
+        for wire in (self._control, self.wire):
+            if wire is not None:
+                await wire.close()
+
+    def stream(
+        self,
+        sample_rate: int = 24_000,
+        playback: Literal["server", "client"] = "server",
+        stream: str | None = None,
+    ) -> AsyncSpeech:
+        """A new stream of speech. playback: "client" where this program plays the sound itself.
+
+        stream: its id, of your own; streams of one face are told apart by it.
+        """
+        name = stream or f"speech {next(self._numbers)}"
+        speech = AsyncSpeech(self, name, {"sample_rate": sample_rate, "playback": playback})
+        self._speeches = {key: each for key, each in self._speeches.items() if not each.is_over}
+        self._speeches[name] = speech
+        return speech
+
+    async def interrupt(self) -> Played | None:
+        """Barge-in: silence now. What was heard of all that was not finished; None: nothing was."""
+        unfinished = [each.heard() for each in self._speeches.values() if not each.is_over]
+        await self.wire.send("interrupt")
+        if not unfinished:
+            return None
+        async with asyncio.timeout(PATIENCE_S):
+            played = await asyncio.gather(*unfinished)
+        return Played(
+            all(each.finished for each in played),
+            sum(each.played_s for each in played),
+            sum(each.dropped_s for each in played),
+        )
+
+    def events(self) -> AsyncGenerator[Event, None]:
+        """Whatever the face tells from now on, until the connection ends."""
+        queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_EVENTS)
+        self._listeners.append(queue)
+        if self._lost is not None:
+            queue.put_nowait(None)
+        return self._listen(queue)
+
+    async def status(self) -> dict[str, Any]:
+        """How the face is: the fields of docs/architecture.md, "Status". Raises FaceError."""
+        return await self._ask("status")
+
+    async def stop(
+        self, level: Literal["soft", "freeze", "limp"] = "soft", *, end: bool = False
+    ) -> dict[str, Any]:
+        """Stop the face: to rest and limp, frozen, or limp at once. Raises FaceError.
+
+        A daemon that was stopped waits, limp, for `start`; with `end` it ends.
+        """
+        return await self._ask("stop", level=level, end=end)
+
+    async def start(self) -> dict[str, Any]:
+        """Drive a stopped face again: it moves. Returns once the start is accepted.
+
+        Whether it came to be driven is in `status`: `state`, `troubles`. Raises FaceError.
+        """
+        return await self._ask("start")
+
+    async def set(self, name: str, value: float) -> dict[str, Any]:
+        """Change a setting while it runs, as `strength`. Raises FaceError."""
+        return await self._ask("set", name=name, value=value)
+
+    async def say(self, text: str) -> dict[str, Any]:
+        """Say a text with the face's own voice. Raises FaceError."""
+        return await self._ask("say", text=text)
+
+    async def play(self, file: str) -> dict[str, Any]:
+        """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
+
+        Returns once it is read and waits for its turn. Of a performance the answer has `stream`, as
+        the face's status calls it in `speaking`, and `duration_s`.
+        """
+        return await self._ask("play", file=file)
+
+    async def _ask(self, kind: str, **fields: object) -> dict[str, Any]:
+        async with self._connecting:
+            if self._control is None:
+                url = f"{self._url}/control"
+                take, lose = self._take_result, self._lose_control
+                self._control = await connected(url, self._token, take, lose, PATIENCE_S)
+        number = next(self._numbers)
+        answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
+        self._asked[number] = answer
+        try:
+            await self._control.send(kind, id=number, **fields)
+            return await answer
+        finally:
+            del self._asked[number]
+
+    async def _listen(self, queue: asyncio.Queue[Event | None]) -> AsyncGenerator[Event, None]:
+        try:
+            while (event := await queue.get()) is not None:
+                yield event
+        finally:
+            self._listeners.remove(queue)
+
+    def _take_result(self, event: Event) -> None:
+        answer = self._asked.get(event.get("id") or 0)
+        if answer is None or answer.done():
+            return
+        if event["type"] == "error":
+            answer.set_exception(error_of(event))
+        elif event["type"] == "result":
+            answer.set_result(event.get("result") or {})
+
+    def _lose_control(self, error: FaceError) -> None:
+        self._control = None
+        for answer in self._asked.values():
+            if not answer.done():
+                answer.set_exception(error)
+
+    def _hear(self, event: Event) -> None:
+        if self._greeting is not None and not self._greeting.done():
+            if event["type"] == "error":
+                self._greeting.set_exception(error_of(event))
+            elif event["type"] == "hello":
+                self._greeting.set_result(event.get("protocol", "unknown"))
+            return
+        speech = self._speeches.get(str(event.get("stream")))
+        if speech is not None:
+            speech.hear(event)
+        elif event["type"] == "error":
+            starting = [each for each in self._speeches.values() if each.is_starting]
+            for each in starting[:1]:
+                each.fail(error_of(event))
+        self._hand_on(event)
+
+    def _lose(self, error: FaceError) -> None:
+        self._lost = error
+        if self._greeting is not None and not self._greeting.done():
+            self._greeting.set_exception(error)
+        for speech in self._speeches.values():
+            speech.lose(error)
+        self._hand_on(None)
+
+    def _hand_on(self, event: Event | None) -> None:
+        for queue in self._listeners:
+            if queue.full():
+                queue.get_nowait()
+            queue.put_nowait(event)

@@ -1,0 +1,167 @@
+"""Tokens of the faces of this computer: where they lie, and which program may be sent one.
+
+A face keeps its token beside its control socket, in a folder that only its owner fills; the folders
+are those of `firmware_bridge/process/runtime_folder.py`, which a client does not need. The kernel's
+list of TCP sockets, readable by everybody, says whose program listens on a port before a token is
+sent there, and which user's program has connected.
+"""
+
+import ipaddress
+import os
+import stat
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+TOKEN_NAME: Final = "token"
+LONGEST_TOKEN_BYTES: Final = 4096
+_SERVICE_FOLDER: Final = Path("/run/lipservo")
+_FOLDER_NAME: Final = "lipservo"
+_TABLES: Final = (Path("/proc/net/tcp"), Path("/proc/net/tcp6"))
+_LISTEN: Final = "0A"  # TCP_LISTEN of the kernel's include/net/tcp_states.h
+
+
+def found_tokens(url: str) -> list[str]:
+    """Return the tokens that a face at `url` may ask for; none for another computer's.
+
+    They are read in the runtime folders where running faces are searched. A token is sent only to
+    a program of the user who owns its file: another user's, that listens on the port, gets none.
+    """
+    try:
+        split = urlsplit(url)
+        host, port = split.hostname or "", split.port or 0
+    except ValueError:
+        return []
+    if not is_loopback(host) or not hasattr(os, "geteuid"):
+        return []
+    users = listening_users(port) if are_listed() else {os.geteuid()}
+    tokens = (_token_of(folder / TOKEN_NAME, users) for folder in runtime_folders())
+    return list(dict.fromkeys(each for each in tokens if each is not None))
+
+
+def runtime_folders() -> list[Path]:
+    """The folders in which a running face may be found: the service's, ours, for root everybody's.
+
+    What cannot be looked into is left out, and so is a folder of others that does not belong to the
+    user whose number is in its name: what lies there may be anything.
+    """
+    if own := os.environ.get("LIPSERVO_RUNTIME", ""):
+        return [each for each in (Path(own),) if _may_look_into(each)]
+    user = os.geteuid()
+    temporary = Path(tempfile.gettempdir())
+    candidates = [Path(each) for each in os.environ.get("RUNTIME_DIRECTORY", "").split(":") if each]
+    own_temporary = temporary / f"{_FOLDER_NAME}-{user}"
+    session = os.environ.get("XDG_RUNTIME_DIR", "")
+    has_session = session and _belongs_to(Path(session), user)
+    candidates.append(_SERVICE_FOLDER)
+    candidates.append(Path(session) / _FOLDER_NAME if has_session else own_temporary)
+    candidates += [Path(f"/run/user/{user}") / _FOLDER_NAME, own_temporary]
+    if user == 0:
+        others = [(each.parent.name, each) for each in Path("/run/user").glob(f"*/{_FOLDER_NAME}")]
+        others += [
+            (each.name.rpartition("-")[2], each) for each in temporary.glob(f"{_FOLDER_NAME}-*")
+        ]
+        candidates += [
+            each
+            for uid, each in others
+            if uid.isascii() and uid.isdigit() and _belongs_to(each, int(uid))
+        ]
+    return [each for each in dict.fromkeys(candidates) if _may_look_into(each)]
+
+
+@dataclass(frozen=True, slots=True)
+class TcpSocket:
+    """One row: ports of its own and the other end, the user who made it, and its inode."""
+
+    port: int
+    peer_port: int
+    uid: int
+    inode: str
+    listens: bool
+
+
+def tcp_sockets() -> Iterator[TcpSocket]:
+    """Every TCP socket of this network namespace; none where the kernel does not list them."""
+    for table in _TABLES:
+        try:
+            rows = table.read_text("ascii", "replace").splitlines()[1:]
+        except OSError:
+            continue
+        for row in rows:
+            fields = row.split()
+            port, peer_port = (int(each.rpartition(":")[2], 16) for each in fields[1:3])
+            yield TcpSocket(port, peer_port, int(fields[7]), fields[9], fields[3] == _LISTEN)
+
+
+def are_listed() -> bool:
+    """Whether this system lists its sockets at all."""
+    return any(table.exists() for table in _TABLES)
+
+
+def listening_users(port: int) -> set[int]:
+    """The users whose programs listen on a port."""
+    return {each.uid for each in tcp_sockets() if each.listens and each.port == port}
+
+
+def connected_users(port: int, server_port: int) -> set[int]:
+    """The users who made a socket with this port, connected to `server_port` of this computer."""
+    return {
+        each.uid
+        for each in tcp_sockets()
+        if each.port == port and each.peer_port == server_port and not each.listens
+    }
+
+
+def host_address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
+    """The address that a host is written as; None for a name."""
+    try:
+        address = ipaddress.ip_address(host)
+    except ValueError:
+        return None
+    mapped = address.ipv4_mapped if isinstance(address, ipaddress.IPv6Address) else None
+    return mapped or address
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host, by name or address, is this computer as it sees itself."""
+    address = host_address(host)
+    return host.lower() == "localhost" if address is None else address.is_loopback
+
+
+def _token_of(path: Path, users: set[int]) -> str | None:
+    """The token in a file of one of these users; None: there is none that we may read."""
+    try:
+        fd = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        found = os.fstat(fd)
+        if not stat.S_ISREG(found.st_mode) or found.st_uid not in users:
+            return None
+        lines = os.read(fd, LONGEST_TOKEN_BYTES).decode("utf-8", "replace").splitlines()
+    except OSError:
+        return None
+    finally:
+        os.close(fd)
+    return (lines[0].strip() or None) if lines else None
+
+
+def _belongs_to(folder: Path, uid: int) -> bool:
+    """Whether it is a true folder of that user into which no other user can put anything."""
+    try:
+        found = folder.lstat()
+    except OSError:
+        return False
+    others_may_write = found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISDIR(found.st_mode) and found.st_uid == uid and not others_may_write
+
+
+def _may_look_into(folder: Path) -> bool:
+    try:
+        is_folder = stat.S_ISDIR(folder.lstat().st_mode)
+    except OSError:
+        return False
+    return is_folder and os.access(folder, os.R_OK | os.X_OK)

@@ -1,0 +1,78 @@
+"""What a client and a face exchange: the protocol's version, answers, errors, and samples as bytes.
+
+docs/agents.md is the protocol.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final, Protocol, runtime_checkable
+
+#: The version that this client speaks; a face of another says so, and so do we, in one line.
+PROTOCOL: Final = 1
+#: A message of the face, as docs/agents.md lists them.
+Event = dict[str, Any]
+_FULL_SCALE = 32_767
+
+
+class FaceError(Exception):
+    """The face refused, or is not there. code: of docs/agents.md, to be told apart by programs."""
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass(frozen=True, slots=True)
+class Played:
+    """What became of speech. finished: it was heard whole; else it was cut off.
+
+    played_s: was heard; dropped_s: never will be.
+    """
+
+    finished: bool
+    played_s: float
+    dropped_s: float = 0.0
+
+
+def played_of(event: Event) -> Played:
+    """What the last event of a stream says of it."""
+    finished = event["type"] == "finished"
+    return Played(finished, float(event["played_s"]), float(event.get("dropped_s", 0.0)))
+
+
+def error_of(event: Event) -> FaceError:
+    """An `error` event, to be raised."""
+    return FaceError(str(event.get("code", "")), str(event.get("message", "")))
+
+
+@runtime_checkable
+class SampleArray(Protocol):
+    """A NumPy array, known by this; numpy is loaded only where one is written."""
+
+    @property
+    def dtype(self) -> object:
+        """Its numbers' type."""
+
+    def tobytes(self) -> bytes:
+        """Its numbers."""
+
+
+#: s16le bytes, or an array (n,) or (n, 1): int16, or float in [-1, 1].
+Pcm = bytes | bytearray | memoryview | SampleArray
+
+
+def pcm_bytes(samples: Pcm) -> bytes:
+    """The samples as s16le. Raises ValueError for an array of another shape or type."""
+    if isinstance(samples, (bytes, bytearray, memoryview)):
+        return bytes(samples)
+    import numpy as np
+
+    array = np.asarray(samples)
+    if array.ndim == 2 and array.shape[1] == 1:
+        array = array[:, 0]
+    if array.ndim != 1:
+        raise ValueError(f"samples of shape {array.shape}: mono is (n,) or (n, 1)")
+    if np.issubdtype(array.dtype, np.floating):
+        array = np.rint(np.clip(np.nan_to_num(array), -1.0, 1.0) * _FULL_SCALE)
+    elif array.dtype != np.int16:
+        raise ValueError(f"samples of type {array.dtype}: int16 or float in [-1, 1] are possible")
+    return bytes(array.astype("<i2").tobytes())

@@ -1,0 +1,1 @@
+"""The workshop: what measures lipservo and what learns its models. No robot needs it."""

@@ -1,0 +1,97 @@
+"""Context visemes: recorded phones, chosen for a line by what stands before and after them.
+
+Edge, Hilton and Jackson compare their method with the centres of the best-matching context visemes,
+joined by Catmull-Rom splines (`spline.joined_faces`). What matches best they do not print; here it
+is decided by viseme classes, then phonemes, then duration. It is one recording for each phone, not
+a mean, so it jitters where a mean mumbles.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from lipservo_lab.corpus.utterance import Utterance
+from lipsync.arrays import Array, Indices
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF, PhonemeEvent, stand_in
+
+_CLASS_OF = np.array([VISEME_OF[p] for p in PHONEMES])
+_BEFORE, _ITSELF, _AFTER = range(3)
+
+
+@dataclass(frozen=True, slots=True)
+class ContextVisemes:
+    """Recorded phones in the order in which they were said.
+
+    phonemes: (n, 3), numbers in PHONEMES of the phone before, of itself, and of the one after;
+    beyond a sentence it is silent. durations_s: (n,). faces: (n, n_components), at its centre.
+    """
+
+    phonemes: Indices
+    durations_s: Array
+    faces: Array
+
+    def best_for(self, phones: Sequence[PhonemeEvent]) -> Indices:
+        """The recorded phone for each of a line's, (n_phones,).
+
+        Its viseme class is the same; as many of its two neighbours as possible are of the same
+        classes. Among equals it is the same phoneme rather than another of the class, then has more
+        neighbours that are the same phonemes, then lasts most nearly as long, then came first. In
+        place of a class that was never recorded stands the first stand-in of the phoneme.
+        """
+        recorded = np.unique(self.phonemes[:, _ITSELF])
+        known = frozenset(PHONEMES[i] for i in recorded)
+        contexts = _contexts(phones)
+        for context in contexts:
+            if not np.isin(_CLASS_OF[context[_ITSELF]], _CLASS_OF[recorded]):
+                context[_ITSELF] = PHONEMES.index(stand_in(PHONEMES[context[_ITSELF]], known)[0])
+        durations_s = _durations_s(phones)
+        best = [self._best(*each) for each in zip(contexts, durations_s, strict=True)]
+        return np.array(best, dtype=np.int64)
+
+    def targets(self, phones: Sequence[PhonemeEvent]) -> Array:
+        """The recorded face for each phone of a line: (n_phones, n_components)."""
+        return np.asarray(self.faces[self.best_for(phones)])
+
+    def _best(self, wanted: Indices, duration_s: float) -> int:
+        same_class = _CLASS_OF[self.phonemes] == _CLASS_OF[wanted]
+        same = self.phonemes == wanted
+        around = [_BEFORE, _AFTER]
+        # The last key counts most; what is less comes first.
+        keys = (
+            np.abs(self.durations_s - duration_s),
+            -same[:, around].sum(axis=1),
+            -same[:, _ITSELF].astype(np.int64),
+            -same_class[:, around].sum(axis=1),
+            -same_class[:, _ITSELF].astype(np.int64),
+        )
+        return int(np.lexsort(keys)[0])
+
+
+def recorded_visemes(
+    utterances: Sequence[Utterance], coefficients: Sequence[Array]
+) -> ContextVisemes:
+    """Every phone of labelled sentences, with their motion (n_frames, n_components)."""
+    faces = []
+    for utterance, motion in zip(utterances, coefficients, strict=True):
+        frames_s = np.arange(len(motion)) / utterance.frame_rate_hz
+        starts_s = np.array([p.start_s for p in utterance.phones])
+        centres_s = starts_s + _durations_s(utterance.phones) / 2.0
+        faces.append(np.stack([np.interp(centres_s, frames_s, x) for x in motion.T], axis=1))
+    return ContextVisemes(
+        np.concatenate([_contexts(u.phones) for u in utterances]),
+        np.concatenate([_durations_s(u.phones) for u in utterances]),
+        np.concatenate(faces),
+    )
+
+
+def _contexts(phones: Sequence[PhonemeEvent]) -> Indices:
+    """(n_phones, 3), as `ContextVisemes.phonemes`."""
+    silence = PHONEMES.index(SILENCE)
+    names = [silence, *(PHONEMES.index(p.phoneme) for p in phones), silence]
+    return np.array([names[i : i + 3] for i in range(len(phones))], dtype=np.int64)
+
+
+def _durations_s(phones: Sequence[PhonemeEvent]) -> Array:
+    """(n_phones,); 0 for one whose end is not known."""
+    return np.array([0.0 if p.end_s is None else p.end_s - p.start_s for p in phones])

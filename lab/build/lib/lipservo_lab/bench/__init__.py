@@ -1,0 +1,1 @@
+"""What `lipservo bench` measures, prints and draws."""

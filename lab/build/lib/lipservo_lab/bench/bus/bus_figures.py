@@ -1,0 +1,337 @@
+"""What the servo bus gives: against the wire, with faults, and after the plug was pulled.
+
+Processor time of the bare line with prepared packets, beside dynamixel-sdk and rustypot.
+
+What users run, a whole tick, is `tick_cpu_figures`.
+"""
+
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from firmware_bridge.bus import ServoState
+from firmware_bridge.clock import MonotonicClock, ticks
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.wire import codec
+from firmware_bridge.dynamixel.wire.codec import CommonFrame, GoalWrite, SpanRead, Status
+from firmware_bridge.dynamixel.wire.line import Line, Transport
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.dynamixel.wire.span_group import SpanGroup
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.process.operating_system import on_time
+from lipservo.runtime.servos.sim_process import simulated_port
+from lipservo_lab.bench.bus.servo_clients import canned_peer
+from lipservo_lab.bench.bus.tick_cpu_figures import N_SERVOS
+
+#: present_current, present_velocity, present_position
+_ADDRESS, _SIZE = 126, 10
+_IDS = list(range(1, N_SERVOS + 1))
+_MOTION = np.dtype([("current", "<i2"), ("velocity", "<i4"), ("position", "<i4")])
+_MOTION_BLOCK = CommonFrame.block_of(_MOTION)
+_ROUNDS, _CALLS = 25, 40
+
+
+def cpu_ratios() -> dict[str, float]:
+    """CPU of the same work, the bare line over the SDK; over rustypot, too, when it is installed.
+
+    Writes, reads of a frame each, and a cycle: a write and a fast read, on either side. No gate, no
+    supervision; our packets are prepared. No wire time. The least of interleaved rounds each: what
+    a library cannot do without, whatever else the computer does; the SDK, which polls, would look
+    worse by medians.
+    """
+    with ExitStack() as peers:
+        calls = _own_calls(peers.enter_context(canned_peer(N_SERVOS)))
+        calls |= _sdk_calls(peers.enter_context(canned_peer(N_SERVOS)))
+        others = {"": "sdk"}
+        if find_spec("rustypot") is not None:
+            calls |= _rustypot_calls(peers.enter_context(canned_peer(N_SERVOS)))
+            others["_rustypot"] = "rustypot"
+        spent: dict[str, list[float]] = {name: [] for name in calls}
+        for _ in range(_ROUNDS):
+            for name, call in calls.items():
+                spent[name].append(_cpu_us(call))
+    least_us = {name: min(each) for name, each in spent.items()}
+    kinds = {"sync_write": "write", "sync_read": "read", "cycle": "cycle"}
+    return {
+        f"cpu_{kind}_ratio{suffix}": least_us[f"own {call}"] / least_us[f"{other} {call}"]
+        for suffix, other in others.items()
+        for kind, call in kinds.items()
+    }
+
+
+def _own_calls(port: str) -> dict[str, Callable[[], object]]:
+    """Write 20 goals; read 20 x 3 values, a frame each; and both, read in one frame."""
+    line = Line(_NoWire(open_port(port, 4_000_000)), return_delay_s=0.0)
+    goals = np.full(N_SERVOS, 2048)
+    plain = SpanRead(_IDS, _ADDRESS, _SIZE, fast=False)
+    fast = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
+
+    goal_write = GoalWrite(_IDS, 116)
+
+    def write() -> None:
+        line.tell(goal_write.request(goals))
+
+    def read(span: SpanRead = plain) -> list[list[int]]:
+        return decode(line.sync_read(span))
+
+    def cycle() -> None:
+        write()
+        read(fast)
+
+    return {"own write": write, "own read": read, "own cycle": cycle}
+
+
+def decode(answers: Sequence[Status]) -> list[list[int]]:
+    """Currents, velocities and positions of those who answered."""
+    if isinstance(answers, CommonFrame):
+        values = answers.values(_MOTION_BLOCK)
+    else:
+        values = np.frombuffer(b"".join([each.data for each in answers]), dtype=_MOTION)
+    return [values[name].tolist() for name in ("current", "velocity", "position")]
+
+
+class _NoWire:
+    """A transport whose bytes take no time, so that only work is measured and no waiting."""
+
+    baud_rate = 10**12
+
+    def __init__(self, transport: Transport) -> None:
+        self.clock = transport.clock
+        self.write = transport.write
+        self.read = transport.read
+        self.discard_input = transport.discard_input
+        self.close = transport.close
+
+
+def _sdk_calls(port: str) -> dict[str, Callable[[], object]]:
+    """The same with dynamixel-sdk, as its own examples do it."""
+    import dynamixel_sdk as sdk
+
+    handler = sdk.PortHandler(port)
+    handler.openPort()
+    handler.setBaudRate(4_000_000)
+    packets = sdk.PacketHandler(2.0)
+    group_write = sdk.GroupSyncWrite(handler, packets, 116, 4)
+    group_read = sdk.GroupSyncRead(handler, packets, _ADDRESS, _SIZE)
+    for servo_id in _IDS:
+        group_write.addParam(servo_id, [0, 8, 0, 0])
+        group_read.addParam(servo_id)
+
+    def write() -> None:
+        for servo_id in _IDS:
+            group_write.changeParam(servo_id, [0, 8, 0, 0])
+        group_write.txPacket()
+
+    def read(ask: Callable[[], int] = group_read.txRxPacket) -> list[list[int]]:
+        ask()
+        return [
+            [group_read.getData(servo_id, address, size) for servo_id in _IDS]
+            for address, size in ((126, 2), (128, 4), (132, 4))
+        ]
+
+    def cycle() -> list[list[int]]:
+        write()
+        return read(group_read.fastSyncRead)
+
+    return {"sdk write": write, "sdk read": read, "sdk cycle": cycle}
+
+
+def _rustypot_calls(port: str) -> dict[str, Callable[[], object]]:
+    """The same with rustypot, which decodes single registers only: the span comes as bytes."""
+    import rustypot
+
+    bus = rustypot.Xl330PyController(port, 4_000_000, 0.1)
+    goals = [2048] * N_SERVOS
+
+    def write() -> None:
+        bus.sync_write_raw_goal_position(_IDS, goals)
+
+    def read(fast: bool = False) -> list[list[int]]:
+        bus.set_fast_sync_read(fast)
+        data = b"".join([bytes(each) for each in bus.sync_read_raw_data(_IDS, _ADDRESS, _SIZE)])
+        values = np.frombuffer(data, dtype=_MOTION)
+        return [values[name].tolist() for name in ("current", "velocity", "position")]
+
+    def cycle() -> None:
+        write()
+        read(fast=True)
+
+    return {"rustypot write": write, "rustypot read": read, "rustypot cycle": cycle}
+
+
+def _cpu_us(call: Callable[[], object], n_calls: int = _CALLS) -> float:
+    start_s = time.process_time()
+    for _ in range(n_calls):
+        call()
+    return (time.process_time() - start_s) / n_calls * 1e6
+
+
+BAUD_RATE = 1_000_000
+#: present_current, present_velocity, present_position
+#: torque_enable .. bus_watchdog: what a tick reads of one servo, the next in turn.
+_HEALTH_ADDRESS, _HEALTH_SIZE = 64, 35
+_SILENT = "faults: [{kind: silence, servos: [7], at_s: [0.0]}]"
+_SILENT_ID = 8
+_REPLUG_RATE_HZ = 50.0
+
+
+def scheduling() -> str:
+    """The class that wire and fault figures are measured in, as `chrt` names it."""
+    with on_time() as granted:
+        return "SCHED_FIFO" if granted else "SCHED_OTHER"
+
+
+def wire_figures(seconds: float = 4.0) -> dict[str, float]:
+    """Reads against their time on the wire; write and read as fast as they go, with the CPU.
+
+    The bare line: goals that change are packed, places decoded; no gate, no supervision.
+    """
+    with on_time(), _simulated(BAUD_RATE) as line:
+        span = SpanRead(_IDS, _ADDRESS, _SIZE, fast=True)
+        read_wire_s = (len(span.request) + span.reply_size) * line.byte_s
+        goals, swing = GoalWrite(_IDS, 116), 100.0 * np.sin(0.3 * np.arange(N_SERVOS))
+        for _ in range(100):
+            line.sync_read(span)
+        took_s = []
+        for _ in range(200):
+            time.sleep(0.002)
+            start_s = time.monotonic()
+            line.sync_read(span)
+            took_s.append(time.monotonic() - start_s)
+        cycle_wire_s = read_wire_s + len(goals.request(swing)) * line.byte_s
+        start_s, cpu_s, n = time.monotonic(), time.process_time(), 0
+        while time.monotonic() - start_s < seconds:
+            line.tell(goals.request(2048.0 + np.rint(swing * np.sin(0.05 * n))))
+            decode(line.sync_read(span))
+            n += 1
+        wall_s = time.monotonic() - start_s
+        return {
+            "read_to_wire_ratio": statistics.median(took_s) / read_wire_s,
+            "rate_to_wire_ratio": n / wall_s * cycle_wire_s,
+            "rate_cpu_percent": (time.process_time() - cpu_s) / wall_s * 100.0,
+        }
+
+
+def fault_figures(n_cycles: int = 1_000) -> dict[str, float]:
+    """One servo silent, and one packet in a hundred lost: what is heard, and how late."""
+    share, over_ms = _heard(_SILENT, [each for each in _IDS if each != _SILENT_ID], n_cycles)
+    figures = {"silent_samples": share, "silent_over_wire_ms": over_ms}
+    lossy = "seed: 1\nfaults: [{kind: drop_reply, probability: 0.01}]"
+    share, over_ms = _heard(lossy, _IDS, n_cycles)
+    return {**figures, "loss_samples": share, "loss_p99_over_wire_ms": over_ms}
+
+
+def silent_cycle_figures(n_cycles: int = 1_200) -> dict[str, float]:
+    """Time beyond the wire of the cycles in which a silent servo is asked, in ms: median and most.
+
+    A cycle is what the bus asks in a tick: the places of all, and the health of one, in turns. The
+    silent one is asked now and then among all, and whenever it is its turn; the other cycles, 19 of
+    20, would hide these in any percentile of all.
+    """
+    over_ms = []
+    with _faulty_line(_SILENT) as line:
+        group = SpanGroup(_IDS, _ADDRESS, _SIZE)
+        for n in range(n_cycles):
+            time.sleep(0.002)
+            servo_id = _IDS[n % N_SERVOS]
+            question = codec.read(servo_id, _HEALTH_ADDRESS, _HEALTH_SIZE)
+            start_s = time.monotonic()
+            group.ask(line)
+            line.read(servo_id, _HEALTH_ADDRESS, _HEALTH_SIZE)
+            took_s = time.monotonic() - start_s
+            if servo_id == _SILENT_ID or _SILENT_ID in group.asked.ids:
+                n_bytes = len(group.asked.request) + group.asked.reply_size + len(question)
+                n_bytes += codec.EMPTY_STATUS_SIZE + _HEALTH_SIZE
+                over_ms.append((took_s - n_bytes * line.byte_s) * 1e3)
+    return {
+        "silent_asked_cycle_median_ms": statistics.median(over_ms),
+        "silent_asked_cycle_max_ms": max(over_ms),
+        "silent_asked_cycles": len(over_ms),
+    }
+
+
+@contextmanager
+def _faulty_line(script: str) -> Iterator[Line]:
+    """A line to servos with these faults, which has learnt how late this computer is."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "faults.yaml"
+        path.write_text(script)
+        with on_time(), _simulated(BAUD_RATE, "--faults", str(path)) as line:
+            healthy = [each for each in _IDS if each != _SILENT_ID]
+            plain = SpanRead(healthy, _ADDRESS, _SIZE, fast=False)
+            for _ in range(200):
+                line.sync_read(plain)
+            yield line
+
+
+def _heard(script: str, ids: list[int], n_cycles: int) -> tuple[float, float]:
+    """Share of the samples of `ids` that came, and the 99th percentile of time beyond the wire."""
+    with _faulty_line(script) as line:
+        group = SpanGroup(_IDS, _ADDRESS, _SIZE)
+        n_heard, over_s = 0, []
+        for _ in range(n_cycles):
+            time.sleep(0.002)
+            start_s = time.monotonic()
+            answers = group.ask(line)
+            took_s = time.monotonic() - start_s
+            wire_s = (len(group.asked.request) + group.asked.reply_size) * line.byte_s
+            over_s.append(took_s - wire_s)
+            n_heard += sum(status.servo_id in ids for status in answers)
+    return n_heard / (len(ids) * n_cycles), float(np.percentile(over_s, 99)) * 1e3
+
+
+def replug_figures(n_servos: int = 10) -> dict[str, float]:
+    """From the moment a port is back: until every servo is driven again, and at full strength."""
+    model = servo_models()["XL330-M288"]
+    joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, n_servos + 1)]
+    with TemporaryDirectory() as folder:
+        path, link = Path(folder) / "faults.yaml", Path(folder) / "port"
+        path.write_text("faults: [{kind: unplug, at_s: [4.0], lasts_s: 2.0}]")
+        arguments = ["--servos", str(n_servos), "--link", str(link), "--faults", str(path)]
+        with simulated_port([*arguments, "--baud-rate", str(BAUD_RATE), "--on-time"]):
+            clock = MonotonicClock()
+            channel = MemoryTargetChannel()
+            servos = [MountedServo(joint, model) for joint in joints]
+            with DynamixelBus(servos, lambda: open_port(str(link), BAUD_RATE)) as bus:
+                bridge = Bridge(
+                    bus, joints, channel, BridgeSettings(_REPLUG_RATE_HZ, tolerant=True)
+                )
+                bridge.start()
+                back_s = driven_s = 0.0
+                for time_s, late in ticks(clock, _REPLUG_RATE_HZ):
+                    channel.publish(ServoTargets(time_s, np.zeros(n_servos)))
+                    before = bridge.status
+                    bridge.tick(time_s, late)
+                    if before.n_unplugged and not back_s and link.exists():
+                        back_s = link.lstat().st_mtime - time.time() + clock.now()
+                    states = bridge.status.servo_states
+                    driven = bridge.plugged and all(s is ServoState.DRIVEN for s in states)
+                    if back_s and driven and not driven_s:
+                        driven_s = clock.now()
+                    if driven_s and bus.at_full_strength:
+                        full_s = clock.now()
+                        return {"replug_s": driven_s - back_s, "full_strength_s": full_s - back_s}
+    raise AssertionError("unreachable: ticks never end")
+
+
+@contextmanager
+def _simulated(baud_rate: int, *arguments: str) -> Iterator[Line]:
+    """A line to twenty simulated servos in a process of their own, with wire time."""
+    options = ["--servos", str(N_SERVOS), "--baud-rate", str(baud_rate), "--on-time"]
+    with simulated_port([*options, *arguments]) as port:
+        transport = open_port(port, baud_rate)
+        try:
+            yield Line(transport, return_delay_s=0.0)
+        finally:
+            transport.close()

@@ -1,0 +1,325 @@
+"""Processor time of the whole bridge process, beside a loop with dynamixel-sdk or rustypot.
+
+Processes that drive ten servos a hundred times a second, one at a time, and their CPU time.
+"""
+
+import ctypes
+import mmap
+import os
+import signal
+import statistics
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Final, Protocol
+
+import numpy as np
+
+from firmware_bridge.clock import MonotonicClock, ticks
+from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.targets import ServoTargets, SocketTargetChannel, channel_pair
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.lifeline import LifelineWatch, Ready, lifeline_pair
+from lipservo.runtime.run_request import SILENCE, RunRequest, request_json
+from lipservo.runtime.servos.sim_process import simulated_port
+from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
+from lipservo.runtime.status.status_board import StatusBoard
+from lipservo_lab.bench.bus import servo_clients
+from lipservo_lab.bench.bus.servo_clients import canned_peer
+
+N_SERVOS: Final = 10
+RATE_HZ: Final = 100.0
+#: The beginning of a turn, in which caches are filled again and answers of before come late.
+_SETTLES_S: Final = 0.2
+_COUNTED_S: Final = 0.6
+#: Targets are dated ahead as the speech side dates them, by the lag of the servos.
+_AHEAD_S: Final = 0.02
+_STARTS_S: Final = 30.0
+#: Full strength comes a second after torque, and is repeated.
+_FULL_STRENGTH_S: Final = 2.0
+_COUNT: Final = struct.Struct("<Q")
+
+
+def moving_deg(time_s: float) -> np.ndarray:
+    """Where the joints are wanted: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * time_s + 0.3 * np.arange(N_SERVOS)))
+
+
+class Rounds(Protocol):
+    """What a process has done so far."""
+
+    @property
+    def n(self) -> int:
+        """Rounds of its loop."""
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether it drives its servos."""
+
+
+@dataclass(slots=True)
+class MeasuredProcess:
+    """A process that stands still but in its turns. spent_us: CPU a round, of each turn."""
+
+    pid: int
+    channel: SocketTargetChannel
+    rounds: Rounds
+    lifeline: LifelineWatch | None = None
+    spent_us: list[float] = field(default_factory=list)
+    n_rounds: int = 0
+
+    def take_turn(self) -> None:
+        """Run for a while, counted but for its beginning; then stand still again."""
+        clock = _cpu_clock(self.pid)
+        self.run(_SETTLES_S, stop=False)
+        began_s, began_n = time.clock_gettime(clock), self.rounds.n
+        self.run(_COUNTED_S)
+        spent_s, n = time.clock_gettime(clock) - began_s, self.rounds.n - began_n
+        if n and self.rounds.is_driven:
+            self.n_rounds += n
+            self.spent_us.append(spent_s / n * 1e6)
+
+    def run(self, seconds: float, *, stop: bool = True) -> None:
+        """Run with targets that move, as the speech side publishes them."""
+        self._publish(time.monotonic())  # before it looks how old the newest is
+        os.kill(self.pid, signal.SIGCONT)
+        until_s = time.monotonic() + seconds
+        for time_s, _ in ticks(MonotonicClock(), RATE_HZ):
+            if time_s >= until_s:
+                break
+            self._publish(time_s)
+            if self.lifeline is not None:
+                self.lifeline.read()
+        if stop:
+            os.kill(self.pid, signal.SIGSTOP)
+
+    def _publish(self, time_s: float) -> None:
+        self.channel.publish(ServoTargets(time_s + _AHEAD_S, moving_deg(time_s)))
+
+
+class _CountedRounds:
+    """As a client's loop counts them in memory that is shared."""
+
+    def __init__(self, fd: int) -> None:
+        os.ftruncate(fd, _COUNT.size)
+        self._memory = mmap.mmap(fd, 0)
+        self.is_driven = True
+
+    @property
+    def n(self) -> int:
+        """So far."""
+        return int(_COUNT.unpack_from(self._memory, 0)[0])
+
+
+class _BridgeTicks:
+    """As a bridge's live board has them."""
+
+    def __init__(self, board: LiveBoard) -> None:
+        self._board = board
+        self._number = self._n = 0
+        self.is_driven = False
+
+    @property
+    def n(self) -> int:
+        """So far; looks whether servos were driven in all ticks since the last look."""
+        driven = FACE_STATES.index(FaceState.DRIVEN.value)
+        for number, record in self._board.servos_since(self._number):
+            self._number, self._n = number, int(record["n_ticks"])
+            self.is_driven = bool(record["torque_on"]) and int(record["state"]) == driven
+        return self._n
+
+
+@contextmanager
+def client_process(kind: str, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
+    """A loop with dynamixel-sdk or rustypot, standing still; kind: of `client_loop`."""
+    with ExitStack() as stack:
+        writer, reader = (stack.enter_context(end) for end in channel_pair())
+        count = os.memfd_create("rounds")
+        stack.callback(os.close, count)
+        rounds = _CountedRounds(count)
+        command = [sys.executable, "-m", "lipservo_lab.bench.bus.servo_clients", kind, port]
+        numbers = [baud_rate, N_SERVOS, RATE_HZ, reader.fileno(), count]
+        command += [str(each) for each in numbers]
+        process = stack.enter_context(_running(command, [reader.fileno(), count]))
+        _wait_until(lambda: rounds.n > RATE_HZ, process)
+        process.send_signal(signal.SIGSTOP)
+        yield MeasuredProcess(process.pid, SocketTargetChannel(writer), rounds)
+
+
+@contextmanager
+def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[MeasuredProcess]:
+    """A `bridge-process` as a daemon starts it, its servos at full strength, standing still.
+
+    folder: empty; for its face, its socket, and what it writes.
+    """
+    face = folder / "face.yaml"
+    face.write_text(_face_yaml(baud_rate))
+    with ExitStack() as stack:
+        board = stack.enter_context(StatusBoard.create())
+        names = tuple(f"joint_{n + 1}" for n in range(N_SERVOS))
+        layout = BoardLayout("bench", str(face), names, FACE_STATES, (), 1, RATE_HZ)
+        live = stack.enter_context(LiveBoard.create(layout))
+        control = stack.enter_context(ControlSocket.bind(folder / "bench.sock"))
+        writer, reader = (stack.enter_context(end) for end in channel_pair())
+        end, lifeline = lifeline_pair()
+        stack.callback(lifeline.close)
+        request = RunRequest(str(face), SILENCE, port=port, rate_hz=RATE_HZ, quiet=True)
+        command = [sys.executable, "-m", "lipservo", "bridge-process"]
+        command += ["--request", request_json(request), "--control-path", str(control.path)]
+        fds = {
+            "channel": reader.fileno(),
+            "lifeline": end.fileno(),
+            "control": control.fileno(),
+            "board": board.fileno(),
+            "live": live.fileno(),
+        }
+        for name, fd in fds.items():
+            command += [f"--{name}", str(fd)]
+        process = stack.enter_context(_running(command, list(fds.values()), folder))
+        end.close()
+        _wait_until(lambda: Ready() in lifeline.read(), process)
+        rounds, channel = _BridgeTicks(live), SocketTargetChannel(writer)
+        measured = MeasuredProcess(process.pid, channel, rounds, lifeline)
+        measured.run(_FULL_STRENGTH_S)
+        yield measured
+
+
+def _face_yaml(baud_rate: int) -> str:
+    """Ten XL330 as they come, every second one mounted the other way round."""
+    lines = ["name: bench", f"rate_hz: {RATE_HZ:g}", f"bus: {{baud_rate: {baud_rate}}}", "servos:"]
+    for n in range(1, N_SERVOS + 1):
+        lines.append(
+            f"  joint_{n}: {{id: {n}, model: XL330-M288, positive: opens, min_deg: -40, "
+            f"max_deg: 40, max_speed_deg_s: 300, sign: {1 if n % 2 else -1}}}"
+        )
+    return "\n".join(lines) + "\n"
+
+
+@contextmanager
+def _running(
+    command: Sequence[str], fds: Sequence[int], folder: Path | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A process; gone afterwards. folder: where it keeps what it writes."""
+    environment = dict(os.environ)
+    if folder is not None:
+        environment |= {"XDG_STATE_HOME": str(folder), "XDG_RUNTIME_DIR": str(folder)}
+    process = subprocess.Popen(command, pass_fds=list(fds), env=environment)
+    try:
+        yield process
+    finally:
+        process.kill()  # its peer has no other client, and holds no servo
+        process.wait()
+
+
+def _wait_until(condition: Callable[[], bool], process: subprocess.Popen[bytes]) -> None:
+    give_up_s = time.monotonic() + _STARTS_S
+    while not condition():
+        if process.poll() is not None or time.monotonic() > give_up_s:
+            raise RuntimeError(f"a process to measure does not start: {process.args!r}")
+        time.sleep(0.02)
+
+
+def _cpu_clock(pid: int) -> int:
+    """The clock of the processor time of another process, for `time.clock_gettime`."""
+    clock = ctypes.c_int()
+    error = ctypes.CDLL(None).clock_getcpuclockid(pid, ctypes.byref(clock))
+    if error:
+        raise OSError(error, os.strerror(error))
+    return clock.value
+
+
+_WIRE_BAUD_RATE: Final = 1_000_000
+_SIMULATED: Final = ("--servos", str(N_SERVOS), "--baud-rate", str(_WIRE_BAUD_RATE), "--on-time")
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """The same servos for our process and for others.
+
+    peer: opens their port. loops: what the ratio over each loop of `client_loop` is called.
+    """
+
+    peer: Callable[[], AbstractContextManager[str]]
+    baud_rate: int
+    loops: Mapping[str, str]
+    n_turns: int
+
+
+AT_ONCE = Comparison(
+    partial(canned_peer, N_SERVOS, on_time=True),
+    servo_clients.BAUD_RATE,
+    {
+        "sdk": "cpu_process_ratio",
+        "sdk_all_fast": "cpu_process_all_fast_ratio",
+        "sdk_in_turn": "cpu_process_in_turn_ratio",
+        "sdk_waiting": "cpu_process_waiting_ratio",
+        "sdk_in_turn_waiting": "cpu_process_in_turn_waiting_ratio",
+        "rustypot_in_turn": "cpu_process_ratio_rustypot",
+    },
+    n_turns=30,
+)
+ON_THE_WIRE = Comparison(
+    partial(simulated_port, _SIMULATED),
+    _WIRE_BAUD_RATE,
+    {
+        "sdk": "cpu_process_wire_ratio",
+        "sdk_in_turn": "cpu_process_wire_in_turn_ratio",
+        "rustypot_in_turn": "cpu_process_wire_ratio_rustypot",
+    },
+    n_turns=10,
+)
+
+
+def process_ratios() -> dict[str, float]:
+    """CPU a tick of `lipservo bridge-process` over that of a process with another's loop.
+
+    Ours is the process that a daemon starts, whole: grid, control socket, lifeline, targets through
+    a socket, gate, goals written, places read (fast), one servo's health read, supervision, live
+    board. The others: goals through the same socket, written; places read (fast); voltage and
+    temperature of all read (`GroupSyncRead`; `all_fast`: in one frame, too), or, `in_turn`, the
+    very reads of our tick: one servo's health; no gate, no stop, no status.
+
+    User and system time of all threads of a process, by its own clock; medians of the turns, each
+    of some sixty ticks, while the others stand still; `least`: of the least turns. Each has a peer
+    of its own, which answers at once, with real-time scheduling where permitted. dynamixel-sdk
+    polls while it waits for it, which is in its figures; `waiting`: with a port that sleeps
+    instead, which is not the SDK's. `wire`: with simulated servos that take the time of 1 Mbaud, as
+    real ones do; the SDK polls all the while.
+    """
+    at_once, on_the_wire = _turns_us(AT_ONCE), _turns_us(ON_THE_WIRE)
+    figures = {
+        "cpu_process_us": statistics.median(at_once["own"]),
+        "cpu_process_wire_us": statistics.median(on_the_wire["own"]),
+        "cpu_process_ratio_least": min(at_once["own"]) / min(at_once["sdk"]),
+    }
+    for turns_us, comparison in ((at_once, AT_ONCE), (on_the_wire, ON_THE_WIRE)):
+        own_us = statistics.median(turns_us["own"])
+        for kind, name in comparison.loops.items():
+            if kind in turns_us:
+                figures[name] = own_us / statistics.median(turns_us[kind])
+    return figures
+
+
+def _turns_us(comparison: Comparison) -> dict[str, list[float]]:
+    """CPU a tick of every turn in which servos were driven, by loop, ours called `own`."""
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-"))
+        port, rate = stack.enter_context(comparison.peer()), comparison.baud_rate
+        ours = bridge_process(Path(folder), port, rate)
+        loops: dict[str, MeasuredProcess] = {"own": stack.enter_context(ours)}
+        for kind in comparison.loops:
+            if "rustypot" not in kind or find_spec("rustypot") is not None:
+                port = stack.enter_context(comparison.peer())
+                loops[kind] = stack.enter_context(client_process(kind, port, rate))
+        for _ in range(comparison.n_turns):
+            for each in loops.values():
+                each.take_turn()
+        return {kind: each.spent_us for kind, each in loops.items() if each.spent_us}

@@ -1,0 +1,176 @@
+"""Processor time of a whole tick of the bridge, beside the same servo traffic by others."""
+
+import statistics
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from typing import Final, Protocol
+
+import numpy as np
+
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.wire.line import Transport
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from lipservo_lab.bench.bus.servo_clients import (
+    BAUD_RATE,
+    AnswerLost,
+    RustypotClient,
+    SdkClient,
+    ServoClient,
+    canned_peer,
+)
+
+N_SERVOS: Final = 20
+_IDS: Final = list(range(1, N_SERVOS + 1))
+#: What the ratios over each of them are called: cpu_tick*_ratio.
+_KEYS: Final = {"sdk": "", "sdk_all_fast": "_all_fast", "rustypot": "_rustypot"}
+_RATE_HZ: Final = 100.0
+#: Until every servo has its full strength, which takes a second; the others get as many calls.
+_SETTLES_S: Final = 0.1
+_WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 80, 10
+
+
+class Client(Protocol):
+    """Moves and watches the servos, one call at a time."""
+
+    def prepare(self, n: int) -> None:
+        """What is new for call n; not timed."""
+
+    def work(self) -> object:
+        """One round; timed."""
+
+
+def tick_ratios() -> dict[str, float]:
+    """CPU of `Bridge.tick` over that of dynamixel-sdk's three calls: least and median calls.
+
+    Ours: targets, gate, goals written, places read, one servo's health read, supervision, tracking.
+    dynamixel-sdk: goals written, places read (fast sync read), voltage and temperature of all read
+    (sync read; `all_fast`: fast, too); each value fetched as its examples do; no gate, and no
+    hardware errors, which lie elsewhere. rustypot, where installed: the same, all fast.
+    Thread CPU time of every call, in interleaved blocks of ten, beside peers that answer at once:
+    wire time, during which dynamixel-sdk polls and we sleep, is left out. It polls while it waits
+    for a peer, too: least calls have the least of that, medians the usual. Its LATENCY_TIMER only
+    says when it gives up, so it is left as it comes; calls whose answer was lost do not count.
+    """
+    with ExitStack() as stack:
+        clients: dict[str, Client] = {
+            "own": stack.enter_context(own_tick()),
+            "sdk": OthersTick(SdkClient(_peer(stack), N_SERVOS)),
+            "sdk_all_fast": OthersTick(SdkClient(_peer(stack), N_SERVOS, "all_fast")),
+        }
+        if find_spec("rustypot") is not None:
+            clients["rustypot"] = OthersTick(RustypotClient(_peer(stack), N_SERVOS))
+        spent_us = _calls_us(clients)
+    least = {name: min(each) for name, each in spent_us.items()}
+    middle = {name: statistics.median(each) for name, each in spent_us.items()}
+    figures = {"cpu_tick_us": least["own"], "cpu_tick_median_us": middle["own"]}
+    for name in [name for name in clients if name != "own"]:
+        key = f"cpu_tick{_KEYS[name]}_ratio"
+        figures[key] = least["own"] / least[name]
+        figures[f"{key}_median"] = middle["own"] / middle[name]
+    return figures
+
+
+def _peer(stack: ExitStack) -> str:
+    return stack.enter_context(canned_peer(N_SERVOS))
+
+
+def _calls_us(clients: dict[str, Client]) -> dict[str, list[float]]:
+    """CPU time of every call that got its answers, by client, in microseconds."""
+    spent_us: dict[str, list[float]] = {name: [] for name in clients}
+    n = 0
+    for block in range(_WARM_UP_BLOCKS + _BLOCKS):
+        for name, client in clients.items():
+            for call in range(n, n + _CALLS):
+                client.prepare(call)
+                begun_ns = time.thread_time_ns()
+                try:
+                    client.work()
+                except AnswerLost:
+                    time.sleep(_SETTLES_S)  # or the next question would get the late answer
+                    continue
+                spent_ns = time.thread_time_ns() - begun_ns
+                if block >= _WARM_UP_BLOCKS:
+                    spent_us[name].append(spent_ns * 1e-3)
+        n += _CALLS
+    return spent_us
+
+
+def moving_deg(n: int) -> np.ndarray:
+    """Where the joints are wanted in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + 0.3 * np.arange(N_SERVOS)))
+
+
+@contextmanager
+def own_tick() -> Iterator["OwnTick"]:
+    """A started bridge over twenty servos that a canned peer plays."""
+    with canned_peer(N_SERVOS) as port:
+        tick = OwnTick(port)
+        with tick.bus:
+            tick.bridge.start()
+            yield tick
+
+
+class _Unhurried:
+    """A port whose answers may be late: other work of this computer is no fault of the servos."""
+
+    baud_rate = BAUD_RATE
+
+    def __init__(self, transport: Transport) -> None:
+        self.clock = transport.clock
+        self.write = transport.write
+        self.discard_input = transport.discard_input
+        self.close = transport.close
+        self._read = transport.read
+
+    def read(self, deadline_s: float) -> bytes:
+        """As that of the port, a second later."""
+        return self._read(deadline_s + 1.0)
+
+
+class OwnTick:
+    """A bridge as `run` makes it, on a clock that moves 10 ms a tick and waits for nobody."""
+
+    def __init__(self, port: str) -> None:
+        model = servo_models()["XL330-M288"]
+        joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in _IDS]
+        servos = [MountedServo(joint, model, 1 if n % 2 else -1) for n, joint in enumerate(joints)]
+        self._clock = ManualClock()
+        self._channel = MemoryTargetChannel()
+        self._time_s = 0.0
+        self.bus = DynamixelBus(servos, lambda: _Unhurried(open_port(port, BAUD_RATE, self._clock)))
+        self.bridge = Bridge(self.bus, joints, self._channel, BridgeSettings(_RATE_HZ))
+
+    def prepare(self, n: int) -> None:
+        """The next grid time, and a target for the moment after it."""
+        self._time_s = max(self._time_s + 1.0 / _RATE_HZ, self._clock.now())
+        self._clock.sleep_until(self._time_s)
+        self._channel.publish(ServoTargets(self._time_s + 0.5 / _RATE_HZ, moving_deg(n)))
+
+    def work(self) -> object:
+        """The tick."""
+        return self.bridge.tick(self._time_s)
+
+
+class OthersTick:
+    """The same motion as position registers, by another client."""
+
+    def __init__(self, client: ServoClient) -> None:
+        self._client = client
+
+    def prepare(self, n: int) -> None:
+        """Twenty registers."""
+        pulses = 2048 + moving_deg(n) * (4096 / 360)
+        self._client.goals = pulses.astype(np.int64).tolist()
+
+    def work(self) -> object:
+        """The round."""
+        return self._client.work()

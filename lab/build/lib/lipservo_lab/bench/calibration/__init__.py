@@ -1,0 +1,1 @@
+"""Calibration measured on robots that its fits were not made for."""

@@ -1,0 +1,326 @@
+"""The figures of `lipservo bench calibration`: whole procedures on simulated robots, scored.
+
+Every seed draws a robot (geometry, backlash, lags). What fits sees `move` and `measure` only; the
+score is taken on markers without noise, with the backlash as it lies.
+
+How far the mouth is from its sound on servos that are late, with and without compensation.
+"""
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.calibration import Calibration, CalibrationError
+from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
+from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm
+from calibration.fit.procedure import Procedure
+from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM, nearest_poses_deg
+from calibration.fit.servo_response import identify, lag_between_s
+from calibration.grade import CLOSED_GAP_MM
+from calibration.mouth_servos import JointRange, MouthServos
+from calibration.run.compensation import BacklashCompensation, Follower
+from calibration.simulated.face import JAW
+from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, true_markers_mm
+from calibration.simulated.servos import SimulatedServos
+from lipservo.settings.settings import FaceSettings, load_shipped_face
+from lipsync.animpho.units import FaceWithAnimPhos, load_face_with_animphos
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+from lipsync.phonemes import SILENCE
+
+_RATE_HZ = 100.0
+LOOK_AHEAD_S = 0.200
+#: Phones of speech last about this long (GRID and TIMIT: 80 to 100 ms on average).
+_PHONE_S = 0.09
+_N_PHONES, _PHONES_A_WALK = 220, 8
+#: The error is taken in windows of this length, twice as many as fit end to end.
+_WINDOW_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class SyncErrors:
+    """Time between the speaker's lip gap and the robot's, rms over windows.
+
+    gap_r: correlation of the two gaps in motion, after compensation.
+    """
+
+    before_rms_ms: float
+    after_rms_ms: float
+    gap_r: float
+
+
+def sync_errors(
+    model: FaceWithAnimPhos,
+    calibration: Calibration,
+    draw: RobotDraw,
+    servos: SimulatedServos,
+    seed: int,
+) -> SyncErrors:
+    """Twenty seconds of AnimPhos, through map, follower, late servos and backlash."""
+    motion = _motion(model, np.random.default_rng([seed, 3]))
+    wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
+    poses_deg = np.array([calibration.positions_deg(frame) for frame in motion])
+    before_mm = _gap_mm(draw, servos, poses_deg)
+    follower = Follower(
+        calibration.following, poses_deg.shape[1], 1.0 / _RATE_HZ, look_ahead_s=LOOK_AHEAD_S
+    )
+    goals_deg = np.array([follower.feed(pose) for pose in poses_deg])
+    # Fed in advance: what is asked for at one instant is shown so much later.
+    early = round(follower.advance_s * _RATE_HZ)
+    after_mm = _gap_mm(draw, servos, goals_deg)
+    late_s = _lags_s(wanted_mm, after_mm) - follower.advance_s
+    shown = slice(early, None)
+    return SyncErrors(
+        before_rms_ms=_rms(_lags_s(wanted_mm, before_mm)) * 1e3,
+        after_rms_ms=_rms(late_s) * 1e3,
+        gap_r=float(np.corrcoef(wanted_mm[: len(after_mm) - early], after_mm[shown])[0, 1]),
+    )
+
+
+def _motion(model: FaceWithAnimPhos, rng: np.random.Generator) -> Array:
+    """(n, n_components) at 100 Hz: walks without pauses through AnimPhos that may follow.
+
+    Each walk is short, as some AnimPhos lead round in a circle, and of a motion that repeats itself
+    nobody can say how late it is.
+    """
+    speaking = np.setdiff1d(np.arange(len(model.animphos)), model.animphos.of_phoneme(SILENCE))
+    animpho = int(rng.choice(speaking))
+    frames = [model.rest[None]]
+    for phone in range(_N_PHONES):
+        frames.append(model.animphos.samples[animpho, 1:-1])
+        following = np.intersect1d(model.animphos.successors[animpho], speaking)
+        goes_on = len(following) > 0 and (phone + 1) % _PHONES_A_WALK > 0
+        animpho = int(rng.choice(following if goes_on else speaking))
+    keys = np.concatenate(frames)
+    key_s = np.arange(len(keys)) * _PHONE_S / 3
+    times_s = np.arange(0.0, key_s[-1], 1.0 / _RATE_HZ)
+    return np.stack([np.interp(times_s, key_s, column) for column in keys.T], axis=1)
+
+
+def _gap_mm(draw: RobotDraw, servos: SimulatedServos, goals_deg: Array) -> Array:
+    """(n,): the robot's lip gap, shafts late and horns with backlash."""
+    shafts_deg = servos.shafts_deg(goals_deg, _RATE_HZ)
+    horns_deg = np.empty_like(shafts_deg)
+    horn, half_deg = shafts_deg[0], draw.backlash_deg / 2
+    for n, shaft in enumerate(shafts_deg):
+        horn = np.clip(horn, shaft - half_deg, shaft + half_deg)
+        horns_deg[n] = horn
+    markers_mm = true_markers_mm(draw, horns_deg)
+    return np.asarray(
+        markers_mm[:, MARKERS_47.upper_lip, 1] - markers_mm[:, MARKERS_47.lower_lip, 1]
+    )
+
+
+def _lags_s(wanted: Array, seen: Array) -> Array:
+    """(n_windows,): how much later `seen` is, window by window."""
+    length = round(_WINDOW_S * _RATE_HZ)
+    starts = range(0, len(wanted) - length, length // 2)
+    return np.array(
+        [lag_between_s(wanted[s : s + length], seen[s : s + length], _RATE_HZ) for s in starts]
+    )
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+N_POSES = 60
+#: A shape counts as reachable when the best pose is within this, rms over the lips.
+REACHABLE_MM = 0.5
+#: A person who puts a mouth into a pose by eye, with keys of one degree: off by so much, rms
+#: (assumed, not observed: three key presses, one for a jaw, which moves the lip by 1.6 mm).
+PERSON_DEG, PERSON_JAW_DEG = 3.0, 1.0
+_LARGE_IS_GOOD = ("reachable", "literal_copy_reachable", "gap_r", "closure_touch", "moving_gap_r")
+
+
+@dataclass(frozen=True, slots=True)
+class SeedFigures:
+    """One robot. Names as in the table of docs/benchmarks.md; rms over frames and lip markers."""
+
+    heldout_rms_mm: float
+    heldout_all_markers_rms_mm: float
+    heldout_every_shape_rms_mm: float
+    reachable: float
+    literal_copy_reachable: float
+    guided_rms_mm: float
+    gap_r: float
+    closure_touch: float
+    map_us: float
+    procedure_s: float
+    sync_error_rms_ms: float
+    sync_error_before_rms_ms: float
+    moving_gap_r: float
+
+
+def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> SeedFigures:
+    """Calibrate one simulated robot from capture to lags, and score it."""
+    servos = MouthServos(
+        joints=tuple(JointRange(j.name, j.min_deg, j.max_deg) for j in settings.joints()),
+        face_checksum=settings.checksum,
+        positive=tuple(servo.positive for servo in settings.servos.values()),
+    )
+    joints = servos.joints
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    draw = draw_robot(rest_mm, servos.names, seed)
+    robot = SimulatedRobot(draw, noise_seed=seed)
+    late_servos = SimulatedServos.drawn(len(joints), seed)
+
+    began_s = time.perf_counter()
+    procedure = Procedure(model, joints, N_POSES, seed=seed)
+    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    fit = fit_measured(model, capture, servos)
+    following = identify(late_servos.encoders_deg, joints, fit.face.backlash_deg)
+    procedure_s = time.perf_counter() - began_s
+
+    fit = replace(fit, calibration=replace(fit.calibration, following=following))
+    shapes = _score_shapes(model, fit, draw, servos, seed)
+    sync = sync_errors(model, fit.calibration, draw, late_servos, seed)
+    return _figures(shapes, sync, _map_time_us(model, fit), procedure_s)
+
+
+def calibration_figures(seeds: Iterable[int]) -> dict[str, float]:
+    """Medians over the seeds under the names of the table; `worst_` and the worst seed for each."""
+    model, settings = load_face_with_animphos(), load_shipped_face("face_sim")
+    found = [measure_seed(model, settings, seed) for seed in seeds]
+    figures: dict[str, float] = {}
+    for field in fields(SeedFigures):
+        values = [float(getattr(seed, field.name)) for seed in found]
+        figures[field.name] = float(np.median(values))
+        figures[f"worst_{field.name}"] = (min if field.name in _LARGE_IS_GOOD else max)(values)
+    figures["worst_rms_mm"] = figures.pop("worst_heldout_rms_mm")
+    return figures
+
+
+def read_seeds(text: str) -> list[int]:
+    """`3` or `0-19`. Raises CalibrationError for anything else."""
+    parts = text.split("-")
+    if len(parts) > 2 or not all(part.isdecimal() for part in parts):
+        raise CalibrationError(f"--seeds {text}: expected one number or a range such as 0-19")
+    seeds = list(range(int(parts[0]), int(parts[-1]) + 1))
+    if not seeds:
+        raise CalibrationError(f"--seeds {text}: the first is larger than the last")
+    return seeds
+
+
+def _map_time_us(model: FaceWithAnimPhos, fit: MeasuredFit) -> float:
+    """Median time of one `positions_deg`, over ten blocks of a hundred."""
+    frames = model.animphos.frames[:100]
+    times_s = []
+    for _ in range(10):
+        began_s = time.perf_counter()
+        for frame in frames:
+            fit.calibration.positions_deg(frame)
+        times_s.append((time.perf_counter() - began_s) / len(frames))
+    return float(np.median(times_s)) * 1e6
+
+
+@dataclass(frozen=True, slots=True)
+class _ShapeScores:
+    apart_mm: Array
+    all_apart_mm: Array
+    guided_apart_mm: Array
+    reachable: NDArray[np.bool_]
+    literal: NDArray[np.bool_]
+    gap_mm: Array
+    human_gap_mm: Array
+
+
+def _figures(
+    shapes: _ShapeScores, sync: SyncErrors, map_us: float, procedure_s: float
+) -> SeedFigures:
+    closed = shapes.human_gap_mm <= CLOSED_GAP_MM
+    reached = shapes.reachable
+    return SeedFigures(
+        heldout_rms_mm=_rms(shapes.apart_mm[reached]),
+        heldout_all_markers_rms_mm=_rms(shapes.all_apart_mm[reached]),
+        heldout_every_shape_rms_mm=_rms(shapes.apart_mm),
+        reachable=float(reached.mean()),
+        literal_copy_reachable=float(shapes.literal.mean()),
+        guided_rms_mm=_rms(shapes.guided_apart_mm[reached]),
+        gap_r=float(np.corrcoef(shapes.gap_mm, shapes.human_gap_mm)[0, 1]),
+        closure_touch=float((shapes.gap_mm[closed] <= 0.0).mean()),
+        map_us=map_us,
+        procedure_s=procedure_s,
+        sync_error_rms_ms=sync.after_rms_ms,
+        sync_error_before_rms_ms=sync.before_rms_ms,
+        moving_gap_r=sync.gap_r,
+    )
+
+
+def _score_shapes(
+    model: FaceWithAnimPhos, fit: MeasuredFit, draw: RobotDraw, servos: MouthServos, seed: int
+) -> _ShapeScores:
+    """On the held-out frames, sent one after another with backlash made up for as live."""
+
+    def truth(output_deg: Array) -> Array:
+        return true_markers_mm(draw, output_deg)
+
+    limits = servos.limits_deg
+    targets_mm = fit.retargeting.targets_mm(fit.held_out - model.rest)
+    shape_features, lips = fit.names.shape_features, list(MARKERS_47.lips)
+
+    def best_apart_mm(wanted_mm: Array) -> Array:
+        best_deg = nearest_poses_deg(truth, shape_features.of(wanted_mm), shape_features, limits)
+        return lips_apart_mm(truth(best_deg), wanted_mm, lips)
+
+    robot = SimulatedRobot(draw)
+    backlash = BacklashCompensation(fit.face.backlash_deg)
+    seen_mm = np.empty_like(targets_mm)
+    for frame, coefficients in enumerate(fit.held_out):
+        robot.move(backlash.feed(fit.calibration.positions_deg(coefficients)))
+        seen_mm[frame] = robot.true_markers_mm()
+    rest_mm = model.markers_mm(model.rest[None])
+    copies_mm = draw.face.neutral_mm + fit.retargeting.scale * (
+        model.markers_mm(fit.held_out) - rest_mm
+    )
+    guided = _guided_apart_mm(model, fit, draw, servos, targets_mm, seed)
+    return _ShapeScores(
+        apart_mm=lips_apart_mm(seen_mm, targets_mm, lips),
+        all_apart_mm=lips_apart_mm(seen_mm, targets_mm, list(range(len(MARKERS_47.names)))),
+        guided_apart_mm=guided,
+        reachable=best_apart_mm(targets_mm) <= REACHABLE_MM,
+        literal=best_apart_mm(copies_mm) <= REACHABLE_MM,
+        gap_mm=seen_mm[:, MARKERS_47.upper_lip, 1] - seen_mm[:, MARKERS_47.lower_lip, 1],
+        human_gap_mm=np.array([model.lip_gap_mm(frame) for frame in fit.held_out]),
+    )
+
+
+def _guided_apart_mm(
+    model: FaceWithAnimPhos,
+    fit: MeasuredFit,
+    draw: RobotDraw,
+    servos: MouthServos,
+    targets_mm: Array,
+    seed: int,
+) -> Array:
+    """A person makes the landmark poses by eye; the score's targets are the measured ones.
+
+    The person is shown the speaker's mouth, as large as the robot's and exaggerated as usual, finds
+    the pose nearest to it, and is off by a few key presses.
+    """
+
+    def truth(output_deg: Array) -> Array:
+        return true_markers_mm(draw, output_deg)
+
+    limits = servos.limits_deg
+    poses = landmark_poses(model)
+    shown_mm = model.markers_mm(np.array([pose.coefficients for pose in poses]))
+    neutral_mm, closed_mm = truth(np.zeros((1, len(servos.joints))))[0], shown_mm[0]
+    right, left = fit.names.corners
+    size = (neutral_mm[left, 0] - neutral_mm[right, 0]) / (closed_mm[left, 0] - closed_mm[right, 0])
+    scale = np.full(3, MOST_EXAGGERATION * size)
+    gaps_mm = scale * fit.names.shape_features.gaps_mm(shown_mm)
+    gaps_mm[..., 1] -= scale[1] * CLOSED_GAP_MM + PRESS_MM
+    wanted = fit.names.shape_features.of(neutral_mm + scale * (shown_mm - closed_mm), gaps_mm)
+    best_deg = nearest_poses_deg(truth, wanted, fit.names.shape_features, limits)
+    off_deg = np.where([j.name == JAW for j in servos.joints], PERSON_JAW_DEG, PERSON_DEG)
+    noise = np.random.default_rng([seed, 2]).normal(size=best_deg.shape)
+    made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
+    made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch
+    made = {pose.name: degrees for pose, degrees in zip(poses, made_deg, strict=True)}
+    guided = fit_guided(model, servos, made)
+    angles_deg = np.array([guided.positions_deg(frame) for frame in fit.held_out])
+    return lips_apart_mm(truth(angles_deg), targets_mm, list(MARKERS_47.lips))

@@ -1,0 +1,171 @@
+"""`lipservo bench calibration --family elastic`: whole calibrations of elastic robots, scored.
+
+What fits sees `move` and `measure` only, and what a face's YAML says. The score is taken on speech
+that was left out, against the shapes of wanted_shapes.py, by the true lips and the force between
+them; beside it the textbook's way from the same capture.
+"""
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from calibration.calibration import CalibrationError
+from calibration.capture.capture import Capture, Robot
+from calibration.fit.measured import fit_measured, split_frames
+from calibration.fit.procedure import Procedure, take_grade
+from calibration.grade import lips_off_mm
+from calibration.mouth_servos import MouthServos
+from calibration.simulated.elastic_robot import ElasticFace
+from calibration.simulated.robot import SimulatedRobot
+from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
+from lipservo_lab.bench.calibration.hard_captures import count_faults, refusals
+from lipservo_lab.bench.calibration.shipped_ways import way_figures
+from lipservo_lab.bench.calibration.shown_motion import (
+    Motion,
+    WantedShapes,
+    behind_play,
+    played,
+    rival_poses_deg,
+    shown,
+    wanted_shapes,
+)
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.markers import MARKERS_47
+
+N_POSES = 60
+N_FRAMES = 400
+_GOOD_GRADE = (0.8, 1.3)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotScore:
+    """One robot. Millimetres rms over frames and lips, shares 0..1; printed_mm: its own grade."""
+
+    n_servos: int
+    true_mm: float
+    rival_mm: float
+    printed_mm: float
+    gap_r: float
+    gap_slope: float
+    small_gaps_shut: float
+    closures_touch: float
+    closure_force_ratio: float
+    rival_small_gaps_shut: float
+    rival_closures_touch: float
+    rival_force_ratio: float
+
+
+def score_robot(model: FaceWithAnimPhos, seed: int, n_servos: int | None = None) -> RobotScore:
+    """Calibrate one robot from capture to grade. Raises CalibrationError where it is refused."""
+    draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
+    face = ElasticFace(draw)
+    robot = SimulatedRobot(face, noise_seed=seed)
+    procedure = Procedure(model, servos.joints, N_POSES, seed=seed, positive=servos.positive)
+    capture = procedure.capture(MARKERS_47.names, robot.move, robot.measure)
+    fit = fit_measured(model, capture, servos)
+    fit = take_grade(fit, servos, MARKERS_47.names, Robot(robot.move, robot.measure))
+    assert fit.calibration.grade is not None
+    frames = split_frames(model, 0)[1][:N_FRAMES]
+    wanted = wanted_shapes(model, face, servos, frames)
+    ours = shown(face, played(face, fit.calibration, frames), wanted)
+    rival = _rival(face, servos, capture, wanted)
+    return RobotScore(
+        n_servos=len(servos.joints),
+        true_mm=ours.off_mm,
+        rival_mm=rival.off_mm,
+        printed_mm=lips_off_mm(fit.calibration.grade, fit.calibration.learnt_lips),
+        gap_r=ours.gap_r,
+        gap_slope=ours.gap_slope,
+        small_gaps_shut=ours.shut,
+        closures_touch=ours.touch,
+        closure_force_ratio=ours.force_ratio,
+        rival_small_gaps_shut=rival.shut,
+        rival_closures_touch=rival.touch,
+        rival_force_ratio=rival.force_ratio,
+    )
+
+
+def elastic_figures(seeds: Iterable[int], ways_seed: int | None = None) -> dict[str, object]:
+    """Medians over the robots that were not refused; `worst_rms_mm` of the worst of them.
+
+    ways_seed: of the robots that every shipped way is tried on, as `ways`; None: none.
+    """
+    from lipsync.animpho.units import load_face_with_animphos
+
+    model = load_face_with_animphos()
+    rest_mm = model.markers_mm(model.rest[None])[0]
+    scores, refused = {}, {}
+    refused_with: dict[str, dict[str, str]] = {}
+    tried = named = misnamed = 0
+    for seed in seeds:
+        try:
+            scores[seed] = score_robot(model, seed)
+        except CalibrationError as error:
+            refused[seed] = str(error)
+        draw, servos = draw_elastic_robot(rest_mm, seed)
+        for tracker, why in refusals(model, ElasticFace(draw), servos, seed).items():
+            refused_with.setdefault(tracker, {}).update({} if why is None else {str(seed): why})
+        for count in count_faults(model, ElasticFace(draw), servos, seed).values():
+            tried, named = tried + count.tried, named + count.named
+            misnamed += count.misnamed
+    ways = {} if ways_seed is None else {"ways": way_figures(model, ways_seed)}
+    return {
+        **summary(scores, refused),
+        **ways,
+        "refused_with": refused_with,
+        "faults_named": named / max(tried, 1),
+        "faults_misnamed": misnamed / max(tried, 1),
+    }
+
+
+def summary(scores: Mapping[int, RobotScore], refused: Mapping[int, str]) -> dict[str, object]:
+    """The figures of the issue, and those beside them."""
+    found = list(scores.values())
+
+    def middle(value: Callable[[RobotScore], float]) -> float:
+        return float(np.median([value(score) for score in found])) if found else float("nan")
+
+    grades = np.array([score.printed_mm / score.true_mm for score in found])
+    good = (grades >= _GOOD_GRADE[0]) & (grades <= _GOOD_GRADE[1])
+    return {
+        "family": "elastic",
+        "robots": len(scores) + len(refused),
+        "true_rms_mm": middle(lambda s: s.true_mm),
+        "worst_rms_mm": max((s.true_mm for s in found), default=float("nan")),
+        "gap_r": middle(lambda s: s.gap_r),
+        "gap_slope": middle(lambda s: s.gap_slope),
+        "small_gaps_shut": middle(lambda s: s.small_gaps_shut),
+        "worst_small_gaps_shut": max((s.small_gaps_shut for s in found), default=float("nan")),
+        "closures_touch": middle(lambda s: s.closures_touch),
+        "worst_closures_touch": min((s.closures_touch for s in found), default=float("nan")),
+        "closure_force_ratio": middle(lambda s: s.closure_force_ratio),
+        "best_rival_ratio": middle(lambda s: s.true_mm / s.rival_mm),
+        "rival_rms_mm": middle(lambda s: s.rival_mm),
+        "rival_small_gaps_shut": middle(lambda s: s.rival_small_gaps_shut),
+        "rival_closures_touch": middle(lambda s: s.rival_closures_touch),
+        "rival_closure_force_ratio": middle(lambda s: s.rival_force_ratio),
+        "grade_over_truth": float(np.median(grades)) if found else float("nan"),
+        "grades_within": float(good.mean()) if found else 0.0,
+        "healthy_refused": len(refused),
+        "refused": {str(seed): reason for seed, reason in refused.items()},
+        "each": {
+            str(seed): {f.name: getattr(score, f.name) for f in fields(score)}
+            for seed, score in scores.items()
+        },
+    }
+
+
+def _rival(
+    face: ElasticFace, servos: MouthServos, capture: Capture, wanted: WantedShapes
+) -> Motion:
+    """The better of straight and quadratic, by the truth: no rival of ours is weak."""
+    both = [
+        shown(
+            face,
+            behind_play(face, rival_poses_deg(capture, servos, wanted.features, degree)),
+            wanted,
+        )
+        for degree in (1, 2)
+    ]
+    return min(both, key=lambda motion: motion.off_mm)

@@ -1,0 +1,206 @@
+"""Healthy elastic robots before trackers that are worse: who is refused all the same.
+
+Fifteen markers in place of 47; a millimetre of noise in each axis in place of half of one; one
+reading in a hundred that is anywhere within three centimetres.
+
+What can be wrong with a capture, done to elastic robots on purpose, and whether it is named.
+
+Rightly: the first thing that is said names the fault, and the servo where one is to blame. Wrongly:
+another servo or another fault is named. The rest is silence.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calibration.calibration import CalibrationError
+from calibration.capture.capture import Capture, capture_poses
+from calibration.capture.sanity import check_capture
+from calibration.fit.procedure import Procedure
+from calibration.mouth_servos import MouthServos
+from calibration.simulated.elastic_robot import ElasticFace
+from calibration.simulated.robot import SENSOR_NOISE_MM, SimulatedRobot
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+_N_POSES = 60
+_SLIP_DEG = 12.0
+#: Words of which one must be in what is said, and none of the others' words may be.
+_WORDS: Mapping[str, tuple[str, ...]] = {
+    "dead": ("moves no marker", "stopped moving"),
+    "stuck": ("stopped moving",),
+    "slipped": ("slipped",),
+    "reversed": ("is reversed",),
+    "lips exchanged": ("changed places", "exchanged"),
+    "half scale": ("scale",),
+    "double scale": ("scale",),
+    "pixels": ("pixels",),
+    "mirrored": ("mirrored",),
+    "upside down": ("upside down",),
+    "back to front": ("back to front",),
+    "knocked": ("moved by", "another one than before"),
+    "hand-held": ("moved by",),
+}
+#: Faults with a servo to blame.
+_OF_A_SERVO = ("dead", "stuck", "slipped", "reversed")
+
+
+@dataclass(frozen=True, slots=True)
+class FaultCount:
+    """Of so many tries."""
+
+    tried: int
+    named: int
+    misnamed: int
+
+
+def count_faults(
+    model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, seed: int
+) -> dict[str, FaultCount]:
+    """Every fault once on one robot; the servo to blame is drawn by the seed."""
+    rng = np.random.default_rng([seed, 23])
+    joint = int(rng.integers(len(servos.joints)))
+    return {
+        fault: _told(
+            model, servos, fault, joint, _captured(model, face, servos, fault, joint, seed)
+        )
+        for fault in _WORDS
+    }
+
+
+def _captured(
+    model: FaceWithAnimPhos,
+    face: ElasticFace,
+    servos: MouthServos,
+    fault: str,
+    joint: int,
+    seed: int,
+) -> Capture:
+    robot = SimulatedRobot(face, noise_seed=seed)
+    plan = Procedure(model, servos.joints, _N_POSES, seed=seed).whole_range_plan()
+    middle, moves = len(plan) // 2, [0]
+    stuck_deg = [0.0]
+
+    def move(goal_deg: Array) -> Array:
+        pose, given = moves[0] // 2, goal_deg.copy()
+        moves[0] += 1
+        if fault == "dead":
+            given[joint] = 0.0
+        elif fault == "reversed":
+            given[joint] = -given[joint]
+        elif fault == "slipped" and pose >= middle:
+            given[joint] += _SLIP_DEG
+        elif fault == "stuck":
+            if pose >= middle:
+                given[joint] = stuck_deg[0]
+            stuck_deg[0] = given[joint]
+        robot.move(given)
+        return goal_deg
+
+    seen = capture_poses(plan, MARKERS_47.names, move, robot.measure)
+    return replace(seen, markers_mm=_as_seen(fault, seen.markers_mm, seed))
+
+
+def _as_seen(fault: str, markers_mm: Array, seed: int) -> Array:
+    rng = np.random.default_rng([seed, 29])
+    of: Mapping[str, Callable[[Array], Array]] = {
+        "lips exchanged": _lips_exchanged,
+        "half scale": lambda mm: 0.5 * mm,
+        "double scale": lambda mm: 2.0 * mm,
+        "pixels": lambda mm: mm * [6.0, -6.0, 0.0] + [640.0, 360.0, 0.0],
+        "mirrored": lambda mm: mm * [-1.0, 1.0, 1.0],
+        "upside down": lambda mm: mm * [1.0, -1.0, 1.0],
+        "back to front": lambda mm: mm * [1.0, 1.0, -1.0],
+        "knocked": lambda mm: _knocked(mm),
+        "hand-held": lambda mm: mm + rng.normal(0.0, 4.0, (len(mm), 1, 3)),
+    }
+    return of[fault](markers_mm) if fault in of else markers_mm
+
+
+def _lips_exchanged(markers_mm: Array) -> Array:
+    upper, lower = MARKERS_47.upper_lip, MARKERS_47.lower_lip
+    other = markers_mm.copy()
+    other[:, [upper, lower]] = markers_mm[:, [lower, upper]]
+    return other
+
+
+def _knocked(markers_mm: Array) -> Array:
+    other = markers_mm.copy()
+    other[len(other) // 2 :] += [5.0, -3.0, 2.0]
+    return other
+
+
+def _told(
+    model: FaceWithAnimPhos, servos: MouthServos, fault: str, joint: int, capture: Capture
+) -> FaultCount:
+    try:
+        said = list(check_capture(capture, model, servos.positive).warnings)
+    except CalibrationError as error:
+        said = [str(error)]
+    said = [line for line in said if " is weak or dead" not in line and "far off" not in line]
+    blamed = [name for name in servos.names if any(f"servo {name!r}" in line for line in said)]
+    right = servos.names[joint]
+    named = any(word in line for line in said for word in _WORDS[fault])
+    rightly = named and blamed == ([right] if fault in _OF_A_SERVO else [])
+    return FaultCount(1, int(rightly), int(bool(said) and not rightly))
+
+
+_FEW = (
+    "inner_lip_13", "inner_lip_14", "inner_lip_82", "inner_lip_87", "inner_lip_312",
+    "inner_lip_317", "outer_lip_61", "outer_lip_291", "outer_lip_0", "outer_lip_17", "outer_lip_39",
+    "outer_lip_269", "outer_lip_181", "outer_lip_405", "chin_199",
+)  # fmt: skip
+_OUTLIERS, _ANYWHERE_MM = 0.01, 30.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Tracker:
+    """marker_names: of those that it sees; disturbed: what it makes of (n_markers, 3)."""
+
+    marker_names: tuple[str, ...] = MARKERS_47.names
+    noise_mm: float = SENSOR_NOISE_MM
+    disturbed: Callable[[Array, np.random.Generator], Array] = lambda seen_mm, _: seen_mm
+
+
+def _with_outliers(seen_mm: Array, rng: np.random.Generator) -> Array:
+    wild = rng.random((len(seen_mm), 1)) < _OUTLIERS
+    return np.where(
+        wild, seen_mm + rng.uniform(-_ANYWHERE_MM, _ANYWHERE_MM, seen_mm.shape), seen_mm
+    )
+
+
+_TRACKERS: Mapping[str, _Tracker] = {
+    "15 markers": _Tracker(marker_names=_FEW),
+    "1 mm of noise": _Tracker(noise_mm=1.0),
+    "1 % of outliers": _Tracker(disturbed=_with_outliers),
+}
+
+
+def refusals(
+    model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, seed: int
+) -> dict[str, str | None]:
+    """For each tracker why the robot is refused, if it is: from the first pose to the last."""
+    return {
+        name: _refusal(model, face, servos, tracker, seed) for name, tracker in _TRACKERS.items()
+    }
+
+
+def _refusal(
+    model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, tracker: _Tracker, seed: int
+) -> str | None:
+    robot = SimulatedRobot(face, noise_seed=seed, noise_mm=tracker.noise_mm)
+    rng = np.random.default_rng([seed, 41])
+    seen = [MARKERS_47.names.index(name) for name in tracker.marker_names]
+    procedure = Procedure(model, servos.joints, _N_POSES, seed=seed, positive=servos.positive)
+    try:
+        capture = procedure.capture(
+            tracker.marker_names,
+            robot.move,
+            lambda: tracker.disturbed(robot.measure()[seen], rng),
+        )
+        check_capture(capture, model, servos.positive)
+    except CalibrationError as error:
+        return str(error)
+    return None

@@ -1,0 +1,208 @@
+"""Every way to a calibration that is shipped, on elastic robots of every number of servos.
+
+measured: a plan, markers, a fit, by files; guided: a person's eye; practise: as the command of that
+name; port: servos simulated to the byte behind a wire, their lags as well; dots: pictures.
+
+Pictures of blue dots on a simulated face, one a pose, for the way by coloured dots.
+
+Seen from the front by a camera far away: no perspective, so that what depth costs is that alone
+which one camera does not see. Needs OpenCV, the extra `dots`.
+"""
+
+import csv
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from calibration.calibration import Calibration, CalibrationError
+from calibration.capture.capture import Robot, capture_poses
+from calibration.capture.dots import NAMES_FILE, DotsFolder
+from calibration.capture.marker_files import read_capture, write_plan
+from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
+from calibration.fit.measured import fit_measured, split_frames
+from calibration.fit.retargeting import nearest_poses_deg
+from calibration.mouth_servos import MouthServos
+from calibration.simulated.elastic_robot import ElasticFace
+from calibration.simulated.robot import SimulatedRobot
+from lipservo.calibrating.calibration_setup import CalibrationSetup
+from lipservo.calibrating.measured_calibration import CalibrationResult, fit_capture, with_lags
+from lipservo.runtime.servos.assembly import simulated_wire
+from lipservo.runtime.servos.held_face import HeldFace
+from lipservo.settings.settings import FaceSettings, ServoSettings
+from lipservo_lab.bench.calibration.calibration_figures import PERSON_DEG, PERSON_JAW_DEG
+from lipservo_lab.bench.calibration.elastic_draws import N_SERVOS, draw_elastic_robot
+from lipservo_lab.bench.calibration.shown_motion import NAMES, played, shown, wanted_shapes
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+_PX_PER_MM, _DOT_MM, _MARGIN_MM = 4.0, 2.5, 15.0
+#: Drawn so much larger first: edges of dots are soft.
+_FINER = 4
+_BLUE, _SKIN = (200, 60, 20), (120, 150, 200)
+_BLUR_PX, _NOISE = 0.8, 6.0
+
+
+def write_dots_pictures(
+    folder: Path, marker_names: Sequence[str], markers_mm: Array, seed: int
+) -> None:
+    """`pose_1.png` and so on for (n, n_markers, 3), and `dots.csv` by the first of them."""
+    import cv2
+
+    flat_mm = markers_mm[..., :2]
+    left_mm, low_mm = flat_mm.min(axis=(0, 1)) - _MARGIN_MM
+    right_mm, high_mm = flat_mm.max(axis=(0, 1)) + _MARGIN_MM
+    size_px = (round(_PX_PER_MM * (right_mm - left_mm)), round(_PX_PER_MM * (high_mm - low_mm)))
+    places_px = _PX_PER_MM * np.stack([flat_mm[..., 0] - left_mm, high_mm - flat_mm[..., 1]], 2)
+    noise = np.random.default_rng([seed, 41])
+    for pose, dots_px in enumerate(places_px):
+        large = np.full((size_px[1] * _FINER, size_px[0] * _FINER, 3), _SKIN, np.uint8)
+        radius = round(_FINER * _PX_PER_MM * _DOT_MM / 2)
+        for column, row in dots_px:
+            middle = (round(_FINER * (column + 0.5)), round(_FINER * (row + 0.5)))
+            cv2.circle(large, middle, radius, _BLUE, -1, cv2.LINE_AA)
+        small = cv2.resize(large, size_px, interpolation=cv2.INTER_AREA).astype(np.float64)
+        soft = cv2.GaussianBlur(small, (0, 0), _BLUR_PX)
+        picture = np.clip(soft + noise.normal(0.0, _NOISE, soft.shape), 0, 255).astype(np.uint8)
+        cv2.imwrite(str(folder / f"pose_{pose + 1}.png"), picture)
+    with (folder / NAMES_FILE).open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["marker", "column_px", "row_px", "mm_per_px"])
+        for name, (column, row) in zip(marker_names, places_px[0], strict=True):
+            writer.writerow([name, round(column, 2), round(row, 2), 1.0 / _PX_PER_MM])
+
+
+_N_FRAMES = 400
+#: Time is simulated, but every tick of it is computed.
+_PORT_SPEED_DEG_S = 120.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Task:
+    """A robot to calibrate. setup: its face as a YAML would say it."""
+
+    model: FaceWithAnimPhos
+    face: ElasticFace
+    setup: CalibrationSetup
+    seed: int
+
+    @property
+    def servos(self) -> MouthServos:
+        return self.setup.servos
+
+    def robot(self, noise_mm: float = 0.5) -> SimulatedRobot:
+        return SimulatedRobot(self.face, noise_seed=self.seed, noise_mm=noise_mm)
+
+
+def way_figures(
+    model: FaceWithAnimPhos, seed: int, sizes: Iterable[int] = N_SERVOS
+) -> dict[str, dict[str, float | str]]:
+    """For each way and number of servos the true lip error, mm rms, or why it was refused."""
+    found: dict[str, dict[str, float | str]] = {way: {} for way in WAYS}
+    frames = split_frames(model, 0)[1][:_N_FRAMES]
+    for n_servos in sizes:
+        task = _task(model, seed, n_servos)
+        wanted = wanted_shapes(model, task.face, task.servos, frames)
+        for way, calibrate in WAYS.items():
+            try:
+                output_deg = played(task.face, calibrate(task), frames)
+                found[way][str(n_servos)] = shown(task.face, output_deg, wanted).off_mm
+            except CalibrationError as error:
+                found[way][str(n_servos)] = f"refused: {error}"
+    return found
+
+
+def _task(model: FaceWithAnimPhos, seed: int, n_servos: int) -> _Task:
+    draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
+    settings = FaceSettings(
+        name=f"elastic {seed}",
+        rate_hz=30,
+        servos={
+            joint.name: ServoSettings(
+                id=11 + n,
+                model="XL330-M288",
+                positive=servos.positive[n],
+                min_deg=joint.min_deg,
+                max_deg=joint.max_deg,
+                max_speed_deg_s=400,
+            )
+            for n, joint in enumerate(servos.joints)
+        },
+    )
+    setup = CalibrationSetup(settings, model, quiet=True, speed_deg_s=_PORT_SPEED_DEG_S)
+    return _Task(model, ElasticFace(draw), setup, seed)
+
+
+def _measured(task: _Task) -> Calibration:
+    plan, robot = task.setup.procedure(task.seed).whole_range_plan(), task.robot()
+    capture = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)
+    return fit_measured(task.model, capture, task.servos).calibration
+
+
+def _guided(task: _Task) -> Calibration:
+    """The person finds the pose that looks most like the speaker's, and is off by a few keys."""
+    poses = landmark_poses(task.model)
+    frames = np.array([pose.coefficients for pose in poses])
+    wanted = wanted_shapes(task.model, task.face, task.servos, frames)
+    of, limits = NAMES.shape_features, task.servos.limits_deg
+    best_deg = nearest_poses_deg(task.face.markers_mm, wanted.features, of, limits)
+    is_jaw = np.arange(len(task.servos.joints)) == task.face.draw.jaw
+    off_deg = np.where(is_jaw, PERSON_JAW_DEG, PERSON_DEG)
+    noise = np.random.default_rng([task.seed, 2]).normal(size=best_deg.shape)
+    made_deg = np.clip(np.rint(best_deg + off_deg * noise), *limits)
+    made_deg[[pose.name == CLOSED for pose in poses]] = best_deg[0]  # lips are felt to touch
+    made = {pose.name: degrees for pose, degrees in zip(poses, made_deg, strict=True)}
+    return fit_guided(task.model, task.servos, made)
+
+
+def _practise(task: _Task) -> Calibration:
+    robot = task.robot()
+    return _whole_procedure(task, Robot(robot.move, robot.measure)).calibration
+
+
+def _port(task: _Task) -> Calibration:
+    robot, settings = task.robot(), task.setup.settings
+    bus, clock = simulated_wire(settings)
+    with bus, HeldFace(settings, bus, clock, speed_deg_s=_PORT_SPEED_DEG_S) as held:
+
+        def move(goal_deg: Array) -> Array:
+            reached_deg = held.move(goal_deg)
+            robot.move(reached_deg)
+            return reached_deg
+
+        result = _whole_procedure(task, Robot(move, robot.measure))
+        return with_lags(task.setup, held, result).calibration
+
+
+def _whole_procedure(task: _Task, on: Robot) -> CalibrationResult:
+    """Both parts of the capture, the fit, and the grade."""
+    procedure = task.setup.procedure(task.seed)
+    capture = procedure.capture(MARKERS_47.names, on.move, on.measure)
+    return fit_capture(task.setup, capture).graded_by(task.setup, on)
+
+
+def _dots(task: _Task) -> Calibration:
+    setup = replace(task.setup, sees_forward=False)
+    plan, robot = setup.procedure(task.seed).whole_range_plan(), task.robot(noise_mm=0.0)
+    seen = capture_poses(plan, MARKERS_47.names, robot.move, robot.measure)
+    with tempfile.TemporaryDirectory() as name:
+        folder, file = Path(name) / "pictures", Path(name) / "poses.csv"
+        folder.mkdir()
+        write_plan(plan, file)
+        write_dots_pictures(folder, MARKERS_47.names, seen.markers_mm, task.seed)
+        capture = read_capture(
+            file, folder, task.servos.names, read=DotsFolder(folder).all_readings
+        )
+    return fit_measured(task.model, capture, setup.servos).calibration
+
+
+WAYS: Mapping[str, Callable[[_Task], Calibration]] = {
+    "measured": _measured,
+    "guided": _guided,
+    "practise": _practise,
+    "port": _port,
+    "dots": _dots,
+}

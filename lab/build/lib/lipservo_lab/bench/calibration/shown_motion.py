@@ -1,0 +1,242 @@
+"""What poses look like on a true elastic robot, against the shapes that were wanted.
+
+The pose of a true robot that is nearest to a shape, to convergence.
+
+Lips that stop each other make a robot's shape bend sharply at contact, where plain Gauss-Newton
+goes to and fro; here each step is damped until it helps (Levenberg-Marquardt: More, The
+Levenberg-Marquardt algorithm, 1978), and shortened by the joints' limits.
+
+What a robot should do with speech, defined before any fit and the same for every method.
+
+The wanted gap of the lips is the robot's own closed gap plus scale times (the speaker's gap minus
+the speaker's closed gap); scale is the ratio of the widest gaps that the two reach, at most 1.3. A
+literal copy is the robot's neutral plus scale times the speaker's motion, with these gaps. The
+wanted shape is that of the robot's own pose nearest to the copy, found on the true robot.
+
+The textbook's way from the same capture: ridge from angles to markers, bounded least squares.
+
+It is given the wanted shapes as they are defined, the robot's own closed gap and scale included,
+which a calibration has to find out.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from sklearn.linear_model import RidgeCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import PolynomialFeatures, StandardScaler
+
+from calibration.calibration import Calibration
+from calibration.capture.capture import Capture
+from calibration.fit.retargeting import (
+    NEUTRAL_WEIGHT_MM_PER_DEG,
+    MarkersOf,
+    ShapeFeatures,
+    bounded_minimum,
+    correspond,
+    nearest_poses_deg,
+    shape_slopes,
+)
+from calibration.grade import CLOSED_GAP_MM
+from calibration.mouth_servos import MouthServos
+from calibration.run.compensation import BacklashCompensation
+from calibration.simulated.elastic_robot import N_PAIRS, ElasticFace
+from calibration.simulated.robot import SimulatedRobot
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.markers import MARKERS_47
+
+#: Robots of seeds 103, 105 and 106: three beginnings end within 0.06 mm of one another.
+_ROUNDS = 30
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1.0, 1e-3, 1e6
+_EASED, _HARDENED = 1.0 / 3.0, 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class _Tried:
+    """Poses (n, n_servos), the features they show, and what these cost, (n,)."""
+
+    poses_deg: Array
+    shown: Array
+    cost: Array
+
+    def better_of(self, other: "_Tried") -> "_Tried":
+        """The cheaper of the two, frame by frame."""
+        ours = (self.cost <= other.cost)[:, None]
+        return _Tried(
+            np.where(ours, self.poses_deg, other.poses_deg),
+            np.where(ours, self.shown, other.shown),
+            np.minimum(self.cost, other.cost),
+        )
+
+
+def converged_poses_deg(
+    markers_of: MarkersOf,
+    wanted: Array,
+    shape_features: ShapeFeatures,
+    limits_deg: tuple[Array, Array],
+) -> Array:
+    """Features (n, n_features) of shapes -> (n, n_servos), from neutral.
+
+    What is minimised is what `nearest_poses_deg` minimises.
+    """
+
+    def tried(poses_deg: Array) -> _Tried:
+        shown = shape_features.of(markers_of(poses_deg))
+        apart = np.sum((shown - wanted) ** 2, axis=1)
+        turned = NEUTRAL_WEIGHT_MM_PER_DEG**2 * np.sum(poses_deg**2, axis=1)
+        return _Tried(poses_deg, shown, apart + turned)
+
+    n_servos = len(limits_deg[0])
+    best = tried(np.zeros((len(wanted), n_servos)))
+    damping = np.full(len(wanted), _FIRST_DAMPING)
+    for _ in range(_ROUNDS):
+        by_deg = shape_slopes(markers_of, shape_features, best.poses_deg, best.shown)
+        bends = np.einsum("nks,nkt->nst", by_deg, by_deg)
+        bends += (NEUTRAL_WEIGHT_MM_PER_DEG**2 + damping[:, None, None]) * np.eye(n_servos)
+        pull = np.einsum("nks,nk->ns", by_deg, wanted - best.shown)
+        pull -= NEUTRAL_WEIGHT_MM_PER_DEG**2 * best.poses_deg
+        pull += np.einsum("nst,nt->ns", bends, best.poses_deg)
+        step = tried(bounded_minimum(bends, pull, *limits_deg))
+        helped = step.cost < best.cost
+        best = best.better_of(step)
+        damping *= np.where(helped, _EASED, _HARDENED)
+        damping = np.clip(damping, _LEAST_DAMPING, _MOST_DAMPING)
+    return best.poses_deg
+
+
+MOST_SCALE = 1.3
+_RANGE_QUANTILE = 0.98
+NAMES = correspond(MARKERS_47.names)
+
+
+@dataclass(frozen=True, slots=True)
+class WantedShapes:
+    """For frames of speech (n, n_components).
+
+    features: (n, n_features), of the literal copies, as ShapeFeatures has them; shapes_mm:
+    (n, 47, 3), of the nearest poses; gap_mm: (n,), the height in the middle that is wanted beyond
+    the robot's own closed gap; human_gap_mm: (n,), how far the speaker's lips are apart.
+    """
+
+    scale: float
+    features: Array
+    shapes_mm: Array
+    gap_mm: Array
+    human_gap_mm: Array
+
+
+def wanted_shapes(
+    model: FaceWithAnimPhos, face: ElasticFace, servos: MouthServos, frames: Array
+) -> WantedShapes:
+    """Of the robot as it truly is, warm."""
+    human_gap_mm = model.lip_gaps_mm(model.markers_mm(frames))
+    speakers_mm = model.lip_gaps_mm(model.markers_mm(model.animphos.frames[::7]))
+    opens_mm = float(np.quantile(speakers_mm, _RANGE_QUANTILE)) - model.lip_gap_mm(model.rest)
+    scale = min(MOST_SCALE, widest_gap_mm(face, servos) / opens_mm)
+    rest_mm = model.markers_mm(model.rest[None])
+    moved_mm = model.markers_mm(frames) - rest_mm
+    neutral_mm = face.markers_mm(np.zeros((1, len(servos.joints))))
+    of = NAMES.shape_features
+    gaps_mm = of.gaps_mm(neutral_mm) + scale * of.gaps_mm(moved_mm)
+    off_mm = face.draw.skin.off_edge_mm
+    own_closed_mm = (off_mm[:3] + off_mm[3:])[[1, 0, 2]]  # middle, right, left
+    opened_mm = np.maximum(scale * of.gaps_mm(moved_mm)[..., 1], 0.0)
+    gaps_mm[..., 1] = own_closed_mm + opened_mm
+    features = of.of(neutral_mm + scale * moved_mm, gaps_mm)
+    nearest_deg = converged_poses_deg(face.markers_mm, features, of, servos.limits_deg)
+    return WantedShapes(
+        scale=scale,
+        features=features,
+        shapes_mm=face.markers_mm(nearest_deg),
+        gap_mm=opened_mm[:, 0],
+        human_gap_mm=human_gap_mm,
+    )
+
+
+def widest_gap_mm(face: ElasticFace, servos: MouthServos) -> float:
+    """Of the lips' own edges, each joint in turn at its better end, twice round."""
+    limits_deg, middle = servos.limits_deg, N_PAIRS // 2
+    pose_deg = np.zeros((1, len(servos.joints)))
+    for joint in (*range(len(servos.joints)), *range(len(servos.joints))):
+        tries = np.repeat(pose_deg, 3, axis=0)
+        tries[:, joint] = (limits_deg[0][joint], 0.0, limits_deg[1][joint])
+        pose_deg = tries[face.state(tries).gaps_mm[:, middle].argmax()][None]
+    return float(face.state(pose_deg).gaps_mm[0, middle])
+
+
+#: Lips whose edges are this near touch.
+_TOUCH_MM = 0.02
+_SMALL_MM = (2.0, 4.0)
+#: The force that suffices closes a slit that is so much too wide all along.
+_ENOUGH_MM = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """Millimetres rms over frames and lips; shares 0..1."""
+
+    off_mm: float
+    gap_r: float
+    gap_slope: float
+    shut: float
+    touch: float
+    force_ratio: float
+
+
+def played(face: ElasticFace, calibration: Calibration, frames: Array) -> Array:
+    """(n, n_servos): where the horns stand, one frame after another, play made up for as live."""
+    following = calibration.following
+    n_servos = len(calibration.servo_names)
+    backlash = BacklashCompensation(
+        np.zeros(n_servos) if following is None else following.backlash_deg
+    )
+    goals = [backlash.feed(calibration.positions_deg(frame)) for frame in frames]
+    return behind_play(face, np.array(goals))
+
+
+def behind_play(face: ElasticFace, goals_deg: Array) -> Array:
+    """(n, n_servos): where the horns stand at these goals, one after another."""
+    robot = SimulatedRobot(face)
+    stands = []
+    for goal_deg in goals_deg:
+        robot.move(goal_deg)
+        stands.append(robot.output_deg)
+    return np.array(stands)
+
+
+def shown(face: ElasticFace, output_deg: Array, wanted: WantedShapes) -> Motion:
+    """output_deg: (n, n_servos), of the wanted frames."""
+    state = face.state(output_deg)
+    off_mm = (state.markers_mm - wanted.shapes_mm)[:, list(MARKERS_47.lips)]
+    gap_mm = state.gaps_mm[:, N_PAIRS // 2]
+    touches = gap_mm <= _TOUCH_MM
+    closed = wanted.human_gap_mm <= CLOSED_GAP_MM
+    small = (wanted.human_gap_mm >= _SMALL_MM[0]) & (wanted.human_gap_mm <= _SMALL_MM[1])
+    moves = gap_mm.std() > 0.0
+    return Motion(
+        off_mm=float(np.sqrt(np.mean(np.sum(off_mm**2, axis=2)))),
+        gap_r=float(np.corrcoef(wanted.gap_mm, gap_mm)[0, 1]) if moves else 0.0,
+        gap_slope=float(np.polyfit(wanted.gap_mm, gap_mm, 1)[0]),
+        shut=float(touches[small].mean()),
+        touch=float(touches[closed].mean()),
+        force_ratio=float(np.median(state.force_n[closed]) / face.closing_force_n(_ENOUGH_MM)),
+    )
+
+
+_STRENGTHS = np.logspace(-3, 3, 13)
+
+
+def rival_poses_deg(capture: Capture, servos: MouthServos, features: Array, degree: int) -> Array:
+    """(n, n_features) -> (n, n_servos). degree: of the polynomial in the angles."""
+    ridge = make_pipeline(
+        PolynomialFeatures(degree, include_bias=False), StandardScaler(), RidgeCV(_STRENGTHS)
+    )
+    usual_mm = np.nanmedian(capture.markers_mm, axis=0)
+    seen_mm = np.where(np.isfinite(capture.markers_mm), capture.markers_mm, usual_mm)
+    fitted = ridge.fit(capture.goals_deg, seen_mm.reshape(len(capture), -1))
+
+    def markers_of(angles_deg: Array) -> Array:
+        return np.asarray(fitted.predict(angles_deg)).reshape(len(angles_deg), -1, 3)
+
+    return nearest_poses_deg(markers_of, features, NAMES.shape_features, servos.limits_deg)

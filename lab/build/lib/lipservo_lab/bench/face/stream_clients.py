@@ -1,0 +1,45 @@
+"""Clients of the dashboard's stream for the bench, until standard input closes."""
+
+import asyncio
+import json
+import sys
+import threading
+import time
+
+from websockets.asyncio.client import ClientConnection, connect
+
+
+async def run(address: str, path: str, n: int) -> float:
+    """Bytes a second that one client was sent, the mean over all of them."""
+    url = f"{address.replace('http://', 'ws://', 1)}{path}"
+    sockets = [await connect(url, compression=None, proxy=None) for _ in range(n)]
+    for socket in sockets:
+        await socket.recv()
+    sys.stdout.write("connected\n")
+    sys.stdout.flush()
+    over = asyncio.Event()
+    loop = asyncio.get_running_loop()
+
+    def wait() -> None:
+        sys.stdin.read()
+        loop.call_soon_threadsafe(over.set)
+
+    threading.Thread(target=wait, daemon=True).start()
+    began_s = time.monotonic()
+    reading = [asyncio.create_task(_read(socket, over)) for socket in sockets]
+    n_bytes = sum(await asyncio.gather(*reading))
+    return n_bytes / n / (time.monotonic() - began_s)
+
+
+async def _read(socket: ClientConnection, over: asyncio.Event) -> int:
+    # The header of a WebSocket frame of more than 125 bytes is four bytes, of a shorter one two.
+    n_bytes = 0
+    while not over.is_set():
+        message = await socket.recv()
+        n_bytes += len(message) + (2 if len(message) < 126 else 4)
+    return n_bytes
+
+
+if __name__ == "__main__":
+    told = asyncio.run(run(sys.argv[1], sys.argv[2], int(sys.argv[3])))
+    sys.stdout.write(json.dumps({"bytes_s": told}) + "\n")

@@ -1,0 +1,253 @@
+"""What watching costs: bytes and processor time of the dashboard, and whether the bridge notices.
+
+This process is the face: a bridge at 100 Hz with ten simulated servos behind a pseudo-terminal,
+which writes its live board and answers at a control socket. The dashboard is the real one in a
+process of its own, and so are its clients.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.clock import MonotonicClock, ticks
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.operating_system import on_time
+from firmware_bridge.stopping import StopLevel
+from lipservo.agents.listener import bind_listener
+from lipservo.dashboard.child import address_of, dashboard_child
+from lipservo.runtime.servos.sim_process import simulated_port
+from lipservo.runtime.status.live_board import (
+    FACE_STATES,
+    BoardLayout,
+    LiveBoard,
+    ServoBoard,
+    expression_values,
+)
+from lipsync.phonemes import PHONEMES
+
+RATE_HZ: Final = 100.0
+_N_SERVOS, _BAUD_RATE, _N_COMPONENTS = 10, 1_000_000, 8
+MANY: Final = 20
+#: With and without clients by turns, so that what else the computer does falls on both alike.
+_TURNS: Final = 3
+_START_S, _SETTLE_S = 180.0, 1.0
+#: Of a core, of a dashboard that nobody watches; it is waited for so many seconds at most.
+_AT_REST, _MOST_SETTLING = 0.08, 60
+
+
+class BenchedFace:
+    """The loop of a face, run for as long as asked; lateness of each of its ticks."""
+
+    def __init__(
+        self,
+        bridge: Bridge,
+        channel: MemoryTargetChannel,
+        board: LiveBoard,
+        control: ControlSocket,
+    ) -> None:
+        self._bridge = bridge
+        self._tell = ServoBoard(board, bridge)
+        self._board = board
+        self._control = control
+        self._channel = channel
+        self._clock = MonotonicClock()
+
+    def run(self, seconds: float, *, until: Callable[[], bool] = lambda: False) -> list[float]:
+        """How late each tick began, in seconds; a tick that was missed counts as its whole wait.
+
+        Scheduled as the bridge's process is.
+        """
+        with on_time():
+            return self._run(seconds, until)
+
+    def _run(self, seconds: float, until: Callable[[], bool]) -> list[float]:
+        lateness: list[float] = []
+        end_s = self._clock.now() + seconds
+        for n, (time_s, late) in enumerate(ticks(self._clock, RATE_HZ)):
+            now_s = self._clock.now()
+            if now_s > end_s or (n % 10 == 0 and until()):
+                return lateness
+            lateness += [now_s - time_s + missed / RATE_HZ for missed in range(late + 1)]
+            self._tick(time_s, late)
+        return lateness
+
+    def _tick(self, time_s: float, late: int) -> None:
+        swing = float(np.sin(2.0 * np.pi * time_s))
+        self._channel.publish(ServoTargets(time_s, np.full(_N_SERVOS, 20.0 * swing)))
+        self._tell.tell(self._bridge.tick(time_s, late))
+        self._board.write_speech(
+            [abs(swing)],
+            time_s=time_s,
+            sound_s=time_s,
+            phoneme=int(10.0 * time_s) % len(PHONEMES),
+            is_speech=1,
+            arousal=swing,
+            coefficients=np.full(_N_COMPONENTS, swing),
+            expression=expression_values(),
+        )
+        self._control.poll()
+        self._control.answer(lambda: face_status(self._bridge))
+
+
+def stream_figures(seconds: float, progress: Callable[[int, int], None]) -> dict[str, float]:
+    """Kilobytes a second to one client, the dashboard's share of a core, the bridge's lateness.
+
+    seconds: of each of the windows. `stream_kb_s` is of /api/twin, `state_kb_s` of /api/state.
+    `bridge_lateness_ratio_20`: p99 of the lateness with twenty clients by that with a dashboard
+    that nobody watches, medians of windows by turns.
+    """
+    figures: dict[str, float] = {}
+    with watched_face() as (face, address, dashboard):
+        _settle(face, dashboard())
+        n_steps = 1 + 2 * _TURNS
+        progress(0, n_steps)
+        with clients(address, 1, "/api/twin") as received:
+            face.run(_SETTLE_S)
+            began_s, spent_s = time.monotonic(), processor_s(dashboard())
+            face.run(seconds)
+            figures["dashboard_core_share_1"] = _share(dashboard(), spent_s, began_s)
+        figures["stream_kb_s"] = 1e-3 * received()
+        with clients(address, 1, "/api/state") as received:
+            face.run(seconds)
+        figures["state_kb_s"] = 1e-3 * received()
+        quiet, watched, shares = [], [], []
+        for turn in range(_TURNS):
+            progress(1 + 2 * turn, n_steps)
+            quiet.append(_p99(face.run(seconds)))
+            progress(2 + 2 * turn, n_steps)
+            with clients(address, MANY, "/api/twin"):
+                face.run(_SETTLE_S)
+                began_s, spent_s = time.monotonic(), processor_s(dashboard())
+                watched.append(_p99(face.run(seconds)))
+                shares.append(_share(dashboard(), spent_s, began_s))
+        figures["dashboard_core_share_20"] = float(np.median(shares))
+        figures["bridge_lateness_p99_ms"] = 1e3 * float(np.median(quiet))
+        figures["bridge_lateness_p99_ms_20"] = 1e3 * float(np.median(watched))
+        figures["bridge_lateness_ratio_20"] = float(np.median(watched) / np.median(quiet))
+    return figures
+
+
+@contextmanager
+def watched_face() -> Iterator[tuple[BenchedFace, str, Callable[[], int]]]:
+    """The face, the address of its dashboard, and which process that is."""
+    model = servo_models()["XL330-M288"]
+    joints = [Joint(f"joint_{n}", n, -40.0, 40.0, 300.0) for n in range(1, _N_SERVOS + 1)]
+    servos = [MountedServo(joint, model) for joint in joints]
+    names = tuple(joint.name for joint in joints)
+    layout = BoardLayout("bench", "bench", names, FACE_STATES, PHONEMES, _N_COMPONENTS, RATE_HZ)
+    options = ["--servos", str(_N_SERVOS), "--baud-rate", str(_BAUD_RATE), "--on-time"]
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        port = stack.enter_context(simulated_port(options))
+        bus = stack.enter_context(DynamixelBus(servos, lambda: open_port(port, _BAUD_RATE)))
+        board = stack.enter_context(LiveBoard.create(layout))
+        about = {"name": "bench", "port": port}
+        control = ControlSocket.bind(folder / "bench.sock", about, watched_fd=board.fileno())
+        stack.enter_context(control)
+        channel = MemoryTargetChannel()
+        bridge = Bridge(bus, joints, channel, BridgeSettings(RATE_HZ, tolerant=True))
+        bridge.start()
+        stack.callback(lambda: bridge.stop(StopLevel.LIMP))
+        listener = stack.enter_context(bind_listener("127.0.0.1:0", None))
+        stack.enter_context(dashboard_child(control.path, listener))
+        face = BenchedFace(bridge, channel, board, control)
+        address = address_of(listener)
+        asking = subprocess.Popen([sys.executable, "-c", _ASK, f"{address}/api/health"])
+        face.run(_START_S, until=lambda: asking.poll() is not None)
+        if asking.wait() != 0:
+            raise RuntimeError("the dashboard did not start")
+        yield face, address, lambda: _child_of(os.getpid(), "dashboard")
+
+
+#: Waits until the dashboard says that its face ticks.
+_ASK: Final = """
+import json, sys, time, urllib.request
+end_s = time.monotonic() + 170
+while time.monotonic() < end_s:
+    try:
+        with urllib.request.urlopen(sys.argv[1], timeout=50) as answer:
+            if json.load(answer)["up"]:
+                sys.exit(0)
+    except OSError:
+        pass
+    time.sleep(0.2)
+sys.exit(1)
+"""
+
+
+@contextmanager
+def clients(address: str, n: int, path: str) -> Iterator[Callable[[], float]]:
+    """So many clients of a stream in a process of their own; afterwards: bytes a second of one."""
+    command = [
+        sys.executable,
+        "-m",
+        "lipservo_lab.bench.face.stream_clients",
+        address,
+        path,
+        str(n),
+    ]
+    pipe = subprocess.PIPE
+    received = [float("nan")]
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        process.stdout.readline()  # they are connected
+        try:
+            yield lambda: received[0]
+        finally:
+            process.stdin.close()
+            told = process.stdout.readline()
+            received[0] = float(json.loads(told)["bytes_s"]) if told else float("nan")
+
+
+def _settle(face: BenchedFace, pid: int) -> None:
+    """Until a dashboard that has just started has made what it makes once."""
+    for _ in range(_MOST_SETTLING):
+        began_s, spent_s = time.monotonic(), processor_s(pid)
+        face.run(_SETTLE_S)
+        if _share(pid, spent_s, began_s) < _AT_REST:
+            return
+
+
+def processor_s(pid: int) -> float:
+    """Processor time that a process has used so far."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def _share(pid: int, spent_s: float, began_s: float) -> float:
+    return (processor_s(pid) - spent_s) / (time.monotonic() - began_s)
+
+
+def _p99(lateness: list[float]) -> float:
+    return float(np.percentile(lateness, 99))
+
+
+def _child_of(parent: int, word: str) -> int:
+    """The process that a process has started with that word on its command line."""
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            its_parent = (folder / "stat").read_text().rpartition(")")[2].split()[1]
+            words = (folder / "cmdline").read_text().split("\0")
+        except OSError:
+            continue
+        if int(its_parent) == parent and word in words:
+            return int(folder.name)
+    raise RuntimeError("the dashboard has ended")

@@ -1,0 +1,190 @@
+"""The figures of `lipservo bench motion --video`: our mouth beside faces that nobody trained on.
+
+A clip's sound alone drives our mouth, through the street that a replay goes. Its lip gap is
+compared with the one tracked in the pictures, in frames of speech, as both were filmed: a shift
+between them is reported and not put right in the headline.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+from lipservo.commands.options import DEFAULT_FACE
+from lipservo.commands.run.exported_speech import SpokenSound, spoken_sound
+from lipservo.runtime.motion_options import ChosenMotion
+from lipservo_lab.video.face_track import FaceTrack, track_face, tracked_gaps_mm, usual_step_s
+from lipservo_lab.video.sound_shift import ShiftCurve, correlation, shift_curve
+from lipservo_lab.video.track_quality import picture_fault, usable_pictures
+from lipservo_lab.video.video_clips import VideoClip
+from lipsync.arrays import Array
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
+from lipsync.face.model import FaceModel, load_face
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.video.face_tracker import FaceTracker
+from lipsync.video.video_file import VideoError, VideoSound, video_sound
+
+Advance = Callable[[str, int, int], None]
+
+#: Of fewer pictures of speech no correlation is told.
+_LEAST_PICTURES = 10
+#: Loudness: level of so much sound around a picture, no lower than so far below the loudest.
+_LOUDNESS_S, _FLOOR_DB = 0.06, 40.0
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedClip:
+    """Our mouth and a clip's, in the pictures of speech that could be used.
+
+    curve: correlations of the two lip gaps with the sound taken earlier by so much. left_out: why
+    there is nothing; then all else is empty.
+    """
+
+    name: str
+    gap_r: float = 0.0
+    loudness_r: float = 0.0
+    curve: ShiftCurve | None = None
+    seconds: float = 0.0
+    n_pictures: int = 0
+    left_out: str | None = None
+
+    def as_json(self) -> dict[str, object]:
+        """By the names of docs/own-face.md; null where it was left out."""
+        if self.curve is None:
+            return {"clip": self.name, "seconds": 0.0, "left_out": self.left_out} | dict.fromkeys(
+                ("gap_r", "loudness_r", "best_shift_ms", "gap_r_at_best")
+            )
+        return {
+            "clip": self.name,
+            "gap_r": round(self.gap_r, 4),
+            "loudness_r": round(self.loudness_r, 4),
+            "best_shift_ms": round(1e3 * self.curve.best_s),
+            "gap_r_at_best": round(float(self.curve.correlations.max()), 4),
+            "seconds": round(self.seconds, 2),
+            "left_out": None,
+        }
+
+
+def foreign_figures(
+    clips: Sequence[VideoClip], tracker: FaceTracker, model: Path | None, advance: Advance
+) -> dict[str, object]:
+    """Every clip and all together. model: None for the shipped one. Raises VideoError."""
+    face = load_face(model)
+    compared = []
+    for number, clip in enumerate(clips, start=1):
+        try:
+            compared.append(_compared(clip, tracker, face, model))
+        except UserError as error:
+            reason = str(error).removeprefix(f"{clip.path}: ")
+            compared.append(ComparedClip(clip.name, left_out=reason))
+        advance("comparing", number, len(clips))
+    used = [each for each in compared if each.curve is not None]
+    if not used:
+        raise VideoError(f"no clip can be used: {compared[0].name}: {compared[0].left_out}")
+    return {
+        **pooled_figures(used),
+        "tracker": tracker.name,
+        "clips": [each.as_json() for each in compared],
+    }
+
+
+def pooled_figures(compared: Sequence[ComparedClip]) -> dict[str, object]:
+    """Of all pictures of speech together, both gaps brought to mean 0 and deviation 1 in each clip.
+
+    That is the mean of the clips' correlations, weighted by their pictures. The shift is the one
+    that is best for all.
+    """
+    weights = np.array([each.n_pictures for each in compared], dtype=float)
+    weights /= weights.sum()
+    curves = [each.curve for each in compared if each.curve is not None]
+    joined = weights @ np.stack([curve.correlations for curve in curves])
+    together = ShiftCurve(curves[0].shifts_s, joined)
+    return {
+        "gap_r": round(float(weights @ [each.gap_r for each in compared]), 4),
+        "loudness_r": round(float(weights @ [each.loudness_r for each in compared]), 4),
+        "best_shift_ms": round(1e3 * together.best_s),
+        "gap_r_at_best": round(float(joined.max()), 4),
+        "seconds": round(sum(each.seconds for each in compared), 2),
+        "speech_pictures": sum(each.n_pictures for each in compared),
+    }
+
+
+def _compared(
+    clip: VideoClip, tracker: FaceTracker, face: FaceModel, model: Path | None
+) -> ComparedClip:
+    sound = video_sound(clip.path)
+    track = track_face(clip.path, tracker, lambda _time_s: None)
+    usable = usable_pictures(track)
+    if usable.sum() < _LEAST_PICTURES:
+        step_s = usual_step_s(track.times_s) if len(track.times_s) > 1 else 0.0
+        raise VideoError(picture_fault(track, step_s) or "too few pictures of one face")
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / f"{clip.name}.wav"
+        soundfile.write(path, sound.samples, SAMPLE_RATE_HZ)
+        spoken = spoken_sound(path, None, ChosenMotion(), DEFAULT_FACE, model)
+        ours_mm, events = _our_gaps_mm(spoken, face), spoken.events()
+    return compare(clip.name, _pictures(track, usable, sound), sound, ours_mm, events)
+
+
+def _our_gaps_mm(spoken: SpokenSound, face: FaceModel) -> Array:
+    """(n,) every 10 ms of the sound."""
+    times_s = TICK_S * np.arange(max(1, int(spoken.duration_s / TICK_S)), dtype=np.float64)
+    faces = np.array([frame.coefficients for frame in spoken.frames(times_s)])
+    return face.lip_gaps_mm(face.markers_mm(faces))
+
+
+def _pictures(
+    track: FaceTrack, usable: NDArray[np.bool_], sound: VideoSound
+) -> tuple[Array, Array]:
+    """Sound times and lip gaps in mm, (n,) each, of the pictures that can be used."""
+    return track.times_s[usable] - sound.begins_s, tracked_gaps_mm(track.points[usable])
+
+
+def compare(
+    name: str,
+    pictures: tuple[Array, Array],
+    sound: VideoSound,
+    ours_mm: Array,
+    events: Sequence[PhonemeEvent],
+) -> ComparedClip:
+    """pictures: sound times (n,) and tracked lip gaps (n,); ours_mm: (m,) every 10 ms.
+
+    Counted are the pictures inside a phoneme of `events` that is not silence.
+    """
+    times_s, seen_mm = pictures
+    spoken = np.zeros(len(times_s), dtype=bool)
+    for event in events:
+        if event.phoneme != SILENCE and event.end_s is not None:
+            spoken |= (times_s >= event.start_s) & (times_s < event.end_s)
+    spoken &= (times_s >= 0) & (times_s <= (len(ours_mm) - 1) * TICK_S)
+    if spoken.sum() < _LEAST_PICTURES:
+        return ComparedClip(
+            name, left_out=f"only {spoken.sum()} pictures of speech; film longer, speak up"
+        )
+    at_s, gaps_mm = times_s[spoken], seen_mm[spoken]
+    heard_s = np.arange(len(ours_mm)) * TICK_S
+    levels_db = loudness_db(sound.samples)
+    return ComparedClip(
+        name,
+        correlation(gaps_mm, np.interp(at_s, heard_s, ours_mm)),
+        correlation(gaps_mm, np.interp(at_s, np.arange(len(levels_db)) * TICK_S, levels_db)),
+        shift_curve(gaps_mm, at_s, ours_mm),
+        len(times_s) * usual_step_s(times_s),
+        int(spoken.sum()),
+    )
+
+
+def loudness_db(samples: NDArray[np.float32]) -> Array:
+    """(n,) every 10 ms, of samples (m,) at 16 kHz."""
+    n_around = round(_LOUDNESS_S * SAMPLE_RATE_HZ)
+    squares = np.pad(samples.astype(float) ** 2, n_around // 2)
+    sums = np.concatenate(([0.0], np.cumsum(squares)))
+    power = (sums[n_around:] - sums[:-n_around]) / n_around
+    levels: Array = 10 * np.log10(power[:: round(TICK_S * SAMPLE_RATE_HZ)] + 1e-12)
+    return np.asarray(np.maximum(levels, levels.max() - _FLOOR_DB))

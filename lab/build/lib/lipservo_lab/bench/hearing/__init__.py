@@ -1,0 +1,1 @@
+"""What `lipservo bench nonspeech` and `bench recognition` measure of hearing."""

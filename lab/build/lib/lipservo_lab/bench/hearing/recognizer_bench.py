@@ -1,0 +1,108 @@
+"""In which groups the speakers of a corpus are counted.
+
+Which utterances of a corpus a bench was asked for, and their alignments.
+
+Recognisers as they are measured: one alone, without the ladder, as a failure must be seen.
+"""
+
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Literal
+
+from lipservo.settings.motion_names import MeasuredEngine
+from lipservo_lab.corpus.alignment_cache import AlignedUtterance, align_corpus
+from lipservo_lab.corpus.transcribed import (
+    SPEAKERS_FILE,
+    TranscribedUtterance,
+    of_names,
+    of_speakers,
+    read_names,
+    read_speakers,
+    read_transcribed,
+)
+from lipsync.errors import UserError, check_extra
+from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.energy_recognizer import EnergyRecognizer
+from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
+from lipsync.recognition.network_recognizer import NetworkRecognizer
+
+
+def selected(
+    corpus: Path, speakers: str = "", only: str | None = None, limit: int | None = None
+) -> tuple[TranscribedUtterance, ...]:
+    """Utterances of a folder: of some speakers, of a list of names, the first of each speaker.
+
+    speakers: with commas between, none for all. Raises TranscriptError for what is not there.
+    """
+    everything = read_transcribed(corpus)
+    if only is not None:
+        everything = of_names(everything, read_names(only))
+    chosen = frozenset(name.strip() for name in speakers.split(",") if name.strip())
+    return of_speakers(everything, chosen, limit)
+
+
+def aligned(
+    utterances: tuple[TranscribedUtterance, ...],
+    cache: Path | None,
+    n_processes: int | None,
+    advance: Callable[[str, int, int], None],
+) -> dict[str, AlignedUtterance]:
+    """Their alignments by name: from the cache, or made now and kept there."""
+    names: list[str] = []
+
+    def count(name: str) -> None:
+        names.append(name)
+        advance("aligning", len(names), len(utterances))
+
+    n_processes = n_processes or os.cpu_count() or 1
+    return align_corpus(utterances, cache, n_processes=n_processes, progress=count)
+
+
+def measured_recognizer(
+    engine: MeasuredEngine, latency_s: float, weights: str = DEFAULT_WEIGHTS
+) -> Callable[[], LiveRecognizer]:
+    """A function that makes the engine itself.
+
+    `energy` has a latency of its own. Raises MissingExtraError for pocketsphinx where it is not
+    installed, WeightsError.
+    """
+    if engine == "pocketsphinx":
+        check_extra("pocketsphinx", "comparing with pocketsphinx")
+        from lipservo_lab.evaluation.recognition.pocketsphinx_recognizer import (
+            PocketsphinxRecognizer,
+        )
+
+        return lambda: PocketsphinxRecognizer(latency_s)
+    if engine == "energy":
+        return EnergyRecognizer
+    learned = find_weights(weights)
+    return lambda: NetworkRecognizer(learned, latency_s)
+
+
+class SpeakerGroupError(UserError):
+    """Nobody says what kind of voice a speaker has; the message is one line."""
+
+
+def speaker_groups(
+    by: Literal["speaker", "group"] | None, corpus: Path, table: Path | None
+) -> Callable[[str], Sequence[str]]:
+    """From a speaker's name to the names of the groups; none where nothing was asked for.
+
+    table: of the speakers; None: the one in the corpus's folder. Raises SpeakerGroupError where
+    there is none, and for a table nobody asked for; TranscriptError for one that cannot be read.
+    """
+    if by != "group" and table is not None:
+        raise SpeakerGroupError(f"--groups {table} is for --by group; give both or neither")
+    if by is None:
+        return lambda _speaker: ()
+    if by == "speaker":
+        return lambda speaker: (speaker,)
+    path = table or corpus / SPEAKERS_FILE
+    if not path.is_file():
+        raise SpeakerGroupError(
+            f"{path}: no such file; --by group needs a table of speakers, with a first line like "
+            "speaker,group,gender (--groups FILE)"
+        )
+    groups = read_speakers(path)
+    return lambda speaker: groups.get(speaker, ("unknown",))

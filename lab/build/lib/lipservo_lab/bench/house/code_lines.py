@@ -1,0 +1,116 @@
+"""Lines of code by room, and the budgets that they are held to.
+
+A line counts when it holds a token that is neither comment nor docstring; blank lines cost nothing,
+so documenting is free.
+"""
+
+import ast
+import io
+import tokenize
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import yaml
+
+_DOCUMENTED: Final = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+_NO_CODE: Final = {
+    tokenize.COMMENT,
+    tokenize.NL,
+    tokenize.NEWLINE,
+    tokenize.INDENT,
+    tokenize.DEDENT,
+    tokenize.ENDMARKER,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """The code lines that some folders may have.
+
+    Attributes
+    ----------
+    folders
+        From the root of the checkout.
+    budget
+        The number that was decided.
+    held
+        The count that must not grow while the budget is not met; None where it is.
+
+    """
+
+    folders: tuple[str, ...]
+    budget: int
+    held: int | None = None
+
+    @property
+    def limit(self) -> int:
+        """The number that a test compares with."""
+        return self.budget if self.held is None else self.held
+
+
+@cache
+def house_table() -> Mapping[str, Any]:
+    """`house.yaml`: budgets and bars."""
+    text = (resources.files("lipservo_lab.bench.house") / "house.yaml").read_text("utf-8")
+    table: Mapping[str, Any] = yaml.safe_load(text)
+    return table
+
+
+def budgets() -> dict[str, Budget]:
+    """By room; `wheel` and `all` are the last."""
+    table = house_table()
+    rooms = {**table["rooms"], "wheel": table["wheel"], "all": table["all"]}
+    return {
+        name: Budget(tuple(row["folders"]), row["budget"], row.get("held"))
+        for name, row in rooms.items()
+    }
+
+
+def code_lines(source: str) -> int:
+    """Return how many lines of a Python source hold code."""
+    lines: set[int] = set()
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type not in _NO_CODE:
+            lines.update(range(token.start[0], token.end[0] + 1))
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False) is not None:
+            docstring = node.body[0]
+            lines.difference_update(range(docstring.lineno, (docstring.end_lineno or 0) + 1))
+    return len(lines)
+
+
+def sources(root: Path, folder: str) -> Iterator[Path]:
+    """Yield every Python file of ours in a folder; tests and built copies are none."""
+    for path in sorted((root / folder).rglob("*.py")):
+        inside = path.relative_to(root / folder).parts[:-1]
+        if not {"tests", "build", "node_modules"} & set(inside) and not any(
+            part.startswith(".") for part in inside
+        ):
+            yield path
+
+
+def room_lines(root: Path) -> dict[str, int]:
+    """Count the code lines of every room, of the wheel and of all, in a checkout."""
+    table = budgets()
+    lines = {
+        path.relative_to(root).as_posix(): code_lines(path.read_text("utf-8"))
+        for folder in table["all"].folders
+        for path in sources(root, folder)
+    }
+    rooms = {name: row for name, row in table.items() if name not in ("wheel", "all")}
+    found = dict.fromkeys(rooms, 0)
+    for file, count in lines.items():
+        depth = {
+            name: max((len(each) for each in row.folders if file.startswith(f"{each}/")), default=0)
+            for name, row in rooms.items()
+        }
+        nearest = max(depth, key=lambda name: depth[name])
+        if depth[nearest]:
+            found[nearest] += count
+    in_wheel = tuple(f"{folder}/" for folder in table["wheel"].folders)
+    found["wheel"] = sum(count for file, count in lines.items() if file.startswith(in_wheel))
+    return {**found, "all": sum(lines.values())}

@@ -1,0 +1,148 @@
+"""The figures of `lipservo bench house`: what each way passes of the source, and its size.
+
+`files` and `hops` of a tick: medians over all ticks of `lipservo replay` of the bundled clip with
+`face_sim` (a mouth) and `face_head` (a head), at the face's own rate. A tick is what the thread of
+the loop does between two waits of its clock, bridge and speech side alike; its files are those of
+ours in which a function is entered, and a hop is a call from a function in one file of ours to one
+in another. Calls within a file, comprehensions, and libraries are none.
+
+`stop_files`: files of ours between the arrival of a press of STOP at the page's server and the
+write that clears the register of torque: the server and the owner of the control socket as `bench
+stop-path` follows them, then the loop's thread from the beginning of the tick in which it comes.
+
+`loaded`: modules of ours, and their code lines, that `lipservo run --wav FILE` has loaded when it
+waits for its first tick. `processor_s`: user and system time of a whole process, least of some.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import lipservo
+from firmware_bridge.stopping import StopLevel
+from lipservo_lab.bench.house import traced_ticks
+from lipservo_lab.bench.house.code_lines import budgets, code_lines, house_table, room_lines
+from lipservo_lab.bench.house.whole_objects import SourceTree, late_attributes, mixin_bases
+from lipsync.errors import UserError
+
+ROOT: Final = Path(lipservo.__file__).parents[1]
+#: What each process of `processor_s` is given.
+COMMANDS: Final = {
+    "help": ["--help"],
+    "typo": ["rnu"],
+    "status": ["status"],
+    "stop": ["stop"],
+    "calibrate_fit": ["calibrate", "fit", "--plan", "none.npz", "--markers", "none", "-o", "x"],
+}
+_N_PROCESSES: Final = 3
+_LONGEST_S: Final = 300.0
+
+
+def house_figures(progress: Callable[[str], None] = lambda _what: None) -> dict[str, Any]:
+    """All figures; `over`: lines that say which are above their bar.
+
+    Raises UserError where the program is not run from a checkout.
+    """
+    if not (ROOT / "pyproject.toml").is_file():
+        raise UserError(f"{ROOT}: no checkout; `pip install -e . -e ./client -e ./lab` in one")
+    table = house_table()
+    figures: dict[str, Any] = {}
+    progress("ticks")
+    figures["ticks"] = {name: tick_figures(name) for name in table["ticks"]}
+    progress("loaded")
+    figures["loaded"] = loaded_figures()
+    progress("processes")
+    figures["processor_s"] = {name: processor_s(line) for name, line in COMMANDS.items()}
+    progress("stop")
+    figures["stop_files"] = stop_files()
+    progress("source")
+    tree = SourceTree(ROOT)
+    figures["mixin_bases"] = mixin_bases(tree)
+    figures["late_attributes"] = late_attributes(tree)
+    figures["code_lines"] = room_lines(ROOT)
+    return {**figures, "over": above_bars(figures)}
+
+
+def above_bars(figures: dict[str, Any]) -> list[str]:
+    """Return a line for every figure above its bar in `house.yaml`."""
+    table = house_table()
+    rows = [("stop_files", figures["stop_files"], table["stop_files"])]
+    for name, bars in table["ticks"].items():
+        rows += [(f"{name} {key}", figures["ticks"][name][key], bar) for key, bar in bars.items()]
+    rows += [(f"loaded {key}", figures["loaded"][key], bar) for key, bar in table["loaded"].items()]
+    rows += [(key, len(figures[key]), bar) for key, bar in table["unfinished"].items()]
+    rows += [
+        (f"processor_s {key}", figures["processor_s"][key], bar)
+        for key, bar in table["processor_s"].items()
+    ]
+    rows += [
+        (f"code_lines {name}", figures["code_lines"][name], row.budget)
+        for name, row in budgets().items()
+    ]
+    return [f"{name}: {value:.4g}, bar {bar:.4g}" for name, value, bar in rows if value > bar]
+
+
+def tick_figures(face: str) -> dict[str, Any]:
+    """Files and hops of a tick of a shipped face, medians."""
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        found: dict[str, Any] = _traced("ticks", "replay", str(clip), "--config", face, "--quiet")
+    return found
+
+
+def loaded_figures() -> dict[str, int]:
+    """Modules of ours, all their lines and their code lines, at the first tick."""
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        modules = _traced("loaded", "run", "--wav", str(clip), "--quiet")
+    texts = [Path(file).read_text("utf-8") for file in modules.values()]
+    return {
+        "modules": len(modules),
+        "lines": sum(len(text.splitlines()) for text in texts),
+        "code_lines": sum(code_lines(text) for text in texts),
+    }
+
+
+def stop_files() -> int:
+    """Files of ours between the page's STOP and the register of torque."""
+    from lipservo_lab.bench.stops.stop_path import register_files
+
+    return len(register_files(StopLevel.LIMP))
+
+
+def processor_s(arguments: Sequence[str]) -> float:
+    """Processor time of a process of `lipservo`, where no face runs; the least of some."""
+    with tempfile.TemporaryDirectory(prefix="lipservo-bench-") as folder:
+        environment = {**os.environ, "XDG_RUNTIME_DIR": folder}
+        return min(_spent_s(arguments, environment, folder) for _ in range(_N_PROCESSES))
+
+
+def _spent_s(arguments: Sequence[str], environment: dict[str, str], folder: str) -> float:
+    command = [sys.executable, "-m", "lipservo", *arguments]
+    quiet = subprocess.DEVNULL
+    with subprocess.Popen(command, stdout=quiet, stderr=quiet, env=environment, cwd=folder) as run:
+        _, status, used = os.wait4(run.pid, 0)
+        run.returncode = os.waitstatus_to_exitcode(status)
+    return used.ru_utime + used.ru_stime
+
+
+def _traced(what: str, *arguments: str) -> Any:
+    """Run `traced_ticks` in a process. Raises RuntimeError with what it wrote to stderr."""
+    with tempfile.TemporaryDirectory(prefix="lipservo-bench-") as folder:
+        output = Path(folder) / "traced.json"
+        script = [sys.executable, traced_ticks.__file__, str(ROOT), str(output), what]
+        done = subprocess.run(
+            [*script, *arguments],
+            capture_output=True,
+            text=True,
+            cwd=folder,
+            timeout=_LONGEST_S,
+            check=False,
+        )
+        if not output.is_file():
+            raise RuntimeError(f"lipservo {' '.join(arguments)}: {done.stderr}")
+        return json.loads(output.read_text("utf-8"))

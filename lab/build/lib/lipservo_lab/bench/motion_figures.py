@@ -1,0 +1,286 @@
+"""The figures of `lipservo bench motion`: every method against recorded faces."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from pathlib import Path
+
+from lipservo.settings.motion_names import DEFAULT_ENGINE, MeasuredEngine
+from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
+from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
+from lipservo_lab.evaluation.motion.methods import (
+    Heard,
+    LiveMethod,
+    Method,
+    PublishedMethod,
+    SplineMethod,
+    all_methods,
+)
+from lipservo_lab.evaluation.motion.motion_scores import (
+    Listen,
+    Part,
+    Scores,
+    add_scores,
+    check_scorable,
+    read_parts,
+    true_phonemes,
+    words_part,
+)
+from lipservo_lab.evaluation.motion.offline_methods import (
+    ContextVisemeMethod,
+    OfflineMethod,
+    OfflineModels,
+    RecordedVisemes,
+)
+from lipservo_lab.evaluation.motion.paper_tables import count_misses, paper_tables
+from lipservo_lab.evaluation.motion.recovery import recovery_rows
+from lipservo_lab.evaluation.motion.timing import method_times
+from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.animpho.selection import STRATEGIES
+from lipsync.errors import UserError
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+from lipsync.offline.line_methods import PLANNED_METHODS
+from lipsync.phonemes import LiveRecognizer, PhonemeEvent
+from lipsync.recognition.network import LATENCY_S
+
+Row = dict[str, object]
+Train = Callable[[Corpus], TrainedModel]
+Track = Callable[[str, list[Utterance]], Iterable[Utterance]]
+
+#: Compared in the paper's tables, each with its latency.
+_COMPARED: dict[MeasuredEngine, float] = {"network": LATENCY_S, "pocketsphinx": 0.09}
+PHONEMES_TRUE, PHONEMES_RECOGNIZED = "true", "recognized"
+#: Catmull-Rom through the means of viseme classes, beside the one through recorded examples.
+CLASS_MEANS = "catmull-rom-means"
+#: Sentences that speed is measured on: the first of a split's first part.
+_TIMED = 90
+#: Methods whose self-correction is measured, where they are asked for.
+_RECOVERING = ("priority", LIVE_STRATEGY)
+
+
+class BenchError(UserError):
+    """Something asked of the bench that it cannot do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """What is to be scored: methods, look-aheads, and which phonemes they hear."""
+
+    methods: tuple[Method, ...]
+    lookaheads_ms: tuple[int, ...]
+    phonemes: str
+    words: frozenset[str] | None
+
+    @property
+    def compares(self) -> bool:
+        """Whether methods are to be compared, not one looked at."""
+        return len(self.methods) > 1
+
+
+def question(
+    strategy: str | None,
+    lookaheads: str,
+    phonemes: str,
+    words: str | None,
+    *,
+    published_derivatives: bool = False,
+    unit_share: float | None = None,
+) -> Question:
+    """From the command line's texts; raises BenchError for what is not known here.
+
+    published_derivatives: of the paper's two strategies, as the paper prints equation (5).
+    unit_share: of the strategy `animpho`; None: its default.
+    """
+    methods = all_methods()
+    for name, method in methods.items():
+        if isinstance(method, PublishedMethod):
+            methods[name] = replace(method, published_derivatives=published_derivatives)
+        elif isinstance(method, LiveMethod) and None not in (method.unit_share, unit_share):
+            methods[name] = replace(method, unit_share=unit_share)
+    if strategy is not None and strategy not in methods:
+        raise BenchError(f"unknown strategy {strategy!r}; known here: {', '.join(methods)}")
+    if phonemes not in (PHONEMES_TRUE, PHONEMES_RECOGNIZED):
+        raise BenchError(f"unknown phonemes {phonemes!r}; known here: true, recognized")
+    try:
+        lookaheads_ms = tuple(int(text) for text in lookaheads.split(","))
+    except ValueError:
+        raise BenchError(f"look-ahead {lookaheads!r}: give whole ms, such as 0,100,200") from None
+    if not all(0 <= ms <= 1000 for ms in lookaheads_ms):
+        raise BenchError(f"look-ahead {lookaheads!r}: 0 to 1000 ms are possible")
+    named = None if words is None else frozenset(w.strip() for w in words.split(",") if w.strip())
+    if named is not None and not named:
+        raise BenchError("--words names no word")
+    chosen = tuple(methods.values()) if strategy is None else (methods[strategy],)
+    return Question(chosen, lookaheads_ms, phonemes, named)
+
+
+def with_offline_methods(
+    asked: Question, models: OfflineModels, visemes: RecordedVisemes | None
+) -> Question:
+    """The same with the methods that hear a whole line after those asked for.
+
+    visemes: what the published comparison plays; None where no sentence that taught the face model
+    is at hand. With it `catmull-rom` is the paper's, and the baseline of that name, which knows
+    means of classes alone, is called `CLASS_MEANS`.
+    """
+    methods: list[Method] = [OfflineMethod(name, models) for name in PLANNED_METHODS]
+    if visemes is not None:
+        asked = replace(asked, methods=tuple(map(_class_means_named, asked.methods)))
+        methods.insert(0, ContextVisemeMethod(visemes))
+    return replace(asked, methods=(*asked.methods, *methods))
+
+
+def _class_means_named(method: Method) -> Method:
+    return replace(method, name=CLASS_MEANS) if isinstance(method, SplineMethod) else method
+
+
+def score_model(model: TrainedModel, corpus: Corpus, asked: Question, track: Track) -> list[Row]:
+    """A given model on a folder that it was not trained on."""
+    utterances = check_scorable(model, corpus)
+    if asked.words is not None and not any(speech_frames(u, asked.words).any() for u in utterances):
+        raise BenchError(f"{corpus.name}: no sentence holds {', '.join(sorted(asked.words))}")
+    part = Part("given", frozenset(), frozenset(u.name for u in utterances), asked.words)
+    return _rows([(model, part)], corpus, asked, track)
+
+
+def paper_rows(model: TrainedModel, corpus: Corpus) -> dict[str, list[Row]]:
+    """Tables 2 and 3 and Figure 6 of the paper; case 2 with our recogniser and with pocketsphinx.
+
+    Raises MissingExtraError without the extra `align`.
+    """
+    utterances = check_scorable(model, corpus)
+    return paper_tables(model, utterances, {engine: live_listener(engine) for engine in _COMPARED})
+
+
+def recovery(model: TrainedModel, unseen: Corpus, corpus: Corpus, asked: Question) -> list[Row]:
+    """What a wrong phoneme leaves behind, in sentences that the model has not seen.
+
+    corpus: all recordings, for what real coarticulation leaves behind.
+    """
+    methods = [m for m in asked.methods if m.name in _RECOVERING]
+    if not methods:
+        return []
+    tested, recorded = check_scorable(model, unseen), corpus.labelled().utterances
+    return recovery_rows(model, tested, recorded, methods, asked.lookaheads_ms)
+
+
+@dataclass(frozen=True, slots=True)
+class CrossValidation:
+    """The rows of all splits, and of the first training its model and what it has not seen."""
+
+    rows: list[Row]
+    model: TrainedModel
+    unseen: Corpus
+
+
+def cross_validate(
+    folder: Path, corpus: Corpus, asked: Question, train: Train, track: Track
+) -> CrossValidation:
+    """Models trained on the training part of each split, scored on the rest."""
+    labelled = corpus.labelled()
+    if asked.words is not None:
+        parts = [words_part("words", labelled, asked.words)]
+        if not parts[0].train:
+            named = " or ".join(map(repr, sorted(asked.words)))
+            raise BenchError(
+                f"{corpus.name}: every labelled sentence holds {named}, so none is left to train "
+                "on; name rarer words, or give a model with --model"
+            )
+    else:
+        parts = read_parts(folder, labelled)
+    rows: list[Row] = []
+    first: TrainedModel | None = None
+    for split in dict.fromkeys(part.split for part in parts):
+        trained = [(train(labelled.keep(set(p.train))), p) for p in parts if p.split == split]
+        first = first or trained[0][0]
+        rows += _rows(trained, labelled, asked, track)
+    if first is None:
+        raise BenchError(f"{folder}: no split to score")
+    return CrossValidation(rows, first, labelled.keep(set(parts[0].test)))
+
+
+@dataclass(slots=True)
+class _RememberingListener:
+    """A listener who remembers what was heard: the phonemes of all, the first sentences whole."""
+
+    listen: Listen
+    sentences: list[tuple[PhonemeEvent, ...]] = field(default_factory=list)
+    first: list[Heard] = field(default_factory=list)
+
+    def __call__(self, utterance: Utterance) -> Heard:
+        heard = self.listen(utterance)
+        self.sentences.append(heard.events)
+        if len(self.first) < _TIMED:
+            self.first.append(heard)
+        return heard
+
+
+def _rows(
+    trained: Sequence[tuple[TrainedModel, Part]], corpus: Corpus, asked: Question, track: Track
+) -> list[Row]:
+    """One split: the sums of all its parts together; misses and times of the phonemes heard."""
+    scores = Scores()
+    listen = true_phonemes if asked.phonemes == PHONEMES_TRUE else live_listener()
+    listeners = []
+    for model, part in trained:
+        listeners.append(_RememberingListener(listen))
+        add_scores(
+            scores,
+            model,
+            corpus.keep(set(part.test)).utterances,
+            asked.methods,
+            asked.lookaheads_ms,
+            words=part.words,
+            listen=listeners[-1],
+            progress=partial(track, f"scoring {part.split}"),
+        )
+    model, part = trained[0]
+    rows = []
+    for method in asked.methods:
+        missed = _miss_rate(method, [m for m, _ in trained], listeners)
+        for lookahead_ms in asked.lookaheads_ms:
+            times = method_times(method, model, listeners[0].first, lookahead_ms / 1e3)
+            rows.append(
+                {
+                    "strategy": method.name,
+                    "lookahead_ms": lookahead_ms,
+                    "split": part.split,
+                    "phonemes": asked.phonemes,
+                    **scores.row(method.name, lookahead_ms),
+                    "miss_rate": missed,
+                    "ms_per_phoneme_p95": times and times.phoneme_p95_ms,
+                    "ms_per_frame_p95": times and times.frame_p95_ms,
+                    "timed_sentences": times and len(listeners[0].first),
+                }
+            )
+    return rows
+
+
+def _miss_rate(
+    method: Method, models: Sequence[TrainedModel], listeners: Sequence[_RememberingListener]
+) -> float | None:
+    """Over all parts of a split, each by its own model; None for methods that choose nothing."""
+    strategy = STRATEGIES.get(method.name)
+    if strategy is None:
+        return None
+    counts = [
+        count_misses(model.animphos, strategy, heard.sentences)
+        for model, heard in zip(models, listeners, strict=True)
+    ]
+    return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
+
+
+def live_listener(engine: MeasuredEngine = DEFAULT_ENGINE) -> Callable[[Utterance], Heard]:
+    """What a live recogniser finds in a sentence's sound; made when the first is asked for."""
+
+    def listen(utterance: Utterance) -> Heard:
+        return replace(
+            recognize_file(recognizer(), utterance.sound_path), sound_path=utterance.sound_path
+        )
+
+    @cache
+    def recognizer() -> LiveRecognizer:
+        return measured_recognizer(engine, _COMPARED.get(engine, LATENCY_S))()
+
+    return listen

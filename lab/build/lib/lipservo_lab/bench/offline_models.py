@@ -1,0 +1,108 @@
+"""What the methods that hear a whole line need, of the sentences that taught each face model.
+
+What an offline model of a whole folder costs: time and memory of a process of its own.
+"""
+
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from lipservo_lab.baselines.context_visemes import ContextVisemes, recorded_visemes
+from lipservo_lab.bench.motion_figures import BenchError
+from lipservo_lab.corpus.utterance import Corpus
+from lipservo_lab.evaluation.motion.offline_methods import OfflineModels, RecordedVisemes
+from lipservo_lab.learning.motion.trained_model import TrainedModel, save_model
+from lipservo_lab.learning.offline.offline_training import train_offline
+from lipsync.errors import check_extra
+from lipsync.offline.offline_model import OfflineModel
+from lipsync.offline.offline_model_file import load_offline_model
+
+
+def models_of(sentences: Corpus, purpose: str) -> OfflineModels:
+    """Offline models of the sentences of a corpus that trained a face model.
+
+    For a face model of other sentences it is the shipped one, if that goes with the face:
+    OfflineModelError where it does not. purpose: what asks for them. Raises MissingExtraError.
+    """
+    check_extra("dtaidistance", purpose)
+
+    def train(model: TrainedModel) -> OfflineModel:
+        known = _known(sentences, model)
+        if known.utterances:
+            return train_offline(known, model)
+        shipped = load_offline_model()
+        shipped.check_face(model, "the shipped offline model")
+        return shipped
+
+    return OfflineModels(train)
+
+
+def visemes_of(sentences: Corpus) -> RecordedVisemes:
+    """Recorded phones of the sentences of a corpus that trained a face model."""
+
+    def gather(model: TrainedModel) -> ContextVisemes:
+        known = _known(sentences, model).utterances
+        return recorded_visemes(known, [model.coefficients(u.markers_mm) for u in known])
+
+    return RecordedVisemes(gather)
+
+
+def _known(sentences: Corpus, model: TrainedModel) -> Corpus:
+    return sentences.labelled().keep(set(model.training_sentences))
+
+
+#: Runs a command and prints its peak resident memory, as the system counts it, and its processor
+#: time. A process inherits the peak of whoever started it, so a small one must start it.
+_MEASURE = """
+import json, resource, subprocess, sys
+status = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode
+used = resource.getrusage(resource.RUSAGE_CHILDREN)
+print(json.dumps([used.ru_maxrss, used.ru_utime + used.ru_stime]))
+sys.exit(status)
+"""
+_BYTES_OF_PEAK = 1 if sys.platform == "darwin" else 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """build_s: by the clock, as `lipservo learn offline` takes, reading and listening included.
+
+    build_processor_s: of all its threads. build_mb: peak resident memory, 10^6 bytes.
+    """
+
+    build_s: float
+    build_processor_s: float
+    build_mb: float
+
+
+def building_cost(folder: Path, model: TrainedModel, *, skip_bad: bool) -> Cost:
+    """Of an offline model for this face of every labelled sentence of a folder.
+
+    Raises BenchError, with what `train-offline` says, where it makes none.
+    """
+    with tempfile.TemporaryDirectory() as place:
+        face, made = Path(place) / "face.npz", Path(place) / "offline.npz"
+        save_model(model, face)
+        train = [sys.executable, "-m", "lipservo", "learn", "offline", str(folder), "--quiet"]
+        train += ["--model", str(face), "--output", str(made)]
+        return cost_of([*train, "--skip-bad"] if skip_bad else train)
+
+
+def cost_of(command: Sequence[str]) -> Cost:
+    """Of a command in a process of its own. Raises BenchError with its last word if it fails."""
+    began_s = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", _MEASURE, *command],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    took_s = time.perf_counter() - began_s
+    if done.returncode:
+        lines = done.stderr.strip().splitlines()
+        raise BenchError(lines[-1] if lines else f"{command[0]} ended with {done.returncode}")
+    peak, processor_s = json.loads(done.stdout)
+    return Cost(took_s, processor_s, peak * _BYTES_OF_PEAK / 1e6)

@@ -1,0 +1,1 @@
+"""Pictures of motion that `lipservo bench motion` draws."""

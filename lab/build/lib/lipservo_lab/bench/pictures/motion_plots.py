@@ -1,0 +1,289 @@
+"""Pictures of `lipservo bench motion`; needs matplotlib, the extra `plots`.
+
+A sheet of mouths: one for each phoneme, as it looks in the middle of a short word.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from lipservo.terminal.pictures import save_picture, without_screen
+from lipservo_lab.corpus.utterance import Utterance
+from lipservo_lab.evaluation.motion.measures import CLOSING, lip_shapes_mm
+from lipservo_lab.evaluation.motion.methods import (
+    CATMULL_ROM,
+    REFERENCE,
+    Heard,
+    LiveMethod,
+    all_methods,
+)
+from lipservo_lab.evaluation.motion.minimal_pairs import AFTER
+from lipservo_lab.evaluation.motion.recovery import ErrorRow, error_rows
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
+from lipsync.markers import CLOSED_GAP_MM, INNER_LIP_GROUP, OUTER_LIP_GROUP
+from lipsync.motion.closures import BILABIALS
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+_COLUMNS = 8
+_PHONE_S = 0.12
+_LOOKAHEAD_S = 0.1
+#: Between two T, which leave a vowel its own shape.
+_VOWELS: Final = frozenset(
+    ("AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW")
+)
+_LIPS, _INSIDE = "#c4696b", "#3a1418"
+
+
+def draw_mouths(path: Path, model: TrainedModel) -> None:
+    """Draw all phonemes, in the live method's motion; the model's layout has both lips."""
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    n_rows = -(-len(PHONEMES) // _COLUMNS)
+    figure, axes = plt.subplots(
+        n_rows, _COLUMNS, figsize=(1.5 * _COLUMNS, 1.35 * n_rows), layout="constrained"
+    )
+    markers_mm = [model.markers_mm(phoneme_face(model, p)[None])[0] for p in PHONEMES]
+    lips_mm = np.array([m[list(model.layout.lips), :2] for m in markers_mm])
+    low, high = lips_mm.min(axis=(0, 1)) - 4.0, lips_mm.max(axis=(0, 1)) + 4.0
+    for axis in axes.flat:
+        axis.set_axis_off()
+        axis.set_aspect("equal")
+        axis.set_xlim(low[0], high[0])
+        axis.set_ylim(low[1], high[1])
+    for axis, phoneme, points_mm in zip(axes.flat, PHONEMES, markers_mm, strict=False):
+        _draw_mouth(axis, model, points_mm)
+        axis.set_title(phoneme, fontsize=9, pad=1)
+    save_picture(figure, path)
+    plt.close(figure)
+
+
+def phoneme_face(model: TrainedModel, phoneme: str) -> Array:
+    """(n_components,): a consonant between two AH, a vowel between two T, silence alone.
+
+    In the middle of the phoneme; of those for which lips close, at the instant when they are
+    nearest.
+    """
+    neighbour = "T" if phoneme in _VOWELS else SILENCE if phoneme == SILENCE else "AH"
+    said = (SILENCE, SILENCE, neighbour, phoneme, neighbour, SILENCE)
+    events = tuple(
+        PhonemeEvent(name, _PHONE_S * k, _PHONE_S * (k + 1)) for k, name in enumerate(said)
+    )
+    times_s = np.arange(0.0, _PHONE_S * len(said), TICK_S)
+    faces = LiveMethod().faces(model, Heard(events), times_s, _LOOKAHEAD_S)
+    inside = np.flatnonzero((times_s >= events[3].start_s) & (times_s < (events[3].end_s or 0.0)))
+    shown = inside[len(inside) // 2]
+    if phoneme in CLOSING:
+        shown = inside[np.argmin(model.lip_gaps_mm(model.markers_mm(faces[inside])))]
+    return np.asarray(faces[shown])
+
+
+def _draw_mouth(axis: "Axes", model: TrainedModel, points_mm: Array) -> None:
+    for group, colour in ((OUTER_LIP_GROUP, _LIPS), (INNER_LIP_GROUP, _INSIDE)):
+        points = list(model.layout.group(group))
+        axis.fill(points_mm[points, 0], points_mm[points, 1], color=colour, linewidth=0)
+
+
+Row = Mapping[str, object]
+
+#: Look-ahead of the trajectories drawn.
+_DRAWN_LOOKAHEAD_S = 0.1
+_DRAWN_RATE_HZ = 100.0
+#: One that opens the mouth, and one of the finer ones.
+_DRAWN_COMPONENTS = (1, 6)
+#: Shown before and after speech, s.
+_MARGIN_S = 0.2
+_WITH_ERRORS = ("mean-face", "naive", "priority", LIVE_STRATEGY)
+_SENTENCES_WITH_ERRORS = 30
+RECORDED = "recorded"
+#: The same colour in every picture.
+COLOURS = {
+    RECORDED: "black",
+    LIVE_STRATEGY: "tab:red",
+    REFERENCE: "tab:orange",
+    "cohen-massaro-tuned": "tab:olive",
+    "plain-regression": "tab:blue",
+    "priority": "tab:green",
+    "naive": "tab:purple",
+    "mean-face": "tab:gray",
+    CATMULL_ROM: "tab:brown",
+    "model-based": "darkcyan",
+    "heard": "mediumvioletred",
+}
+
+
+#: What is drawn into the folder.
+PICTURES = ("trajectory.png", "lookahead.png", "recovery.png", "errors.png", "mouths.png")
+
+
+def draw(
+    folder: Path,
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    rows: Sequence[Row],
+    recovery: Sequence[Row],
+) -> list[dict[str, object]]:
+    """Mouths, trajectory, error by look-ahead, what is left of a phoneme, error by wrong ones.
+
+    utterances: not the model's. Returns what the last picture shows.
+    """
+    without_screen()
+    draw_mouths(folder / "mouths.png", model)
+    draw_trajectory(folder, model, utterances[0])
+    draw_lookahead(folder, rows)
+    draw_recovery(folder, recovery)
+    methods = [m for name, m in all_methods().items() if name in _WITH_ERRORS]
+    few = utterances[:_SENTENCES_WITH_ERRORS]
+    errors = error_rows(model, few, methods, lookahead_s=_DRAWN_LOOKAHEAD_S)
+    draw_errors(folder, errors)
+    return [asdict(row) for row in errors]
+
+
+def draw_trajectory(folder: Path, model: TrainedModel, utterance: Utterance) -> None:
+    """Lip gap and width, and two components of one sentence, recorded and synthesised."""
+    from matplotlib import pyplot as plt
+
+    recorded_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
+    times_s = np.arange(0.0, recorded_s[-1], 1.0 / _DRAWN_RATE_HZ)
+    curves = {}
+    for name in (REFERENCE, "priority", LIVE_STRATEGY):
+        method = all_methods()[name]
+        faces = method.faces(model, Heard(utterance.phones), times_s, _DRAWN_LOOKAHEAD_S)
+        curves[name] = times_s, motion_curves(model, faces)
+    curves[RECORDED] = recorded_s, motion_curves(model, model.coefficients(utterance.markers_mm))
+    figure, axes = plt.subplots(
+        4, 1, sharex=True, figsize=(9, 9), layout="constrained", height_ratios=(2, 1, 1, 1)
+    )
+    first, fine = _DRAWN_COMPONENTS[0], min(_DRAWN_COMPONENTS[1], model.n_components)
+    labels = ("inner lip gap, mm", "width, mm", f"component {first}, mm", f"component {fine}, mm")
+    for axis, label, number in zip(axes, labels, range(4), strict=True):
+        for name, (at_s, values) in curves.items():
+            thick = 2.0 if name in (RECORDED, LIVE_STRATEGY) else 0.9
+            axis.plot(at_s, values[number], label=name, linewidth=thick, color=COLOURS[name])
+        axis.set_ylabel(label)
+    mark_phones(axes[0], utterance)
+    axes[0].legend(fontsize=8)
+    axes[-1].set_xlabel("s")
+    save_picture(figure, folder / "trajectory.png")
+    plt.close(figure)
+
+
+def mark_phones(
+    axis: "Axes", utterance: Utterance, heights: Sequence[float] = (1.02, 1.07)
+) -> None:
+    """Names above the axis, their beginnings as lines; closures of P B M shaded.
+
+    heights: names stand at these in turn, so that those of short phones do not overlap.
+    """
+    spoken = [p for p in utterance.phones if p.phoneme != SILENCE] or list(utterance.phones)
+    for number, phone in enumerate(spoken):
+        height = heights[number % len(heights)]
+        place = axis.get_xaxis_transform()
+        axis.text(phone.start_s, height, phone.phoneme, fontsize=8, transform=place)
+        axis.axvline(phone.start_s, color="0.85", linewidth=0.6, zorder=0)
+        if phone.phoneme in BILABIALS:
+            axis.axvspan(phone.start_s, phone.end_s or phone.start_s, color="0.9", zorder=0)
+    axis.axhline(CLOSED_GAP_MM, color="0.5", linewidth=0.6, linestyle=":")
+    last_s = spoken[-1].end_s or spoken[-1].start_s
+    axis.set_xlim(spoken[0].start_s - _MARGIN_S, last_s + _MARGIN_S)
+
+
+def draw_lookahead(folder: Path, rows: Sequence[Row]) -> None:
+    """Ratio to the fixed reference against look-ahead, a panel for each split."""
+    from matplotlib import pyplot as plt
+
+    splits = list(dict.fromkeys(str(r["split"]) for r in rows))
+    figure, axes = plt.subplots(
+        1, len(splits), sharey=True, squeeze=False, figsize=(3 + 3 * len(splits), 4.5),
+        layout="constrained",
+    )  # fmt: skip
+    drawn = ("cohen-massaro-tuned", "plain-regression", LIVE_STRATEGY)
+    for axis, split in zip(axes[0], splits, strict=True):
+        axis.axhline(1.0, color=COLOURS[REFERENCE], label=REFERENCE)
+        for name in drawn:
+            mine = [r for r in rows if r["strategy"] == name and r["split"] == split]
+            if not mine:
+                continue
+            ratios = np.array([float_or_nan(r["ratio"]) for r in mine])
+            ends = np.array([r["ratio_95"] or (np.nan, np.nan) for r in mine], dtype=np.float64)
+            axis.errorbar(
+                [float_or_nan(r["lookahead_ms"]) for r in mine], ratios,
+                np.abs(ends.reshape(-1, 2).T - ratios),
+                marker="o", capsize=3, label=name, color=COLOURS[name],
+            )  # fmt: skip
+        axis.set_title(split)
+        axis.set_xlabel("look-ahead, ms")
+    axes[0][0].set_ylabel("RMSE over that of the fixed reference")
+    axes[0][0].legend(fontsize=8)
+    save_picture(figure, folder / "lookahead.png")
+    plt.close(figure)
+
+
+def draw_recovery(folder: Path, rows: Sequence[Row]) -> None:
+    """What is left of one phoneme in those after it: recorded, made, wrong, put right."""
+    from matplotlib import pyplot as plt
+
+    drawn_ms = round(_DRAWN_LOOKAHEAD_S * 1e3)
+    styles = {"another true phoneme": "-", "never corrected": "--", "corrected after 95 ms": ":"}
+    figure, axis = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    for row in rows:
+        name, case = str(row["strategy"]), str(row["case"])
+        ours = name == LIVE_STRATEGY and row["lookahead_ms"] == drawn_ms
+        if not isinstance(row["left"], list) or not (ours or name == RECORDED):
+            continue
+        left = np.array([float_or_nan(share) for share in row["left"]])
+        label = f"{name}, {case}"
+        axis.plot(left, linestyle=styles[case], marker="o", label=label, color=COLOURS[name])
+        if name == RECORDED:
+            low, high = np.array(row["left_95"], dtype=np.float64).T
+            axis.fill_between(range(len(left)), low, high, color="0.9", zorder=0)
+    axis.set_xticks(range(1 + AFTER), ["the phoneme", *(f"+{k}" for k in range(1, 1 + AFTER))])
+    axis.set_ylabel("share of its deviation that is left")
+    if axis.lines:
+        axis.legend(fontsize=8)
+    save_picture(figure, folder / "recovery.png")
+    plt.close(figure)
+
+
+def draw_errors(folder: Path, rows: Sequence[ErrorRow]) -> None:
+    """RMSE against the share of phonemes that are wrong, a panel for each kind of error."""
+    from matplotlib import pyplot as plt
+
+    kinds = list(dict.fromkeys(row.kind for row in rows))
+    figure, axes = plt.subplots(
+        1, len(kinds), sharey=True, squeeze=False, figsize=(10, 4), layout="constrained"
+    )
+    for axis, kind in zip(axes[0], kinds, strict=True):
+        for name in dict.fromkeys(row.strategy for row in rows):
+            mine = [row for row in rows if row.kind == kind and row.strategy == name]
+            rates, rmse_mm = [r.rate for r in mine], [r.rmse_mm for r in mine]
+            axis.plot(rates, rmse_mm, marker="o", label=name, color=COLOURS[name])
+        axis.set_title(kind)
+        axis.set_xlabel("share of wrong phonemes")
+    axes[0][0].set_ylim(bottom=0.0)
+    axes[0][0].set_ylabel("RMSE, mm")
+    axes[0][0].legend(fontsize=8)
+    save_picture(figure, folder / "errors.png")
+    plt.close(figure)
+
+
+def motion_curves(model: TrainedModel, faces: Array) -> tuple[Array, ...]:
+    """Lip gap and width in mm, the first component, and one of the finer ones: (n,) each."""
+    gap_mm, width_mm, _ = lip_shapes_mm(model, model.markers_mm(faces)).T
+    first, fine = (min(number, model.n_components) - 1 for number in _DRAWN_COMPONENTS)
+    return gap_mm, width_mm, faces[:, first], faces[:, fine]
+
+
+def float_or_nan(value: object) -> float:
+    """NaN for what a row leaves out."""
+    return float(value) if isinstance(value, int | float) else float("nan")

@@ -1,0 +1,321 @@
+"""The figures of `lipservo bench readability`: each method, look-ahead and reader, by split.
+
+The picture of `lipservo bench readability`; needs matplotlib, the extra `plots`.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from lipservo.runtime.servos.assembly import Face
+from lipservo.terminal.pictures import save_picture, without_screen
+from lipservo_lab.bench.motion_figures import (
+    PHONEMES_RECOGNIZED,
+    PHONEMES_TRUE,
+    Row,
+    Track,
+    live_listener,
+    question,
+)
+from lipservo_lab.bench.readability.robot_lips import ROBOT, calibrated_robot, shown_markers_mm
+from lipservo_lab.corpus.utterance import Corpus, Utterance
+from lipservo_lab.evaluation.motion.methods import Heard, Method
+from lipservo_lab.evaluation.motion.motion_scores import Listen, Part, check_scorable, true_phonemes
+from lipservo_lab.evaluation.motion.offline_methods import OfflineMethod, OfflineModels
+from lipservo_lab.evaluation.readability.readers import (
+    COMPONENT_READER,
+    LIP_READER,
+    READERS,
+    Fold,
+    Motions,
+    ReaderKind,
+    known_fold,
+    new_word_folds,
+    read_words,
+    slotted,
+)
+from lipservo_lab.evaluation.readability.reading_scores import (
+    KNOWN,
+    ReadingScore,
+    known_score,
+    made_faces,
+    new_word_score,
+    recorded_motions,
+    seen_motions,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.offline.line_methods import PLANNED_METHODS, LineMethod
+
+Advance = Callable[[str, int, int], None]
+
+RECORDED = "recorded"
+#: Whose face is read: the model's own, or the robot's.
+OWN_FACE = "model"
+HEADLINE_LOOKAHEAD_MS = round(DEFAULT_LOOKAHEAD_S * 1e3)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingQuestion:
+    """What is to be read: whose motion, with which phonemes, and whether the robot plays it too.
+
+    line_methods: those of `lipservo lines render`, which need models of their own.
+    """
+
+    methods: tuple[Method, ...]
+    lookaheads_ms: tuple[int, ...]
+    phonemes: tuple[str, ...]
+    robot: bool
+    line_methods: tuple[LineMethod, ...] = ()
+
+
+def reading_question(
+    strategies: str, lookaheads: str, phonemes: str, *, robot: bool
+) -> ReadingQuestion:
+    """From the command line's texts, each a list with commas; raises BenchError, as `question`."""
+    named = list(dict.fromkeys(text.strip() for text in strategies.split(",")))
+    line_methods = tuple(name for name in PLANNED_METHODS if name in named)
+    kinds = tuple(dict.fromkeys(text.strip() for text in phonemes.split(",")))
+    # Without a live one look-aheads and phonemes are checked all the same.
+    live: list[str | None] = [name for name in named if name not in line_methods]
+    asked = [question(name, lookaheads, kind, None) for name in live or [None] for kind in kinds]
+    methods = {each.methods[0].name: each.methods[0] for each in asked} if live else {}
+    return ReadingQuestion(
+        tuple(methods.values()), asked[0].lookaheads_ms, kinds, robot, line_methods
+    )
+
+
+def with_line_methods(
+    asked: ReadingQuestion, models_of: Callable[[], OfflineModels]
+) -> ReadingQuestion:
+    """The same with its line methods made ready; models_of: called only where there are any."""
+    if not asked.line_methods:
+        return asked
+    models = models_of()
+    methods = tuple(OfflineMethod(name, models) for name in asked.line_methods)
+    return replace(asked, methods=(*asked.methods, *methods), line_methods=())
+
+
+@dataclass(frozen=True, slots=True)
+class _Split:
+    """One part with its model, recorded motion and folds for each kind of reader."""
+
+    part: Part
+    model: TrainedModel
+    read: tuple[Utterance, ...]
+    recorded: Mapping[str, Motions]
+    folds: Mapping[str, tuple[Fold, ...]]
+
+    def score(self, kind: ReaderKind, seen: Motions) -> ReadingScore:
+        recorded = self.recorded[kind.name]
+        readings = read_words(self.folds[kind.name], seen, recorded)
+        if self.part.words is None:
+            return known_score(readings)
+        return new_word_score(readings, self.part.words)
+
+
+def reading_rows(
+    corpus: Corpus,
+    parts: Iterable[Part],
+    model_of: Callable[[Part], TrainedModel],
+    asked: ReadingQuestion,
+    track: Track,
+    advance: Advance,
+) -> list[Row]:
+    """The rows of all parts. model_of: one that has learned no sentence of the part's test."""
+    listeners: dict[str, Listen] = {
+        PHONEMES_TRUE: true_phonemes,
+        PHONEMES_RECOGNIZED: _RememberingListener(live_listener()),
+    }
+    rows: list[Row] = []
+    for part in parts:
+        split = _split(part, model_of(part), corpus)
+        rows += [_row(split, kind, split.recorded[kind.name]) for kind in READERS]
+        for phonemes in asked.phonemes:
+            rows += _made_rows(split, asked, phonemes, listeners[phonemes], track)
+        if asked.robot and part.split == KNOWN:
+            rows += _robot_rows(split, asked, listeners, track, advance)
+    return rows
+
+
+def headline(rows: Sequence[Row]) -> dict[str, object]:
+    """Scores of the first reader on recorded motion and on the default's at 100 ms, by split.
+
+    robot_...: of the lips that the robot shows, by the reader that sees lips only.
+    """
+    found: dict[str, object] = {}
+    for row in rows:
+        split, phonemes = row["split"], row["phonemes"]
+        if row["strategy"] not in (RECORDED, LIVE_STRATEGY):
+            continue
+        if row["lookahead_ms"] not in (None, HEADLINE_LOOKAHEAD_MS):
+            continue
+        key = f"{RECORDED}_{split}" if phonemes is None else f"{split}_{phonemes}"
+        if row["face"] == OWN_FACE and row["reader"] == COMPONENT_READER.name:
+            found[key] = row["score"]
+        elif row["face"] == ROBOT and row["reader"] == LIP_READER.name:
+            found[f"robot_{key}"] = row["score"]
+    return found
+
+
+def _split(part: Part, model: TrainedModel, corpus: Corpus) -> _Split:
+    sentences = slotted(check_scorable(model, corpus))
+    recorded = {kind.name: recorded_motions(model, sentences, kind) for kind in READERS}
+    folds = {}
+    for kind in READERS:
+        seen = recorded[kind.name]
+        if part.words is None:
+            folds[kind.name] = known_fold(kind, sentences, part.test, seen)
+        else:
+            folds[kind.name] = new_word_folds(kind, sentences, part.words, seen)
+    read = tuple(u for fold in folds[READERS[0].name] for u in fold.sentences)
+    return _Split(part, model, read, recorded, folds)
+
+
+def _made_rows(
+    split: _Split, asked: ReadingQuestion, phonemes: str, listen: Listen, track: Track
+) -> Iterator[Row]:
+    what = f"{split.part.split}, {phonemes}"
+    for method in asked.methods:
+        faces: Motions | None = None
+        for lookahead_ms in asked.lookaheads_ms:
+            if faces is None or method.looks_ahead:
+                sentences = track(f"{what}, {method.name}", list(split.read))
+                faces = made_faces(split.model, sentences, method, lookahead_ms / 1e3, listen)
+            for kind in READERS:
+                seen = seen_motions(split.model, faces, kind)
+                yield _row(split, kind, seen, phonemes, method.name, lookahead_ms)
+
+
+def _robot_rows(
+    split: _Split,
+    asked: ReadingQuestion,
+    listeners: Mapping[str, Listen],
+    track: Track,
+    advance: Advance,
+) -> Iterator[Row]:
+    """The default strategy, if it is asked for, and recorded motion, played by the robot."""
+    robot = calibrated_robot(split.model)
+    play = partial(_robot_seen, split, robot, advance)
+    rate_hz = split.read[0].frame_rate_hz
+    recorded = {u.name: split.model.coefficients(u.markers_mm) for u in split.read}
+    for kind, seen in play(recorded, rate_hz).items():
+        yield _row(split, kind, seen, face=ROBOT)
+    ours = next((m for m in asked.methods if m.name == LIVE_STRATEGY), None)
+    if ours is None:
+        return
+    for phonemes in asked.phonemes:
+        sentences = track(f"{ROBOT}, {phonemes}", list(split.read))
+        faces = made_faces(
+            split.model, sentences, ours, DEFAULT_LOOKAHEAD_S, listeners[phonemes], 1.0 / TICK_S
+        )
+        for kind, seen in play(faces, 1.0 / TICK_S).items():
+            yield _row(split, kind, seen, phonemes, ours.name, HEADLINE_LOOKAHEAD_MS, face=ROBOT)
+
+
+def _robot_seen(
+    split: _Split, robot: Face, advance: Advance, faces: Motions, rate_hz: float
+) -> dict[ReaderKind, Motions]:
+    """What each kind of reader sees of the robot while it plays the sentences."""
+    shown = shown_markers_mm(
+        robot, faces, rate_hz, split.read[0].frame_rate_hz, partial(advance, f"{ROBOT} plays")
+    )
+    return {
+        kind: {name: kind.view(split.model, each) for name, each in shown.items()}
+        for kind in READERS
+    }
+
+
+def _row(
+    split: _Split,
+    kind: ReaderKind,
+    seen: Motions,
+    phonemes: str | None = None,
+    strategy: str = RECORDED,
+    lookahead_ms: int | None = None,
+    *,
+    face: str = OWN_FACE,
+) -> Row:
+    """What one reader reads; phonemes, lookahead_ms: None for recorded motion."""
+    scored = split.score(kind, seen)
+    return {
+        "split": split.part.split,
+        "face": face,
+        "phonemes": phonemes,
+        "strategy": strategy,
+        "lookahead_ms": lookahead_ms,
+        "reader": kind.name,
+        "score": scored.score,
+        "score_95": list(scored.interval),
+        "shares": scored.shares,
+        "whole_sentences": scored.whole_sentences,
+        "gain": scored.gain,
+        "sentences": scored.n_sentences,
+    }
+
+
+@dataclass(slots=True)
+class _RememberingListener:
+    """A listener who hears every sentence once."""
+
+    listen: Listen
+    heard: dict[str, Heard] = field(default_factory=dict)
+
+    def __call__(self, utterance: Utterance) -> Heard:
+        if utterance.name not in self.heard:
+            self.heard[utterance.name] = self.listen(utterance)
+        return self.heard[utterance.name]
+
+
+#: What is drawn into the folder.
+PICTURES = ("readability.png",)
+_COLOURS = {"true": "tab:blue", "recognized": "tab:orange", None: "0.4"}
+
+
+def draw_readability(folder: Path, rows: Sequence[Row]) -> None:
+    """A bar for each motion at 100 ms with its interval, a panel for each split and reader."""
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    shown = [r for r in rows if r["lookahead_ms"] in (None, HEADLINE_LOOKAHEAD_MS)]
+    splits = list(dict.fromkeys(str(r["split"]) for r in shown))
+    readers = list(dict.fromkeys(str(r["reader"]) for r in shown))
+    n_bars = max(sum(r["split"] == s and r["reader"] == readers[0] for r in shown) for s in splits)
+    figure, axes = plt.subplots(
+        len(readers), len(splits), sharex=True, squeeze=False,
+        figsize=(4.0 * len(splits), len(readers) * (1.0 + 0.3 * n_bars)), layout="constrained",
+    )  # fmt: skip
+    for line, reader in zip(axes, readers, strict=True):
+        for axis, split in zip(line, splits, strict=True):
+            mine = [r for r in shown if r["split"] == split and r["reader"] == reader]
+            scores = np.array([r["score"] for r in mine], dtype=np.float64)
+            ends = np.array([r["score_95"] for r in mine], dtype=np.float64)
+            axis.barh(
+                range(len(mine)), scores, xerr=np.abs(ends.T - scores), capsize=3,
+                color=[_COLOURS[_phonemes(r)] for r in mine],
+            )  # fmt: skip
+            axis.set_yticks(range(len(mine)), [_label(r) for r in mine], fontsize=8)
+            axis.invert_yaxis()
+            axis.set_title(f"{split}, reader of {reader}", fontsize=10)
+            axis.set_xlim(0.0, 1.0)
+    for axis in axes[-1]:
+        axis.set_xlabel("read right")
+    save_picture(figure, folder / PICTURES[0])
+    plt.close(figure)
+
+
+def _phonemes(row: Row) -> str | None:
+    return None if row["phonemes"] is None else str(row["phonemes"])
+
+
+def _label(row: Row) -> str:
+    names = [str(row["strategy"])]
+    if row["strategy"] != RECORDED:
+        names.append(str(row["phonemes"]))
+    if row["face"] != "model":
+        names.append(str(row["face"]))
+    return ", ".join(names)

@@ -1,0 +1,78 @@
+"""The models whose motion is read: given, or trained without what is read of them."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from lipservo_lab.bench.motion_figures import BenchError
+from lipservo_lab.corpus.utterance import Corpus, CorpusError
+from lipservo_lab.evaluation.motion.motion_scores import Part, words_part
+from lipservo_lab.evaluation.readability.reading_scores import reading_parts
+from lipservo_lab.learning.expectation.deviation import Progress, hear_sentences
+from lipservo_lab.learning.motion.face_training import train
+from lipservo_lab.learning.motion.trained_model import TrainedModel, load_trained_model
+from lipsync.recognition.network import load_shipped_weights
+
+ModelOf = Callable[[Part], TrainedModel]
+
+_NEW = "new_"
+
+
+def asked_parts(folder: Path, corpus: Corpus, words: str | None) -> list[Part]:
+    """Known words and the sets of the folder's splits.json; or `words`, with commas, alone.
+
+    corpus: labelled. Raises BenchError or CorpusError for what cannot be held out.
+    """
+    if words is None:
+        return reading_parts(folder, corpus)
+    named = frozenset(word.strip() for word in words.split(",") if word.strip())
+    if not named:
+        raise BenchError("--words names no word")
+    part = words_part(f"{_NEW}words", corpus, named)
+    if not part.train:
+        raise CorpusError(
+            f"{corpus.name}: every labelled sentence holds one of these words, so none is left to "
+            "train on; name rarer words"
+        )
+    return [part]
+
+
+def model_file(part: Part) -> str:
+    """What the file of a part's model is called: `known.npz`, `a.npz`, `words.npz`."""
+    return f"{part.split.removeprefix(_NEW)}.npz"
+
+
+def given_models(folder: Path, parts: Sequence[Part]) -> ModelOf:
+    """Models of a folder, all read at once.
+
+    Raises ModelError for one that cannot be read, BenchError for one that was trained on a sentence
+    that is read of it.
+    """
+    models = {}
+    for part in parts:
+        path = folder / model_file(part)
+        model = load_trained_model(path)
+        seen = sorted(part.test.intersection(model.training_sentences))
+        if seen:
+            raise BenchError(
+                f"{path}: was trained on {len(seen)} of the sentences to be read ({seen[0]}, ...); "
+                "give one trained without them, or leave --models out"
+            )
+        models[part.split] = model
+    return lambda part: models[part.split]
+
+
+def trained_models(corpus: Corpus, track: Progress, tell: Callable[[str], None]) -> ModelOf:
+    """Models trained on each part's training sentences, when they are asked for.
+
+    track: of what is heard, once for all trainings. tell: what training is doing.
+    """
+    heard = hear_sentences(load_shipped_weights(), corpus.utterances, track)
+
+    def trained(part: Part) -> TrainedModel:
+        return train(
+            corpus.keep(set(part.train)),
+            heard=heard,
+            progress=lambda text: tell(f"{part.split}: {text}"),
+        )
+
+    return trained

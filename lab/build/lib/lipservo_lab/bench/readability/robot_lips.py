@@ -1,0 +1,160 @@
+"""The lips that a calibrated robot shows of a motion, by its encoders, on a virtual clock.
+
+The robot is `face_sim`: calibration, targets, gate and bridge are those of a running face, its
+servos are simulated to the byte, and its geometry is known, so encoders tell where its lips are.
+
+Motion that is known beforehand, played as a synthesiser would.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from calibration.simulated.face import marker_positions_mm, simulated_face
+from firmware_bridge.loop.life_cycle import LifeCycle
+from lipservo.calibrating.calibration_setup import CalibrationSetup
+from lipservo.calibrating.measured_calibration import fit_simulated_face
+from lipservo.runtime.servos.assembly import Face, assemble_face, mouth_rules, simulated_wire
+from lipservo.runtime.street import make_street_of
+from lipservo_lab.evaluation.readability.readers import Motions
+from lipsync.animpho.units import FaceWithAnimPhos
+from lipsync.arrays import Array
+from lipsync.audio.playback_clock import SteadyClock
+from lipsync.errors import UserError
+from lipsync.face.frame import Frame
+from lipsync.markers import MARKERS_47
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.scripted import ScriptedPhonemes
+
+
+class PlayedMotion:
+    """A `Synthesizer` of given faces, between which it goes by straight lines."""
+
+    lookahead_s = 0.0
+    phonemes_planned = 0
+
+    def __init__(self, times_s: Array, faces: Array) -> None:
+        """times_s: (n,), ascending; faces: (n, n_components)."""
+        self._times_s = times_s
+        self._faces = faces
+
+    def reset(self) -> None:
+        """Nothing is remembered."""
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Phonemes change nothing."""
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The face at a sound time; before and after all of them the first and the last."""
+        columns = [np.interp(time_s, self._times_s, column) for column in self._faces.T]
+        return Frame(time_s, np.array(columns))
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
+        """Nobody knows."""
+        return None
+
+
+ROBOT: Final = "face_sim"
+#: From one sentence to the next the mouth goes so slowly that nothing is left of it.
+_PAUSE_S: Final = 0.5
+#: The face is brought up in this time, at rest.
+_LEAD_IN_S: Final = 1.0
+
+#: How one says how far it has got: number, of how many.
+Progress = Callable[[int, int], None]
+
+
+def calibrated_robot(model: FaceWithAnimPhos) -> Face:
+    """`face_sim`, calibrated for the model as `lipservo calibrate fit` does it.
+
+    Its servos are those of the shipped calibration, so how late they are is taken from there.
+    Raises UserError for a model of other points than the robot is measured at.
+    """
+    if model.layout.names != MARKERS_47.names:
+        raise UserError(f"{ROBOT} shows the 47 markers, this model has {model.layout.name}")
+    shipped = assemble_face(ROBOT, None)
+    setup = CalibrationSetup(shipped.settings, model, quiet=True, lags=False)
+    fitted = fit_simulated_face(setup).calibration
+    following = shipped.calibration.following
+    kept = replace(fitted, following=following, rules=mouth_rules(shipped.settings))
+    return replace(shipped, model=model, calibration=kept)
+
+
+@dataclass(frozen=True, slots=True)
+class _Programme:
+    """Sentences one after the other: knots of the motion, and when each sentence begins."""
+
+    times_s: Array
+    faces: Array
+    begins_s: Mapping[str, float]
+
+    @property
+    def end_s(self) -> float:
+        return float(self.times_s[-1]) + _PAUSE_S
+
+
+def shown_markers_mm(
+    robot: Face, faces: Motions, rate_hz: float, seen_at_hz: float, progress: Progress
+) -> dict[str, Array]:
+    """Markers (n_frames, 47, 3), seen_at_hz, that the robot shows of each sentence's motion.
+
+    faces: (n, n_components) at rate_hz, two at least. All are played in one go. progress: seconds
+    played, of how many.
+    """
+    programme = _programme(robot, faces, rate_hz)
+    sound_s, encoders_deg = _played(robot, programme, progress)
+    neutral_mm = robot.model.markers_mm(robot.model.rest[None])[0]
+    geometry = simulated_face(neutral_mm, robot.calibration.servo_names)
+    shown = {}
+    for name, each in faces.items():
+        times_s = np.arange(0.0, len(each) / rate_hz, 1.0 / seen_at_hz)
+        at_s = programme.begins_s[name] + times_s
+        columns = [np.interp(at_s, sound_s, column) for column in encoders_deg.T]
+        shown[name] = marker_positions_mm(geometry, np.stack(columns, axis=1))
+    return shown
+
+
+def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
+    knots_s, knots = [np.zeros(1)], [robot.model.rest[None]]
+    begins_s: dict[str, float] = {}
+    now_s = _LEAD_IN_S
+    for name, each in faces.items():
+        begins_s[name] = now_s
+        times_s = np.arange(len(each)) / rate_hz
+        # Between recorded frames a mouth goes without corners: servos stumble over those.
+        dense_s = np.arange(0.0, times_s[-1] + TICK_S / 2, TICK_S)
+        knots_s.append(now_s + dense_s)
+        knots.append(CubicSpline(times_s, each)(dense_s))
+        now_s += len(each) / rate_hz + _PAUSE_S
+    return _Programme(np.concatenate(knots_s), np.concatenate(knots), begins_s)
+
+
+def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Array, Array]:
+    """Sound times (n,), ascending, and what the mouth's encoders said then, (n, n_servos)."""
+    bus, clock = simulated_wire(robot.settings)
+    street = make_street_of(
+        robot,
+        ScriptedPhonemes(()),
+        SteadyClock(),
+        bus,
+        1.0 / TICK_S,
+        PlayedMotion(programme.times_s, programme.faces),
+    )
+    mouth = street.speech.mouth
+    sound_s: list[float] = []
+    encoders_deg: list[Array] = []
+    with bus, LifeCycle(street.bridge, clock) as life:
+        life.start()
+        street.begin(clock.now())
+        for time_s, late in life.ticks():
+            street.tick(time_s, late)
+            sound_s.append(street.speech.sound_time_s(clock.now()))
+            encoders_deg.append(bus.feedback().positions_deg[mouth])
+            progress(round(max(0.0, sound_s[-1])), round(programme.end_s))
+            if sound_s[-1] >= programme.end_s:
+                break
+    return np.array(sound_s), np.array(encoders_deg)

@@ -1,0 +1,72 @@
+"""A client of a face's control socket that uses nothing of ours: bytes, and the clock.
+
+The campaign judges the program from outside, so its own client must not change with it.
+"""
+
+import contextlib
+import json
+import socket
+import time
+from pathlib import Path
+from typing import Any, Final
+
+_LONGEST_ANSWER: Final = 1 << 18
+_RETRY_S: Final = 0.05
+
+Answer = dict[str, Any]
+
+
+def request(path: Path, word: str, timeout_s: float) -> Answer:
+    """One word and its answer; sent again where the connection ends without one.
+
+    Raises OSError where no answer comes within `timeout_s`.
+    """
+    give_up_s = time.monotonic() + timeout_s
+    while True:
+        with contextlib.suppress(ConnectionError), connected(path, give_up_s) as client:
+            client.send(word.encode())
+            if answer := receive(client, give_up_s):
+                return answer
+        if time.monotonic() + _RETRY_S > give_up_s:
+            raise TimeoutError(f"{path}: no answer to {word!r} within {timeout_s:g} s")
+        time.sleep(_RETRY_S)
+
+
+def request_stop(path: Path, word: str, timeout_s: float) -> tuple[Answer, Answer | None]:
+    """A stop, sent once it is accepted never again: (its answer, the report of the end or None).
+
+    Raises OSError where no answer comes within `timeout_s`.
+    """
+    give_up_s = time.monotonic() + timeout_s
+    while True:
+        with contextlib.suppress(ConnectionError), connected(path, give_up_s) as client:
+            client.send(word.encode())
+            if answer := receive(client, give_up_s):
+                with contextlib.suppress(OSError):
+                    return answer, receive(client, give_up_s)
+                return answer, None
+        if time.monotonic() + _RETRY_S > give_up_s:
+            raise TimeoutError(f"{path}: no answer to {word!r} within {timeout_s:g} s")
+        time.sleep(_RETRY_S)
+
+
+def connected(path: Path, give_up_s: float) -> socket.socket:
+    """A connection. Raises OSError; ConnectionError where it is worth trying again."""
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    client.settimeout(max(0.001, give_up_s - time.monotonic()))
+    try:
+        client.connect(str(path))
+    except BlockingIOError as error:
+        client.close()
+        raise ConnectionRefusedError("too many wait there") from error
+    except OSError:
+        client.close()
+        raise
+    return client
+
+
+def receive(client: socket.socket, give_up_s: float) -> Answer | None:
+    """The next message; None where the other end has closed. Raises TimeoutError."""
+    client.settimeout(max(0.001, give_up_s - time.monotonic()))
+    raw = client.recv(_LONGEST_ANSWER)
+    return dict(json.loads(raw)) if raw else None

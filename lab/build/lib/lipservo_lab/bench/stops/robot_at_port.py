@@ -1,0 +1,248 @@
+"""Simulated servos at a serial port, and real `lipservo` processes that drive them.
+
+For the campaigns: the servos live in this process, so that torque and shafts are seen as they are,
+whatever anybody says of them.
+"""
+
+import contextlib
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import lipservo
+from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.simulator.chain import SimulatedChain, chain_for
+from firmware_bridge.simulator.ports import PtyHost
+from lipservo.runtime.servos.assembly import mounted_servos
+from lipservo.settings.settings import load_shipped_face
+
+FACE: Final = "face_four"
+CLIP: Final = Path(lipservo.__file__).parent / "clips" / "welcome.flac"
+
+_BAUD_RATE: Final = 1_000_000
+_LOOK_S: Final = 0.005
+_TAIL: Final = 2000
+#: Loaded here, since a process between fork and exec must not load anything.
+_LIBC: Final = ctypes.CDLL(None)
+_PR_SET_PDEATHSIG: Final = 1  # linux/prctl.h
+#: Of first-in-first-out scheduling; above everything ordinary.
+_PRIORITY: Final = 50
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """What was seen of the servos at one monotonic time: torque and places in pulses, (n,)."""
+
+    time_s: float
+    torque: NDArray[np.bool_]
+    position: NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class RobotAtPort:
+    """The chain, the port that leads to it, and the processes started here; see `robot_at_port`.
+
+    session: the folder in which its processes look for running faces. environment: variables that
+    its processes get besides.
+    """
+
+    chain: SimulatedChain
+    servos: list[MountedServo]
+    folder: Path
+    session: Path
+    environment: dict[str, str] = field(default_factory=dict)
+    seen: list[Look] = field(default_factory=list)
+    processes: list[subprocess.Popen[bytes]] = field(default_factory=list)
+
+    @property
+    def port(self) -> Path:
+        """Where the servos are."""
+        return self.folder / "port"
+
+    @property
+    def log(self) -> Path:
+        """What all processes say, results too."""
+        return self.folder / "log"
+
+    @property
+    def said(self) -> str:
+        """The same as text."""
+        return self.log.read_text(errors="replace")
+
+    @property
+    def last_said(self) -> str:
+        """Its end, for a message."""
+        return self.said[-_TAIL:]
+
+    @property
+    def torque(self) -> NDArray[np.bool_]:
+        """Who holds now, (n,)."""
+        return self.chain.motors.torque_on.copy()
+
+    @property
+    def controls(self) -> list[Path]:
+        """The control sockets of the faces that were started here."""
+        return list(self.runtime.glob("*.sock"))
+
+    @property
+    def runtime(self) -> Path:
+        """The folder of the control sockets."""
+        return self.session / "lipservo"
+
+    def look(self, seconds: float) -> None:
+        """Watch the servos for a while."""
+        until_s = time.monotonic() + seconds
+        while (now_s := time.monotonic()) < until_s:
+            self.seen.append(Look(now_s, self.torque, self.chain.motors.position.copy()))
+            time.sleep(_LOOK_S)
+
+    def look_until(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Watch the servos until something is so; whether it came to be."""
+        give_up_s = time.monotonic() + timeout_s
+        while not condition():
+            if time.monotonic() > give_up_s:
+                return False
+            self.look(_LOOK_S)
+        return True
+
+    def stiff_until_s(self, since_s: float) -> float:
+        """How long after `since_s` any servo was last seen with torque, seconds."""
+        stiff_s = [each.time_s for each in self.seen if each.torque.any()]
+        return max(0.0, stiff_s[-1] - since_s) if stiff_s else 0.0
+
+    def switched_on(self, since_s: float) -> int:
+        """How many times a servo got torque after `since_s`."""
+        pairs = zip(self.seen, self.seen[1:], strict=False)
+        return sum(
+            int((later.torque & ~earlier.torque).sum())
+            for earlier, later in pairs
+            if earlier.time_s > since_s
+        )
+
+    def moved_deg(self, since_s: float) -> NDArray[np.float64]:
+        """How far each shaft travelled between its extremes since then, (n,)."""
+        places = np.array([each.position for each in self.seen if each.time_s >= since_s])
+        return np.asarray(np.ptp(places, axis=0) / PULSES_PER_TURN * 360.0)
+
+    def start(self, *arguments: str, stdin: int = subprocess.DEVNULL) -> subprocess.Popen[bytes]:
+        """A `lipservo` process, whose faces are found by none but those of this session."""
+        return self.start_python("-m", "lipservo", *arguments, stdin=stdin)
+
+    def start_python(
+        self, *arguments: str, stdin: int = subprocess.DEVNULL
+    ) -> subprocess.Popen[bytes]:
+        """A process of this interpreter in the same surroundings; the kernel ends it with us."""
+        with self.log.open("ab") as file:
+            process = subprocess.Popen(
+                [sys.executable, *arguments],
+                stdin=stdin,
+                stdout=file,
+                stderr=file,
+                env=self._surroundings(),
+                preexec_fn=_die_with_us,
+            )
+        self.processes.append(process)
+        return process
+
+    def _surroundings(self) -> dict[str, str]:
+        """No place in it is one of this user's or of another job's."""
+        left_out = ("NOTIFY_SOCKET", "RUNTIME_DIRECTORY", "STATE_DIRECTORY")
+        environment = {key: value for key, value in os.environ.items() if key not in left_out}
+        environment["XDG_RUNTIME_DIR"] = str(self.session)
+        environment["XDG_STATE_HOME"] = str(self.folder / "state")
+        environment["LIPSERVO_RUNTIME"] = str(self.runtime)
+        environment["LIPSERVO_STATE"] = str(self.folder / "state" / "lipservo")
+        environment["XDG_DATA_HOME"] = str(self.folder / "data")
+        environment["TMPDIR"] = str(self.folder / "tmp")
+        return environment | self.environment
+
+
+def _die_with_us() -> None:
+    """In the new process, before its program: a campaign that is killed leaves nothing behind."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, int(signal.SIGKILL))
+
+
+def children_of(pid: int) -> list[int]:
+    """The processes that it started."""
+    try:
+        return [int(each) for each in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def kill_all(process: subprocess.Popen[bytes]) -> None:
+    """A process and its children at once, as `killall -9` does; nothing where it has ended."""
+    if process.poll() is None:
+        children = children_of(process.pid)
+        process.kill()
+        for pid in children:
+            with contextlib.suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+        process.wait()
+
+
+@contextlib.contextmanager
+def robot_at_port(face: str = FACE, session: Path | None = None) -> Iterator[RobotAtPort]:
+    """The servos of a shipped face, limp in neutral; what was started is gone afterwards.
+
+    session: of another robot, beside which this one stands; None: its own.
+    """
+    servos = mounted_servos(load_shipped_face(face))
+    with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
+        folder = Path(name)
+        (folder / "tmp").mkdir()
+        if session is None:
+            session = folder / "session"
+            session.mkdir(mode=0o700)
+        robot = RobotAtPort(chain_for(servos, _BAUD_RATE), servos, folder, session)
+        robot.log.touch()
+        host = PtyHost(robot.chain, robot.port)
+        over = threading.Event()
+        serving = threading.Thread(target=_serve, args=(host, over), daemon=True)
+        serving.start()
+        try:
+            with _on_time():
+                yield robot
+        finally:
+            for process in robot.processes:
+                kill_all(process)
+                if process.stdin is not None:
+                    process.stdin.close()
+            over.set()
+            serving.join()
+            host.close()
+
+
+def _serve(host: PtyHost, over: threading.Event) -> None:
+    with _on_time():
+        host.serve(over.is_set)
+
+
+@contextlib.contextmanager
+def _on_time() -> Iterator[None]:
+    """Let a thread run before all others, where permitted, but not the processes it starts.
+
+    Servos do not wait for a busy computer; and whoever looks at them holds Python's lock meanwhile.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    with contextlib.suppress(OSError):
+        policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+        os.sched_setscheduler(0, policy, os.sched_param(_PRIORITY))
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, *before)

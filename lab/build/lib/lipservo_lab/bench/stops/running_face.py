@@ -1,0 +1,200 @@
+"""A daemon at simulated servos that speaks, with what a campaign does to it and reads of it."""
+
+import contextlib
+import http.client
+import os
+import re
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+import lipservo
+from lipservo_lab.bench.stops import injected, traced
+from lipservo_lab.bench.stops.raw_control import request
+from lipservo_lab.bench.stops.robot_at_port import (
+    CLIP,
+    FACE,
+    RobotAtPort,
+    children_of,
+    robot_at_port,
+)
+from lipservo_lab.bench.stops.stop_clients import Addresses
+
+#: A daemon has started when all its servos hold; it takes seconds on a busy machine.
+START_S: Final = 60.0
+_ANSWER_S: Final = 2.0
+_POLL_S: Final = 0.2
+#: A start may be refused for so long after a stop was confirmed.
+_REFUSED_S: Final = 20.0
+#: Of the runtime folder; that programs of this computer find by themselves.
+_TOKEN: Final = "token"
+#: The folder that our packages lie in.
+_ROOT: Final = Path(lipservo.__file__).parents[1]
+_PAGE: Final = re.compile(r"dashboard: (http://[\d.]+:\d+)")
+_AGENTS: Final = re.compile(r"voice agents: (ws://[\d.]+:\d+)")
+
+
+@dataclass(slots=True)
+class RunningFace:
+    """A daemon, the robot that it drives, and where it can be reached.
+
+    token: that its servers ask for, empty: none. others: robots beside it, with a daemon each.
+    spent: nothing more can be tried on it.
+    """
+
+    robot: RobotAtPort
+    daemon: subprocess.Popen[bytes]
+    at: Addresses
+    token: str = ""
+    others: list["RunningFace"] = field(default_factory=list)
+    spent: bool = False
+
+    @property
+    def inject(self) -> Path:
+        """The folder whose files switch injected troubles on."""
+        return self.robot.folder / "inject"
+
+    def child(self, name: str) -> int:
+        """The process id of the bridge or the speech process. Raises RuntimeError."""
+        for pid in children_of(self.daemon.pid):
+            with contextlib.suppress(OSError):
+                if f"{name}-process" in Path(f"/proc/{pid}/cmdline").read_text():
+                    return pid
+        raise RuntimeError(f"no {name} process: {self.robot.last_said}")
+
+    def request(self, word: str) -> dict[str, Any]:
+        """One word and its answer, while the servos are watched. Raises OSError."""
+        with ThreadPoolExecutor(1) as pool:
+            answer: Future[dict[str, Any]] = pool.submit(request, self.at.control, word, _ANSWER_S)
+            self.robot.look_until(answer.done, 2.0 * _ANSWER_S)
+            return answer.result()
+
+    def status(self) -> dict[str, Any]:
+        """Its status; {} where it does not answer."""
+        with contextlib.suppress(OSError):
+            return self.request("status")
+        return {}
+
+    def knows_start(self) -> bool:
+        """Whether this program has a start after a stop; nothing is sent that would start it."""
+        return "can_start" in self.status()
+
+    def start_again(self) -> dict[str, Any]:
+        """Send `start` until it is accepted, for some seconds at most; the last answer.
+
+        A face that lets go of its servos once more, or whose bridge is replaced, refuses it until
+        that is over.
+        """
+        give_up_s = time.monotonic() + _REFUSED_S
+        while True:
+            answer = {}
+            with contextlib.suppress(OSError):
+                answer = self.request("start")
+            if "accepted" in answer or time.monotonic() > give_up_s:
+                return answer
+            self.robot.look(_POLL_S)
+
+    def look_until_state(self, state: str, timeout_s: float) -> bool:
+        """Watch until the status has this state, or its process has ended; whether it has."""
+        give_up_s = time.monotonic() + timeout_s
+        while time.monotonic() < give_up_s and self.daemon.poll() is None:
+            if self.status().get("state") == state:
+                return True
+            self.robot.look(_POLL_S)
+        return False
+
+
+@contextlib.contextmanager
+def running_face(
+    *,
+    page: bool = False,
+    agents: bool = False,
+    n_others: int = 0,
+    tracer: ModuleType | None = None,
+) -> Iterator[RunningFace]:
+    """A face that speaks and drives all its servos, in folders of its own.
+
+    page, agents: with these doors. n_others: faces beside it that rest, started before it, so that
+    they come first where faces are listed. tracer: a module in place of the troubles, put into its
+    processes. Raises RuntimeError where one does not start.
+    """
+    with ExitStack() as stack:
+        robot = stack.enter_context(robot_at_port())
+        others = []
+        for _ in range(n_others):
+            beside = stack.enter_context(robot_at_port(session=robot.session))
+            others.append(_started(beside, "--listen", "none"))
+        if tracer is not None:
+            robot.environment[traced.ROOT_VARIABLE] = str(_ROOT)
+        options = ["--wav", str(CLIP), "--listen", "127.0.0.1:0" if agents else "none"]
+        if page:
+            options += ["--dashboard", "--dashboard-listen", "127.0.0.1:0"]
+        face = _started(robot, *options, module=tracer or injected)
+        face.others = others
+        face.at = _addresses(face, page=page, agents=agents)
+        with contextlib.suppress(FileNotFoundError):
+            face.token = (robot.runtime / _TOKEN).read_text().strip()
+        robot.look(1.0)  # into the soft start and the first words
+        yield face
+
+
+def start_daemon(
+    robot: RobotAtPort, *options: str, module: ModuleType = injected
+) -> subprocess.Popen[bytes]:
+    """A daemon of the robot's face; every process of it loads the module before anything else."""
+    inject = robot.folder / "inject"
+    inject.mkdir(exist_ok=True)
+    shutil.copyfile(str(module.__file__), inject / "sitecustomize.py")
+    robot.environment[injected.FOLDER_VARIABLE] = str(inject)
+    paths = (str(inject), os.environ.get("PYTHONPATH", ""))
+    robot.environment["PYTHONPATH"] = os.pathsep.join(each for each in paths if each)
+    where = ["--config", FACE, "--port", str(robot.port)]
+    return robot.start("daemon", *where, *options)
+
+
+def _started(robot: RobotAtPort, *options: str, module: ModuleType = injected) -> RunningFace:
+    daemon = start_daemon(robot, *options, module=module)
+    came = robot.look_until(lambda: bool(robot.torque.all()) or daemon.poll() is not None, START_S)
+    control = next((each for each in robot.controls if f"-{daemon.pid}." in each.name), None)
+    if not came or control is None or daemon.poll() is not None:
+        raise RuntimeError(f"the servos were not enabled: {robot.last_said}")
+    return RunningFace(robot, daemon, Addresses(control))
+
+
+def _addresses(face: RunningFace, *, page: bool, agents: bool) -> Addresses:
+    """Where it can be reached, once its servers answer."""
+    wanted = {"page": _PAGE} if page else {}
+    wanted |= {"agents": _AGENTS} if agents else {}
+    found: dict[str, str] = {}
+    for name, pattern in wanted.items():
+        match = _awaited(face, pattern)
+        if match is None:
+            raise RuntimeError(f"no address of its {name}: {face.robot.last_said}")
+        found[name] = match[1]
+    at = Addresses(face.at.control, **found)
+    if page and not face.robot.look_until(lambda: _answers(at.page), START_S):
+        raise RuntimeError(f"its page does not answer: {face.robot.last_said}")
+    return at
+
+
+def _awaited(face: RunningFace, pattern: re.Pattern[str]) -> re.Match[str] | None:
+    """What its log says, once it does."""
+    face.robot.look_until(lambda: pattern.search(face.robot.said) is not None, START_S)
+    return pattern.search(face.robot.said)
+
+
+def _answers(page: str) -> bool:
+    with contextlib.suppress(OSError, http.client.HTTPException):
+        connection = http.client.HTTPConnection(urlsplit(page).netloc, timeout=0.3)
+        with contextlib.closing(connection):
+            connection.request("GET", "/api/status")
+            return connection.getresponse().status > 0
+    return False

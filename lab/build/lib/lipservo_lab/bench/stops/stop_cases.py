@@ -1,0 +1,224 @@
+"""Which stops the campaign plays: clients x levels x troubles, in batches that share a face.
+
+What came of the stops of the campaign: a record each, and the figures of all.
+"""
+
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby, product
+from typing import Any, Final
+
+import numpy as np
+
+from firmware_bridge.stopping import StopLevel
+from lipservo_lab.bench.stops.stop_clients import NEEDS_AGENTS, NEEDS_PAGE, StopClient
+from lipservo_lab.bench.stops.troubles import (
+    FIRST_TROUBLES,
+    FOR_EVERY_CLIENT,
+    Trouble,
+    needs_agents,
+    needs_page,
+)
+
+#: After what has gone wrong, the stop comes so much later, seconds.
+MOMENTS_S: Final = (0.0, 0.15, 0.6)
+#: A daemon that has been launched so long ago is opening its port, or arms its servos.
+_STARTING_S: Final = (0.8, 1.6, 2.4, 3.2)
+#: A start and a stop that meet: the second comes so much after the first.
+_MEETINGS_S: Final = {
+    Trouble.START_AGAIN: (0.0, 0.02, 0.15),
+    Trouble.START_AFTER_STOP: (0.02, 0.15),
+    Trouble.START_AT_ONCE: (0.0,),
+}
+#: Of the first conditions, those in which the process that owns the servos is away or is replaced.
+_FOR_MORE_CLIENTS: Final = (
+    Trouble.UNPLUGGED,
+    Trouble.HUNG_BRIDGE,
+    Trouble.FROZEN,
+    Trouble.DURING_RESTART,
+)
+_MOST_OF_A_FACE: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class StopCase:
+    """One stop: how hard, what went wrong before it, how much later it came, and by whom."""
+
+    level: StopLevel
+    trouble: Trouble
+    moment_s: float = 0.0
+    client: StopClient = StopClient.SOCKET
+
+    def __str__(self) -> str:
+        return f"{self.client} {self.level}, {self.trouble}, {self.moment_s:g} s later"
+
+    @property
+    def page(self) -> bool:
+        """Whether the face needs its page."""
+        return self.client in NEEDS_PAGE or needs_page(self.trouble)
+
+    @property
+    def agents(self) -> bool:
+        """Whether the face needs its agent server."""
+        return self.client in NEEDS_AGENTS or needs_agents(self.trouble)
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether a daemon waits afterwards, limp, until a person starts it."""
+        return self.level is not StopLevel.FREEZE and self.client is not StopClient.SIGNAL
+
+
+def stop_cases() -> Iterator[StopCase]:
+    """Every stop of the campaign; no signal freezes a face."""
+    for level, trouble, moment_s, client in product(
+        StopLevel, FIRST_TROUBLES, MOMENTS_S, (StopClient.SOCKET, StopClient.SIGNAL)
+    ):
+        if _exists(level, client):
+            yield StopCase(level, trouble, moment_s, client)
+    for level, trouble, client in product(
+        (StopLevel.SOFT, StopLevel.LIMP),
+        _FOR_MORE_CLIENTS,
+        (StopClient.COMMAND, StopClient.PAGE_SCRIPT),
+    ):
+        yield StopCase(level, trouble, 0.0, client)
+    for level, trouble, client in product(StopLevel, FOR_EVERY_CLIENT, StopClient):
+        if _exists(level, client):
+            yield StopCase(level, trouble, 0.0, client)
+    for level in StopLevel:
+        yield StopCase(level, Trouble.FOREIGN_ENDLESS, 0.0, StopClient.COMMAND)
+    for level, client in product(
+        StopLevel,
+        (StopClient.SOCKET, StopClient.SIGNAL, StopClient.PAGE_SCRIPT, StopClient.CONTROL),
+    ):
+        if _exists(level, client):
+            yield StopCase(level, Trouble.CLOCK_JUMPS, 0.0, client)
+    yield from _meetings()
+
+
+def _meetings() -> Iterator[StopCase]:
+    """Stops that meet another stop, or a start."""
+    for client in (StopClient.SOCKET, StopClient.PAGE_SCRIPT, StopClient.COMMAND):
+        yield StopCase(StopLevel.LIMP, Trouble.EASING, 0.0, client)
+    for level, moment_s in zip((StopLevel.LIMP, StopLevel.SOFT) * 2, _STARTING_S, strict=True):
+        yield StopCase(level, Trouble.STARTING, moment_s)
+    for level, (trouble, moments_s) in product(
+        (StopLevel.SOFT, StopLevel.LIMP), _MEETINGS_S.items()
+    ):
+        for moment_s in moments_s:
+            yield StopCase(level, trouble, moment_s)
+
+
+def _exists(level: StopLevel, client: StopClient) -> bool:
+    return not (level is StopLevel.FREEZE and client is StopClient.SIGNAL)
+
+
+def batches(cases: Sequence[StopCase]) -> list[list[StopCase]]:
+    """The same cases in batches that one face can serve, what ends a face last in each.
+
+    A face that serves a batch has the same doors throughout, and the same trouble.
+    """
+
+    def shared(case: StopCase) -> tuple[str, bool, bool]:
+        return case.trouble, case.page, case.agents
+
+    def order(case: StopCase) -> tuple[tuple[str, bool, bool], bool, bool]:
+        return shared(case), case.client is StopClient.SIGNAL, case.level is StopLevel.FREEZE
+
+    found = []
+    for _, group in groupby(sorted(cases, key=order), shared):
+        alike = list(group)
+        starts = range(0, len(alike), _MOST_OF_A_FACE)
+        found += [alike[n : n + _MOST_OF_A_FACE] for n in starts]
+    return found
+
+
+@dataclass(slots=True)
+class StopOutcome:
+    """What came of one stop.
+
+    late: servos that still had torque 2 s after both the stop was requested and they could be
+    reached; easing is within these. torque_left_on: servos that had it at the end of the watch.
+    undone: how many times a servo got torque after the stop, without a start, also while processes
+    were killed and the plug went out and in. moved_frozen: shafts that moved. fault_unseen: a fault
+    that the status of a frozen face did not show. came_back: whether a start drove the face again;
+    None: none was sent. no_start: one was due, and this program has none. broken: what else was not
+    kept, a line each. error: the case itself did not work.
+    """
+
+    case: StopCase
+    late: int = 0
+    torque_left_on: int = 0
+    undone: int = 0
+    moved_frozen: int = 0
+    fault_unseen: int = 0
+    limp_after_s: float | None = None
+    came_back: bool | None = None
+    no_start: bool = False
+    broken: list[str] = field(default_factory=list)
+    answers: list[str] = field(default_factory=list)
+    error: str = ""
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """What must be 0, by name."""
+        names = ("late", "torque_left_on", "undone", "moved_frozen", "fault_unseen")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def kept(self) -> bool:
+        """Whether the promise was kept."""
+        failed = bool(self.error or self.broken) or self.came_back is False
+        return not (failed or any(self.counts.values()))
+
+    def __str__(self) -> str:
+        found = [f"{name} {count}" for name, count in self.counts.items() if count]
+        if self.limp_after_s is not None and self.late:
+            found.append(f"torque until {self.limp_after_s:.1f} s after it")
+        found += ["a start did not bring it back"] if self.came_back is False else []
+        found += [*self.broken, *([self.error] if self.error else [])]
+        answers = f" (answered: {'; '.join(self.answers)})" if found and self.answers else ""
+        return f"{self.case}: {'; '.join(found) or 'kept'}{answers}"
+
+
+def stop_figures(outcomes: Sequence[StopOutcome]) -> dict[str, Any]:
+    """The figures of the campaign.
+
+    late counts cases; torque_left_on, undone and moved_frozen count servos. starts: faces that were
+    started again; starts_unavailable: that could not, since the program has no start. by_client,
+    by_trouble: the counts of each.
+    """
+    limp_s = [o.limp_after_s for o in outcomes if o.limp_after_s is not None]
+    return {
+        **_counts(outcomes),
+        "starts": sum(o.came_back is not None for o in outcomes),
+        "came_back": sum(o.came_back is True for o in outcomes),
+        "starts_unavailable": sum(o.no_start for o in outcomes),
+        "limp_after_p95_s": float(np.percentile(limp_s, 95)) if limp_s else 0.0,
+        "limp_after_worst_s": max(limp_s, default=0.0),
+        "by_client": _table(outcomes, lambda case: case.client.value),
+        "by_trouble": _table(outcomes, lambda case: case.trouble.value),
+    }
+
+
+def _counts(outcomes: Sequence[StopOutcome]) -> dict[str, int]:
+    return {
+        "cases": len(outcomes),
+        "kept": sum(o.kept for o in outcomes),
+        "late": sum(o.late > 0 for o in outcomes),
+        "undone": sum(o.undone for o in outcomes),
+        "torque_left_on": sum(o.torque_left_on for o in outcomes),
+        "moved_frozen": sum(o.moved_frozen for o in outcomes),
+        "faults_unseen": sum(o.fault_unseen for o in outcomes),
+        "broken": sum(bool(o.broken) for o in outcomes),
+        "errors": sum(bool(o.error) for o in outcomes),
+    }
+
+
+def _table(
+    outcomes: Sequence[StopOutcome], key: Callable[[StopCase], str]
+) -> dict[str, dict[str, int]]:
+    parts: dict[str, list[StopOutcome]] = defaultdict(list)
+    for outcome in outcomes:
+        parts[key(outcome.case)].append(outcome)
+    return {name: _counts(part) for name, part in parts.items()}

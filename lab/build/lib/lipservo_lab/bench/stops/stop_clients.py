@@ -1,0 +1,195 @@
+"""All who may request a stop, each as it really does: processes, sockets, HTTP, WebSocket, signals.
+
+Each requests it in a thread or a process of its own and none of them is waited for, so that the
+servos are watched from the moment of the request on.
+"""
+
+import contextlib
+import http.client
+import json
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+from firmware_bridge.stopping import StopLevel
+from lipservo_lab.bench.stops.raw_control import request_stop
+from lipservo_lab.bench.stops.robot_at_port import RobotAtPort
+
+#: A process has to load before it can request anything; that long counts for its start.
+LOADS_S: Final = 1.0
+#: As lipservo/dashboard/static/stop.js has them.
+_PAGE_TIMEOUT_S, _PAGE_RETRY_S, _PAGE_TRIES, _PAGE_WAIT_S = 2.0, 0.3, 40, 15
+#: A program that waits for the confirmed end.
+_API_WAIT_S: Final = 10
+_LONGEST_S: Final = 30.0
+_LONGEST_LINE: Final = 200
+_CONNECT: Final = (
+    "import sys, lipservo\n"
+    "with lipservo.connect(sys.argv[1]) as face:\n"
+    "    print(face.stop(sys.argv[2]))\n"
+)
+
+
+class StopClient(StrEnum):
+    """Who requests a stop."""
+
+    SOCKET = "socket"  # bytes on the control socket
+    SIGNAL = "signal"  # SIGTERM to the daemon; a second one: limp
+    COMMAND = "command"  # `lipservo stop`, a process, to every face that runs
+    PAGE_EARLY = "page_early"  # the page's button before its script is there: one request
+    PAGE_SCRIPT = "page_script"  # stop.js: two requests at once, repeated
+    API = "api"  # POST /api/stop that waits for the end
+    CONTROL = "control"  # /control of the agent server
+    CONNECT = "connect"  # a process: lipservo.connect().stop()
+
+    @property
+    def loads_s(self) -> float:
+        """How long it may take before it can request anything."""
+        return LOADS_S if self in (StopClient.COMMAND, StopClient.CONNECT) else 0.0
+
+
+#: Which of a daemon's doors a client needs, for the fewest processes in each case.
+NEEDS_PAGE: Final = (StopClient.PAGE_EARLY, StopClient.PAGE_SCRIPT, StopClient.API)
+NEEDS_AGENTS: Final = (StopClient.CONTROL, StopClient.CONNECT)
+
+
+@dataclass(frozen=True, slots=True)
+class Addresses:
+    """Where a face can be reached. page: http://...; agents: ws://...; empty: nowhere."""
+
+    control: Path
+    page: str = ""
+    agents: str = ""
+
+
+@dataclass(slots=True)
+class Requested:
+    """A stop that is under way. requested_s: monotonic time of the request.
+
+    process: that requests it, where it is one of its own. answers: what it received so far, or why
+    it received nothing, for the line of a case that fails.
+    """
+
+    requested_s: float
+    process: subprocess.Popen[bytes] | None = None
+    answers: list[str] = field(default_factory=list)
+
+
+def request_stop_by(
+    client: StopClient,
+    level: StopLevel,
+    robot: RobotAtPort,
+    daemon: subprocess.Popen[bytes],
+    at: Addresses,
+) -> Requested:
+    """Begin to request a stop; returns at once."""
+    work: Callable[[], object]
+    requested = Requested(time.monotonic())
+    match client:
+        case StopClient.COMMAND:
+            option = [] if level is StopLevel.SOFT else [f"--{level}"]
+            requested.process = robot.start("stop", *option)
+            return requested
+        case StopClient.CONNECT:
+            requested.process = robot.start_python("-c", _CONNECT, at.agents, level.value)
+            return requested
+        case StopClient.SOCKET:
+            work = partial(request_stop, at.control, level.value, _LONGEST_S)
+        case StopClient.SIGNAL:
+            work = partial(_signal, daemon, twice=level is StopLevel.LIMP)
+        case StopClient.PAGE_EARLY:
+            work = partial(post_stop, at.page, level, 0, _LONGEST_S)
+        case StopClient.PAGE_SCRIPT:
+            work = partial(press_stop, at.page, level)
+        case StopClient.API:
+            work = partial(post_stop, at.page, level, _API_WAIT_S, _LONGEST_S)
+        case StopClient.CONTROL:
+            work = partial(_stop_by_control, at.agents, level)
+    _in_thread(work, requested.answers)
+    return requested
+
+
+def post_stop(
+    page: str, level: str, wait_s: int, timeout_s: float
+) -> tuple[int, dict[str, object]]:
+    """POST /api/stop as a browser does from the face's own page: (status, answer).
+
+    Raises OSError or http.client.HTTPException where no answer comes within `timeout_s`.
+    """
+    connection = http.client.HTTPConnection(urlsplit(page).netloc, timeout=timeout_s)
+    with contextlib.closing(connection):
+        body = json.dumps({"level": level, "wait_s": wait_s})
+        headers = {
+            "Content-Type": "application/json",
+            "Origin": page,
+            "Sec-Fetch-Site": "same-origin",
+        }
+        connection.request("POST", "/api/stop", body, headers)
+        answer = connection.getresponse()
+        raw = answer.read()
+        try:
+            return answer.status, dict(json.loads(raw))
+        except ValueError:
+            return answer.status, {}
+
+
+def press_stop(page: str, level: str, post: Callable[..., tuple[int, object]] = post_stop) -> int:
+    """What stop.js does when its button is pressed; how many requests it took to be accepted.
+
+    Two requests at once: one that is answered when the stop is accepted, repeated until it is, and
+    one that is answered when the servos have confirmed the end. 0: never accepted, or refused.
+    """
+
+    def wait_for_end() -> None:
+        post(page, level, _PAGE_WAIT_S, _PAGE_TIMEOUT_S + _PAGE_WAIT_S)
+
+    waiting: threading.Thread | None = None
+    for n in range(1, _PAGE_TRIES + 1):
+        if waiting is None or not waiting.is_alive():
+            waiting = _in_thread(wait_for_end)
+        status = 503
+        with contextlib.suppress(OSError, http.client.HTTPException):
+            status, _ = post(page, level, 0, _PAGE_TIMEOUT_S)
+        if status < 300:
+            return n
+        if 400 <= status < 500:
+            return 0
+        time.sleep(_PAGE_RETRY_S)
+    return 0
+
+
+def _stop_by_control(agents: str, level: str) -> str | bytes:
+    from websockets.sync.client import connect
+
+    with connect(f"{agents}/control", open_timeout=_LONGEST_S) as client:
+        client.send(json.dumps({"type": "stop", "id": 1, "level": level}))
+        return client.recv(_LONGEST_S)
+
+
+def _signal(daemon: subprocess.Popen[bytes], *, twice: bool) -> None:
+    daemon.send_signal(signal.SIGTERM)
+    if twice:
+        time.sleep(0.05)
+        daemon.send_signal(signal.SIGTERM)
+
+
+def _in_thread(work: Callable[[], object], answers: list[str] | None = None) -> threading.Thread:
+    def run() -> None:
+        try:
+            answer = str(work())
+        except Exception as error:  # whatever goes wrong here is seen at the servos
+            answer = f"{type(error).__name__}: {error}"
+        if answers is not None:
+            answers.append(answer[:_LONGEST_LINE])
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    return thread

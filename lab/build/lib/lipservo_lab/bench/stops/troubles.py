@@ -1,0 +1,209 @@
+"""What may go wrong around a stop: begun before it, and ended before the face is started again."""
+
+import contextlib
+import http.client
+import io
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from enum import StrEnum
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlencode, urlsplit
+
+import numpy as np
+import soundfile
+
+from lipservo_lab.bench.stops import foreign_socket, pollers
+from lipservo_lab.bench.stops.robot_at_port import children_of
+from lipservo_lab.bench.stops.running_face import START_S, RunningFace, start_daemon
+
+
+class Trouble(StrEnum):
+    """What has gone wrong when the stop comes."""
+
+    RUNNING = "running"  # nothing
+    UNPLUGGED = "unplugged"
+    HUNG_BRIDGE = "hung_bridge"
+    DEAD_SPEECH = "dead_speech"
+    FROZEN = "frozen"
+    DURING_REPLUG = "during_replug"
+    DURING_RESTART = "during_restart"
+    SECOND_FACE = "second_face"  # started at the same port, and refused
+    NAME_SERVICE = "name_service"  # users are looked up in 4 s
+    STATUS_RAISES = "status_raises"
+    STATUS_HANGS = "status_hangs"
+    SLOW_UPLOAD = "slow_upload"  # a line is uploaded to a disk that syncs in 4 s
+    POLLERS = "pollers"  # 20 clients poll the status
+    OTHER_DEAF = "other_deaf"  # a servo of another face does not answer
+    OTHER_UNPLUGGED = "other_unplugged"
+    OTHER_HUNG = "other_hung"  # all processes of another face
+    FOREIGN_SILENT = "foreign_silent"  # a socket beside ours that never answers
+    FOREIGN_ENDLESS = "foreign_endless"  # one that accepts the stop and never ends
+    CLOCK_JUMPS = "clock_jumps"  # by a day, there and back
+    EASING = "easing"  # a soft stop is under way
+    STARTING = "starting"  # the daemon has just been launched
+    START_AGAIN = "start_again"  # a stopped face has just been started
+    START_AFTER_STOP = "start_after_stop"  # a start comes while it stops
+    START_AT_ONCE = "start_at_once"  # another client sends a start in the same moment
+
+
+#: The conditions of this campaign from its beginning, each at three moments.
+FIRST_TROUBLES: Final = tuple(Trouble)[:8]
+#: Those in which every client requests every stop.
+FOR_EVERY_CLIENT: Final = tuple(Trouble)[8:17]
+#: A start and a stop that meet; none of them can be where the word `start` is not known.
+NEED_START: Final = (Trouble.START_AGAIN, Trouble.START_AFTER_STOP, Trouble.START_AT_ONCE)
+_OTHERS: Final = (Trouble.OTHER_DEAF, Trouble.OTHER_UNPLUGGED, Trouble.OTHER_HUNG)
+_INJECTED: Final = {
+    Trouble.NAME_SERVICE: "name_service",
+    Trouble.STATUS_RAISES: "status_raises",
+    Trouble.STATUS_HANGS: "status_hangs",
+    Trouble.CLOCK_JUMPS: "clock",
+}
+#: The plug is out for so long after the stop.
+PLUG_OUT_S: Final = 1.5
+_UPLOAD_S: Final = 20.0
+_COMES_S: Final = 5.0
+
+
+def n_others(trouble: Trouble) -> int:
+    """How many faces stand beside the one that is judged."""
+    return int(trouble in _OTHERS)
+
+
+def needs_page(trouble: Trouble) -> bool:
+    """Whether the trouble itself needs the face's page."""
+    return trouble in (Trouble.SLOW_UPLOAD, Trouble.POLLERS)
+
+
+def needs_agents(trouble: Trouble) -> bool:
+    """Whether the trouble itself needs the face's agent server, which a face's lines need, too."""
+    return needs_page(trouble)
+
+
+@contextlib.contextmanager
+def gone_wrong(trouble: Trouble, face: RunningFace) -> Iterator[float]:
+    """Let it happen, for as long as the block lasts; since when the servos can be reached.
+
+    What cannot be taken back, as a killed process, is not. Raises RuntimeError, OSError.
+    """
+    with ExitStack() as undo:
+        _begin(trouble, face, undo)
+        yield time.monotonic()
+
+
+def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
+    robot = face.robot
+    if trouble in _INJECTED:
+        _switch_on(face, _INJECTED[trouble], undo)
+    match trouble:
+        case Trouble.UNPLUGGED:
+            robot.chain.unplug()
+            undo.callback(robot.chain.plug_in)
+        case Trouble.HUNG_BRIDGE:
+            os.kill(face.child("bridge"), signal.SIGSTOP)
+        case Trouble.DEAD_SPEECH:
+            os.kill(face.child("speech"), signal.SIGKILL)
+        case Trouble.FROZEN:
+            face.request("freeze")
+        case Trouble.DURING_REPLUG:
+            robot.chain.unplug()
+            robot.look(1.0)
+            robot.chain.plug_in()
+        case Trouble.DURING_RESTART:
+            os.kill(face.child("bridge"), signal.SIGKILL)
+        case Trouble.SECOND_FACE:
+            second = start_daemon(robot, "--listen", "none")
+            if not robot.look_until(lambda: second.poll() is not None, START_S):
+                raise RuntimeError("a second face at a port that is in use does not end")
+            if second.poll() == 0:
+                raise RuntimeError("a second face was started at a port that is in use")
+        case Trouble.SLOW_UPLOAD:
+            _switch_on(face, "disk", undo)
+            _upload(face)
+        case Trouble.POLLERS:
+            at = face.at
+            arguments = (str(at.control), at.page, at.agents, face.token)
+            _start_beside(face, undo, "-m", pollers.__name__, *arguments)
+            robot.look(2.0)
+        case Trouble.OTHER_DEAF:
+            servo = face.others[0].robot.chain.servos[0]
+            servo.deaf_until_s = float("inf")
+            robot.look(0.3)
+        case Trouble.OTHER_UNPLUGGED:
+            face.others[0].robot.chain.unplug()
+            robot.look(0.5)
+        case Trouble.OTHER_HUNG:
+            other = face.others[0].daemon.pid
+            for pid in (*children_of(other), other):
+                os.kill(pid, signal.SIGSTOP)
+        case Trouble.FOREIGN_SILENT | Trouble.FOREIGN_ENDLESS:
+            _begin_foreign(face, trouble.removeprefix("foreign_"), undo)
+        case Trouble.EASING:
+            face.request("soft")
+
+
+def _switch_on(face: RunningFace, name: str, undo: ExitStack) -> None:
+    flag = face.inject / name
+    flag.touch()
+    undo.callback(flag.unlink, missing_ok=True)
+
+
+def _upload(face: RunningFace) -> None:
+    """Upload a line, and return when its bytes are on their way to the disk."""
+    seen = face.inject / "seen.disk"
+    seen.unlink(missing_ok=True)
+
+    def upload() -> None:
+        connection = http.client.HTTPConnection(urlsplit(face.at.page).netloc, timeout=_UPLOAD_S)
+        with contextlib.closing(connection), contextlib.suppress(OSError):
+            name = urlencode({"name": "upload.wav", "replace": "true"})
+            headers = {"Authorization": f"Bearer {face.token}"} if face.token else {}
+            body = _wav()
+            connection.request("POST", f"/api/lines?{name}", body, headers)
+            connection.getresponse().read()
+
+    threading.Thread(target=upload, daemon=True).start()
+    if not face.robot.look_until(seen.exists, _COMES_S):
+        raise RuntimeError("the upload did not come to the disk")
+
+
+def _wav() -> bytes:
+    file = io.BytesIO()
+    noise = np.random.default_rng(0).normal(0.0, 0.1, 16_000)
+    soundfile.write(file, noise, 16_000, format="WAV")
+    return file.getvalue()
+
+
+def _begin_foreign(face: RunningFace, kind: str, undo: ExitStack) -> None:
+    """From standard input, so that no command line has a name of ours in it."""
+    robot = face.robot
+    before = set(robot.controls)
+    robot.environment[foreign_socket.FOLDER_VARIABLE] = str(robot.runtime)
+    try:
+        process = robot.start_python("-", kind, stdin=subprocess.PIPE)
+    finally:
+        del robot.environment[foreign_socket.FOLDER_VARIABLE]
+    undo.callback(_end, face, process)
+    assert process.stdin is not None
+    process.stdin.write(Path(foreign_socket.__file__).read_bytes())
+    process.stdin.close()
+    if not robot.look_until(lambda: set(robot.controls) > before, _COMES_S):
+        raise RuntimeError("the foreign socket was not made")
+    for path in set(robot.controls) - before:
+        undo.callback(path.unlink, missing_ok=True)
+
+
+def _start_beside(face: RunningFace, undo: ExitStack, *arguments: str) -> None:
+    undo.callback(_end, face, face.robot.start_python(*arguments))
+
+
+def _end(face: RunningFace, process: subprocess.Popen[bytes]) -> None:
+    process.kill()
+    process.wait()
+    face.robot.processes.remove(process)

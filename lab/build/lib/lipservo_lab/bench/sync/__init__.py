@@ -1,0 +1,1 @@
+"""`lipservo bench sync`: lips against sound, at the encoders."""

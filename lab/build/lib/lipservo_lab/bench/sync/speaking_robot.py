@@ -1,0 +1,262 @@
+"""A robot that speaks on a virtual clock: its servos simulated to the byte, its loudspeaker too.
+
+What the encoders say and which sample left the loudspeaker when are both kept, on one clock.
+
+A loudspeaker without sound, on a virtual clock: its rate is a little wrong, its reports too.
+
+What of the timeline left it when is recorded, so that lips can be compared with what was truly
+played.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calibration.simulated.face import marker_positions_mm, simulated_face
+from firmware_bridge.loop.life_cycle import LifeCycle
+from lipservo.runtime.motion_options import (
+    MotionOptions,
+    make_recognizer,
+    make_synthesizer,
+    no_recognizer,
+)
+from lipservo.runtime.servos.assembly import assemble_face, simulated_wire
+from lipservo.runtime.street import make_street
+from lipsync.arrays import Array
+from lipsync.audio.loudspeaker import PositionReport, SampleRing
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutStream
+from lipsync.audio_block import AudioBlock
+from lipsync.markers import MARKERS_47
+from lipsync.motion.still_motion import StillMotion
+from lipsync.offline.performance import Performance
+from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.network import LATENCY_S
+from lipsync.text_to_speech.spoken_text import SpokenText
+
+Samples = NDArray[np.float32]
+Seconds = NDArray[np.float64]
+
+
+class SimulatedLoudspeaker:
+    """A `lipsync.audio.playout.Loudspeaker`; `advance` lets time pass.
+
+    rate_hz: samples a second, a multiple of 100, by its own clock. latency_s: from its taking a
+    sample to the sample's leaving it. skew: how much faster than said its clock runs, 200e-6 for
+    200 parts in a million. jitter_s: its reports are up to so much early or late, evenly spread,
+    and its callbacks come up to so much late, by `rng`.
+    """
+
+    def __init__(
+        self,
+        rate_hz: int = 48_000,
+        latency_s: float = 0.05,
+        skew: float = 0.0,
+        jitter_s: float = 0.0,
+        rng: np.random.Generator | None = None,
+    ) -> None:
+        self._ring = SampleRing(rate_hz)
+        self._latency_s = latency_s
+        self._period_s = 0.01 / (1.0 + skew)
+        self._jitter_s = jitter_s
+        self._rng = np.random.default_rng(0) if rng is None else rng
+        self._frames: Samples = np.zeros((rate_hz // 100, 1), dtype=np.float32)
+        self._report: PositionReport | None = None
+        self._now_s = 0.0
+        self._due_s: float | None = None  # when it asks for the next block, by its clock
+        self._late_s = 0.0  # so much later the callback comes
+        self._stalls: list[tuple[float, float]] = []
+        self._played: list[tuple[float, Samples]] = []
+
+    #: It cannot be lost, only stand still.
+    is_lost = False
+    name = "simulated loudspeaker"
+    n_device_underruns = 0
+
+    @property
+    def rate_hz(self) -> int:
+        """Samples a second, by its own clock."""
+        return self._ring.rate_hz
+
+    @property
+    def latency_s(self) -> float:
+        """The lead must be at least this: its latency, a block of 10 ms, and its jitter."""
+        return self._latency_s + 0.01 + self._jitter_s
+
+    @property
+    def n_underruns(self) -> int:
+        """How often nothing was written in time while it asked for more."""
+        return self._ring.n_underruns
+
+    def write(self, samples: Samples) -> None:
+        """The next samples (n,) float32 mono of the timeline."""
+        self._ring.write(samples)
+
+    def silence_rest(self) -> float:
+        """As `LoudspeakerOutput.silence_rest`."""
+        return self._ring.silence_rest(self.rate_hz // 100) / self.rate_hz
+
+    def position(self) -> tuple[float, float] | None:
+        """(monotonic seconds, timeline seconds that leave it then): in error by the jitter."""
+        return None if self._report is None else self._report.at(self._now_s)
+
+    def stall(self, from_s: float, until_s: float) -> None:
+        """From one moment to the other it takes nothing and plays nothing."""
+        self._stalls.append((from_s, until_s))
+
+    def advance(self, now_s: float) -> None:
+        """Take what it asks for until monotonic `now_s`. The first call begins its time."""
+        self._now_s = now_s
+        if self._due_s is None:
+            self._due_s = now_s
+        while self._due_s + self._late_s <= now_s:
+            self._due_s = self._after_stalls(self._due_s)
+            if self._due_s + self._late_s > now_s:
+                return
+            self._take(self._due_s)
+            self._due_s += self._period_s
+            self._late_s = self._jitter_s * float(self._rng.random())
+
+    def played(self) -> tuple[Samples, Seconds]:
+        """The samples (n,) of the timeline that it has taken, and when each leaves it (n,).
+
+        Zeros that it played for want of samples are not among them.
+        """
+        if not self._played:
+            return np.zeros(0, dtype=np.float32), np.zeros(0)
+        sample_s = self._period_s * 100.0 / self.rate_hz
+        times_s = [begins_s + sample_s * np.arange(len(each)) for begins_s, each in self._played]
+        return np.concatenate([each for _, each in self._played]), np.concatenate(times_s)
+
+    def _after_stalls(self, due_s: float) -> float:
+        for from_s, until_s in sorted(self._stalls):
+            if from_s <= due_s < until_s:
+                due_s = until_s
+        return due_s
+
+    def _take(self, asked_s: float) -> None:
+        position_s = self._ring.n_taken / self.rate_hz
+        n = self._ring.take_into(self._frames)
+        leaves_s = asked_s + self._latency_s
+        error_s = self._jitter_s * (2.0 * float(self._rng.random()) - 1.0)
+        told_s = leaves_s + error_s
+        end_position_s = position_s + n / self.rate_hz
+        self._report = PositionReport(
+            told_s, position_s, told_s + self._period_s + self._jitter_s, end_position_s
+        )
+        if n:
+            self._played.append((leaves_s, self._frames[:n, 0].copy()))
+
+
+#: A face of ten servos whose geometry is known, so that encoders tell how far its lips are apart.
+FACE: Final = "face_sim"
+RATE_HZ: Final = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Watched:
+    """What was seen in each tick: times_s (n,), encoder angles (n, n_servos), lip gap in mm (n,).
+
+    zero_s: where the sound's timeline begins, on the same clock.
+    """
+
+    times_s: Array
+    encoders_deg: Array
+    gap_mm: Array
+    zero_s: float
+
+
+class Deaf:
+    """A recogniser that hears silence, and says so as late as the network would."""
+
+    latency_s = LATENCY_S
+
+    def __init__(self) -> None:
+        self.reset()
+
+    def feed(self, block: AudioBlock) -> None:
+        """Time goes on."""
+        self._heard_s = block.end_s
+
+    def updates(self) -> list[PhonemeUpdate]:
+        """All was silence."""
+        final_s = max(0.0, self._heard_s - LATENCY_S)
+        silence = (PhonemeEvent(SILENCE, 0.0, None),)
+        return [PhonemeUpdate(final_s, self._heard_s, final_s, silence)]
+
+    def reset(self) -> None:
+        """Begin anew."""
+        self._heard_s = 0.0
+
+
+class SpeakingRobot:
+    """One face with its loudspeaker; `run` lets time pass."""
+
+    def __init__(
+        self,
+        loudspeaker: SimulatedLoudspeaker | None = None,
+        *,
+        hears: bool = False,
+        rate_hz: float = RATE_HZ,
+        performance: Performance | None = None,
+    ) -> None:
+        """rate_hz: ticks a second.
+
+        hears: whether there is a recogniser; else only known phonemes move the mouth, or what was
+        rendered, where there is a performance.
+        """
+        face = assemble_face(FACE, None)
+        self.loudspeaker = loudspeaker or SimulatedLoudspeaker()
+        self.playout = Playout(self.loudspeaker)
+        self._bus, self.clock = simulated_wire(face.settings)
+        self._neutral_mm = face.model.markers_mm(face.model.rest[None])[0]
+        self._names = [joint.name for joint in face.joints]
+        recognizer: LiveRecognizer = make_recognizer() if hears else Deaf()
+        synthesizer = make_synthesizer(face.model, MotionOptions())
+        if performance is not None:
+            recognizer = no_recognizer()
+            synthesizer = StillMotion(face.model.rest)
+        self.street = make_street(face, self.playout, self._bus, rate_hz, recognizer, synthesizer)
+
+    def run(self, until_s: float, act: Callable[[float], None] | None = None) -> Watched:
+        """From the first torque until so many seconds after the timeline began.
+
+        act: called in each tick with the seconds since then.
+        """
+        times_s: list[float] = []
+        encoders_deg: list[Array] = []
+        with self._bus, LifeCycle(self.street.bridge, self.clock) as life:
+            life.start()
+            zero_s = self.clock.now()
+            self.loudspeaker.advance(zero_s)
+            self.street.begin(zero_s)
+            for time_s, late in life.ticks():
+                self.loudspeaker.advance(time_s)
+                if act is not None:
+                    act(time_s - zero_s)
+                self.street.tick(time_s, late)
+                times_s.append(self.clock.now())
+                encoders_deg.append(self._bus.feedback().positions_deg)
+                if time_s - zero_s >= until_s:
+                    break
+        seen_deg = np.array(encoders_deg)
+        return Watched(np.array(times_s), seen_deg, self._gap_mm(seen_deg), zero_s)
+
+    def _gap_mm(self, positions_deg: Array) -> Array:
+        """(n, n_servos) -> (n,): how far the inner lips are apart, by the face's geometry."""
+        face = simulated_face(self._neutral_mm, self._names)
+        markers_mm = marker_positions_mm(face, positions_deg)
+        upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
+        return np.asarray(upper[:, 1] - lower[:, 1])
+
+
+def spoken_stream(text: SpokenText, playout: Playout, *, knows: bool) -> PlayoutStream:
+    """A whole text as a stream that has ended. knows: with its phonemes."""
+    known = text.phonemes if knows else ()
+    stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)
+    stream.push(text.samples)
+    stream.end()
+    return stream

@@ -1,0 +1,248 @@
+"""Lips against sound at the encoders, of what a synthesiser says and knows.
+
+When lips close and part, against when the sound says that they do.
+
+What a synthesiser says, rendered as `render` does, and said as `perform` does.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import soxr
+
+from lipservo.rendering.rendered import load_speaker, rendered_faces
+from lipservo.runtime.speech.performed_line import line_of
+from lipservo_lab.bench.sync.speaking_robot import (
+    SimulatedLoudspeaker,
+    SpeakingRobot,
+    Watched,
+    spoken_stream,
+)
+from lipsync.arrays import Array
+from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.markers import CLOSED_GAP_MM
+from lipsync.motion.closures import BILABIALS
+from lipsync.offline.line_methods import DEFAULT_METHOD, Line
+from lipsync.offline.performance import Performance, PerformedSound
+from lipsync.phonemes import SILENCE, PhonemeEvent
+from lipsync.text_to_speech.spoken_text import SpokenText
+
+#: An event belongs to the nearest of its kind within this time.
+MATCHED_S: Final = 0.200
+#: Of full scale; a synthesiser's closures are silent to the last bit or two.
+_SILENT: Final = 0.002
+_LEAST_CLOSURE_S: Final = 0.010
+
+
+@dataclass(frozen=True, slots=True)
+class Crossings:
+    """Seconds, in order: when lips close and when they part."""
+
+    closing_s: Array
+    parting_s: Array
+
+
+def sounding_closures(text: SpokenText) -> Crossings:
+    """What the sound asks for: closed from the onset of each P, B, M to its release.
+
+    The release is where the closure's silence ends, at the burst; without silence the end of the
+    phoneme. Neighbours among them are one closure. Beside a silence lips may rest closed: there
+    nothing is asked for.
+    """
+    phonemes = text.phonemes
+    closing_s: list[float] = []
+    parting_s: list[float] = []
+    before = SILENCE
+    following = [*(each.phoneme for each in phonemes[1:]), SILENCE]
+    for event, after in zip(phonemes, following, strict=True):
+        if event.phoneme in BILABIALS:
+            if before not in (*BILABIALS, SILENCE):
+                closing_s.append(event.start_s)
+            if after not in (*BILABIALS, SILENCE) and event.end_s is not None:
+                parting_s.append(_release_s(text, event.start_s, event.end_s))
+        before = event.phoneme
+    return Crossings(np.array(closing_s), np.array(parting_s))
+
+
+def _release_s(text: SpokenText, start_s: float, end_s: float) -> float:
+    first = round(start_s * text.sample_rate_hz)
+    sounds = np.abs(text.samples[first : round(end_s * text.sample_rate_hz)]) >= _SILENT
+    # The longest stretch without sound: from one sample that sounds to the next.
+    places = np.concatenate(([-1], np.flatnonzero(sounds)))
+    gaps = np.diff(places)
+    if len(gaps) == 0 or gaps.max() < _LEAST_CLOSURE_S * text.sample_rate_hz:
+        return end_s
+    return start_s + float(places[int(gaps.argmax()) + 1]) / text.sample_rate_hz
+
+
+def seen_closures(times_s: Array, gap_mm: Array, closed_mm: float = CLOSED_GAP_MM) -> Crossings:
+    """What lips did: crossings of closed_mm, between samples by a straight line.
+
+    times_s, gap_mm: (n,).
+    """
+    closed = gap_mm < closed_mm
+    changed = np.flatnonzero(closed[1:] != closed[:-1])
+    share = (closed_mm - gap_mm[changed]) / (gap_mm[changed + 1] - gap_mm[changed])
+    at_s = times_s[changed] + share * (times_s[changed + 1] - times_s[changed])
+    return Crossings(at_s[closed[changed + 1]], at_s[~closed[changed + 1]])
+
+
+def matched_errors_s(asked_s: Array, seen_s: Array) -> tuple[Array, int]:
+    """How much later each asked-for event was seen, (n_matched,), and how many were not at all."""
+    if len(seen_s) == 0 or len(asked_s) == 0:
+        return np.zeros(0), len(asked_s)
+    late_s = seen_s[None] - asked_s[:, None]
+    nearest_s = late_s[np.arange(len(asked_s)), np.abs(late_s).argmin(axis=1)]
+    matched = np.abs(nearest_s) <= MATCHED_S
+    return nearest_s[matched], int(np.sum(~matched))
+
+
+def performances_of(texts: Sequence[SpokenText]) -> list[Performance]:
+    """Of each text, by the shipped models and the default method, its phonemes known."""
+    return [_performance(text) for text in texts]
+
+
+def performed_stream(text: SpokenText, performance: Performance, playout: Playout) -> PlayoutStream:
+    """The whole line as a stream that has ended."""
+    line = line_of(performance, "text", text.samples, text.sample_rate_hz)
+    stream = line.stream(playout)
+    for chunk in line.chunks():
+        stream.push(chunk)
+    stream.end()
+    return stream
+
+
+def _performance(text: SpokenText) -> Performance:
+    speaker = load_speaker(None, None)
+    samples = soxr.resample(text.samples, text.sample_rate_hz, SAMPLE_RATE_HZ)
+    faces, _ = rendered_faces(speaker, Line(text.phonemes, samples), DEFAULT_METHOD)
+    return Performance(
+        speaker.face.checksum,
+        faces.astype(np.float32),
+        text.phonemes,
+        PerformedSound("text", "", None),
+        DEFAULT_METHOD,
+    )
+
+
+#: A closure hit (docs/motion.md): closed from 40 ms before the phoneme to 40 ms after it.
+_WINDOW_S: Final = 0.040
+#: How much the figures owe to what counts as closed.
+_OTHER_GAPS_MM: Final = (0.9, 1.5, 2.0, 3.0)
+#: Of full scale; an onset passes it within a millisecond or two.
+_LOUD: Final = 0.02
+#: The face is brought up, the sound is late, and the mouth goes to rest at the end.
+_AROUND_S: Final = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class SpeechTiming:
+    """Of all sentences: how much later lips close and part than the sound says, seconds.
+
+    n_asked, n_unmatched: closings and partings together. n_closures, n_hits: of P B M.
+    errors_by_closed_mm_s: the same errors where lips count as closed at another gap.
+    """
+
+    errors_s: Array
+    n_asked: int
+    n_unmatched: int
+    n_closures: int
+    n_hits: int
+    errors_by_closed_mm_s: Mapping[float, Array]
+
+
+def speech_timing(
+    texts: Sequence[SpokenText],
+    *,
+    knows: bool,
+    performances: Sequence[Performance] | None = None,
+    loudspeaker_seed: int = 0,
+) -> SpeechTiming:
+    """Say each by a robot of its own. knows: the phonemes come with the sound; else it listens.
+
+    performances: of the texts, which are performed then.
+
+    Every loudspeaker is another: its latency 20 to 120 ms, its clock up to 200 parts in a million
+    off, its reports up to 5 ms.
+    """
+    rendered = [None] * len(texts) if performances is None else performances
+    rng = np.random.default_rng(loudspeaker_seed)
+    errors_s: list[Array] = []
+    others_s: dict[float, list[Array]] = {closed_mm: [] for closed_mm in _OTHER_GAPS_MM}
+    n_asked = n_unmatched = n_closures = n_hits = 0
+    for text, performance in zip(texts, rendered, strict=True):
+        watched, sound_s = _said(text, _loudspeaker(rng), performance, knows=knows)
+        times_s = watched.times_s - sound_s
+        asked, seen = sounding_closures(text), seen_closures(times_s, watched.gap_mm)
+        for asked_s, seen_s in (
+            (asked.closing_s, seen.closing_s),
+            (asked.parting_s, seen.parting_s),
+        ):
+            late_s, n_missing = matched_errors_s(asked_s, seen_s)
+            errors_s.append(late_s)
+            n_asked += len(asked_s)
+            n_unmatched += n_missing
+        for closed_mm, found_s in others_s.items():
+            other = seen_closures(times_s, watched.gap_mm, closed_mm)
+            found_s.append(matched_errors_s(asked.closing_s, other.closing_s)[0])
+            found_s.append(matched_errors_s(asked.parting_s, other.parting_s)[0])
+        hits = _closure_hits(text.phonemes, times_s, watched.gap_mm)
+        n_closures += len(hits)
+        n_hits += sum(hits)
+    by_gap_s = {closed_mm: np.concatenate(found_s) for closed_mm, found_s in others_s.items()}
+    return SpeechTiming(
+        np.concatenate(errors_s), n_asked, n_unmatched, n_closures, n_hits, by_gap_s
+    )
+
+
+def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:
+    return SimulatedLoudspeaker(
+        latency_s=float(rng.uniform(0.02, 0.12)),
+        skew=float(rng.uniform(-200e-6, 200e-6)),
+        jitter_s=0.005,
+        rng=rng,
+    )
+
+
+def _said(
+    text: SpokenText,
+    loudspeaker: SimulatedLoudspeaker,
+    performance: Performance | None,
+    *,
+    knows: bool,
+) -> tuple[Watched, float]:
+    """What was seen, and when the first sample of the text left the loudspeaker."""
+    robot = SpeakingRobot(loudspeaker, hears=not knows, performance=performance)
+    if performance is None:
+        stream = spoken_stream(text, robot.playout, knows=knows)
+    else:
+        stream = performed_stream(text, performance, robot.playout)
+    robot.playout.requests.append(PlayoutRequest("say", stream))
+    watched = robot.run(text.duration_s + _AROUND_S)
+    return watched, first_sample_s(text, loudspeaker)
+
+
+def first_sample_s(text: SpokenText, loudspeaker: SimulatedLoudspeaker) -> float:
+    """When a text's first sample left the loudspeaker.
+
+    The loudspeaker's samples are counted, not its reports believed. The first loud one tells:
+    quieter ones may be a resampler's ringing.
+    """
+    samples, times_s = loudspeaker.played()
+    began = int(np.flatnonzero(np.abs(samples) > _LOUD)[0])
+    wanted = int(np.flatnonzero(np.abs(text.samples) > _LOUD)[0])
+    return float(times_s[began]) - wanted / text.sample_rate_hz
+
+
+def _closure_hits(phonemes: Sequence[PhonemeEvent], times_s: Array, gap_mm: Array) -> list[bool]:
+    hits = []
+    for event in phonemes:
+        if event.phoneme not in BILABIALS or event.end_s is None:
+            continue
+        near = (times_s >= event.start_s - _WINDOW_S) & (times_s <= event.end_s + _WINDOW_S)
+        hits.append(bool(gap_mm[near].min(initial=np.inf) <= CLOSED_GAP_MM))
+    return hits

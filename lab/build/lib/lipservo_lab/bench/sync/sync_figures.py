@@ -1,0 +1,158 @@
+"""The figures of `bench sync`, by the names under which they are documented.
+
+Sentences that `bench sync` says: every P, B and M beside many neighbours.
+
+How far lips and sound drift apart over minutes, where the sound card's clock is wrong.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.loop.targets import MemoryTargetChannel
+from lipservo.runtime.motion_options import (
+    LOW_LATENCY_LOOKAHEAD_S,
+    LOW_LATENCY_S,
+    MotionOptions,
+    make_synthesizer,
+)
+from lipservo.runtime.servos.assembly import assemble_face
+from lipservo.runtime.speech.speech_side import make_speech_side
+from lipservo_lab.bench.sync.microphone_latency import clip_to_bus_s
+from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, SimulatedLoudspeaker
+from lipservo_lab.bench.sync.speech_timing import SpeechTiming, performances_of, speech_timing
+from lipservo_lab.bench.sync.stream_timing import barge_in, first_seen, stuck_open_s
+from lipsync.audio.playout import Playout
+from lipsync.motion.live_synthesizer import Style
+from lipsync.text_to_speech.synthesizers import synthesizer_for
+
+SENTENCES = (
+    "The ship moved past the pier before midnight.",
+    "Maybe somebody left an umbrella at the museum.",
+    "A hungry bear climbed the apple tree in April.",
+    "Put both lamps above the piano, not below it.",
+    "Remember to bring pumpkin soup for my grandmother.",
+    "Nobody complained about the camping trip in May.",
+    "The mayor's speech began with a simple example.",
+    "He keeps a pile of broken umbrellas by the pump.",
+    "Is it possible to climb that mountain by bicycle?",
+    "Seven bumpy buses stopped at the empty market.",
+    "My best map shows a small bridge near the camp.",
+    "Keep the cabin warm and sweep up the bread crumbs.",
+)
+
+
+#: Found within a second of the start, the device's own latency is no drift.
+_SETTLED_S: Final = 5.0
+_DEVICE_HZ: Final = 8_000
+
+
+def drift_s(skew: float, duration_s: float, *, jitter_s: float = 0.005) -> float:
+    """The largest distance between the sound that is shown and the sound that is heard, seconds.
+
+    skew: how much too fast the loudspeaker's clock is; jitter_s: how far off its reports are.
+    """
+    face = assemble_face(FACE, None)
+    loudspeaker = SimulatedLoudspeaker(_DEVICE_HZ, 0.08, skew, jitter_s)
+    playout = Playout(loudspeaker)
+    synthesizer = make_synthesizer(face.model, MotionOptions())
+    side = make_speech_side(
+        face, playout, Deaf(), synthesizer, MemoryTargetChannel(), has_soft_start=False
+    )
+    now_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    shown_s = np.empty(len(now_s))
+    loudspeaker.advance(0.0)
+    side.begin(0.0)
+    for n, time_s in enumerate(now_s):
+        loudspeaker.advance(float(time_s))
+        side.advance(float(time_s))
+        shown_s[n] = side.speech.sound_time_s(float(time_s))
+    samples, left_s = loudspeaker.played()
+    positions_s = np.arange(len(samples)) / _DEVICE_HZ - playout.preroll_s
+    settled = (now_s > _SETTLED_S) & (now_s < left_s[-1])
+    heard_s = np.interp(now_s[settled], left_s, positions_s)
+    return float(np.abs(shown_s[settled] - heard_s).max())
+
+
+#: How one says how far it has got: what, number, of how many.
+Advance = Callable[[str, int, int], None]
+
+#: The largest error of a sound card's clock.
+_SKEW: Final = 200e-6
+_DRIFT_DURATION_S: Final = 600.0
+#: Streams whose first byte is already speech.
+_OPENINGS: Final = ("Apples are here.", "My name is Bob.", "Open the door.", "Hello there.")
+#: The slowest rate of a face, and that of a speech side in a process of its own.
+_RATES_HZ: Final = (30.0, 100.0)
+#: Of the first sentence, so long after its beginning: vowels, with the lips open.
+_INTERRUPTED_AFTER_S: Final = (0.35, 0.62, 0.9, 1.3, 1.6)
+_N_MICROPHONE: Final = 20
+
+
+def sync_figures(advance: Advance, *, quick: bool = False) -> dict[str, object]:
+    """All of them. quick: fewer sentences, a minute of drift, for a look."""
+    voice = synthesizer_for()
+    sentences = SENTENCES[:3] if quick else SENTENCES
+    texts = [voice.speak(sentence) for sentence in sentences]
+    steps = 7
+    advance("known phonemes", 0, steps)
+    known = speech_timing(texts, knows=True)
+    advance("recognised phonemes", 1, steps)
+    heard = speech_timing(texts, knows=False)
+    advance("performances", 2, steps)
+    performed = speech_timing(texts, knows=True, performances=performances_of(texts))
+    advance("drift", 3, steps)
+    minutes_s = 60.0 if quick else _DRIFT_DURATION_S
+    drifts_s = [drift_s(skew, minutes_s) for skew in (-_SKEW, _SKEW)]
+    advance("microphone", 4, steps)
+    quickest = MotionOptions(
+        style=Style(LOW_LATENCY_LOOKAHEAD_S), recognizer_latency_s=LOW_LATENCY_S
+    )
+    microphone_s = clip_to_bus_s(quickest, 4 if quick else _N_MICROPHONE)
+    advance("streams", 5, steps)
+    openings = [first_seen(voice.speak(opening)) for opening in _OPENINGS]
+    cuts = [
+        barge_in(texts[0], after_s, rate_hz)
+        for rate_hz in _RATES_HZ
+        for after_s in _INTERRUPTED_AFTER_S
+    ]
+    advance("jitter", 6, steps)
+    stuck_s, opening_s, n_underruns = stuck_open_s(texts, np.random.default_rng(0))
+    return {
+        **_timing("playback", known),
+        **_timing("recognized", heard),
+        **_timing("performed", performed),
+        "drift_10min_ms": _ms(max(drifts_s)),
+        "mic_to_bus_p95_ms": _ms(np.percentile(microphone_s, 95)),
+        "stream_first_motion_ms": _ms(max(each.motion_s for each in openings)),
+        "stream_first_sound_ms": _ms(max(each.sound_s for each in openings)),
+        "barge_in_ms": _ms(max(each.closed_s for each in cuts)),
+        "played_error_ms": _ms(max(each.played_error_s for each in cuts)),
+        "say_closure_hits": round(known.n_hits / known.n_closures, 4),
+        "stuck_open_s": round(stuck_s, 3),
+        "stuck_and_opening_s": round(stuck_s + opening_s, 3),
+        "jitter_underruns": n_underruns,
+        "sentences": len(texts),
+        "drift_duration_s": minutes_s,
+    }
+
+
+def _timing(name: str, timing: SpeechTiming) -> dict[str, object]:
+    error_s = np.abs(timing.errors_s)
+    return {
+        f"{name}_median_ms": _ms(np.median(error_s)),
+        f"{name}_p95_ms": _ms(np.percentile(error_s, 95)),
+        f"{name}_p95_ms_by_closed_mm": {
+            str(closed_mm): _ms(np.percentile(np.abs(errors_s), 95))
+            for closed_mm, errors_s in timing.errors_by_closed_mm_s.items()
+        },
+        f"{name}_late_ms": _ms(np.median(timing.errors_s)),
+        f"{name}_unmatched": round(timing.n_unmatched / timing.n_asked, 4),
+        f"{name}_events": timing.n_asked,
+        f"{name}_closure_hits": round(timing.n_hits / timing.n_closures, 4),
+    }
+
+
+def _ms(seconds: float | np.floating) -> float:
+    return round(float(seconds) * 1e3, 1)

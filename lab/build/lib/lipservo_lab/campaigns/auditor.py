@@ -1,0 +1,191 @@
+"""Watches a simulated face from outside: every packet on the wire, every step of every shaft.
+
+It knows the face's limits and nothing of the code under test, and trusts nobody.
+"""
+
+import struct
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.bus import Array
+from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN, register
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Frame, FrameParser, Instruction
+from firmware_bridge.simulator.chain import SimulatedChain
+from firmware_bridge.simulator.motors import POSITION_LOOP_PER_S
+
+_GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address
+_GOAL_BYTES, _TORQUE_BYTES = struct.pack("<H", _GOAL), struct.pack("<H", _TORQUE)
+#: A goal is rounded to a pulse, and so was the one before.
+_ROUNDING_PULSES: Final = 1
+#: What counts as the place where a servo stands: half a degree, for a limp shaft may be moving.
+_PLACE_PULSES: Final = 6
+#: A shaft may be a degree outside its limits (sag, rounding) before going further counts.
+_MARGIN_PULSES: Final = 12
+#: Beyond what a person was promised as the fastest.
+_SPEED_MARGIN: Final = 1.10
+#: A frozen face may still brake, and give a little under load.
+_BRAKES_S, _CREEP_DEG_S = 0.3, 5.0
+#: A shaft so near to where it would be unhindered is there.
+_FREE_PULSES: Final = 0.5
+#: No motor makes this without load: the encoder jumped.
+_JUMP_DEG_S: Final = 700.0
+
+
+class Auditor:
+    """Counts what must not happen; all counts are of events, on one servo each.
+
+    goals: goals seen. goals_outside: beyond the joint's limits, and no way back into them; when
+    torque comes on, any other goal than the place. steps_too_long: more than top speed times one
+    period since the last goal. too_fast: steps of 5 ms above 1.1 times top speed with torque on;
+    but for a shaft that was pushed or held up, until it is back on its trajectory.
+    moved_outside: steps outwards beyond the limits with torque on. armed_wrongly: torque switched
+    on though the servo's settings differ from the face's, without a running watchdog, or with a
+    goal elsewhere. armed_late: torque switched on after a person's stop. moved_frozen: the same
+    steps faster than 5 deg/s, later than 0.3 s after a person froze the face.
+    """
+
+    def __init__(self, servos: Sequence[MountedServo], period_s: float) -> None:
+        per_deg = PULSES_PER_TURN / 360.0
+        ranges = np.array([servo.pulse_range() for servo in servos], dtype=np.float64)
+        self._servos = {servo.joint.servo_id: servo for servo in servos}
+        self._low, self._high = ranges[:, 0], ranges[:, 1]
+        self._speed = np.array([s.joint.max_speed_deg_s for s in servos]) * per_deg
+        self._reach = {
+            servo.joint.servo_id: speed * period_s + _ROUNDING_PULSES
+            for servo, speed in zip(servos, self._speed.tolist(), strict=True)
+        }
+        self._jump = _JUMP_DEG_S * per_deg
+        #: Where each shaft would be if nothing hindered it: behind its trajectory by its position
+        #: loop alone. One that is elsewhere was pushed, jammed or loaded, and comes back as fast
+        #: as it can: that is the servo's own doing.
+        self._free = np.zeros(len(servos))
+        self._is_free = np.zeros(len(servos), dtype=np.bool_)
+        self._last: dict[int, int] = {}
+        self._parser = FrameParser()
+        self._chain: SimulatedChain | None = None
+        self._before: tuple[Array, Array] | None = None
+        self._held = np.zeros(len(servos), dtype=np.bool_)  # torque was on at the step before
+        self._before_s = 0.0
+        self._creep = _CREEP_DEG_S * per_deg
+        self.stopped_s: float | None = None
+        self.frozen = False
+        self.moved_frozen = 0
+        self.goals = self.goals_outside = self.steps_too_long = 0
+        self.too_fast = self.moved_outside = self.armed_wrongly = self.armed_late = 0
+        self.fastest = 0.0
+
+    def watch(self, chain: SimulatedChain) -> None:
+        """Follow the shafts of this chain, and look into its servos when torque comes on."""
+        self._chain = chain
+        chain.motion = self._see_motion
+
+    def see(self, time_s: float, data: bytes) -> None:
+        """Look at one write of the computer."""
+        if _GOAL_BYTES not in data and _TORQUE_BYTES not in data and not self._parser.pending:
+            return  # the address is in no packet of it
+        for frame in self._parser.feed(data):
+            self._see_frame(frame, time_s)
+
+    def _see_frame(self, frame: Frame, time_s: float) -> None:
+        parameters = frame.parameters
+        if frame.instruction == Instruction.WRITE and frame.packet_id != BROADCAST_ID:
+            if parameters[:2] == _GOAL_BYTES:
+                self._see_first_goal(frame.packet_id, parameters[2:6])
+            elif parameters[:3] == _TORQUE_BYTES + b"\1":
+                self._see_torque(frame.packet_id, time_s)
+        elif frame.instruction == Instruction.SYNC_WRITE and parameters[:2] == _GOAL_BYTES:
+            for servo_id, goal in struct.iter_unpack("<Bi", parameters[4:]):
+                self._see_goal(servo_id, goal)
+
+    def _see_goal(self, servo_id: int, goal: int) -> None:
+        self.goals += 1
+        low, high = self._servos[servo_id].pulse_range()
+        before = self._last.get(servo_id, goal)
+        self._last[servo_id] = goal
+        # A joint found outside its limits is brought back in.
+        if not min(low, before) - 1 <= goal <= max(high, before) + 1:
+            self.goals_outside += 1
+        too_long = abs(goal - before) > self._reach[servo_id] + 1e-6
+        if too_long and not self._is_way_back(servo_id, before, goal):
+            self.steps_too_long += 1
+
+    def _see_first_goal(self, servo_id: int, data: bytes) -> None:
+        """A goal to one servo alone comes before torque: it must be where the servo stands."""
+        goal = int.from_bytes(data, "little", signed=True)
+        self._last[servo_id] = goal
+        self.goals += 1
+        if not self._is_place(servo_id, goal):
+            self.goals_outside += 1
+
+    def _is_way_back(self, servo_id: int, before: int, goal: int) -> bool:
+        """Whether the new goal lies between the old one and where the servo stands."""
+        index = self._index(servo_id)
+        if index is None or self._chain is None:
+            return False
+        place = float(self._chain.motors.position[index])
+        return min(before, place) - _PLACE_PULSES <= goal <= max(before, place) + _PLACE_PULSES
+
+    def _is_place(self, servo_id: int, goal: int) -> bool:
+        """Whether the servo stands at `goal`, so that nothing moves. True of one nobody knows."""
+        index = self._index(servo_id)
+        if index is None or self._chain is None:
+            return True
+        return bool(abs(goal - self._chain.motors.position[index]) <= _PLACE_PULSES)
+
+    def _see_torque(self, servo_id: int, time_s: float) -> None:
+        if self.stopped_s is not None and time_s > self.stopped_s:
+            self.armed_late += 1
+        index = self._index(servo_id)
+        if index is None or self._chain is None:
+            return
+        servo, wanted = self._chain.servos[index], self._servos[servo_id]
+        low, high = wanted.pulse_range()
+        as_set_up = (
+            servo["drive_mode"] == 0
+            and servo["homing_offset"] == 0
+            and servo["operating_mode"] == (3 if wanted.current_cap is None else 5)
+            and servo["min_position_limit"] <= low <= high <= servo["max_position_limit"]
+        )
+        place = self._chain.motors.position[index]
+        at_place = abs(servo["goal_position"] - place) <= _PLACE_PULSES
+        self.armed_wrongly += not (as_set_up and at_place and servo["bus_watchdog"] > 0)
+
+    def _see_motion(self, time_s: float, position: Array) -> None:
+        assert self._chain is not None  # it calls
+        motors = self._chain.motors
+        seen, self._before = self._before, (position.copy(), motors.trajectory.copy())
+        held, self._held = self._held & motors.torque_on, motors.torque_on.copy()
+        span_s, self._before_s = time_s - self._before_s, time_s
+        if seen is None or span_s <= 0.0:
+            return
+        before, trajectory_before = seen
+        speed = (position - before) / span_s
+        told = np.abs(motors.trajectory - trajectory_before) / span_s
+        # A jump of the encoder takes the trajectory with it, and a servo that stops by itself, as
+        # for its watchdog, lays it where it stands: nobody told them to go there.
+        jumped = (np.abs(speed) >= self._jump) & (told >= self._jump)
+        by_itself = ~held | jumped | (motors.trajectory == position)
+        told[by_itself] = 0.0
+        self._free += (motors.trajectory - self._free) * min(1.0, POSITION_LOOP_PER_S * span_s)
+        self._free = np.where(by_itself, position, self._free)
+        was_free, self._is_free = self._is_free, np.abs(position - self._free) <= _FREE_PULSES
+        own = held & was_free & self._is_free
+        moved = np.maximum(np.where(own, np.abs(speed), 0.0), told)
+        fast = moved / self._speed
+        self.fastest = max(self.fastest, float(fast.max()))
+        self.too_fast += int((fast > _SPEED_MARGIN).sum())
+        if self.frozen and self.stopped_s is not None and time_s > self.stopped_s + _BRAKES_S:
+            self.moved_frozen += int((moved > self._creep).sum())
+        outwards = (position > self._high + _MARGIN_PULSES) & (speed > 1.0)
+        outwards |= (position < self._low - _MARGIN_PULSES) & (speed < -1.0)
+        self.moved_outside += int((own & outwards).sum())
+
+    def _index(self, servo_id: int) -> int | None:
+        """Which simulated servo answers to this id now."""
+        if self._chain is None:
+            return None
+        found = [s.index for s in self._chain.servos if s.servo_id == servo_id]
+        return found[0] if len(found) == 1 else None

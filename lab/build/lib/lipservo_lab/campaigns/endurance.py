@@ -1,0 +1,269 @@
+"""A face driven for days on a virtual clock: what grows, and what the wire saw in the meantime.
+
+The endurance run in numbers, in one session or in several that go on from a file.
+"""
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Final
+
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.simulator.chain import chain_for
+from firmware_bridge.simulator.faults import Fault
+from firmware_bridge.simulator.ports import MemoryTransport
+from lipservo_lab.campaigns.auditor import Auditor
+from lipservo_lab.campaigns.fault_campaign import BAUD_RATE, face, wanted_deg
+from lipsync.errors import UserError
+from lipsync.output_file import check_output, write_whole
+
+#: As on a fair bus: now and then a packet is lost or spoilt, and the plug is pulled now and then.
+#: Whatever leaks, leaks where things go wrong.
+FAULTS: Final = (
+    Fault("drop_reply", probability=0.001),
+    Fault("corrupt_reply", probability=0.0005),
+    Fault("unplug", from_s=0.0, every_s=600.0, lasts_s=2.0),
+)
+#: Once so many cycles are over, everything is loaded and warm: memory is first looked at.
+_WARM_SHARE: Final = 0.1
+_REPORTS: Final = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Endurance:
+    """What a run has shown so far. Memory is resident, in MB (10^6 bytes), of this process.
+
+    cycles: ticks that were asked for and done; bringing the face to rest afterwards is watched,
+    too, and not counted. *_at_tenth: once a tenth of them was over and all was warm; 0 = not yet.
+    cpu_s: processor time. goals_outside_limits .. armed_wrongly: see `Auditor`; contention: two
+    voices on the wire at once. None of these may happen.
+    """
+
+    cycles: int
+    virtual_hours: float
+    cpu_s: float
+    rss_mb_at_tenth: float
+    rss_mb_at_end: float
+    descriptors_at_tenth: int
+    descriptors_at_end: int
+    goals: int
+    goals_outside_limits: int
+    steps_above_clamp: int
+    motion_too_fast: int
+    moved_outside: int
+    armed_wrongly: int
+    contention: int
+    replugs: int
+
+
+#: Counts of `Endurance` that must all be 0.
+MUST_NOT: Final = (
+    "goals_outside_limits",
+    "steps_above_clamp",
+    "motion_too_fast",
+    "moved_outside",
+    "armed_wrongly",
+    "contention",
+)
+
+
+def endure(
+    n_cycles: int,
+    progress: Callable[[Endurance], None],
+    *,
+    n_servos: int = 5,
+    rate_hz: float = 100.0,
+    seed: int = 1,
+    stopped: Callable[[], bool] = lambda: False,
+) -> Endurance:
+    """Drive simulated servos for `n_cycles` ticks, byte by byte, through bus, bridge and gate.
+
+    Ends early, with what was seen so far, when `stopped` says so or at Ctrl-C.
+
+    progress: called a hundred times with what was seen so far.
+    """
+    servos = face(n_servos)
+    clock = ManualClock()
+    chain = chain_for(servos, BAUD_RATE, faults=FAULTS, seed=seed)
+    auditor = Auditor(servos, 1.0 / rate_hz)
+    auditor.watch(chain)
+    bus = DynamixelBus(
+        servos, lambda: MemoryTransport(chain, clock, BAUD_RATE, tap=auditor.see), strict=False
+    )
+    channel = MemoryTargetChannel()
+    joints = [servo.joint for servo in servos]
+    bridge = Bridge(bus, joints, channel, BridgeSettings(rate_hz, tolerant=True))
+    warm_at, report_every = int(n_cycles * _WARM_SHARE), max(1, n_cycles // _REPORTS)
+    warm, begun_s, n_done = (0.0, 0), time.process_time(), 0
+
+    def so_far() -> Endurance:
+        return Endurance(
+            cycles=n_done,
+            virtual_hours=clock.now() / 3600.0,
+            cpu_s=time.process_time() - begun_s,
+            rss_mb_at_tenth=warm[0],
+            rss_mb_at_end=resident_mb(),
+            descriptors_at_tenth=warm[1],
+            descriptors_at_end=open_descriptors(),
+            goals=auditor.goals,
+            goals_outside_limits=auditor.goals_outside,
+            steps_above_clamp=auditor.steps_too_long,
+            motion_too_fast=auditor.too_fast,
+            moved_outside=auditor.moved_outside,
+            armed_wrongly=auditor.armed_wrongly,
+            contention=chain.counts.contention,
+            replugs=bridge.status.n_unplugged,
+        )
+
+    with bus, LifeCycle(bridge, clock) as life:
+        life.start()
+        for time_s, late in life.ticks():
+            if n_done == warm_at:
+                warm = resident_mb(), open_descriptors()
+            if n_done % report_every == 0:
+                progress(so_far())
+            if n_done >= n_cycles or stopped():
+                break
+            channel.publish(ServoTargets(time_s, wanted_deg(time_s, n_servos)))
+            bridge.tick(time_s, late)
+            n_done += 1
+    return so_far()
+
+
+def resident_mb() -> float:
+    """Resident memory of this process now, MB; 0 where /proc does not tell."""
+    try:
+        n_pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return 0.0
+    return n_pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def open_descriptors() -> int:
+    """How many files, pipes and sockets this process holds open; 0 where /proc does not tell."""
+    try:
+        return len(os.listdir("/proc/self/fd")) - 1  # the one that lists them
+    except OSError:
+        return 0
+
+
+#: As many as a mouth needs; more servos cost time, and leak nothing else.
+N_SERVOS, RATE_HZ = 5, 100.0
+_FORMAT: Final = "lipservo bench endurance 1"
+#: Of each session on its own: what it is at its end is not added up.
+_OF_A_SESSION: Final = {
+    "rss_mb_at_tenth",
+    "rss_mb_at_end",
+    "descriptors_at_tenth",
+    "descriptors_at_end",
+}
+
+
+def endurance_figures(
+    n_cycles: int,
+    progress: Callable[[int], None],
+    stopped: Callable[[], bool],
+    resume: Path | None = None,
+) -> dict[str, float]:
+    """Run `n_cycles` and say what grew, what went wrong on the wire, and how fast it went.
+
+    resume: where the sessions so far are kept, written whole at every hundredth and at the end.
+    What it holds counts, and only the cycles that are left are run, with other random faults.
+    progress: called with the cycles done, those of earlier sessions included.
+    Raises UserError for a file that holds something else or cannot be written.
+    """
+    past = [] if resume is None else _read_sessions(resume)
+    n_past = sum(session.cycles for session in past)
+
+    def note(session: Endurance) -> None:
+        if resume is not None:
+            write_whole(resume, _as_json([*past, session]))
+        progress(n_past + session.cycles)
+
+    if n_past >= n_cycles:
+        return totals(past)
+    session = endure(
+        n_cycles - n_past,
+        note,
+        n_servos=N_SERVOS,
+        rate_hz=RATE_HZ,
+        seed=1 + n_past,
+        stopped=stopped,
+    )
+    note(session)
+    return totals([*past, session])
+
+
+def totals(sessions: Sequence[Endurance]) -> dict[str, float]:
+    """The sums of all sessions; memory and descriptors of the one in which they grew most.
+
+    rss_growth_mb, descriptors_growth: from a tenth to the end of a session, the worst.
+    sessions_too_short: those that ended before their tenth, which say nothing of growth.
+    """
+    figures: dict[str, float] = {
+        field.name: sum(getattr(session, field.name) for session in sessions)
+        for field in fields(Endurance)
+        if field.name not in _OF_A_SESSION
+    }
+    warm = [session for session in sessions if session.descriptors_at_tenth]
+    for name, growth, unit in (
+        ("rss_mb", "rss_growth_mb", 0.0),
+        ("descriptors", "descriptors_growth", 0),
+    ):
+        begin, end = f"{name}_at_tenth", f"{name}_at_end"
+        pairs = [(getattr(s, begin), getattr(s, end)) for s in warm] or [(unit, unit)]
+        figures[begin], figures[end] = max(pairs, key=lambda pair: pair[1] - pair[0])
+        figures[growth] = figures[end] - figures[begin]
+    return {
+        **figures,
+        "sessions": len(sessions),
+        "sessions_too_short": len(sessions) - len(warm),
+        "servos": N_SERVOS,
+        "rate_hz": RATE_HZ,
+        "cycles_per_cpu_second": figures["cycles"] / max(figures["cpu_s"], 1e-9),
+    }
+
+
+def what_went_wrong(figures: dict[str, float]) -> list[str]:
+    """The counts that must be 0 and are not, a line each."""
+    return [f"{name}: {figures[name]:g}, must be 0" for name in MUST_NOT if figures[name]]
+
+
+def _as_json(sessions: Sequence[Endurance]) -> str:
+    kept = {"format": _FORMAT, "sessions": [asdict(session) for session in sessions]}
+    return json.dumps(kept, indent=1) + "\n"
+
+
+def _read_sessions(path: Path) -> list[Endurance]:
+    """The sessions in a file of ours, none where there is no file yet."""
+    check_output(
+        path, replaces=lambda head: _FORMAT.encode() in head, kind="file of `bench endurance`"
+    )
+    if not path.exists() or not path.stat().st_size:
+        return []
+    try:
+        kept = json.loads(path.read_text())
+        return [_session(each) for each in kept["sessions"]]
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise UserError(
+            f"{path}: does not hold whole sessions of `bench endurance`; name a new file"
+        ) from error
+
+
+def _session(kept: dict[str, Any]) -> Endurance:
+    session = Endurance(**kept)
+    for field in fields(Endurance):
+        value = getattr(session, field.name)
+        wanted = (int,) if field.type is int else (int, float)
+        if type(value) not in wanted or not math.isfinite(value) or value < 0:
+            raise ValueError(f"{field.name}: {value}")
+    return session

@@ -1,0 +1,1 @@
+"""`lipservo bench`: what the documentation claims, measured."""

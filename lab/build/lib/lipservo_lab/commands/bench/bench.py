@@ -1,0 +1,334 @@
+"""`lipservo bench NAME`: the figures that this project claims, measured here and now.
+
+`lipservo bench replay`: how much faster than sound a file is replayed.
+"""
+
+import tempfile
+import time
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.progress import Progress
+
+from calibration.simulated.robot_family import RobotFamily
+from lipservo.commands.options import Json, Quiet
+from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+from lipsync.errors import UserError
+
+#: What the replay figure replays: a sentence of 3 s and an utterance of 20 s.
+_REPLAYED = ("grid_s1/audio/bbaf3s.flac", "librispeech/audio/1089-134691-0011.opus")
+
+Corpora = Annotated[
+    Path | None,
+    typer.Option(help="Folder that holds grid_s1 and librispeech.", show_default=False),
+]
+
+
+def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = False) -> None:
+    """Measure the speed of the street and the miss rates of the published selection.
+
+    Without the corpora: the speeds on the bundled clip, and no miss rates.
+    """
+    from lipservo.runtime.settled_phonemes import settled_events
+    from lipservo_lab.bench import speed_figures as measure
+    from lipservo_lab.learning.motion.trained_model import load_trained_model
+    from lipsync.audio.file import FileSource
+
+    began_s = time.perf_counter()
+    model = load_trained_model()
+    if corpora is not None and not corpora.is_dir():
+        raise UserError(f"{corpora}: no such folder; give the one that holds grid_s1")
+    figures: dict[str, float] = {
+        "mean_successors": model.animphos.mean_successors,
+        "variance_held": float(model.provenance["variance_held"]),
+    }
+    with (
+        resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
+        Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
+    ):
+        steps = progress.add_task("synthesis", total=4)
+        figures |= measure.synthesis_times_ms(
+            model.animphos, [list(settled_events(FileSource(clip), "network"))]
+        )
+        progress.advance(steps)
+        known = [] if corpora is None else [corpora / name for name in _REPLAYED]
+        recordings = [path for path in known if path.is_file()]
+        figures["replay_speed"] = measure.replay_speed(recordings or [clip])
+        progress.advance(steps)
+        figures |= measure.live_figures()
+        progress.advance(steps)
+        if corpora is not None and (corpora / "grid_s1").is_dir():
+            figures |= measure.miss_rates(corpora / "grid_s1")
+        else:
+            MESSAGES.print("no miss rates: give --corpora, a folder that holds the corpus grid_s1")
+        progress.advance(steps)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+def bus(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Measure a bridge's process, its tick, and the bare line, on simulated servos.
+
+    Against the wire and dynamixel-sdk; against rustypot too, when that is installed.
+    """
+    from lipservo_lab.bench.bus import bus_figures as measure
+    from lipservo_lab.bench.bus.bus_figures import cpu_ratios
+    from lipservo_lab.bench.bus.process_cpu_figures import process_ratios
+    from lipservo_lab.bench.bus.tick_cpu_figures import tick_ratios
+
+    began_s = time.perf_counter()
+    parts = (
+        process_ratios,
+        tick_ratios,
+        cpu_ratios,
+        measure.wire_figures,
+        measure.fault_figures,
+        measure.silent_cycle_figures,
+        measure.replug_figures,
+    )
+    figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("bus", total=len(parts))
+        for part in parts:
+            figures |= part()
+            progress.advance(steps)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+def loop(
+    seconds: Annotated[
+        float, typer.Option(min=4.0, help="How long each rate is watched, in four windows.")
+    ] = 20.0,
+    with_bus: Annotated[
+        bool, typer.Option("--with-bus", help="Drive ten simulated servos in every tick, too.")
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how late an empty loop begins its ticks while every core is busy.
+
+    That is what the computer adds; how late a face is, --with-bus tells.
+    """
+    from lipservo_lab.bench.loop_figures import lateness_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("loop", total=None)
+
+        def advance(n_done: int, n_runs: int) -> None:
+            progress.update(steps, completed=n_done, total=n_runs)
+
+        figures = lateness_figures(seconds, advance, with_bus=with_bus)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+def faults(
+    every: Annotated[int, typer.Option(min=1, help="Play only one case in so many.")] = 1,
+    whole: Annotated[
+        bool, typer.Option("--whole", help="Every arming and stop for every fault: 8 times more.")
+    ] = False,
+    stops: Annotated[
+        bool,
+        typer.Option(
+            "--stops",
+            help="Stops by every client in every trouble instead, on real processes, 10 s each.",
+        ),
+    ] = False,
+    signals: Annotated[
+        bool,
+        typer.Option(
+            "--signals",
+            help="Signals to every command that moves servos instead, on real processes, 8 s each.",
+        ),
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Play every kind of fault against bridge and bus, on a virtual clock.
+
+    With --stops or --signals: how faces and commands end, on real processes at simulated servos.
+    Exit status 1 when anything happened that must not.
+    """
+    from lipservo_lab.bench.fault_figures import (
+        campaign_figures,
+        signal_campaign_figures,
+        stop_campaign_figures,
+    )
+
+    if stops + signals + whole > 1:
+        raise UserError("--stops, --signals and --whole: give one of them")
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("cases", total=None)
+
+        def advance(n_done: int, n_cases: int) -> None:
+            progress.update(steps, completed=n_done, total=n_cases)
+
+        if stops:
+            figures, broken = stop_campaign_figures(every, advance)
+        elif signals:
+            figures, broken = signal_campaign_figures(every, advance)
+        else:
+            figures, broken = campaign_figures(every, advance, whole=whole)
+    for line in broken:
+        MESSAGES.print(line, soft_wrap=True)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    if broken:
+        raise typer.Exit(1)
+
+
+def stop_path(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Count what a stop passes on its way: files and calls from its arrival to the command queue.
+
+    By each client that may request it, on real processes. Exit status 1 above the bars.
+    """
+    from lipservo_lab.bench.stops.stop_path import MOST_CALLS, MOST_FILES, stop_path_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("stops", total=None)
+
+        def advance(n_done: int, n_all: int) -> None:
+            progress.update(steps, completed=n_done, total=n_all)
+
+        figures = stop_path_figures(progress=advance)
+    if not as_json:
+        for name, found in figures.pop("by_client").items():
+            RESULTS.print(f"{name}: {found['files']} files, {found['calls']} calls")
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    if figures["files"] > MOST_FILES or figures["calls"] > MOST_CALLS:
+        raise typer.Exit(1)
+
+
+def house(as_json: Json = False, quiet: Quiet = False) -> None:
+    """Count what a tick, a stop and a command pass of the source, and the lines of each room.
+
+    Needs a checkout. Figures above a bar are named at the end; exit status 1 where there are any.
+    """
+    from lipservo_lab.bench.house.house_figures import house_figures
+
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        steps = progress.add_task("house", total=None)
+        figures = house_figures(lambda what: progress.update(steps, description=what))
+    over = figures["over"]
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    for line in over:
+        MESSAGES.print(line, highlight=False)
+    if over:
+        raise typer.Exit(1)
+
+
+def endurance(
+    cycles: Annotated[int, typer.Option(min=1_000, help="How many ticks of the bridge.")] = 100_000,
+    resume: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Keep what was seen in this file, and go on from what is there.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Drive simulated servos for hours on a virtual clock: memory, descriptors, wrong goals.
+
+    Ctrl-C ends it with the figures so far; with --resume the same command goes on from there.
+    Exit status 1 when anything happened that must not.
+    """
+    from lipservo.runtime.face_runtime import stopped_by_signals
+    from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
+
+    began_s = time.perf_counter()
+    with (
+        Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
+        stopped_by_signals() as stop,
+    ):
+        steps = progress.add_task("endurance", total=cycles)
+
+        def advance(n_done: int) -> None:
+            progress.update(steps, completed=n_done)
+
+        figures = endurance_figures(cycles, advance, stop.is_set, resume)
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+    wrong = what_went_wrong(figures)
+    for line in wrong:
+        MESSAGES.print(line)
+    if wrong:
+        raise typer.Exit(1)
+
+
+def calibration(
+    seeds: Annotated[
+        str, typer.Option(metavar="A-B", help="Robots to draw and calibrate, one a seed.")
+    ] = "0-19",
+    family: Annotated[
+        RobotFamily,
+        typer.Option(help="own: rubber and play; elastic: lips that stop each other, and more."),
+    ] = RobotFamily.OWN,
+    ways: Annotated[
+        bool,
+        typer.Option(
+            "--ways",
+            help="elastic: also every shipped way (measured, guided, practise, port, dots) on "
+            "robots of 1 to 12 servos, drawn by the first seed.",
+        ),
+    ] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Calibrate simulated robots that nothing is known of, and score them: medians and worst."""
+    from lipservo_lab.bench.calibration.calibration_figures import calibration_figures, read_seeds
+    from lipservo_lab.bench.calibration.elastic_figures import elastic_figures
+
+    if ways and family is not RobotFamily.ELASTIC:
+        raise typer.BadParameter("--ways goes with --family elastic")
+    numbers = read_seeds(seeds)
+    began_s = time.perf_counter()
+    figures: Mapping[str, object]
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        tracked = progress.track(numbers, description="calibrating")
+        if family is RobotFamily.ELASTIC:
+            figures = elastic_figures(tracked, ways_seed=numbers[0] if ways else None)
+        else:
+            figures = {"family": family.value, **calibration_figures(tracked)}
+    _print(figures, time.perf_counter() - began_s, as_json=as_json)
+
+
+def _print(figures: Mapping[str, object], seconds: float, *, as_json: bool) -> None:
+    result = {**figures, "machine": machine_class(), "seconds": seconds}
+    if as_json:
+        print_json(result)
+        return
+    for name, value in result.items():
+        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def replay(
+    sound: Annotated[
+        Path | None,
+        typer.Argument(help="Sound file; default: 20 s of the bundled clip.", show_default=False),
+    ] = None,
+    times: Annotated[int, typer.Option(min=1, help="The median of so many replays counts.")] = 5,
+    as_json: Json = False,
+) -> None:
+    """Measure the speed of `replay`, and of its recogniser with sound ahead and without."""
+    from lipservo_lab.bench.speed_figures import repeated, replay_figures
+
+    if sound is not None:
+        figures = replay_figures(sound, times)
+    else:
+        with (
+            resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip,
+            tempfile.TemporaryDirectory() as folder,
+        ):
+            figures = replay_figures(repeated(clip, Path(folder) / "welcome.wav"), times)
+    result = {**figures, "machine": machine_class()}
+    if as_json:
+        print_json(result)
+        return
+    for name, value in result.items():
+        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")

@@ -1,0 +1,293 @@
+"""`lipservo bench closures`: whether the mouth closes where P, B, M, F and V are spoken.
+
+`lipservo bench microphone`: sooner or more right, so that a puppeteer can choose.
+
+`lipservo bench nonspeech`: how long the mouth opens for sounds that are no speech.
+
+`lipservo bench ladder`: how a face hears while other programs take the computer.
+"""
+
+import tempfile
+import time
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import Progress
+from rich.table import Table
+
+from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsChoice
+from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
+from lipservo_lab.commands.bench.recognition import Cache, Limit, Speakers
+from lipsync.errors import UserError
+from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S, check_weights, find_weights
+
+if TYPE_CHECKING:
+    from lipservo_lab.bench.sync.microphone_latency import Recording
+    from lipservo_lab.evaluation.motion.measures import LipSpeed
+    from lipservo_lab.evaluation.recognition.heard_motion import Closure
+    from lipsync.phonemes import PhonemeEvent
+
+
+def closures(
+    corpus: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder as for `bench recognition`; without it the bundled clip.",
+            show_default=False,
+        ),
+    ] = None,
+    speakers: Speakers = "",
+    limit: Limit = None,
+    cache: Cache = None,
+    lookahead_ms: Annotated[
+        float, typer.Option(min=0.0, max=1000.0, help="As for `run`.")
+    ] = DEFAULT_LOOKAHEAD_S * 1e3,
+    latency_ms: Annotated[
+        float, typer.Option(min=0.0, help="When a frame's label is due: 45, 95 or 145.")
+    ] = LATENCY_S * 1e3,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    model: Model = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure at how many closures the mouth closes, by what the recogniser hears, and how fast.
+
+    Where they are is told by forced alignment of what is said. Lips are watched at 100 Hz.
+    """
+    from lipservo_lab.evaluation.motion.measures import lip_speed, lip_speed_figures
+    from lipservo_lab.evaluation.recognition.heard_motion import (
+        closure_figures,
+        closure_hits,
+        heard_motion,
+    )
+    from lipservo_lab.learning.motion.trained_model import load_trained_model
+    from lipsync.recognition.network_recognizer import NetworkRecognizer
+
+    recognizer = NetworkRecognizer(find_weights(weights), latency_ms / 1e3)
+    face = load_trained_model(model)
+    found: list[Closure] = []
+    speeds: list[LipSpeed] = []
+
+    def listen(sound: Path, phones: "tuple[PhonemeEvent, ...]") -> None:
+        motion = heard_motion(sound, recognizer, face, lookahead_ms / 1e3)
+        found.extend(closure_hits(motion, phones, face))
+        speeds.append(lip_speed(face, motion.faces, motion.spoken_s))
+
+    with progress_bar(quiet=quiet) as advance:
+        if corpus is None:
+            with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+                listen(clip, clip_phones(clip))
+        else:
+            from lipservo_lab.bench.hearing.recognizer_bench import aligned, selected
+
+            utterances = selected(corpus, speakers, limit=limit)
+            alignments = aligned(utterances, cache, None, advance)
+            for number, utterance in enumerate(utterances, start=1):
+                listen(utterance.sound, alignments[utterance.name].events())
+                advance("closing", number, len(utterances))
+    figures = {**closure_figures(found), **lip_speed_figures(speeds)}
+    settings = {
+        "weights": weights,
+        "lookahead_ms": lookahead_ms,
+        "latency_ms": latency_ms,
+        "machine": machine_class(),
+    }
+    missed = [f"{c.phone.phoneme} at {c.phone.start_s:.2f} s" for c in found if not c.was_met]
+    if corpus is None:
+        figures["missed"] = missed
+    if as_json:
+        print_json({**figures, **settings})
+        return
+    for name, value in {**figures, **settings}.items():
+        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+
+
+def clip_phones(clip: Path) -> "tuple[PhonemeEvent, ...]":
+    """The bundled clip's phones, from its text."""
+    from lipsync.audio.file import read_speech
+    from lipsync.recognition.alignment import align
+
+    text = (resources.files("lipservo.clips") / "welcome.txt").read_text(encoding="utf-8")
+    return align(read_speech(clip), text).phones
+
+
+#: A column's heading, and the figure in it.
+_COLUMNS = (
+    ("look-ahead, ms", "lookahead_ms"),
+    ("recogniser, ms", "latency_ms"),
+    ("declared delay, ms", "declared_delay_ms"),
+    ("microphone to bus, p95, ms", "microphone_to_bus_p95_ms"),
+    ("P B M met", "closure_hits"),
+    ("F V met", "labiodental_hits"),
+    ("visemes, all", "viseme_all"),
+    ("visemes, speech", "viseme_speech"),
+)
+
+
+def microphone(
+    corpus: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder as for `bench recognition`; without it the bundled clip, no accuracy.",
+            show_default=False,
+        ),
+    ] = None,
+    speakers: Speakers = "",
+    limit: Limit = None,
+    cache: Cache = None,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    model: Model = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure what look-ahead and recogniser cost and give: delay, closures, accuracy.
+
+    From the microphone to the first goal on the bus, on a virtual clock with simulated servos.
+    """
+    from lipservo_lab.bench.hearing.recognizer_bench import aligned, selected
+    from lipservo_lab.bench.sync.microphone_latency import microphone_table
+    from lipservo_lab.evaluation.recognition.benchmark import measure
+    from lipservo_lab.learning.motion.trained_model import load_trained_model
+    from lipsync.recognition.network_recognizer import NetworkRecognizer
+
+    face = load_trained_model(model)
+    learned = find_weights(weights)
+    with progress_bar(quiet=quiet) as advance:
+        if corpus is None:
+            with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+                recordings: list[Recording] = [(clip, clip_phones(clip))]
+                rows = microphone_table(recordings, face, weights, lambda _: {}, advance)
+        else:
+            utterances = selected(corpus, speakers, limit=limit)
+            alignments = aligned(utterances, cache, None, advance)
+
+            def accuracy(latency_s: float) -> Mapping[str, object]:
+                found = measure(
+                    utterances, alignments, lambda: NetworkRecognizer(learned, latency_s)
+                ).score.figures()
+                return {name: found[name] for name in ("viseme_all", "viseme_speech")}
+
+            recordings = [(u.sound, alignments[u.name].events()) for u in utterances]
+            rows = microphone_table(recordings, face, weights, accuracy, advance)
+    if as_json:
+        print_json({"rows": rows, "weights": weights, "machine": machine_class()})
+        return
+    RESULTS.print(_table(rows))
+
+
+def _table(rows: list[dict[str, object]]) -> Table:
+    columns = [(heading, name) for heading, name in _COLUMNS if name in rows[0]]
+    table = Table(*(heading for heading, _ in columns))
+    for row in rows:
+        table.add_row(*(_shown(row[name]) for _, name in columns))
+    return table
+
+
+def _shown(value: object) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
+
+
+def nonspeech(
+    folder: Annotated[
+        Path, typer.Argument(help="Sound files in which nobody speaks, in it and below it.")
+    ],
+    engine: EngineChoice = "network",
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    model: Model = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how often, how long and how wide the mouth opens while nobody speaks.
+
+    Through recogniser and default motion as they run live. A folder below FOLDER is a kind of
+    sound, and has its own line. Files that are no sound are named and left out.
+    """
+    from lipservo.runtime.motion_options import make_recognizer
+    from lipservo_lab.evaluation.recognition.nonspeech_answers import nonspeech_folder, sound_files
+    from lipservo_lab.learning.motion.trained_model import load_trained_model
+
+    check_weights(weights)
+    files = sound_files(folder)
+    recognizer = make_recognizer(engine, weights=weights)
+    with progress_bar(quiet=quiet) as advance:
+        found = nonspeech_folder(
+            folder,
+            files,
+            recognizer,
+            load_trained_model(model),
+            DEFAULT_LOOKAHEAD_S,
+            lambda n: advance("listening", n, len(files)),
+        )
+    for line in found.not_sound:
+        MESSAGES.print(f"left out: {line}", soft_wrap=True)
+    if recognizer.reasons:
+        raise UserError(f"the recogniser was left: {'; '.join(recognizer.reasons)}")
+    settings = {
+        "engine": engine,
+        "weights": weights,
+        "lookahead_ms": DEFAULT_LOOKAHEAD_S * 1e3,
+        "machine": machine_class(),
+    }
+    figures = found.as_dict()
+    if as_json:
+        print_json({**figures, **settings})
+        return
+    table = Table("folder", "open", "speech", "openings/min", "widest mm", "files", "s")
+    for name, row in {"all": found.figures(), **found.figures_by_folder()}.items():
+        table.add_row(
+            name,
+            *(f"{row[key]:.3f}" for key in ("open_share", "speech_share")),
+            *(f"{round(row[key], 1) + 0.0:.1f}" for key in ("openings_per_min", "widest_mm")),
+            *(f"{row[key]:.0f}" for key in ("files", "seconds")),
+        )
+    RESULTS.print(table)
+
+
+def ladder(
+    minutes: Annotated[
+        float, typer.Option(min=0.8, max=600.0, help="How long the face listens.")
+    ] = 10.0,
+    programs: Annotated[
+        int, typer.Option(min=1, max=64, help="How many programs are busy for each core.")
+    ] = 2,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure who listens while every core is busy for 1, 2 and 5 s of every minute.
+
+    On a whole `lipservo run` in real time; and how soon loudness takes over from a recogniser that
+    takes ten times as long as its sound.
+    """
+    from lipservo.runtime.face_runtime import stopped_by_signals
+    from lipservo_lab.bench.hearing.ladder_figures import ladder_figures
+
+    began_s = time.perf_counter()
+    with (
+        tempfile.TemporaryDirectory(prefix="ladder-") as folder,
+        Progress(console=MESSAGES, transient=True, disable=quiet or as_json) as progress,
+        stopped_by_signals() as stop,
+    ):
+        steps = progress.add_task("listening", total=None)
+
+        def advance(done_s: float, whole_s: float) -> None:
+            progress.update(steps, completed=done_s, total=whole_s)
+
+        figures = ladder_figures(minutes, programs, Path(folder), advance, stop.is_set)
+    result = {
+        **figures,
+        "minutes": minutes,
+        "programs_per_core": programs,
+        "machine": machine_class(),
+        "seconds": time.perf_counter() - began_s,
+    }
+    if as_json:
+        print_json(result)
+        return
+    for name, value in result.items():
+        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")

@@ -1,0 +1,329 @@
+"""`lipservo bench motion`: our motion and the baselines against recorded faces.
+
+`lipservo bench motion --video`: our mouth beside faces that anybody filmed.
+"""
+
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+from rich.progress import Progress
+from rich.table import Table
+
+from lipservo.commands.options import Json, Landmarker, Quiet, SkipBad, UnitShare
+from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
+from lipsync.errors import check_extra
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+
+if TYPE_CHECKING:
+    from lipservo_lab.bench.motion_figures import Question
+    from lipservo_lab.corpus.utterance import Corpus, Utterance
+    from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
+    from lipservo_lab.learning.motion.trained_model import TrainedModel
+
+
+_HEADINGS = {
+    "clip": "clip",
+    "gap_r": "gap r",
+    "loudness_r": "loudness r",
+    "best_shift_ms": "best at ms",
+    "gap_r_at_best": "gap r there",
+    "seconds": "s",
+}
+
+
+def measure_video(
+    folder: Path, landmarker: Path | None, model: Path | None, *, as_json: bool, quiet: bool
+) -> None:
+    """Print how our lip gap, by the sound alone, goes with the one that is filmed."""
+    from lipservo_lab.bench.foreign_faces import foreign_figures
+    from lipservo_lab.video.video_clips import find_clips
+    from lipsync.video.face_tracker import open_tracker
+
+    began_s = time.perf_counter()
+    check_extra("av", "bench motion --video")
+    clips = find_clips(folder)
+    tracker = open_tracker(landmarker)
+    with progress_bar(quiet=quiet) as advance:
+        figures = foreign_figures(clips, tracker, model, advance)
+    answer = {
+        **figures,
+        "default_strategy": LIVE_STRATEGY,
+        "machine": machine_class(),
+        "wall_s": round(time.perf_counter() - began_s, 1),
+    }
+    if as_json:
+        print_json(answer)
+        return
+    rows = cast("list[dict[str, Any]]", figures["clips"])
+    table = Table(*_HEADINGS.values(), box=None, pad_edge=False)
+    for row in [r for r in rows if not r["left_out"]]:
+        table.add_row(*(str(row[name]) for name in _HEADINGS))
+    table.add_row("all", *(str(figures[name]) for name in list(_HEADINGS)[1:]))
+    RESULTS.print(table)
+    for row in rows:
+        if row["left_out"]:
+            MESSAGES.print(f"left out: {row['clip']}: {row['left_out']}", soft_wrap=True)
+
+
+#: What is printed of a row, and its heading; all of it together fits 80 columns.
+_MOTION_HEADINGS = {
+    "split": "split",
+    "strategy": "strategy",
+    "lookahead_ms": "ms",
+    "rmse_mm": "mm",
+    "ratio": "ratio",
+    "gap_r": "gap r",
+    "closure_hits": "closed",
+    "false_closures_ratio": "false",
+    "acceleration_ratio": "accel",
+    "miss_rate": "misses",
+    "frames": "frames",
+}
+
+#: What rendering a line, and making its model of a whole folder, costs.
+_RENDERING = ("seconds_per_sentence", "build_s", "build_processor_s", "build_mb")
+
+
+def motion(
+    corpus: Annotated[
+        Path | None, typer.Option(help="Folder laid out like grid_s1.", show_default=False)
+    ] = None,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead: a folder of video of any talkers (or one video); our mouth, by its "
+            "sound alone, beside theirs.",
+            show_default=False,
+        ),
+    ] = None,
+    landmarker: Landmarker = None,
+    model: Annotated[
+        Path | None,
+        typer.Option(
+            help="Score this model on the folder; without it, cross-validate by splits.json. "
+            "`shipped` names the shipped one.",
+            show_default=False,
+        ),
+    ] = None,
+    words: Annotated[
+        str | None,
+        typer.Option(help="Score these words alone, comma between; without --model unseen."),
+    ] = None,
+    strategy: Annotated[str | None, typer.Option(help="Score one method only.")] = None,
+    lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
+    phonemes: Annotated[str, typer.Option(help="true, or recognized live.")] = "true",
+    unit_share: UnitShare = None,
+    published_derivatives: Annotated[
+        bool,
+        typer.Option(
+            "--published-derivatives",
+            help="The paper's two strategies with equation (5) as printed: a derivative for each "
+            "sample, so that the speed jumps between phones of other lengths.",
+        ),
+    ] = False,
+    offline: Annotated[
+        bool,
+        typer.Option(
+            "--offline",
+            help="Score the methods of `lipservo lines render` too: the published one and ours.",
+        ),
+    ] = False,
+    plots: Annotated[
+        Path | None, typer.Option(help="Draw pictures into this folder.", show_default=False)
+    ] = None,
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure synthesised motion against recorded faces, ours and the baselines.
+
+    With --video, against faces filmed by anybody: docs/own-face.md.
+    """
+    if (corpus is None) == (video is None):
+        raise typer.BadParameter("give --corpus FOLDER or --video FOLDER")
+    shipped = None if str(model) == "shipped" else model
+    if video is not None:
+        measure_video(video, landmarker, shipped, as_json=as_json, quiet=quiet)
+        return
+    assert corpus is not None
+    from lipservo.terminal.pictures import check_folder
+    from lipservo_lab.bench import motion_figures as measure
+    from lipservo_lab.bench.pictures.line_plots import LINE_PICTURES
+    from lipservo_lab.bench.pictures.motion_plots import PICTURES
+    from lipservo_lab.learning.motion.trained_model import load_trained_model
+    from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+    from lipsync.offline.line_methods import DEFAULT_METHOD
+
+    began_s = time.perf_counter()
+    if plots is not None:
+        check_folder(plots, (*PICTURES, *LINE_PICTURES) if offline else PICTURES)
+    asked = measure.question(
+        strategy,
+        lookahead_ms,
+        phonemes,
+        words,
+        published_derivatives=published_derivatives,
+        unit_share=unit_share,
+    )
+    given = None
+    if model is not None:
+        given = load_trained_model(shipped)
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        answer = _answer(
+            corpus, given, asked, plots, progress, skip_bad=skip_bad, with_offline=offline
+        )
+    seconds = time.perf_counter() - began_s
+    answer["published_derivatives"] = published_derivatives
+    default = DEFAULT_METHOD if offline else LIVE_STRATEGY
+    answer |= {"default_strategy": default, "machine": machine_class(), "seconds": seconds}
+    if as_json:
+        print_json(answer)
+        return
+    _print_answer(answer)
+    RESULTS.print(f"default strategy: {default}; {machine_class()}; {seconds:.0f} s")
+
+
+def _answer(
+    folder: Path,
+    given: "TrainedModel | None",
+    asked: "Question",
+    plots: Path | None,
+    progress: Progress,
+    *,
+    skip_bad: bool,
+    with_offline: bool,
+) -> dict[str, Any]:
+    """Rows, the paper's tables, self-correction; pictures on the way."""
+    from lipservo_lab.bench import motion_figures as measure
+    from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.evaluation.motion.motion_scores import seen_in_training
+    from lipservo_lab.learning.expectation.deviation import hear_sentences
+    from lipservo_lab.learning.motion.face_training import train
+    from lipsync.markers import MARKERS_47
+    from lipsync.recognition.network import load_shipped_weights
+
+    sentences = read_grid(
+        folder,
+        MARKERS_47 if given is None else given.layout,
+        head_reference_mm=None if given is None else given.head_reference_mm,
+        skip_bad=skip_bad,
+        progress=lambda names: progress.track(names, description="reading"),
+    )
+
+    rendering: OfflineModels | None = None
+    if with_offline:
+        from lipservo_lab.bench.offline_models import models_of, visemes_of
+
+        rendering = models_of(sentences, "bench motion --offline")
+        known = given is None or bool(seen_in_training(given, sentences.utterances))
+        asked = measure.with_offline_methods(
+            asked, rendering, visemes_of(sentences) if known else None
+        )
+
+    def track(what: str, items: "Sequence[Utterance]") -> "Iterable[Utterance]":
+        return progress.track(items, description=what)
+
+    heard = None
+    if given is None:  # once for all trainings: the recogniser has heard no sentence of the folder
+        labelled = sentences.labelled().utterances
+        heard = hear_sentences(load_shipped_weights(), labelled, partial(track, "listening"))
+    step = progress.add_task("training", total=None, visible=given is None)
+
+    def learn(part: "Corpus") -> "TrainedModel":
+        return train(
+            part, heard=heard, progress=lambda text: progress.update(step, description=text)
+        )
+
+    if given is None:
+        validated = measure.cross_validate(folder, sentences, asked, learn, track)
+        rows, model, unseen = validated.rows, validated.model, validated.unseen
+    else:
+        rows, model, unseen = measure.score_model(given, sentences, asked, track), given, sentences
+        seen = seen_in_training(given, sentences.utterances)
+        if seen:
+            MESSAGES.print(f"{len(seen)} sentences trained this model: figures flatter it")
+    progress.update(step, description="the paper's tables", visible=True)
+    # One method alone is a quick question, and the tables are a comparison.
+    paper = measure.paper_rows(model, unseen) if asked.compares else None
+    progress.update(step, description="self-correction")
+    recovery = measure.recovery(model, unseen, sentences, asked)
+    errors = None
+    if plots is not None:
+        from lipservo_lab.bench.pictures.motion_plots import draw
+
+        progress.update(step, description="pictures")
+        shown = unseen.labelled().utterances
+        errors = draw(plots, model, shown, rows, recovery)
+        if rendering is not None:
+            from lipservo_lab.bench.pictures.line_plots import draw_lines
+
+            training = sentences.labelled().keep(set(model.training_sentences)).utterances
+            states = rendering.of(model).states
+            draw_lines(plots, model, states, training, shown[0], asked.methods, rows)
+    return {
+        "results": rows,
+        "paper": paper,
+        "recovery": recovery,
+        "errors": errors,
+        "skipped": list(sentences.skipped),
+        **({} if rendering is None else _rendering(rendering, folder, model, skip_bad=skip_bad)),
+    }
+
+
+def _rendering(
+    rendering: "OfflineModels", folder: Path, model: "TrainedModel", *, skip_bad: bool
+) -> dict[str, Any]:
+    """What a sentence costs and what a model of the folder does; nothing for one too small."""
+    from lipservo_lab.bench.motion_figures import BenchError
+    from lipservo_lab.bench.offline_models import building_cost
+    from lipsync.offline.line_methods import DEFAULT_METHOD
+
+    seconds = rendering.seconds_per_sentence()
+    figures = {
+        "seconds_per_sentence": seconds.get(DEFAULT_METHOD),
+        "seconds_per_sentence_by_strategy": seconds,
+    }
+    try:
+        return figures | asdict(building_cost(folder, model, skip_bad=skip_bad))
+    except BenchError as error:
+        MESSAGES.print(f"no offline model of the whole folder: {error}", soft_wrap=True)
+        return figures
+
+
+def _print_answer(answer: Mapping[str, Any]) -> None:
+    _print_table("Motion", answer["results"], _MOTION_HEADINGS)
+    if "seconds_per_sentence" in answer:
+        _print_table("Rendering", [{name: answer.get(name) for name in _RENDERING}])
+    for name, rows in (answer["paper"] or {}).items():
+        _print_table(f"The paper's {name.replace('_', ' ')}", rows)
+    _print_table("Left of a phoneme, in itself and in those after it", answer["recovery"])
+    _print_table("RMSE with a share of the phonemes wrong", answer["errors"] or [])
+
+
+def _print_table(
+    title: str, rows: Sequence[Mapping[str, object]], headings: Mapping[str, str] | None = None
+) -> None:
+    """The columns that have a heading; without any, all but the intervals."""
+    if not rows:
+        return
+    headings = headings or {name: name for name in rows[0] if not name.endswith("_95")}
+    table = Table(
+        *headings.values(), title=title, title_justify="left", box=None, pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    for row in rows:
+        table.add_row(*(_cell(row[name]) for name in headings))
+    RESULTS.print(table, "")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return " ".join("-" if x is None else f"{x:.2f}" for x in value)
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return "" if value is None else str(value)

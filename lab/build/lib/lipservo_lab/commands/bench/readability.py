@@ -1,0 +1,172 @@
+"""`lipservo bench readability`: which words a reader of recorded faces reads off our motion."""
+
+import time
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import Progress
+from rich.table import Table
+
+from lipservo.commands.options import Json, Quiet, SkipBad
+from lipservo.settings.motion_names import DEFAULT_STRATEGY
+from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json
+
+if TYPE_CHECKING:
+    from lipservo_lab.bench.motion_figures import Row
+    from lipservo_lab.bench.readability.readability_figures import ReadingQuestion
+    from lipservo_lab.corpus.utterance import Utterance
+    from lipservo_lab.evaluation.motion.offline_methods import OfflineModels
+
+#: What is printed of a row, and its heading; all of it together fits 80 columns. JSON has the rest.
+_COLUMNS = {
+    "split": "split",
+    "face": "face",
+    "phonemes": "phonemes",
+    "strategy": "strategy",
+    "lookahead_ms": "ms",
+    "reader": "reader",
+    "score": "read",
+    "score_95": "95 %",
+    "whole_sentences": "whole",
+    "gain": "gain",
+}
+
+
+def readability(
+    corpus: Annotated[Path, typer.Option(help="Folder laid out like grid_s1.")],
+    words: Annotated[
+        str | None,
+        typer.Option(help="Only these words, comma between, as new ones; no known words."),
+    ] = None,
+    models: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of models trained without what is read: known.npz, a.npz, b.npz; with "
+            "--words words.npz. Without it they are trained.",
+            show_default=False,
+        ),
+    ] = None,
+    strategy: Annotated[
+        str,
+        typer.Option(
+            help="Methods to read, comma between: of `bench motion`, and `heard`, `model-based` of "
+            "`render`."
+        ),
+    ] = f"{DEFAULT_STRATEGY},priority",
+    lookahead_ms: Annotated[str, typer.Option(help="Look-aheads, comma between.")] = "0,100,200",
+    phonemes: Annotated[
+        str, typer.Option(help="true, or recognized live; comma between.")
+    ] = "true,recognized",
+    robot: Annotated[
+        bool, typer.Option(help="Also read known words from the encoders of face_sim.")
+    ] = True,
+    plots: Annotated[
+        Path | None, typer.Option(help="Draw a picture into this folder.", show_default=False)
+    ] = None,
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how many words can be read off the mouth, by readers of recorded faces."""
+    from lipservo.terminal.pictures import check_folder
+    from lipservo_lab.bench.readability.readability_figures import (
+        PICTURES,
+        draw_readability,
+        headline,
+        reading_question,
+    )
+    from lipsync.motion.live_synthesizer import LIVE_STRATEGY
+
+    began_s = time.perf_counter()
+    if plots is not None:
+        check_folder(plots, PICTURES)
+    asked = reading_question(strategy, lookahead_ms, phonemes, robot=robot)
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        rows, skipped = _measured(corpus, words, models, asked, progress, skip_bad=skip_bad)
+    if plots is not None:
+        draw_readability(plots, rows)
+    seconds = time.perf_counter() - began_s
+    about = {"default_strategy": LIVE_STRATEGY, "machine": machine_class(), "seconds": seconds}
+    if as_json:
+        print_json({**headline(rows), "results": rows, "skipped": skipped, **about})
+        return
+    _print_rows(rows)
+    RESULTS.print(f"default strategy: {LIVE_STRATEGY}; {machine_class()}; {seconds:.0f} s")
+
+
+def _measured(
+    folder: Path,
+    words: str | None,
+    models: Path | None,
+    asked: "ReadingQuestion",
+    progress: Progress,
+    *,
+    skip_bad: bool,
+) -> "tuple[list[Row], list[str]]":
+    """The rows, and what of the corpus was left out."""
+    from lipservo_lab.bench.readability.readability_figures import reading_rows, with_line_methods
+    from lipservo_lab.bench.readability.reading_models import (
+        asked_parts,
+        given_models,
+        trained_models,
+    )
+    from lipservo_lab.corpus.grid import read_grid
+    from lipsync.markers import MARKERS_47
+
+    def track(what: str, items: "Sequence[Utterance]") -> "Iterator[Utterance]":
+        step = progress.add_task(what, total=len(items))
+        for item in items:
+            yield item
+            progress.advance(step)
+        progress.remove_task(step)
+
+    sentences = read_grid(
+        folder,
+        MARKERS_47,
+        skip_bad=skip_bad,
+        progress=lambda names: progress.track(names, description="reading"),
+    )
+    labelled = sentences.labelled()
+    parts = asked_parts(folder, labelled, words)
+    step = progress.add_task("models", total=None)
+    if models is not None:
+        model_of = given_models(models, parts)
+    else:
+        model_of = trained_models(
+            labelled,
+            partial(track, "listening"),
+            lambda text: progress.update(step, description=text),
+        )
+
+    def advance(what: str, done: int, whole: int) -> None:
+        progress.update(step, description=what, completed=done, total=whole)
+
+    def models_of_lines() -> "OfflineModels":
+        from lipservo_lab.bench.offline_models import models_of
+
+        return models_of(labelled, "bench readability of a method of `render`")
+
+    asked = with_line_methods(asked, models_of_lines)
+    rows = reading_rows(labelled, parts, model_of, asked, track, advance)
+    return rows, list(sentences.skipped)
+
+
+def _print_rows(rows: "Sequence[Row]") -> None:
+    table = Table(
+        *_COLUMNS.values(), title="Readability", title_justify="left", box=None,
+        pad_edge=False, padding=(0, 1, 0, 0),
+    )  # fmt: skip
+    for row in rows:
+        table.add_row(*(_cell(row[name]) for name in _COLUMNS))
+    RESULTS.print(table, "")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, list):
+        return " ".join(f"{x:.2f}" for x in value)
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return "" if value is None else str(value)

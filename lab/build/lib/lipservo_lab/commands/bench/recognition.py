@@ -1,0 +1,289 @@
+"""`lipservo bench recognition` and `bench listening`: accuracy of a recogniser and its cost.
+
+`lipservo bench texts`: how well `align` tells what was said from what was not.
+
+`lipservo bench languages`: closures and openings heard in other languages than English.
+"""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+import typer
+from rich.table import Table
+
+from lipservo.commands.options import Json, MeasuredEngineChoice, Model, Quiet, WeightsChoice
+from lipservo.terminal.output import (
+    MESSAGES,
+    RESULTS,
+    Advance,
+    machine_class,
+    print_json,
+    progress_bar,
+)
+from lipsync.recognition.network import DEFAULT_WEIGHTS, find_weights
+
+Speakers = Annotated[str, typer.Option(help="Only these, with commas between.")]
+Limit = Annotated[
+    int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
+]
+Cache = Annotated[
+    Path | None, typer.Option(help="File of alignments, as `lipservo lines align` writes it.")
+]
+_Item = TypeVar("_Item")
+
+
+def recognition(
+    corpus: Annotated[
+        Path, typer.Option(help="Folder laid out like LibriSpeech, or like grid_s1.")
+    ],
+    speakers: Speakers = "",
+    only: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE[:KEY]",
+            help="Only these utterances: a name a line, or a list in a JSON file.",
+            show_default=False,
+        ),
+    ] = None,
+    limit: Limit = None,
+    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    engine: MeasuredEngineChoice = "network",
+    noise: Annotated[
+        str | None,
+        typer.Option(metavar="KIND:DB", help="white, music, servos (signal to noise), level, ..."),
+    ] = None,
+    servo_speeds: Annotated[
+        bool,
+        typer.Option(
+            "--servo-speeds", help="With --noise servos:DB: the recogniser is told how they move."
+        ),
+    ] = False,
+    by: Annotated[
+        Literal["speaker", "group"] | None,
+        typer.Option(help="Also the figures of each speaker, or of each group of speakers."),
+    ] = None,
+    groups: Annotated[
+        Path | None,
+        typer.Option(
+            help="Table of speakers, speaker,group,gender; default: speakers.csv of the corpus.",
+            show_default=False,
+        ),
+    ] = None,
+    cache: Cache = None,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes that align.")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure a recogniser, live, against forced alignment of the transcripts."""
+    from lipservo_lab.bench.hearing.recognizer_bench import (
+        aligned,
+        measured_recognizer,
+        selected,
+        speaker_groups,
+    )
+    from lipservo_lab.evaluation.recognition.benchmark import measure
+    from lipservo_lab.evaluation.recognition.conditions import parse_condition
+
+    condition = None
+    if noise is not None or servo_speeds:
+        condition = parse_condition(noise or "", tells_servos=servo_speeds)
+    make = measured_recognizer(engine, latency_ms / 1e3, weights)
+    utterances = selected(corpus, speakers, only, limit)
+    groups_of = speaker_groups(by, corpus, groups)
+    with progress_bar(quiet=quiet) as advance:
+        alignments = aligned(utterances, cache, jobs, advance)
+        heard: list[str] = []
+
+        def count(name: str) -> None:
+            heard.append(name)
+            advance("listening", len(heard), len(utterances))
+
+        figures = measure(utterances, alignments, make, condition, count, groups_of)
+    for utterance in alignments.values():
+        if utterance.error:
+            MESSAGES.print(f"not aligned: {utterance.name}: {utterance.error}", soft_wrap=True)
+    settings = {
+        "engine": engine,
+        "weights": weights,
+        "latency_ms": latency_ms,
+        "noise": noise,
+        "servo_speeds": servo_speeds,
+    }
+    _print({**figures.as_dict(), **settings, "machine": machine_class()}, as_json=as_json)
+
+
+def listening(
+    engine: MeasuredEngineChoice = "network",
+    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    corpus: Annotated[
+        Path | None,
+        typer.Option(
+            help="Also measure how soon the mouth closes, on a folder as for `bench recognition`.",
+            show_default=False,
+        ),
+    ] = None,
+    speakers: Speakers = "",
+    limit: Limit = None,
+    cache: Cache = None,
+    model: Model = None,
+    hours: Annotated[
+        float, typer.Option(min=0.0, help="Also hear so much speech without a pause.")
+    ] = 0.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure false speech, the time that a block costs, how soon the mouth closes and wakes."""
+    import numpy as np
+
+    from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
+    from lipservo_lab.evaluation.recognition.benchmark import (
+        block_costs_s,
+        false_speech,
+        own_servo_figures,
+        quiet_sounds,
+    )
+    from lipsync.audio.file import read_speech
+
+    utterances = None
+    if corpus is not None:
+        from lipservo_lab.bench.hearing.recognizer_bench import aligned, selected
+
+        utterances = selected(corpus, speakers, limit=limit)
+    recognizer = measured_recognizer(engine, latency_ms / 1e3, weights)()
+    figures: dict[str, object] = {
+        f"false_speech_{name}": false_speech(recognizer, sound)
+        for name, sound in quiet_sounds(np.random.default_rng(0)).items()
+    }
+    figures |= own_servo_figures(measured_recognizer(engine, latency_ms / 1e3, weights))
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        speech = read_speech(clip)
+    costs_s = block_costs_s(recognizer, speech)
+    for percent in (50, 99):
+        figures[f"block_ms_p{percent}_least_of_5"] = 1e3 * float(np.percentile(costs_s, percent))
+    if utterances is not None:
+        from lipservo_lab.evaluation.recognition.closing_times import (
+            ClosingBench,
+            closing_figures,
+            waking_figures,
+        )
+        from lipservo_lab.learning.motion.trained_model import load_trained_model
+        from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+
+        bench = ClosingBench(recognizer, load_trained_model(model), DEFAULT_LOOKAHEAD_S)
+        with progress_bar(quiet=quiet) as advance:
+            alignments = aligned(utterances, cache, None, advance)
+            usable = [u for u in utterances if not alignments[u.name].error]
+            for what, measured in (("closing", closing_figures), ("waking", waking_figures)):
+                recordings = (
+                    (read_speech(u.sound), alignments[u.name].phones)
+                    for u in _counted(usable, what, advance)
+                )
+                figures |= measured(bench, recordings, np.random.default_rng(0))
+    if hours > 0.0:
+        from lipservo.runtime.summary import resident_mb
+        from lipservo_lab.evaluation.recognition.stream_observers import endure, without_pauses
+
+        speech = without_pauses(recognizer, speech)
+        with progress_bar(quiet=quiet) as advance:
+            endured = endure(
+                recognizer,
+                speech,
+                hours * 3600.0,
+                resident_mb,
+                lambda done, whole: advance("enduring", done, whole),
+            )
+        figures |= endured.as_dict()
+    _print({**figures, "engine": engine, "machine": machine_class()}, as_json=as_json)
+
+
+def _counted(items: Sequence[_Item], what: str, advance: Advance) -> Iterator[_Item]:
+    """The items one after the other, on a progress bar."""
+    for number, item in enumerate(items):
+        advance(what, number, len(items))
+        yield item
+    advance(what, len(items), len(items))
+
+
+def _print(figures: dict[str, object], *, as_json: bool) -> None:
+    if as_json:
+        print_json(figures)
+        return
+    for name, value in figures.items():
+        RESULTS.print(f"{name}: {value:.4g}" if isinstance(value, float) else f"{name}: {value}")
+
+
+def texts(
+    corpus: Annotated[Path, typer.Option(help="Folder as for `bench recognition`.")],
+    speakers: Speakers = "",
+    limit: Limit = None,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure how often `align` refuses, doubts and passes true and false texts."""
+    from lipservo_lab.bench.hearing.recognizer_bench import selected
+    from lipservo_lab.evaluation.recognition.benchmark import score_texts, text_figures
+
+    utterances = selected(corpus, speakers, limit=limit)
+    learned = find_weights(weights)
+    scores = []
+    with progress_bar(quiet=quiet) as advance:
+        for number, each in enumerate(score_texts(utterances, learned), start=1):
+            scores.append(each)
+            advance("aligning", number, len(utterances))
+    figures = {**text_figures(scores), "weights": weights, "machine": machine_class()}
+    if as_json:
+        print_json(figures)
+        return
+    for name, value in figures.items():
+        RESULTS.print(f"{name}: {value}", soft_wrap=True, highlight=False)
+
+
+def languages(
+    languages: Annotated[
+        str, typer.Option(help="Only these, with commas between: de,fr,ja.", show_default=False)
+    ] = "",
+    engine: MeasuredEngineChoice = "network",
+    latency_ms: Annotated[float, typer.Option(help="When a frame's label is due.")] = 95.0,
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure what is heard of languages that espeak-ng speaks, by its own phoneme times.
+
+    Ten sentences each. Phonemes that English lacks are taken for those that look alike on the lips.
+    """
+    from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
+    from lipservo_lab.bench.hearing.spoken_languages import (
+        language_scores,
+        language_sentences,
+        read_languages,
+    )
+
+    chosen = read_languages(languages)
+    make = measured_recognizer(engine, latency_ms / 1e3, weights)
+    n_sentences = sum(len(language_sentences()[tag]) for tag in chosen)
+    n_done = 0
+    with progress_bar(quiet=quiet) as advance, tempfile.TemporaryDirectory() as folder:
+
+        def count() -> None:
+            nonlocal n_done
+            n_done += 1
+            advance("speaking", n_done, n_sentences)
+
+        scores = language_scores(chosen, make, Path(folder), count)
+    figures = {tag: score.figures() for tag, score in scores.items()}
+    if as_json:
+        settings = {"engine": engine, "weights": weights, "latency_ms": latency_ms}
+        print_json({"languages": figures, **settings, "machine": machine_class()})
+        return
+    columns = ("closure_recall", "closure_precision", "opening_recall", "opening_precision")
+    table = Table("language", *(name.replace("_", " ") for name in columns), "visemes of speech")
+    for tag, row in figures.items():
+        table.add_row(tag, *(f"{row[name]:.2f}" for name in (*columns, "viseme_speech")))
+    RESULTS.print(table)

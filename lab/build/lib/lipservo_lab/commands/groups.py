@@ -1,0 +1,102 @@
+"""`lipservo bench` and `lipservo learn`: where each command of the lab is."""
+
+from types import MappingProxyType
+
+import typer
+
+from lipservo.commands.lazy_group import Command, LazyGroup
+
+_BENCH, _LEARN = "lipservo_lab.commands.bench", "lipservo_lab.commands.learn"
+_MOTION, _HEARING = "Motion", "Hearing"
+_SERVOS, _OTHER = "Servos and stops", "Calibration, faces and pictures"
+
+
+class BenchGroup(LazyGroup):
+    """Each prints figures that the documentation gives."""
+
+    prefix = "bench."
+
+    table = MappingProxyType(
+        {
+            "motion": Command(f"{_BENCH}.motion:motion", "Motion against recordings.", _MOTION),
+            "readability": Command(
+                f"{_BENCH}.readability:readability", "Words read off the mouth.", _MOTION
+            ),
+            "closures": Command(f"{_BENCH}.closures:closures", "Whether lips close.", _MOTION),
+            "sync": Command(f"{_BENCH}.faces:sync", "Lips against their sound.", _MOTION),
+            "synthesis": Command(f"{_BENCH}.bench:synthesis", "Speed of the motion.", _MOTION),
+            "line": Command(f"{_BENCH}.faces:line", "Rendering of scripted lines.", _MOTION),
+            "shapes": Command(f"{_BENCH}.faces:shapes", "Mouth shapes for avatars.", _MOTION),
+            "recognition": Command(
+                f"{_BENCH}.recognition:recognition", "Phonemes and visemes recognised.", _HEARING
+            ),
+            "listening": Command(
+                f"{_BENCH}.recognition:listening", "A whole face that listens.", _HEARING
+            ),
+            "microphone": Command(
+                f"{_BENCH}.closures:microphone", "Delay and closures at a microphone.", _HEARING
+            ),
+            "nonspeech": Command(
+                f"{_BENCH}.closures:nonspeech", "Sounds that are no speech.", _HEARING
+            ),
+            "languages": Command(f"{_BENCH}.recognition:languages", "Other languages.", _HEARING),
+            "texts": Command(f"{_BENCH}.recognition:texts", "Texts that were not said.", _HEARING),
+            "ladder": Command(
+                f"{_BENCH}.closures:ladder", "The recogniser on a busy computer.", _HEARING
+            ),
+            "bus": Command(f"{_BENCH}.bench:bus", "The servo bus beside its rivals.", _SERVOS),
+            "loop": Command(f"{_BENCH}.bench:loop", "Jitter of the servo loop.", _SERVOS),
+            "faults": Command(f"{_BENCH}.bench:faults", "Faults, stops and signals.", _SERVOS),
+            "stop-path": Command(f"{_BENCH}.bench:stop_path", "Files on a stop's way.", _SERVOS),
+            "endurance": Command(f"{_BENCH}.bench:endurance", "Many cycles of one face.", _SERVOS),
+            "replay": Command(f"{_BENCH}.bench:replay", "Speed of a replay.", _SERVOS),
+            "house": Command(f"{_BENCH}.bench:house", "Size and grain of the source.", _OTHER),
+            "calibration": Command(
+                f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
+            ),
+            "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
+            "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
+        }
+    )
+
+
+class LearnGroup(LazyGroup):
+    """Each writes a model, or recordings that a model is learned from."""
+
+    prefix = "learn."
+
+    table = MappingProxyType(
+        {
+            "face": Command(f"{_LEARN}.training:train", "A face model from recordings."),
+            "recognizer": Command(
+                f"{_LEARN}.recognizer:train_recognizer", "The recogniser's weights."
+            ),
+            "offline": Command(f"{_LEARN}.training:train_offline", "What renders scripted lines."),
+            "expression": Command(
+                f"{_LEARN}.training:train_expression", "Head, lids and brows of a speaker."
+            ),
+            "adapt": Command(f"{_LEARN}.recognizer:adapt", "Recogniser weights for one voice."),
+            "import-video": Command(
+                f"{_LEARN}.imports:import_video", "Videos of a face as recordings."
+            ),
+            "import-scans": Command(f"{_LEARN}.imports:import_scans", "Dense scans as recordings."),
+            "record": Command(
+                f"{_LEARN}.record_corpus:record_corpus", "Record a reader with a camera."
+            ),
+            "plot": Command(f"{_LEARN}.recognizer:plot_training", "Draw the log of a training."),
+        }
+    )
+
+
+bench = typer.Typer(name="bench", cls=BenchGroup)
+learn = typer.Typer(name="learn", cls=LearnGroup)
+
+
+@bench.callback()
+def about_bench() -> None:
+    """Measure what the documentation claims (docs/benchmarks.md)."""
+
+
+@learn.callback()
+def about_learn() -> None:
+    """Learn models from recordings (docs/own-face.md, docs/recognition.md)."""

@@ -1,0 +1,276 @@
+"""`import-scans`: dense scans of a talking face become a corpus that `train` learns from.
+
+`import-video`: video of a talking face becomes a corpus that `train` learns from.
+"""
+
+import time
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from lipservo.commands.options import Json, Landmarker, Quiet
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
+from lipsync.errors import UserError, check_extra
+
+if TYPE_CHECKING:
+    from lipservo_lab.scans.scan_import import Advance, ScanImport
+    from lipservo_lab.scans.takes import Take, TakeSound
+    from lipservo_lab.video.video_import import VideoImport
+
+
+def import_video(
+    source: Annotated[Path, typer.Argument(help="A video, or a folder of them, of one talker.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The corpus folder to write.")],
+    landmarker: Landmarker = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a corpus for `train` from video of a face that talks to the camera.
+
+    NAME.txt beside NAME.mp4, or a line NAME ... in transcripts.txt, says what is said; without, it
+    is recognised. docs/own-face.md says how to film.
+    """
+    from lipservo_lab.bench.pictures.import_sheets import draw_sheet
+    from lipservo_lab.video.video_clips import find_clips
+    from lipservo_lab.video.video_import import check_corpus_folder, import_videos, write_corpus
+    from lipsync.video.face_tracker import open_tracker
+
+    began_s = time.perf_counter()
+    check_extra("av", "learn import-video")
+    check_extra("matplotlib", "the picture sheet of import-video")
+    check_corpus_folder(output)
+    clips = find_clips(source)
+    tracker = open_tracker(landmarker)
+    with progress_bar(quiet=quiet) as advance:
+        imported = import_videos(clips, tracker, advance)
+        about = {"source": str(source), "tracker": tracker.name, **_summary(imported)}
+        write_corpus(output, imported, about, advance, partial(draw_sheet, imported.samples))
+    seconds = round(time.perf_counter() - began_s, 1)
+    reports = [report.as_json() for report in imported.reports]
+    if as_json:
+        print_json({"corpus": str(output), **about, "seconds": seconds, "clips": reports})
+        return
+    _tell(imported)
+    RESULTS.print(_in_words(output, about, seconds), soft_wrap=True)
+
+
+def _summary(imported: "VideoImport") -> dict[str, Any]:
+    used = [report for report in imported.reports if report.left_out is None]
+    shifts_ms = sorted(report.shift_ms or 0 for report in used)
+    return {
+        "used": len(used),
+        "left_out": len(imported.reports) - len(used),
+        "speech_seconds": round(sum(report.seconds for report in used), 1),
+        "frame_rate_hz": imported.rate_hz,
+        "recognised": sum(report.phonemes == "recognised" for report in used),
+        "median_shift_ms": shifts_ms[len(shifts_ms) // 2],
+    }
+
+
+def _tell(imported: "VideoImport") -> None:
+    for report in imported.reports:
+        for note in report.notes:
+            MESSAGES.print(f"{report.clip}: {note}", soft_wrap=True)
+        if report.left_out is not None:
+            MESSAGES.print(f"left out: {report.clip}: {report.left_out}", soft_wrap=True)
+
+
+def _in_words(output: Path, about: dict[str, Any], seconds: float) -> str:
+    texts = ""
+    if about["recognised"]:
+        texts = f"; {about['recognised']} without text: their phonemes were recognised"
+    return (
+        f"{output}: {about['used']} clips, {about['speech_seconds'] / 60:.1f} minutes at "
+        f"{about['frame_rate_hz']:g} pictures a second, {about['left_out']} left out{texts}; sound "
+        f"{about['median_shift_ms']:+d} ms from the picture (median); tracked by "
+        f"{about['tracker']}; {seconds:.0f} s; look at {output / 'faces.png'}, then "
+        f"`lipservo learn face {output} -o face.npz`"
+    )
+
+
+_MOTION_ENDING = ".npz"
+
+
+def import_scans(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of scans (PLY, OBJ), or of a folder for each take.")
+    ],
+    output: Annotated[
+        Path,
+        typer.Option(
+            "--output", "-o", help="The corpus folder to write, or FILE.npz for motion alone."
+        ),
+    ],
+    rate_hz: Annotated[
+        float, typer.Option(min=1.0, max=1000.0, help="Scans a second; the paper's: 60.")
+    ] = 60.0,
+    template: Annotated[
+        Path | None,
+        typer.Option(
+            help="A scan of the same face at rest, mouth closed; default: the first scan.",
+            show_default=False,
+        ),
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Of the scans: mm, cm, m or in.")] = "mm",
+    axes: Annotated[
+        str, typer.Option(help="The scans' axes to the picture's right, up, and to the viewer.")
+    ] = "x,y,z",
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make a corpus for `train` from scans that are not registered: each a mesh of its own.
+
+    NAME.wav beside the folder NAME is its sound; NAME.TextGrid or NAME.txt says what is said, else
+    it is recognised; NAME.markers.csv tells named points. docs/own-face.md says more.
+    """
+    check_extra("trimesh", "learn import-scans")
+    check_extra("matplotlib", "the picture sheet of import-scans")
+    from lipservo.terminal.pictures import check_picture
+    from lipservo_lab.output_folder import check_output_folder
+    from lipservo_lab.scans.scan import scan_frame
+    from lipservo_lab.scans.scan_corpus import is_motion
+    from lipservo_lab.scans.scan_import import begin_import
+    from lipservo_lab.scans.takes import find_takes
+    from lipsync.output_file import check_output
+
+    began_s = time.perf_counter()
+    frame = scan_frame(unit, axes)
+    is_corpus = output.suffix != _MOTION_ENDING
+    picture = output / "scans.png" if is_corpus else output.with_suffix(".png")
+    if is_corpus:
+        check_output_folder(output, "corpus")
+    else:
+        check_output(output, replaces=is_motion, kind="registered motion")
+        check_picture(picture)
+    takes = find_takes(folder, template)
+    with progress_bar(quiet=quiet) as advance:
+        sounds = _sounds(takes, rate_hz, advance) if is_corpus else {}
+        usable = [take for take in takes if not isinstance(sounds.get(take.name), str)]
+        imported = begin_import(usable, frame, rate_hz, template, advance)
+        if is_corpus:
+            about = _write_corpus(output, imported, takes, sounds, advance)
+        else:
+            about = _write_motion(output, imported, takes, picture, advance)
+    about["seconds"] = round(time.perf_counter() - began_s, 1)
+    if as_json:
+        print_json({"output": str(output), **about})
+        return
+    for report in about["takes"]:
+        for note in report["notes"]:
+            MESSAGES.print(f"{report['take']}: {note}", soft_wrap=True)
+    for report in (*about["scans"], *about["takes"]):
+        if report["left_out"] is not None:
+            name = "/".join(
+                report[key] for key in ("take", "scan") if isinstance(report.get(key), str)
+            )
+            MESSAGES.print(f"left out: {name}: {report['left_out']}", soft_wrap=True)
+    RESULTS.print(
+        _import_scans_in_words(output, picture, about, is_corpus=is_corpus), soft_wrap=True
+    )
+
+
+def _sounds(
+    takes: "tuple[Take, ...]", rate_hz: float, advance: "Advance"
+) -> "dict[str, TakeSound | str]":
+    """Sound and labels of each take, or why there are none. Raises ScanError where none has."""
+    from lipservo_lab.scans.scan import ScanError
+    from lipservo_lab.scans.takes import take_sound
+
+    found: dict[str, TakeSound | str] = {}
+    for number, take in enumerate(takes, start=1):
+        try:
+            found[take.name] = take_sound(take, rate_hz)
+        except UserError as error:
+            found[take.name] = str(error)
+        advance("listening", number, len(takes))
+    reasons = [f"{name}: {why}" for name, why in found.items() if isinstance(why, str)]
+    if len(reasons) == len(found):
+        raise ScanError(f"nothing usable: {'; '.join(reasons[:2])}")
+    return found
+
+
+def _write_corpus(
+    output: Path,
+    imported: "ScanImport",
+    takes: "tuple[Take, ...]",
+    sounds: "dict[str, TakeSound | str]",
+    advance: "Advance",
+) -> dict[str, Any]:
+    from lipservo_lab.bench.pictures.import_sheets import draw_scans
+    from lipservo_lab.output_folder import folder_written_whole
+    from lipservo_lab.scans.scan_corpus import CorpusWriter
+
+    with folder_written_whole(output) as place:
+        writer = CorpusWriter(place, imported.template, imported.rate_hz)
+        for made in imported.registered(advance):
+            sound = sounds[made.take.name]
+            if not isinstance(sound, str):
+                writer.add(made, sound)
+        imported.refuse_nothing()
+        about = _about(imported, takes, sounds)
+        writer.finish(about)
+        draw_scans(imported.samples, imported.template, place / "scans.png")
+    return about
+
+
+def _write_motion(
+    output: Path,
+    imported: "ScanImport",
+    takes: "tuple[Take, ...]",
+    picture: Path,
+    advance: "Advance",
+) -> dict[str, Any]:
+    from lipservo_lab.bench.pictures.import_sheets import draw_scans
+    from lipservo_lab.scans.scan_corpus import write_motion
+
+    made = list(imported.registered(advance))
+    imported.refuse_nothing()
+    about = _about(imported, takes, {})
+    write_motion(output, made, imported.template, imported.rate_hz, about)
+    draw_scans(imported.samples, imported.template, picture)
+    return about
+
+
+def _about(
+    imported: "ScanImport", takes: "tuple[Take, ...]", sounds: "dict[str, TakeSound | str]"
+) -> dict[str, Any]:
+    """Figures of all, then the reports of takes and of scans."""
+    done = {report.take: report for report in imported.takes}
+    of_takes = []
+    for take in takes:
+        sound = sounds.get(take.name)
+        if isinstance(sound, str):
+            of_takes.append(
+                {"take": take.name, "scans": len(take.scans), "left_out": sound, "notes": ()}
+            )
+        else:
+            said = None if sound is None else sound.source
+            of_takes.append({**done[take.name].as_json(), "phonemes": said})
+    used = [report for report in imported.scans if report.left_out is None]
+    return {
+        "template": str(imported.neutral),
+        "points": len(imported.template.landmarks),
+        "rate_hz": imported.rate_hz,
+        "used_takes": sum(each["left_out"] is None for each in of_takes),
+        "used_scans": len(used),
+        "left_out_scans": len(imported.scans) - len(used),
+        "error_mm": round(float(np.median([report.error_mm or 0.0 for report in used])), 3),
+        "matched": round(float(np.mean([report.matched or 0.0 for report in used])), 3),
+        "takes": of_takes,
+        "scans": [report.as_json() for report in imported.scans],
+    }
+
+
+def _import_scans_in_words(
+    output: Path, picture: Path, about: dict[str, Any], *, is_corpus: bool
+) -> str:
+    then = f", then `lipservo learn face {output} -o face.npz`" if is_corpus else ""
+    return (
+        f"{output}: {about['used_scans']} scans of {about['used_takes']} takes on "
+        f"{about['points']} points, {about['left_out_scans']} left out; {about['error_mm']:.2f} mm "
+        f"off their surface (median), {about['matched']:.0%} matched; {about['seconds']:.0f} s; "
+        f"look at {picture}{then}"
+    )

@@ -1,0 +1,324 @@
+"""`learn recognizer` and `learn plot`: the recogniser's weights, and the log of their training.
+
+`adapt`: the recogniser's weights learn one voice.
+
+The picture of a recogniser's training: its loss, and what the validation speakers say.
+"""
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from lipservo.commands.options import Json, Quiet, WeightsChoice
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
+from lipservo.terminal.pictures import save_picture, without_screen
+from lipsync.errors import UserError, check_extra
+from lipsync.output_file import check_output
+from lipsync.recognition.network import DEFAULT_WEIGHTS
+
+if TYPE_CHECKING:
+    from lipservo_lab.learning.adaptation.voice import Voice
+
+
+def train_recognizer(
+    corpora: Annotated[
+        list[Path], typer.Argument(help="Folders laid out like LibriSpeech, or like grid_s1.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")],
+    folder: Annotated[
+        Path, typer.Option(help="Keeps alignments, state and run log; a run goes on from there.")
+    ] = Path("recognizer-training"),
+    held_out: Annotated[
+        str,
+        typer.Option(
+            help="Speakers that train nothing, with commas between, or FILE.csv with a column "
+            "`speaker`."
+        ),
+    ] = "",
+    validation: Annotated[
+        str, typer.Option(help="Speakers that only the run log hears, with commas between.")
+    ] = "",
+    leave_out: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE[:KEY]",
+            help="Utterances that train nothing: a name a line, or a list in a JSON file.",
+            show_default=False,
+        ),
+    ] = None,
+    limit: Annotated[
+        int | None, typer.Option(min=1, help="Only the first utterances of each speaker.")
+    ] = None,
+    synthetic: Annotated[
+        str,
+        typer.Option(
+            metavar="VOICES",
+            help="Also learn from these synthetic voices, with commas between: espeak:en-us, "
+            "flite:awb, festival:ked. They read the corpora's texts.",
+        ),
+    ] = "",
+    noise: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Folder of sounds without speech (music, effects): noise beside speech, and "
+            "silence. May be given again.",
+            show_default=False,
+        ),
+    ] = None,
+    start_from: Annotated[
+        str | None,
+        typer.Option(help="Weights to go on from: default, grid, or a file.", show_default=False),
+    ] = None,
+    start_share: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            max=1.0,
+            help="How much of the weights gone on from is in the mean that is written: what they "
+            "knew is kept, and what is new is learned all the same.",
+        ),
+    ] = 0.0,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 5_000,
+    rate: Annotated[
+        float, typer.Option(min=0.0, help="Learning rate at its peak; less to go on from weights.")
+    ] = 3e-3,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the speech.")] = 10,
+    channels: Annotated[
+        int,
+        typer.Option(min=8, max=1024, help="Width of the network; what it begins as has its own."),
+    ] = 192,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Processes, and threads of learning; default: one a core. With 1 the same seed "
+            "gives the same bytes.",
+            show_default=False,
+        ),
+    ] = None,
+    quiet: Quiet = False,
+) -> None:
+    """Learn the recogniser's weights (needs the extra `train`: torch)."""
+    check_extra("torch", "learn recognizer")
+    from lipservo_lab.corpus.transcribed import read_names
+    from lipservo_lab.learning.recognition.synthetic_corpus import read_voices
+    from lipservo_lab.learning.recognition.training_data import TrainingPlan
+    from lipservo_lab.learning.recognition.training_run import TrainingRun, run_training
+    from lipsync.recognition.network import find_weights, is_weights, save_weights
+
+    check_output(output, replaces=is_weights, kind="weights")
+    if start_share and start_from is None:
+        raise UserError("--start-share is of the weights to go on from; give --start-from")
+    n_jobs = jobs or os.cpu_count() or 1
+    start = None if start_from is None else find_weights(start_from)
+    plan = TrainingPlan(
+        seed=seed, n_steps=steps, peak_rate=rate, n_threads=n_jobs, channels=channels
+    )
+    if start is not None:
+        plan = plan.shaped_as(start)
+    run = TrainingRun(
+        corpora=tuple(corpora),
+        folder=folder,
+        held_out=_speakers(held_out),
+        validation=_speakers(validation),
+        left_out=frozenset() if leave_out is None else read_names(leave_out),
+        limit=limit,
+        voices=read_voices(synthetic) if synthetic else (),
+        sounds=tuple(noise or ()),
+        start=start,
+        start_share=start_share,
+        n_copies=copies,
+        n_processes=n_jobs,
+        plan=plan,
+    )
+    with progress_bar(quiet=quiet) as advance:
+        weights = run_training(run, advance)
+    save_weights(weights, output)
+    MESSAGES.print(f"{output}: done; run log: {folder / 'log.jsonl'}", soft_wrap=True)
+
+
+def plot_training(
+    log: Annotated[Path, typer.Argument(help="The `log.jsonl` of a training's folder.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The picture (PNG) to write.")],
+) -> None:
+    """Draw the run log of `train-recognizer` (needs the extra `plots`)."""
+    from lipservo.terminal.pictures import check_picture
+
+    check_picture(output, [log])
+
+    draw_log(read_log(log), output)
+    MESSAGES.print(f"{output}: done", soft_wrap=True)
+
+
+def _speakers(listed: str) -> frozenset[str]:
+    """Names with commas between; one that ends in .csv is a file of speakers."""
+    from lipservo_lab.corpus.transcribed import read_speakers
+
+    names: set[str] = set()
+    for name in filter(None, (each.strip() for each in listed.split(","))):
+        names |= set(read_speakers(Path(name))) if name.endswith(".csv") else {name}
+    return frozenset(names)
+
+
+#: What is graded, in words for the table.
+_GRADED = {
+    "viseme_speech": "visemes, frames of speech",
+    "viseme_all": "visemes, all frames",
+    "closure_recall": "P B M heard",
+    "closure_precision": "of those heard, said",
+    "per": "phone error rate",
+}
+
+
+def adapt(
+    voice_folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder of 2 to 10 minutes of one voice: NAME.wav and beside it NAME.txt, what is "
+            "said in it; or a corpus as for `train-recognizer`."
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The weights to write.")],
+    weights: WeightsChoice = DEFAULT_WEIGHTS,
+    speaker: Annotated[
+        str | None,
+        typer.Option(help="Of a corpus of several speakers: this one.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same weights.")] = 0,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of learning.")] = 100,
+    rate: Annotated[
+        float, typer.Option(min=0.0, max=0.01, help="Learning rate at its peak.")
+    ] = 5e-4,
+    copies: Annotated[int, typer.Option(min=0, help="Disturbed copies of the voice.")] = 2,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Processes, and threads of learning; default: one a core.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Adapt the recogniser to one voice: a synthetic one, or whoever speaks for the robot.
+
+    Every fifth sentence is not learned from but graded on; weights that do not hear the voice
+    better are refused. Needs the extra `train` (torch). Use them with
+    `motion: {weights: my.npz}` in the YAML of the face.
+    """
+    check_extra("torch", "learn adapt")
+    from lipservo_lab.corpus.transcribed import read_transcribed
+    from lipservo_lab.evaluation.recognition.recognition_scores import settled_score
+    from lipservo_lab.learning.adaptation.voice import VoiceError, only_speaker, read_voice
+    from lipservo_lab.learning.adaptation.voice_learning import AdaptationPlan
+    from lipservo_lab.learning.adaptation.voice_learning import adapt as adapted
+    from lipsync.recognition.network import find_weights, is_weights, save_weights
+
+    start = find_weights(weights)
+    check_output(output, replaces=is_weights, kind="weights", inputs=[Path(weights)])
+    n_jobs = jobs or os.cpu_count() or 1
+    plan = AdaptationPlan(
+        n_steps=steps, peak_rate=rate, n_copies=copies, seed=seed, n_threads=n_jobs
+    )
+    with progress_bar(quiet=quiet) as advance:
+        voice = read_voice(only_speaker(read_transcribed(voice_folder), speaker), advance, n_jobs)
+        heard = [sentence.speech for sentence in voice.held_out]
+        before = settled_score(start, heard).figures()
+        learned = adapted(start, [sentence.speech for sentence in voice.learned], plan, advance)
+        after = settled_score(learned, heard).figures()
+    is_better = after["viseme_speech"] > before["viseme_speech"]
+    figures = {
+        "weights": weights,
+        "sentences": len(voice.learned),
+        "seconds": round(voice.learned_s, 1),
+        "held_out_sentences": len(voice.held_out),
+        "held_out_seconds": round(voice.held_out_s, 1),
+        "left_out": dict(voice.left_out),
+        "before": {key: before[key] for key in _GRADED},
+        "after": {key: after[key] for key in _GRADED},
+        "better": is_better,
+    }
+    if as_json:
+        print_json(figures)
+    else:
+        _print(voice, before, after)
+    if not is_better:
+        raise VoiceError(
+            f"{output}: not written, since the adapted weights do not hear this voice better than "
+            f"{weights}; keep those, or record more of the voice"
+        )
+    about = {
+        **figures,
+        "weights": Path(weights).name,
+        "voice": voice_folder.resolve().name,
+        "seed": seed,
+        "steps": plan.n_steps,
+    }
+    save_weights(learned, output, {**about, "lipservo": version("lipservo")})
+    MESSAGES.print(
+        f"{output}: done; write `motion: {{weights: {output}}}` in the face YAML", soft_wrap=True
+    )
+
+
+def _print(voice: "Voice", before: dict[str, float], after: dict[str, float]) -> None:
+    for name, reason in voice.left_out.items():
+        MESSAGES.print(f"left out: {name}: {reason}", soft_wrap=True)
+    RESULTS.print(
+        f"learned from {len(voice.learned)} sentences, {voice.learned_s:.0f} s; "
+        f"graded on {len(voice.held_out)} others, {voice.held_out_s:.0f} s:"
+    )
+    table = Table("", "before", "after", box=None, pad_edge=False)
+    for key, told in _GRADED.items():
+        table.add_row(told, f"{before[key]:.3f}", f"{after[key]:.3f}")
+    RESULTS.print(table)
+
+
+Record = Mapping[str, float]
+
+
+class TrainingLogError(UserError):
+    """A run log that cannot be drawn; the message is one line."""
+
+
+def read_log(path: Path) -> list[Record]:
+    """The lines of a `log.jsonl`; TrainingLogError for a file that is none."""
+    try:
+        records = [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    except OSError as error:
+        raise TrainingLogError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise TrainingLogError(f"{path}: no run log: not one JSON object a line") from error
+    if not records or not all(
+        isinstance(r, dict) and {"step", "loss"} <= r.keys() for r in records
+    ):
+        raise TrainingLogError(f"{path}: no run log: every line must hold a step and a loss")
+    return records
+
+
+def draw_log(records: Sequence[Record], picture: Path) -> None:
+    """Loss on the left, accuracies of visemes by condition on the right, over the steps."""
+    without_screen()
+    from matplotlib import pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    left.plot([r["step"] for r in records], [r["loss"] for r in records])
+    left.set(xlabel="step", ylabel="loss", title="training")
+    checked = [r for r in records if len(r) > 2]
+    for key in sorted(checked[-1]) if checked else ():
+        if key.endswith("_viseme_all"):
+            points = [(r["step"], r[key]) for r in checked if key in r]
+            name = key.removesuffix("_viseme_all").replace("_", " ")
+            right.plot(*zip(*points, strict=True), marker="o", label=name)
+    right.set(xlabel="step", ylabel="visemes right, all frames", title="validation speakers")
+    if right.lines:
+        right.legend(fontsize="small")
+    save_picture(figure, picture)
+    plt.close(figure)

@@ -1,0 +1,154 @@
+"""`record-corpus`: somebody is recorded while reading sentences, for `import-video`."""
+
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lipservo.commands.options import Json, Quiet
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.output_file import OutputError
+
+if TYPE_CHECKING:
+    from lipservo.calibrating.camera import CameraMode
+
+
+def record_corpus(
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Folder to record into; what it holds is not asked for again."
+        ),
+    ] = None,
+    sentences: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Sentences of your own, one a line; default: 60 of ours.",
+            show_default=False,
+        ),
+    ] = None,
+    camera: Annotated[
+        str,
+        typer.Option(
+            metavar="DEVICE",
+            help="Camera: a number or a device; a video file or lavfi:GRAPH to try without one.",
+        ),
+    ] = "0",
+    size: Annotated[str, typer.Option(metavar="WxH", help="Pictures asked for.")] = "1280x720",
+    rate_hz: Annotated[
+        float,
+        typer.Option("--rate", min=24.0, max=120.0, help="Pictures a second asked for."),
+    ] = 30.0,
+    mic: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DEVICE",
+            help="Microphone: a number or part of a name; default: the system's.",
+            show_default=False,
+        ),
+    ] = None,
+    list_: Annotated[bool, typer.Option("--list", help="Print the sentences and end.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record yourself reading sentences, with camera and microphone.
+
+    Each sentence becomes NAME.mkv, NAME.wav and NAME.txt, which `lipservo learn import-video`
+    reads: docs/own-face.md, "Record yourself". Space begins and ends a take; nothing is kept half.
+    """
+    from lipservo_lab.recording.sentence_list import (
+        read_sentences,
+        recorded_names,
+        shipped_sentences,
+    )
+
+    asked = shipped_sentences() if sentences is None else read_sentences(sentences)
+    if list_:
+        if as_json:
+            print_json({"sentences": {s.name: s.text for s in asked}})
+            return
+        for sentence in asked:
+            RESULTS.print(f"{sentence.name}  {sentence.text}", soft_wrap=True)
+        return
+    if output is None:
+        raise typer.BadParameter("name a folder to record into", param_hint="--output")
+    mode = _mode(size, rate_hz)
+    _check_folder(output)
+    recorded = recorded_names(output, asked)
+    n_before = len(recorded)
+    if n_before:
+        MESSAGES.print(
+            f"{output}: {n_before} of {len(asked)} sentences are there already", soft_wrap=True
+        )
+    from firmware_bridge.stop_signals import SignalCounter
+    from lipservo.calibrating.camera import AvCamera, CameraFeed
+    from lipservo.terminal.keys import PressedKeys
+    from lipservo_lab.recording.session import Devices, Screen, Session
+    from lipsync.audio.microphone import MicrophoneSource
+
+    feed = CameraFeed(AvCamera(camera, mode))
+    microphone = MicrophoneSource(mic)
+    screen = Screen(quiet=quiet)
+    with SignalCounter() as signals, microphone, feed, PressedKeys() as keys:
+        devices = Devices(
+            microphone,
+            feed,
+            feed.camera.rate_hz,
+            lambda timeout_s: keys.next_key(timeout_s, signals),
+            lambda: signals.count > 0,
+            time.monotonic,
+            time.sleep,
+        )
+        try:
+            outcome = Session(devices, screen, output).run(asked, recorded)
+        finally:
+            screen.end()
+    there = recorded_names(output, asked)
+    if as_json:
+        print_json(
+            {
+                "folder": str(output),
+                "recorded": outcome.recorded,
+                "skipped": outcome.skipped,
+                "warnings": outcome.warnings,
+                "there": len(there),
+                "missing": [s.name for s in asked if s.name not in there],
+            }
+        )
+    else:
+        RESULTS.print(
+            f"{output}: {len(there)} of {len(asked)} sentences recorded; "
+            + (
+                f"`lipservo learn import-video {output} -o CORPUS` goes on"
+                if len(there) == len(asked)
+                else "the same command goes on with the rest"
+            ),
+            soft_wrap=True,
+        )
+    if signals.count:
+        raise typer.Exit(128 + signal.Signals[signals.last].value)
+
+
+def _mode(size: str, rate_hz: float) -> "CameraMode":
+    from lipservo.calibrating.camera import CameraMode
+
+    width, _, height = size.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and 0 < int(width) < 10_000 > int(height) > 0):
+        raise typer.BadParameter(
+            f"{size!r}: write WIDTHxHEIGHT, 1280x720 for one", param_hint="--size"
+        )
+    return CameraMode(int(width), int(height), rate_hz)
+
+
+def _check_folder(folder: Path) -> None:
+    """Make it where it is not there. Raises OutputError."""
+    if folder.exists() and not folder.is_dir():
+        raise OutputError(f"{folder}: is a file; name a folder to record into")
+    try:
+        folder.mkdir(exist_ok=True)
+    except OSError as error:
+        reason = error.strerror if folder.parent.is_dir() else f"there is no folder {folder.parent}"
+        raise OutputError(f"{folder}: cannot be made: {reason}") from error

@@ -1,0 +1,340 @@
+"""`train`: a face model is learned from recordings.
+
+`train-expression`: head, gaze and lids are learned from somebody's tracks.
+
+`train-offline`: the model that scripted lines are rendered with.
+"""
+
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, cast
+
+import typer
+from rich.progress import Progress
+
+from lipservo.commands.options import Json, Model, Quiet, SkipBad
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json, progress_bar
+from lipsync.output_file import check_output
+
+if TYPE_CHECKING:
+    from lipservo_lab.corpus.utterance import Corpus, Utterance
+    from lipservo_lab.learning.motion.several_speakers import FaceMap
+
+
+#: What the expectation learns from.
+Phonemes = Literal["both", "true"]
+
+
+def train(
+    corpora: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CORPUS...",
+            help="Folder of recordings: sounds, landmarks, labels; one for each speaker.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    animphos: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="How many AnimPhos; default: so many that each has 3.45 successors."
+        ),
+    ] = None,
+    components: Annotated[
+        int | None,
+        typer.Option(help="How many principal components a face has; default: 8, the paper: 5."),
+    ] = None,
+    markers: Annotated[
+        str | None,
+        typer.Option(
+            help="The points of a face: 39, 47 (default) or 478, or a JSON file (docs/motion.md)."
+        ),
+    ] = None,
+    phonemes: Annotated[
+        Phonemes,
+        typer.Option(
+            help="Learn from the labels and from what the shipped recogniser hears (both), or from "
+            "the labels alone (true), which is quicker."
+        ),
+    ] = "both",
+    face_of: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Of several speakers: whose face it is, by the folder's name; default: the first.",
+            show_default=False,
+        ),
+    ] = None,
+    weight: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=W",
+            help="Of several speakers: how often a frame of this one counts; default: 1.",
+            show_default=False,
+        ),
+    ] = None,
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn a face model from recorded speech with mouth motion.
+
+    CORPUS holds audio/NAME.flac, landmarks/NAME.npz and labels/NAME.TextGrid of each sentence, and
+    landmarks.json: docs/motion.md, "A corpus of your own", says what is in them. The motion of
+    several speakers is brought to the face of one: docs/motion.md, "Several speakers".
+    """
+    from lipservo_lab.corpus.grid import folder_name, read_grid
+    from lipservo_lab.learning.expectation.deviation import hear_sentences
+    from lipservo_lab.learning.motion.face_training import DEFAULT_COMPONENTS, check_components
+    from lipservo_lab.learning.motion.face_training import train as train_model
+    from lipservo_lab.learning.motion.several_speakers import check_speakers, on_one_face
+    from lipservo_lab.learning.motion.trained_model import save_model
+    from lipsync.face.model import is_model
+    from lipsync.markers import MARKERS_47, find_layout
+    from lipsync.recognition.network import load_shipped_weights
+
+    layout = MARKERS_47 if markers is None else find_layout(markers)
+    n_components = DEFAULT_COMPONENTS if components is None else components
+    check_components(n_components, layout)
+    weights = _weights(weight or [])
+    check_speakers([folder_name(folder) for folder in corpora], face_of, weights)
+    check_output(output, replaces=is_model, kind="face model")
+    with _progress(quiet=quiet) as progress:
+        reading = progress.add_task("reading", total=None)
+
+        def read(names: list[str]) -> Iterable[str]:
+            yield from progress.track(names, task_id=reading)
+
+        read_corpora = [
+            read_grid(folder, layout, skip_bad=skip_bad, progress=read) for folder in corpora
+        ]
+        sentences, maps = on_one_face(read_corpora, face_of=face_of, weights=weights)
+        heard = None
+        if phonemes == "both":
+            heard = hear_sentences(
+                load_shipped_weights(),
+                sentences.labelled().utterances,
+                lambda utterances: progress.track(utterances, description="listening"),
+            )
+        learning = progress.add_task("training", total=None)
+        model = train_model(
+            sentences,
+            seed=seed,
+            n_components=n_components,
+            n_animphos=animphos,
+            heard=heard,
+            progress=lambda step: progress.update(learning, description=step),
+        )
+    save_model(model, output)
+    for line in sentences.skipped:
+        MESSAGES.print(f"left out: {line}", soft_wrap=True)
+    figures: dict[str, object] = {
+        "model": str(output),
+        "sentences": len(model.training_sentences),
+        "layout": layout.name,
+        "points": layout.n_points,
+        "components": model.n_components,
+        "animphos": len(model.animphos),
+        "mean_successors": model.animphos.mean_successors,
+        "skipped": len(sentences.skipped),
+        **model.provenance,
+        **_told_speakers(read_corpora, weights, maps),
+    }
+    if as_json:
+        print_json(figures)
+        return
+    RESULTS.print(
+        f"{output}: {model.n_components} components of {layout.n_points} points, "
+        f"{len(model.animphos)} AnimPhos from {model.provenance['segments']} segments of "
+        f"{len(model.training_sentences)} sentences, {model.animphos.mean_successors:.2f} "
+        f"successors on average (the paper: 3.45), {model.provenance['variance_held']:.1%} of "
+        "the variance held",
+        soft_wrap=True,
+    )
+    for name, face_map in maps.items():
+        x, y, z = face_map.scale
+        RESULTS.print(
+            f"{name}: turned by {face_map.angle_deg:.1f} degrees, motion times {x:.2f} in width, "
+            f"{y:.2f} in height, {z:.2f} in depth",
+            soft_wrap=True,
+        )
+
+
+def _weights(given: list[str]) -> dict[str, float]:
+    """NAME=W, taken apart."""
+    weights: dict[str, float] = {}
+    for each in given:
+        name, _, number = each.rpartition("=")
+        try:
+            weights[name] = float(number)
+        except ValueError:
+            name = ""
+        if not name:
+            raise typer.BadParameter(
+                f"{each!r}: write NAME=W, me=0.3 for one", param_hint="--weight"
+            )
+    return weights
+
+
+def _told_speakers(
+    corpora: "list[Corpus]", weights: Mapping[str, float], maps: "Mapping[str, FaceMap]"
+) -> dict[str, object]:
+    """Of several speakers, for the answer: how much of each there is, and how it was brought."""
+    if len(corpora) == 1:
+        return {}
+    told: dict[str, dict[str, object]] = {}
+    for corpus in corpora:
+        said = corpus.labelled().utterances
+        told[corpus.name] = {
+            "sentences": len(said),
+            "minutes": round(sum(len(u.markers_mm) / u.frame_rate_hz for u in said) / 60.0, 2),
+            "weight": weights.get(corpus.name, 1.0),
+        }
+        if corpus.name in maps:
+            face_map = maps[corpus.name]
+            told[corpus.name]["turned_deg"] = round(face_map.angle_deg, 2)
+            told[corpus.name]["scale_xyz"] = [round(float(s), 3) for s in face_map.scale]
+    return {"speakers": told}
+
+
+@contextmanager
+def _progress(*, quiet: bool) -> Iterator[Progress]:
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        yield progress
+
+
+def train_expression(
+    corpus: Annotated[
+        Path, typer.Argument(help="Folder like grid_s1, or of NAME.csv beside NAME.wav.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The file (.npz) to write.")],
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same model.")] = 0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn how a head, its eyes and its lids go with a voice; measure it on what is held out.
+
+    docs/expression-voice.md, "Learned from tracks", says what CORPUS holds.
+    """
+    from lipservo_lab.learning.expression.expression_training import train_expression as train
+    from lipservo_lab.learning.learned_expression.expression_model import (
+        is_expression,
+        save_expression,
+    )
+
+    check_output(output, replaces=is_expression, kind="learned expression")
+    with progress_bar(quiet=quiet) as advance:
+        model, figures = train(corpus, seed, advance)
+    save_expression(model, output)
+    if as_json:
+        print_json({"model": str(output), **figures})
+        return
+    RESULTS.print(
+        f"{output}: learned from {figures['recordings']} recordings, {figures['minutes']} minutes",
+        soft_wrap=True,
+    )
+    if figures["held_out"] is None:
+        RESULTS.print("fewer than four recordings held out: nothing measured", soft_wrap=True)
+        return
+    for name, value in cast("dict[str, object]", figures["held_out"]).items():
+        RESULTS.print(f"{name:>26}  {value}")
+
+
+def train_offline(
+    corpus: Annotated[
+        Path, typer.Argument(help="Folder of recordings: sounds, landmarks, labels.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The model file to write.")],
+    model: Model = None,
+    states: Annotated[
+        int | None, typer.Option(min=2, help="How many states; default: 100.", show_default=False)
+    ] = None,
+    components: Annotated[
+        int | None,
+        typer.Option(
+            min=1, help="Principal components of the states; default: 10.", show_default=False
+        ),
+    ] = None,
+    markers: Annotated[
+        str | None,
+        typer.Option(
+            help="A layout of more points than the face's, for dense scans (corpus/layout.json); "
+            "default: the face's own.",
+            show_default=False,
+        ),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="The same seed gives the same model.")] = 0,
+    skip_bad: SkipBad = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Learn what `render` needs beside a face model: states and units, and what sound tells.
+
+    CORPUS is a folder as `lipservo learn face` takes it; give the face model that was made of it.
+    """
+    from lipservo_lab.corpus.grid import read_grid
+    from lipservo_lab.learning.offline.offline_training import train_offline as train_model
+    from lipservo_lab.learning.offline.state_training import Recipe
+    from lipsync.face.model import load_face
+    from lipsync.markers import find_layout
+    from lipsync.offline.offline_model_file import is_offline_model, save_offline_model
+    from lipsync.output_file import check_output
+
+    face = load_face(model)
+    standard = Recipe()
+    recipe = Recipe(
+        n_components=components or standard.n_components,
+        n_states=states or standard.n_states,
+        seed=seed,
+    )
+    check_output(output, replaces=is_offline_model, kind="offline model", inputs=[model])
+    began_s = time.perf_counter()
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        reading = progress.add_task("reading", total=None)
+
+        def read(names: list[str]) -> Iterable[str]:
+            yield from progress.track(names, task_id=reading)
+
+        def listening(utterances: "Sequence[Utterance]") -> "Iterable[Utterance]":
+            yield from progress.track(utterances, description="listening")
+
+        sentences = read_grid(
+            corpus,
+            face.layout if markers is None else find_layout(markers),
+            head_reference_mm=face.head_reference_mm,
+            skip_bad=skip_bad,
+            progress=read,
+        )
+        learning = progress.add_task("learning", total=None)
+        made = train_model(
+            sentences,
+            face,
+            recipe,
+            progress=lambda step: progress.update(learning, description=step),
+            listening=listening,
+        )
+    save_offline_model(made, output)
+    seconds = time.perf_counter() - began_s
+    for line in sentences.skipped:
+        MESSAGES.print(f"left out: {line}", soft_wrap=True)
+    figures: dict[str, object] = {
+        "model": str(output),
+        "face": made.face_checksum,
+        "sentences": len(made.training_sentences),
+        "skipped": len(sentences.skipped),
+        "seconds": round(seconds, 1),
+        "bytes": output.stat().st_size,
+        **made.provenance,
+    }
+    if as_json:
+        print_json(figures)
+        return
+    RESULTS.print(
+        f"{output}: {figures['states']} states and {figures['units']} units of "
+        f"{figures['sentences']} sentences, {output.stat().st_size / 1e6:.1f} MB, in "
+        f"{seconds:.0f} s",
+        soft_wrap=True,
+    )

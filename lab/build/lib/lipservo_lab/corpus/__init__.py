@@ -1,0 +1,1 @@
+"""Recorded speech with mouth motion: readers, head-motion removal, splits."""

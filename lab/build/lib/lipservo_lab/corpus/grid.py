@@ -1,0 +1,211 @@
+"""Reader for folders laid out like `grid_s1`: one speaker, sound, face landmarks, labels."""
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance, Word
+from lipsync.array_archive import UNREADABLE, ArrayArchive
+from lipsync.arrays import Array
+from lipsync.face.head_motion import apply_similarity, fit_similarity, refine_mean
+from lipsync.markers import MARKERS_47, PointLayout
+from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
+from lipsync.textgrid import Interval, LabelError, read_tiers
+
+Progress = Callable[[list[str]], Iterable[str]]
+
+#: Outer eye corners, and their distance where nobody measured it: sets millimetres.
+_RIGHT_EYE, _LEFT_EYE, _EYE_DISTANCE_MM = 33, 263, 90.0
+_UNITS_PER_PIXEL = 64.0
+#: The picture has y down and z into it; faces here have y up and z to the viewer.
+_TO_FACE_AXES = np.array([1.0, -1.0, -1.0])
+#: Picture and sound of one sentence may differ by this much in length (grid_s1: up to 0.03 s).
+_LENGTH_TOLERANCE_S = 0.25
+#: Points of one sentence, unpacked: minutes of them.
+_MOST_BYTES = 500_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Rows:
+    """landmarks.json: which rows of a frame are which points of the face."""
+
+    frame_rate_hz: float
+    n_landmarks: int
+    markers: list[int]
+    rigid: list[int]
+    eyes: tuple[int, int]
+    eye_distance_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Sentence:
+    name: str
+    landmarks_px: Array
+    sound_path: Path
+    phones: tuple[PhonemeEvent, ...]
+    words: tuple[Word, ...]
+
+
+def read_grid(
+    folder: Path,
+    layout: PointLayout = MARKERS_47,
+    *,
+    head_reference_mm: Array | None = None,
+    skip_bad: bool = False,
+    progress: Progress = iter,
+) -> Corpus:
+    """All sentences of the folder, head motion removed, in millimetres.
+
+    layout: the points of a face that are taken of the recorded ones.
+    head_reference_mm: lay the faces on this head (a model's) rather than on their own mean.
+    skip_bad: leave out sentences with a missing or mismatched file and list them in `skipped`;
+    otherwise the first one raises CorpusError, which names the file.
+    """
+    rows = _read_rows(folder, layout)
+    sentences: list[_Sentence] = []
+    skipped: list[str] = []
+    for name in progress(sentence_names(folder)):
+        try:
+            sentences.append(_read_sentence(folder, name, rows))
+        except CorpusError as error:
+            if not skip_bad:
+                raise CorpusError(f"{error} (--skip-bad goes on without it)") from error
+            skipped.append(str(error))
+    if not sentences:
+        raise CorpusError(
+            f"{folder}: no usable sentence; docs/motion.md, A corpus of your own, says what one is"
+        )
+    rigid = np.concatenate([s.landmarks_px[:, rows.rigid] for s in sentences])
+    if head_reference_mm is None:
+        head_reference_mm = refine_mean(rigid, (*rows.eyes, rows.eye_distance_mm))
+    utterances = tuple(_to_utterance(s, rows, head_reference_mm) for s in sentences)
+    return Corpus(folder_name(folder), layout, utterances, head_reference_mm, tuple(skipped))
+
+
+def folder_name(folder: Path) -> str:
+    """What a corpus is called; `.` has a name, too."""
+    return Path(os.path.abspath(folder)).name
+
+
+def _to_utterance(sentence: _Sentence, rows: _Rows, head_reference_mm: Array) -> Utterance:
+    rigid = sentence.landmarks_px[:, rows.rigid]
+    similarity = fit_similarity(rigid, head_reference_mm)
+    markers_mm = apply_similarity(sentence.landmarks_px[:, rows.markers], *similarity)
+    return Utterance(
+        sentence.name,
+        markers_mm.astype(np.float32),
+        rows.frame_rate_hz,
+        sentence.sound_path,
+        sentence.phones,
+        sentence.words,
+    )
+
+
+def _read_rows(folder: Path, layout: PointLayout) -> _Rows:
+    path = folder / "landmarks.json"
+    try:
+        content = json.loads(path.read_text())
+        row_of = {number: row for row, number in enumerate(content["landmark_ids"])}
+        rigid = content["groups"]["rigid"]
+        needed = (*layout.landmarks, *rigid, _RIGHT_EYE, _LEFT_EYE)
+        missing = sorted({n for n in needed if n not in row_of})
+        if missing:
+            some = ", ".join(map(str, missing[:5])) + (", ..." if len(missing) > 5 else "")
+            raise CorpusError(
+                f"{path}: landmark_ids lacks {some} ({len(missing)} of {len(needed)} points that "
+                f"the layout {layout.name} needs); number them as the 478-point face mesh does"
+            )
+        return _Rows(
+            float(content["frame_rate_hz"]),
+            len(row_of),
+            [row_of[n] for n in layout.landmarks],
+            [row_of[n] for n in rigid],
+            (rigid.index(_RIGHT_EYE), rigid.index(_LEFT_EYE)),
+            float(content.get("eye_distance_mm", _EYE_DISTANCE_MM)),
+        )
+    except FileNotFoundError:
+        raise CorpusError(
+            f"{path}: no such file; a corpus folder holds audio/, landmarks/, labels/ and "
+            "landmarks.json (docs/motion.md, A corpus of your own)"
+        ) from None
+    except (KeyError, TypeError, ValueError) as error:
+        raise CorpusError(
+            f"{path}: not a usable landmark list ({error}); docs/motion.md, A corpus of your own, "
+            "says what it holds"
+        ) from error
+
+
+def sentence_names(folder: Path) -> list[str]:
+    """Every sentence that any of the three folders knows, so that a missing file is noticed."""
+    files = [
+        *(folder / "landmarks").glob("*.npz"),
+        *(folder / "labels").glob("*.TextGrid"),
+        *(folder / "audio").glob("*.flac"),
+    ]
+    return sorted({path.stem for path in files})
+
+
+def _read_sentence(folder: Path, name: str, rows: _Rows) -> _Sentence:
+    landmarks_px = read_landmarks(folder / "landmarks" / f"{name}.npz", rows.n_landmarks)
+    sound_path = folder / "audio" / f"{name}.flac"
+    duration_s = len(landmarks_px) / rows.frame_rate_hz
+    try:
+        sound_s = soundfile.info(os.fsencode(sound_path)).duration
+    except soundfile.LibsndfileError as error:
+        raise CorpusError(f"{sound_path}: missing or not a sound file") from error
+    if abs(sound_s - duration_s) > _LENGTH_TOLERANCE_S:
+        raise CorpusError(f"{sound_path}: {sound_s:.2f} s of sound, {duration_s:.2f} s of picture")
+    _refuse_lost_frames(landmarks_px, folder / "landmarks" / f"{name}.npz")
+    label_path = folder / "labels" / f"{name}.TextGrid"
+    try:
+        tiers = read_tiers(label_path)
+        return _Sentence(
+            name,
+            landmarks_px,
+            sound_path,
+            tuple(_phones(tiers.get("phones", ()), label_path)),
+            tuple(Word(*interval) for interval in tiers.get("words", ()) if interval[0]),
+        )
+    except LabelError as error:
+        raise CorpusError(str(error)) from error
+
+
+def _phones(intervals: Iterable[Interval], path: Path) -> Iterable[PhonemeEvent]:
+    for label, start_s, end_s in intervals:
+        phoneme = label or SILENCE
+        if phoneme not in VISEME_OF:
+            raise CorpusError(f"{path}: {label!r} at {start_s:.2f} s is not an ARPAbet phone")
+        yield PhonemeEvent(phoneme, start_s, end_s)
+
+
+def read_landmarks(path: Path, n_landmarks: int) -> Array:
+    """Points (n_frames, n_landmarks, 3) of a file in pixels, y up, z to the viewer.
+
+    Raises CorpusError.
+    """
+    try:
+        with path.open("rb") as file, ArrayArchive(file, _MOST_BYTES) as archive:
+            points = archive["landmarks_64th_px"]
+    except FileNotFoundError:
+        raise CorpusError(f"{path}: no such file") from None
+    except (KeyError, *UNREADABLE) as error:
+        raise CorpusError(f"{path}: not a landmark file") from error
+    if points.ndim != 3 or points.shape[1:] != (n_landmarks, 3) or len(points) < 2:
+        raise CorpusError(
+            f"{path}: shape {points.shape}; expected (n_frames, {n_landmarks}, 3), n_frames >= 2"
+        )
+    if not np.isfinite(points).all():
+        raise CorpusError(f"{path}: landmarks that are not numbers")
+    return np.asarray(points / _UNITS_PER_PIXEL * _TO_FACE_AXES, dtype=np.float64)
+
+
+def _refuse_lost_frames(landmarks_px: Array, path: Path) -> None:
+    """Where a tracker lost the face it writes one and the same point everywhere."""
+    lost = np.flatnonzero((landmarks_px == landmarks_px[:, :1]).all(axis=(1, 2)))
+    if len(lost):
+        raise CorpusError(f"{path}: frame {lost[0]} is not tracked ({len(lost)} such frames)")

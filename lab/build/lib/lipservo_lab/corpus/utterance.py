@@ -1,0 +1,113 @@
+"""Recorded sentences with mouth motion.
+
+A sentence's motion at another frame rate.
+
+Which frames count: speech, and in the new-words test the new words alone.
+"""
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import resample_poly
+
+from lipsync.errors import UserError
+from lipsync.markers import PointLayout
+from lipsync.phonemes import SILENCE, PhonemeEvent
+
+
+class CorpusError(UserError):
+    """A corpus folder that cannot be read: says which file, what is wrong, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """One spoken word in sound time."""
+
+    text: str
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Utterance:
+    """One sentence: mouth motion, labels, and where its sound lies.
+
+    markers_mm: (n_frames, n_points, 3), head motion removed, x to the picture's right, y up,
+    z to the viewer. Frame i is at i / frame_rate_hz. `phones` is empty where alignment failed.
+    weight: how often each of its frames counts when a model is trained, beside those of others.
+    """
+
+    name: str
+    markers_mm: NDArray[np.float32]
+    frame_rate_hz: float
+    sound_path: Path
+    phones: tuple[PhonemeEvent, ...]
+    words: tuple[Word, ...]
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Corpus:
+    """Sentences of one speaker in one common head pose; of several, with faces of one shape.
+
+    layout: which points of the face `markers_mm` holds.
+    head_reference_mm: (n_rigid, 3), the mean bone-fixed points that every frame was fitted to;
+    hand it to the reader of another folder to bring that one into the same pose.
+    """
+
+    name: str
+    layout: PointLayout
+    utterances: tuple[Utterance, ...]
+    head_reference_mm: NDArray[np.float64]
+    skipped: tuple[str, ...] = ()
+
+    def labelled(self) -> "Corpus":
+        """Only the sentences that have phones."""
+        return self.keep({u.name for u in self.utterances if u.phones})
+
+    def keep(self, names: set[str]) -> "Corpus":
+        """Only the sentences named."""
+        chosen = tuple(u for u in self.utterances if u.name in names)
+        return Corpus(self.name, self.layout, chosen, self.head_reference_mm, self.skipped)
+
+
+#: Frame rates as ratios of whole numbers no larger; 29.97 to 25 is off by 3 ms in an hour.
+_LARGEST_TERM = 1200
+
+
+def at_frame_rate(utterance: Utterance, frame_rate_hz: float) -> Utterance:
+    """The same sentence with a frame at every i / frame_rate_hz, as long as the recording goes.
+
+    By a polyphase filter, which holds back what fewer frames cannot show; edges go on as the line
+    between them does.
+    """
+    ratio = Fraction(frame_rate_hz / utterance.frame_rate_hz).limit_denominator(_LARGEST_TERM)
+    if ratio == 1:
+        return replace(utterance, frame_rate_hz=frame_rate_hz)
+    markers_mm = resample_poly(
+        utterance.markers_mm.astype(np.float64),
+        ratio.numerator,
+        ratio.denominator,
+        axis=0,
+        padtype="line",
+    )
+    return replace(utterance, markers_mm=markers_mm.astype(np.float32), frame_rate_hz=frame_rate_hz)
+
+
+def speech_frames(utterance: Utterance, words: frozenset[str] | None = None) -> NDArray[np.bool_]:
+    """(n_frames,): inside a phone that is not silence, and inside one of `words` if given."""
+    times_s = np.arange(len(utterance.markers_mm)) / utterance.frame_rate_hz
+    spoken = np.zeros(len(times_s), dtype=bool)
+    for phone in utterance.phones:
+        if phone.phoneme != SILENCE and phone.end_s is not None:
+            spoken |= (times_s >= phone.start_s) & (times_s < phone.end_s)
+    if words is not None:
+        inside = np.zeros(len(times_s), dtype=bool)
+        for word in utterance.words:
+            if word.text in words:
+                inside |= (times_s >= word.start_s) & (times_s < word.end_s)
+        spoken &= inside
+    return spoken

@@ -1,0 +1,1 @@
+"""How a face's expression is measured: blinks, saccades, and the head against the voice."""

@@ -1,0 +1,1 @@
+"""How good synthesised motion is, beside recorded motion and other methods."""

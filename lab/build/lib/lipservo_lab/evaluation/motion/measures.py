@@ -1,0 +1,295 @@
+"""How far synthesised motion is from the recorded one: sums of one sentence, figures of many.
+
+Definitions: docs/motion.md. A sentence yields sums, so that figures of any set of sentences, and
+of any bootstrap sample of them, are cheap.
+
+What of the lips anybody sees, and a robot can show: how far apart, how wide, how far forward.
+
+How fast the lips go from one tick of 10 ms to the next: steps that 25 frames a second hide.
+
+Of recorded lips (grid_s1, 25 Hz) 99 % of frames are below 200 mm/s and none is above 310.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.corpus.utterance import Utterance
+from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
+from lipsync.markers import CLOSED_GAP_MM
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import SILENCE, PhonemeEvent
+
+#: Columns of `lip_shapes_mm`.
+LIP_SHAPE = ("gap", "width", "protrusion")
+
+
+def lip_shapes_mm(face: FaceModel, markers_mm: NDArray[np.floating]) -> Array:
+    """(n_frames, n_points, 3) -> (n_frames, 3), in the order of LIP_SHAPE.
+
+    gap: as `FaceModel.lip_gaps_mm`. width: from the outermost point of the lips on the one side to
+    that on the other, sideways; NaN for a layout without points of the lips. protrusion: how far
+    forward, in the head's pose, the middle of the two points of the lip gap stands.
+    """
+    layout = face.layout
+    gap_mm = face.lip_gaps_mm(markers_mm)
+    middle_mm = (markers_mm[:, layout.upper_lip] + markers_mm[:, layout.lower_lip]) / 2.0
+    if layout.lips:
+        width_mm = np.ptp(markers_mm[:, list(layout.lips), 0], axis=1)
+    else:
+        width_mm = np.full(len(gap_mm), np.nan)
+    return np.stack([gap_mm, width_mm, middle_mm[:, 2]], axis=1).astype(np.float64)
+
+
+Mask = NDArray[np.bool_]
+
+#: F and V: 95 % of the recordings' come so near (measured on grid_s1).
+LABIODENTAL_GAP_MM = 4.6
+#: A closure counts when it comes within this of the phone.
+_CLOSURE_WINDOW_S = 0.04
+_BILABIALS = ("P", "B", "M")
+#: The phones for which the mouth closes: the lips, or lip and teeth.
+CLOSING = (*_BILABIALS, "F", "V")
+#: A closed mouth further than this from any P B M and from silence is a false closure.
+_FALSE_WINDOW_S = 0.08
+_ROUNDING_S = 1e-9
+#: The finer components, 5 to 8: what an average over contexts loses first.
+_FINE = slice(4, 8)
+_FINE_NUMBERS = range(_FINE.start + 1, _FINE.stop + 1)
+
+#: What a sentence's sums are, in this order. free: of the sentence's own mean error. fine: of each
+#: of the finer components its sum and its squares, made and recorded; fine_free: of all of them the
+#: squares about the sentence's own mean.
+SUMS = (
+    "frames", "squared_mm2", "squared_lips_mm2", "reference_mm2",
+    "gap", "gap_recorded", "gap2", "gap_recorded2", "gap_product",
+    "closures", "closure_hits", "labiodentals", "labiodental_hits",
+    "open_frames", "false_closures", "recorded_false_closures",
+    "peaks", "peak_ratio", "acceleration2", "recorded_acceleration2",
+    "free_mm2", "free_lips_mm2",
+    *(f"{name}_error_mm2" for name in LIP_SHAPE[1:]),
+    *(f"{name}_free_mm2" for name in LIP_SHAPE),
+    *(f"fine_{whose}{power}_{n}" for whose in ("made", "recorded") for power in ("", "2")
+      for n in _FINE_NUMBERS),
+    "fine_free_made2", "fine_free_recorded2",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A mouth in motion: markers_mm (n, n_points, 3) and coefficients (n, n_components)."""
+
+    markers_mm: NDArray[np.floating]
+    coefficients: Array
+
+
+def sentence_sums(
+    face: FaceModel,
+    utterance: Utterance,
+    scored: Mask,
+    recorded: Motion,
+    made: Motion,
+    reference: Motion,
+) -> Array:
+    """The sums named in SUMS; face: whose motion it is; scored: (n,), the frames that count."""
+    lips = list(face.layout.lips)
+    n_points, n_lips = face.layout.n_points, len(lips)
+    away_mm = (made.markers_mm - recorded.markers_mm)[scored].astype(np.float64)
+    error = (away_mm**2).sum(axis=2)
+    free = (_without_mean(away_mm) ** 2).sum(axis=2)
+    shape_mm = lip_shapes_mm(face, made.markers_mm) - lip_shapes_mm(face, recorded.markers_mm)
+    shape_mm = shape_mm[scored]
+    reference_error = ((reference.markers_mm - recorded.markers_mm)[scored] ** 2).sum()
+    gap, gap_recorded = face.lip_gaps_mm(made.markers_mm), face.lip_gaps_mm(recorded.markers_mm)
+    g, r = gap[scored], gap_recorded[scored]
+    times_s = np.arange(len(gap)) / utterance.frame_rate_hz
+    open_ = _far_from_closure(utterance, times_s)
+    lip_error = error[:, lips].sum() / n_lips
+    has_peak = len(r) > 0 and r.max() > CLOSED_GAP_MM
+    return np.array(
+        [
+            scored.sum(), error.sum() / n_points, lip_error, reference_error / n_points,
+            g.sum(), r.sum(), (g * g).sum(), (r * r).sum(), (g * r).sum(),
+            *_closure_hits(utterance, times_s, scored, gap),
+            open_.sum(),
+            (open_ & (gap <= CLOSED_GAP_MM)).sum(),
+            (open_ & (gap_recorded <= CLOSED_GAP_MM)).sum(),
+            float(has_peak), g.max() / r.max() if has_peak else 0.0,
+            _acceleration2(made.coefficients, scored),
+            _acceleration2(recorded.coefficients, scored),
+            free.sum() / n_points, free[:, lips].sum() / n_lips,
+            *(shape_mm[:, 1:] ** 2).sum(axis=0),
+            *(_without_mean(shape_mm) ** 2).sum(axis=0),
+            *_fine_sums(made.coefficients[scored]), *_fine_sums(recorded.coefficients[scored]),
+            *((_without_mean(moved.coefficients[scored][:, _FINE]) ** 2).sum()
+              for moved in (made, recorded)),
+        ],
+        dtype=np.float64,
+    )  # fmt: skip
+
+
+def _closure_hits(
+    utterance: Utterance, times_s: Array, scored: Mask, gap_mm: Array
+) -> tuple[int, int, int, int]:
+    """P B M asked for and met, F V asked for and met; only phones with a scored frame count."""
+    found = [0, 0, 0, 0]
+    for phone in utterance.phones:
+        labial = is_bilabial(phone.phoneme)
+        if phone.end_s is None or phone.phoneme not in CLOSING:
+            continue
+        if not scored[(times_s >= phone.start_s) & (times_s < phone.end_s)].any():
+            continue
+        found[0 if labial else 2] += 1
+        found[1 if labial else 3] += closes(phone, times_s, gap_mm)
+    return found[0], found[1], found[2], found[3]
+
+
+def is_bilabial(phoneme: str) -> bool:
+    """Whether the lips must touch for it: P, B, M."""
+    return phoneme in _BILABIALS
+
+
+def closes(phone: PhonemeEvent, times_s: Array, gap_mm: Array) -> bool:
+    """Whether the lip gap (n,) at times (n,) is small enough around a phone of `CLOSING`."""
+    end_s = phone.start_s if phone.end_s is None else phone.end_s
+    window = times_s >= phone.start_s - _CLOSURE_WINDOW_S - _ROUNDING_S
+    window &= times_s <= end_s + _CLOSURE_WINDOW_S + _ROUNDING_S
+    limit_mm = CLOSED_GAP_MM if is_bilabial(phone.phoneme) else LABIODENTAL_GAP_MM
+    return bool(window.any() and gap_mm[window].min() <= limit_mm)
+
+
+def _far_from_closure(utterance: Utterance, times_s: Array) -> Mask:
+    far = np.ones(len(times_s), dtype=bool)
+    for phone in utterance.phones:
+        if phone.phoneme in (*_BILABIALS, SILENCE) and phone.end_s is not None:
+            near = times_s >= phone.start_s - _FALSE_WINDOW_S
+            far &= ~(near & (times_s <= phone.end_s + _FALSE_WINDOW_S))
+    labelled_until_s = max((p.end_s or 0.0 for p in utterance.phones), default=0.0)
+    return far & (times_s < labelled_until_s)
+
+
+def _acceleration2(coefficients: Array, scored: Mask) -> float:
+    """Squared second differences, summed over runs of three scored frames."""
+    second = coefficients[2:] - 2.0 * coefficients[1:-1] + coefficients[:-2]
+    return float((second[scored[2:] & scored[1:-1] & scored[:-2]] ** 2).sum())
+
+
+def _without_mean(values: Array) -> Array:
+    """(n, ...) less its mean over n."""
+    return np.asarray(values - values.mean(axis=0)) if len(values) else values
+
+
+def _fine_sums(coefficients: Array) -> Array:
+    """(n, n_components) -> (8,): sums of the finer components, then sums of their squares.
+
+    0 for components that the model does not have.
+    """
+    fine = coefficients[:, _FINE]
+    sums = np.zeros((2, len(_FINE_NUMBERS)))
+    sums[0, : fine.shape[1]] = fine.sum(axis=0)
+    sums[1, : fine.shape[1]] = (fine**2).sum(axis=0)
+    return sums.ravel()
+
+
+def figures(sums: Array) -> dict[str, float]:
+    """The figures of many sentences from the total (len(SUMS),) of their sums; NaN where empty."""
+    s = dict(zip(SUMS, (float(x) for x in sums), strict=True))
+    n = s["frames"]
+    covariance = n * s["gap_product"] - s["gap"] * s["gap_recorded"]
+    variance = n * s["gap2"] - s["gap"] ** 2
+    recorded_variance = n * s["gap_recorded2"] - s["gap_recorded"] ** 2
+    product = max(variance, 0.0) * max(recorded_variance, 0.0)
+    # A gap that does not move correlates with nothing; below this its variance is rounding.
+    correlated = product > 1e-12 * max(1.0, s["gap2"] * n) ** 2
+    gap_squares = s["gap2"] - 2.0 * s["gap_product"] + s["gap_recorded2"]
+    return {
+        "rmse_mm": _root_of(s["squared_mm2"], n),
+        "rmse_lips_mm": _root_of(s["squared_lips_mm2"], n),
+        "ratio": _root_of(s["squared_mm2"], s["reference_mm2"]),
+        "gap_r": covariance / product**0.5 if correlated else 0.0,
+        "gap_rmse_mm": _root_of(max(gap_squares, 0.0), n),
+        "closure_hits": _share(s["closure_hits"], s["closures"]),
+        "labiodental_hits": _share(s["labiodental_hits"], s["labiodentals"]),
+        "false_closures": _share(s["false_closures"], s["open_frames"]),
+        "false_closures_ratio": _share(s["false_closures"], s["recorded_false_closures"]),
+        "peak_opening_ratio": _share(s["peak_ratio"], s["peaks"]),
+        "acceleration_ratio": _root_of(s["acceleration2"], s["recorded_acceleration2"]),
+        "rmse_free_mm": _root_of(s["free_mm2"], n),
+        "rmse_lips_free_mm": _root_of(s["free_lips_mm2"], n),
+        "gap_free_rmse_mm": _root_of(s["gap_free_mm2"], n),
+        "width_rmse_mm": _root_of(s["width_error_mm2"], n),
+        "width_free_rmse_mm": _root_of(s["width_free_mm2"], n),
+        "protrusion_rmse_mm": _root_of(s["protrusion_error_mm2"], n),
+        "protrusion_free_rmse_mm": _root_of(s["protrusion_free_mm2"], n),
+        "fine_deviation": _root_of(_fine_variance(s, "made"), _fine_variance(s, "recorded")),
+        "fine_deviation_free": _root_of(s["fine_free_made2"], s["fine_free_recorded2"]),
+    }
+
+
+def _fine_variance(s: dict[str, float], whose: str) -> float:
+    """Of the finer components together, times the squared number of frames."""
+    squares = [s[f"fine_{whose}2_{n}"] * s["frames"] for n in _FINE_NUMBERS]
+    return max(0.0, sum(squares) - sum(s[f"fine_{whose}_{n}"] ** 2 for n in _FINE_NUMBERS))
+
+
+def confidence_intervals(
+    sums: Array, names: Sequence[str], *, seed: int = 0, n_samples: int = 1000
+) -> dict[str, tuple[float, float]]:
+    """95 % percentile bootstrap over sentences (Efron 1979); sums: (n_sentences, len(SUMS))."""
+    rng = np.random.default_rng(seed)
+    draws = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=n_samples)
+    samples = [figures(total) for total in draws @ sums]
+    found = {}
+    for name in names:
+        values = np.array([sample[name] for sample in samples])
+        finite = values[np.isfinite(values)]
+        low, high = np.percentile(finite, [2.5, 97.5]) if len(finite) else (np.nan, np.nan)
+        found[name] = (float(low), float(high))
+    return found
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")
+
+
+def _root_of(part: float, whole: float) -> float:
+    return float((part / whole) ** 0.5) if whole else float("nan")
+
+
+#: No lip that was recorded goes so fast.
+STEP_MM_S = 400.0
+
+
+@dataclass(frozen=True, slots=True)
+class LipSpeed:
+    """Of one piece of motion. n_steps: ticks in which a point of the lips is above STEP_MM_S."""
+
+    fastest_mm_s: float
+    n_steps: int
+    spoken_s: float
+
+
+def lip_speed(model: FaceModel, faces: Array, spoken_s: float) -> LipSpeed:
+    """The speed of the fastest point of the lips in faces (n, n_components), one a tick.
+
+    spoken_s: how much of the time somebody speaks, which the steps are counted by.
+    """
+    lips_mm = model.markers_mm(faces)[:, list(model.layout.lips)]
+    fastest = np.linalg.norm(np.diff(lips_mm, axis=0), axis=2).max(axis=1, initial=0.0) / TICK_S
+    return LipSpeed(
+        float(fastest.max(initial=0.0)), int(np.count_nonzero(fastest > STEP_MM_S)), spoken_s
+    )
+
+
+def lip_speed_figures(speeds: Iterable[LipSpeed]) -> dict[str, float | None]:
+    """Of many pieces together; steps are None where nobody speaks."""
+    found = list(speeds)
+    spoken_s = sum(one.spoken_s for one in found)
+    n_steps = sum(one.n_steps for one in found)
+    return {
+        "fastest_lip_mm_s": max((one.fastest_mm_s for one in found), default=0.0),
+        "fast_steps_per_s": n_steps / spoken_s if spoken_s else None,
+    }

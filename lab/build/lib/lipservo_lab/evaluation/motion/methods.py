@@ -1,0 +1,234 @@
+"""The methods that are compared: each turns a heard sentence into faces at given times."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from lipservo_lab.baselines.baselines import (
+    Dominance,
+    fixed_reference,
+    spline_faces,
+    viseme_centres,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.animpho.selection import STRATEGIES, SelectionStrategy
+from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.arrays import Array
+from lipsync.expectation.context import contexts, track_of
+from lipsync.motion.live_synthesizer import (
+    DEFAULT_UNIT_SHARE,
+    LIVE_STRATEGY,
+    UNIT_STRATEGY,
+    LiveSynthesizer,
+    Style,
+)
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
+from lipsync.recognition.scripted import ScriptedPhonemes
+
+#: A label that begins at t is known at t: "labels of sound up to t + L", the border included.
+_BORDER_S = 1e-6
+REFERENCE = "cohen-massaro"
+CATMULL_ROM = "catmull-rom"
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A sentence as a listener has it.
+
+    events: in the end. updates: as they came, for recognised phonemes, in order of
+    `heard_until_s`, and `latency_s`, how much later than its sound a phoneme is settled; without
+    updates the events are told one by one by a perfect listener. sound_path: for methods that hear
+    the sound itself.
+    """
+
+    events: tuple[PhonemeEvent, ...]
+    updates: tuple[PhonemeUpdate, ...] = ()
+    latency_s: float = 0.0
+    sound_path: Path | None = None
+
+
+class Method(Protocol):
+    """A way to move the mouth."""
+
+    @property
+    def name(self) -> str:
+        """As it is called on the command line and in results."""
+
+    @property
+    def looks_ahead(self) -> bool:
+        """Whether the look-ahead makes a difference; if not, the method sees the whole sentence."""
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+        """(n, n_components) at the times asked for, which ascend."""
+
+
+@dataclass(frozen=True, slots=True)
+class DominanceMethod:
+    """Cohen and Massaro's: the fixed reference, or tuned by the model's training."""
+
+    name: str
+    tuned: bool
+    looks_ahead: bool = False
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
+        """Faces from the whole sentence."""
+        dominance: Dominance = model.baselines.dominance if self.tuned else fixed_reference()
+        return dominance.face_at(heard.events, model.baselines.centres, times_s)
+
+
+@dataclass(frozen=True, slots=True)
+class SplineMethod:
+    """Catmull-Rom through the mean of each viseme class."""
+
+    name: str = CATMULL_ROM
+    looks_ahead: bool = False
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
+        """Faces from the whole sentence."""
+        baselines = model.baselines
+        targets = viseme_centres(baselines.centres, baselines.counts)
+        return spline_faces(heard.events, targets, times_s)
+
+
+@dataclass(frozen=True, slots=True)
+class MeanFaceMethod:
+    """The mean face of speech, unmoved."""
+
+    name: str = "mean-face"
+    looks_ahead: bool = False
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees nothing
+        """The phones' centres, weighted by how often they were heard in training."""
+        spoken = model.baselines.counts.copy()
+        spoken[PHONEMES.index(SILENCE)] = 0.0
+        mean = np.average(model.baselines.centres, axis=0, weights=spoken if spoken.any() else None)
+        return np.repeat(mean[None], len(times_s), axis=0)
+
+
+@dataclass(frozen=True, slots=True)
+class PublishedMethod:
+    """Wei and Deng's selection and blending; sees a phoneme's own end.
+
+    published_derivatives: as `PublishedSynthesizer` has it.
+    """
+
+    strategy: SelectionStrategy
+    looks_ahead: bool = False
+    published_derivatives: bool = False
+
+    @property
+    def name(self) -> str:
+        """That of its selection."""
+        return self.strategy.name
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees phones whole
+        """Faces with every phone known when it begins."""
+        synthesizer = self.synthesizer(model)
+        synthesizer.push(PhonemeUpdate(0.0, np.inf, np.inf, heard.events))
+        return np.array([synthesizer.frame_at(float(t)).coefficients for t in times_s])
+
+    def synthesizer(self, model: TrainedModel) -> PublishedSynthesizer:
+        """A fresh one."""
+        return PublishedSynthesizer(
+            model.animphos, self.strategy, published_derivatives=self.published_derivatives
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RegressionMethod:
+    """One plain linear regression from phoneme context."""
+
+    name: str = "plain-regression"
+    looks_ahead: bool = True
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+        """Faces from the contexts known at t + L."""
+        phonemes, since_s = contexts(track_of(heard.events), times_s, lookahead_s)
+        known_s = np.full(len(times_s), lookahead_s)
+        return model.baselines.regression.faces(phonemes, since_s, known_s)
+
+
+@dataclass(frozen=True, slots=True)
+class LiveMethod:
+    """Ours, as it runs live: every 10 ms it learns what is known by then, and moves on.
+
+    unit_share: of AnimPhos; None: the strategy that has none.
+    """
+
+    name: str = LIVE_STRATEGY
+    looks_ahead: bool = True
+    strength: float = 1.0
+    smoothness: float = 0.0
+    unit_share: float | None = None
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:
+        """Faces decided at t from what is known of the sound up to t + L."""
+        synthesizer = self.synthesizer(model, lookahead_s)
+        source = script_of(heard, lookahead_s)
+        faces, n_ticks = [], 0
+        for time_s in times_s:
+            while n_ticks * TICK_S < time_s - _BORDER_S:
+                _listen(synthesizer, source, n_ticks * TICK_S)
+                synthesizer.frame_at(n_ticks * TICK_S)
+                n_ticks += 1
+            _listen(synthesizer, source, float(time_s))
+            faces.append(synthesizer.frame_at(float(time_s)).coefficients)
+        return np.array(faces)
+
+    def synthesizer(self, model: TrainedModel, lookahead_s: float) -> LiveSynthesizer:
+        """A fresh one."""
+        if self.unit_share is None:
+            style = Style(lookahead_s, self.strength, self.smoothness)
+            return LiveSynthesizer(model, model.expectation, style)
+        style = Style(lookahead_s, self.strength, self.smoothness, self.unit_share)
+        return LiveSynthesizer(model, model.expectation, style, model.animphos)
+
+
+def all_methods() -> dict[str, Method]:
+    """Every method by its name, the fixed reference first and ours last."""
+    methods: Sequence[Method] = (
+        DominanceMethod(REFERENCE, tuned=False),
+        DominanceMethod("cohen-massaro-tuned", tuned=True),
+        SplineMethod(),
+        MeanFaceMethod(),
+        *(PublishedMethod(strategy) for strategy in STRATEGIES.values()),
+        RegressionMethod(),
+        LiveMethod(UNIT_STRATEGY, unit_share=DEFAULT_UNIT_SHARE),
+        LiveMethod(),
+    )
+    return {method.name: method for method in methods}
+
+
+class _Replayed:
+    """Updates that were recorded, told again when their sound has been heard."""
+
+    def __init__(self, updates: Sequence[PhonemeUpdate], ahead_s: float) -> None:
+        self._updates = updates
+        self._ahead_s = ahead_s
+        self._n_told = 0
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:
+        told = []
+        while self._n_told < len(self._updates):
+            update = self._updates[self._n_told]
+            if update.heard_until_s > until_s + self._ahead_s:
+                break
+            told.append(update)
+            self._n_told += 1
+        return told
+
+
+def script_of(heard: Heard, lookahead_s: float) -> PhonemeScript:
+    """The sentence told as time goes on, as far as a look-ahead allows."""
+    if heard.updates:
+        return _Replayed(heard.updates, lookahead_s + heard.latency_s)
+    return ScriptedPhonemes(heard.events, lookahead_s)
+
+
+def _listen(synthesizer: LiveSynthesizer, source: PhonemeScript, time_s: float) -> None:
+    for update in source.updates(time_s + _BORDER_S):
+        synthesizer.push(update)

@@ -1,0 +1,182 @@
+"""Methods against recordings: every method, every look-ahead, one model, some sentences.
+
+Which sentences train and which are scored.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance, speech_frames
+from lipservo_lab.evaluation.motion.measures import (
+    Motion,
+    confidence_intervals,
+    figures,
+    sentence_sums,
+)
+from lipservo_lab.evaluation.motion.methods import REFERENCE, Heard, Method, all_methods
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One training and what is scored with it.
+
+    split: the figure it belongs to; words: the words whose frames alone count, None for all.
+    """
+
+    split: str
+    train: frozenset[str]
+    test: frozenset[str]
+    words: frozenset[str] | None
+
+
+def read_parts(folder: Path, corpus: Corpus) -> list[Part]:
+    """The splits of a corpus folder's `splits.json`: five folds of `random`, and the new words.
+
+    Raises CorpusError for a missing or damaged file, and one that names none of the sentences.
+    """
+    path = folder / "splits.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        folds = [frozenset(map(str, fold)) for fold in content["folds"]]
+        new_words = {str(k): frozenset(map(str, v)) for k, v in content["new_words"].items()}
+    except FileNotFoundError:
+        raise CorpusError(
+            f"{path}: no such file; without --model the folder's splits.json says what to hold out"
+        ) from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise CorpusError(f"{path}: not a usable list of splits ({error})") from error
+    names = frozenset(u.name for u in corpus.utterances)
+    parts = [Part("random", names - fold, names & fold, None) for fold in folds if names & fold]
+    if not parts:
+        raise CorpusError(f"{path}: none of its folds names a labelled sentence of the folder")
+    parts += [words_part(name, corpus, words) for name, words in new_words.items()]
+    for part in parts:
+        if not part.train:
+            raise CorpusError(f"{path}: split {part.split} leaves no sentence to train on")
+    return parts
+
+
+def words_part(split: str, corpus: Corpus, words: frozenset[str]) -> Part:
+    """Trained without every sentence that holds any of the words, scored on those words alone."""
+    said = {u.name: {w.text for w in u.words} for u in corpus.utterances}
+    test = frozenset(name for name, texts in said.items() if texts & words)
+    missing = sorted(words - set().union(*said.values()))
+    if missing:
+        raise CorpusError(f"{corpus.name}: no sentence holds {', '.join(map(repr, missing))}")
+    return Part(split, frozenset(said) - test, test, words)
+
+
+Listen = Callable[[Utterance], Heard]
+Progress = Callable[[list[Utterance]], Iterable[Utterance]]
+
+#: The figures that get a confidence interval.
+_WITH_INTERVAL = ("ratio", "gap_r", "closure_hits")
+
+
+def true_phonemes(utterance: Utterance) -> Heard:
+    """A perfect listener: the labels, told one by one."""
+    return Heard(utterance.phones, sound_path=utterance.sound_path)
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Sums of every sentence by method name and look-ahead in ms; lists may only grow."""
+
+    sums: dict[tuple[str, int], list[Array]] = field(default_factory=dict)
+
+    def row(self, strategy: str, lookahead_ms: int) -> dict[str, object]:
+        """Figures with 95 % confidence intervals, and how much was scored."""
+        sums = np.array(self.sums[strategy, lookahead_ms])
+        intervals = confidence_intervals(sums, _WITH_INTERVAL)
+        found = figures(sums.sum(axis=0))
+        return {
+            # JSON knows no NaN: what nothing was measured of is null.
+            **{name: None if math.isnan(value) else value for name, value in found.items()},
+            **{
+                f"{name}_95": None if math.isnan(sum(interval)) else list(interval)
+                for name, interval in intervals.items()
+            },
+            "sentences": int((sums[:, 0] > 0).sum()),
+            "frames": int(sums[:, 0].sum()),
+        }
+
+
+def add_scores(
+    scores: Scores,
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    methods: Sequence[Method],
+    lookaheads_ms: Sequence[int],
+    *,
+    words: frozenset[str] | None = None,
+    listen: Listen = true_phonemes,
+    progress: Progress = iter,
+) -> None:
+    """Play every sentence by every method and add its sums.
+
+    The reference always knows the true phonemes: it is the denominator, not a contestant.
+    """
+    reference = all_methods()[REFERENCE]
+    for utterance in progress(list(utterances)):
+        scored = speech_frames(utterance, words)
+        if not scored.any():
+            continue
+        times_s = np.arange(len(scored)) / utterance.frame_rate_hz
+        recorded = Motion(utterance.markers_mm, model.coefficients(utterance.markers_mm))
+        ideal = _motion(model, reference.faces(model, Heard(utterance.phones), times_s, 0.0))
+        heard = listen(utterance)
+        for method in methods:
+            sums: Array | None = None
+            for lookahead_ms in lookaheads_ms:
+                if sums is None or method.looks_ahead:
+                    faces = method.faces(model, heard, times_s, lookahead_ms / 1000.0)
+                    made = _motion(model, faces)
+                    sums = sentence_sums(model, utterance, scored, recorded, made, ideal)
+                scores.sums.setdefault((method.name, lookahead_ms), []).append(sums)
+
+
+def check_scorable(model: FaceModel, corpus: Corpus) -> tuple[Utterance, ...]:
+    """The sentences that a model can be scored on.
+
+    Raises CorpusError for other markers than the model's, and for a folder without labels.
+    """
+    names, known = corpus.layout.names, model.layout.names
+    if names != known:
+        odd = sorted(set(names) ^ set(known))[:3]
+        raise CorpusError(f"{corpus.name}: its markers are not the model's ({', '.join(odd)}, ...)")
+    utterances = corpus.labelled().utterances
+    if not utterances:
+        raise CorpusError(f"{corpus.name}: no sentence has a phones tier; nothing can be scored")
+    return utterances
+
+
+def seen_in_training(model: TrainedModel, utterances: Iterable[Utterance]) -> list[str]:
+    """Names of sentences that the model was trained on: their figures flatter it."""
+    trained = set(model.training_sentences)
+    return [u.name for u in utterances if u.name in trained]
+
+
+def table(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> str:
+    """A Markdown table of some columns of rows."""
+    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
+    for row in rows:
+        lines.append("| " + " | ".join(_cell(row.get(c)) for c in columns) + " |")
+    return "\n".join(lines)
+
+
+def _motion(model: FaceModel, faces: Array) -> Motion:
+    return Motion(model.markers_mm(faces), faces)
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.3f}"
+    return "" if value is None else str(value)

@@ -1,0 +1,123 @@
+"""The methods that hear the whole line, among the methods that are compared.
+
+They are made of the same sentences as the face model that is scored: an offline model, and recorded
+phones. Those of `render` need the sound of each sentence too.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lipservo_lab.baselines.baselines import joined_faces
+from lipservo_lab.baselines.context_visemes import ContextVisemes
+from lipservo_lab.evaluation.motion.methods import CATMULL_ROM, Heard
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
+from lipsync.audio.file import read_speech
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.offline.line_methods import (
+    Line,
+    LineMethod,
+    Speaker,
+    line_synthesizer,
+    model_based_line,
+    shown_faces,
+)
+from lipsync.offline.line_synthesis import joined_phones
+from lipsync.offline.offline_model import OfflineModel
+
+Train = Callable[[TrainedModel], OfflineModel]
+_Key = tuple[str, tuple[str, ...]]
+
+
+@dataclass(slots=True)
+class OfflineModels:
+    """The offline model of each face model that is scored, made when it is first asked for."""
+
+    train: Train
+    _made: dict[_Key, OfflineModel] = field(default_factory=dict)
+    _line_s: dict[str, list[float]] = field(default_factory=dict)
+
+    def of(self, model: TrainedModel) -> OfflineModel:
+        """That of a face model."""
+        key = _key(model)
+        if key not in self._made:
+            self._made[key] = self.train(model)
+        return self._made[key]
+
+    def count(self, name: str, seconds: float) -> None:
+        """A sentence took so long."""
+        self._line_s.setdefault(name, []).append(seconds)
+
+    def seconds_per_sentence(self) -> dict[str, float]:
+        """By method, the median: of processor time, model loaded."""
+        return {name: float(np.median(seconds)) for name, seconds in self._line_s.items()}
+
+
+@dataclass(slots=True)
+class RecordedVisemes:
+    """The recorded phones of each face model's training, gathered when they are first asked for."""
+
+    gather: Callable[[TrainedModel], ContextVisemes]
+    _gathered: dict[_Key, ContextVisemes] = field(default_factory=dict)
+
+    def of(self, model: TrainedModel) -> ContextVisemes:
+        """Those of a face model."""
+        key = _key(model)
+        if key not in self._gathered:
+            self._gathered[key] = self.gather(model)
+        return self._gathered[key]
+
+
+@dataclass(frozen=True, slots=True)
+class ContextVisemeMethod:
+    """Catmull-Rom through context visemes, as Edge, Hilton and Jackson compare theirs with."""
+
+    visemes: RecordedVisemes
+    name: str = CATMULL_ROM
+    looks_ahead: bool = False
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - sees all
+        """Faces from the whole sentence."""
+        targets = self.visemes.of(model).targets(heard.events)
+        return joined_faces(heard.events, targets, times_s)
+
+
+@dataclass(frozen=True, slots=True)
+class OfflineMethod:
+    """`model-based`: Edge, Hilton and Jackson's to the letter, without closures and rest around it.
+
+    `heard`: ours, as `render` has it.
+    """
+
+    name: LineMethod
+    models: OfflineModels
+    looks_ahead: bool = False
+
+    def faces(self, model: TrainedModel, heard: Heard, times_s: Array, lookahead_s: float) -> Array:  # noqa: ARG002 - hears all
+        """Faces from the whole line; of `model-based` they are linear between recorded frames."""
+        if heard.sound_path is None:
+            raise ValueError(f"{self.name} needs the sound of a sentence")
+        offline = self.models.of(model)
+        rate_hz = offline.states.frame_rate_hz
+        samples = read_speech(heard.sound_path)
+        # The line is heard to its end, also where its last frames are not asked for.
+        duration_s = max(float(times_s[-1]) + 1.0 / rate_hz, len(samples) / SAMPLE_RATE_HZ)
+        line = Line(joined_phones(heard.events, duration_s), samples)
+        speaker = Speaker(model, model.expectation, offline)
+        began_s = time.process_time()
+        if self.name == "model-based":
+            n_frames = int(np.ceil(duration_s * rate_hz - 1e-6))
+            made = model_based_line(speaker, line, n_frames).faces
+            frames_s = np.arange(n_frames) / rate_hz
+            faces = np.stack([np.interp(times_s, frames_s, each) for each in made.T], axis=1)
+        else:
+            faces = shown_faces(line_synthesizer(speaker, line, self.name)[0], times_s)
+        self.models.count(self.name, time.process_time() - began_s)
+        return faces
+
+
+def _key(model: TrainedModel) -> _Key:
+    return model.checksum, tuple(model.training_sentences)

@@ -1,0 +1,237 @@
+"""Self-correction: how soon the mouth is right again after one wrong phoneme.
+
+Three cases beside one another: the error is never put right; the recogniser puts it right a little
+later, and the mouth was not made to wait for that; and, as the measure of both, what a phoneme
+that truly is another one leaves behind, recorded and made (`minimal_pairs`).
+
+Phoneme sequences with errors put in, to see how synthesis copes with a recogniser's errors.
+
+What wrong phonemes cost: RMSE against the share of phonemes that are wrong.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lipservo_lab.corpus.utterance import Utterance, speech_frames
+from lipservo_lab.evaluation.motion.methods import Heard, Method
+from lipservo_lab.evaluation.motion.minimal_pairs import (
+    AFTER,
+    Persistence,
+    find_pairs,
+    made_persistence,
+    persistence_of,
+    recorded_persistence,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
+from lipsync.audio_block import BLOCK_S
+from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.network import LATENCY_S
+
+KINDS = ("substitution", "insertion", "deletion")
+_SPOKEN = tuple(p for p in PHONEMES if p != SILENCE)
+
+
+def misheard(
+    events: Sequence[PhonemeEvent], kind: str, rate: float, rng: np.random.Generator
+) -> tuple[PhonemeEvent, ...]:
+    """A share `rate` of the spoken phonemes is hit; the sentence keeps its length.
+
+    substitution: any other phoneme; insertion: any phoneme takes the second half; deletion: the
+    phoneme before goes on over it. Raises ValueError for another kind.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"unknown kind of error {kind!r}; known here: {', '.join(KINDS)}")
+    made: list[PhonemeEvent] = []
+    for event in events:
+        if event.phoneme == SILENCE or event.end_s is None or rng.random() >= rate:
+            made.append(event)
+            continue
+        other = str(rng.choice([p for p in _SPOKEN if p != event.phoneme]))
+        if kind == "substitution":
+            made.append(replace(event, phoneme=other))
+        elif kind == "insertion":
+            middle_s = (event.start_s + event.end_s) / 2.0
+            made.append(replace(event, end_s=middle_s))
+            made.append(replace(event, phoneme=other, start_s=middle_s))
+        elif made:
+            made[-1] = replace(made[-1], end_s=event.end_s)
+        else:
+            made.append(replace(event, phoneme=SILENCE))
+    return tuple(made)
+
+
+ERROR_RATES = (0.0, 0.1, 0.2, 0.3, 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorRow:
+    """RMSE per point over speech frames with a share `rate` of the phonemes wrong."""
+
+    strategy: str
+    kind: str
+    rate: float
+    rmse_mm: float
+
+
+def error_rows(
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    methods: Sequence[Method],
+    *,
+    lookahead_s: float,
+    seed: int = 0,
+) -> list[ErrorRow]:
+    """Every method with every kind and rate of error; all hear the same wrong phonemes."""
+    rows = []
+    for kind in KINDS:
+        for rate in ERROR_RATES:
+            rng = np.random.default_rng([seed, KINDS.index(kind), round(rate * 100)])
+            heard = [misheard(u.phones, kind, rate, rng) for u in utterances]
+            for method in methods:
+                squares, n_frames = 0.0, 0
+                for utterance, events in zip(utterances, heard, strict=True):
+                    scored = speech_frames(utterance)
+                    times_s = np.arange(len(scored)) / utterance.frame_rate_hz
+                    faces = method.faces(model, Heard(events), times_s, lookahead_s)
+                    error = (model.markers_mm(faces) - utterance.markers_mm)[scored] ** 2
+                    squares += float(error.sum()) / error.shape[1]
+                    n_frames += int(scored.sum())
+                rows.append(ErrorRow(method.name, kind, rate, float((squares / n_frames) ** 0.5)))
+    return rows
+
+
+Row = dict[str, object]
+
+NEVER_S = math.inf
+#: Sentences that a wrong phoneme is put into.
+_MOST_SENTENCES = 40
+#: Fine enough to see a phone of 30 ms.
+_RATE_HZ = 100.0
+_N_RESAMPLINGS = 1000
+#: The cases, as rows name them.
+_NEVER, _CORRECTED, _TRUE = "never corrected", "corrected after 95 ms", "another true phoneme"
+
+
+def recovery_rows(
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    recorded: Sequence[Utterance],
+    methods: Sequence[Method],
+    lookaheads_ms: Sequence[int],
+) -> list[Row]:
+    """What is left in the wrong phoneme and in each one after it, of the deviation it causes.
+
+    utterances: sentences that the model has not seen; recorded: all there are in its head pose, for
+    the recordings' own share. `left` is 1 in a wrong phoneme that is never put right; `left_95` its
+    95 % bootstrap interval over sentences.
+    """
+    few, pairs = utterances[:_MOST_SENTENCES], find_pairs(utterances)
+    natural = recorded_persistence(model, recorded, find_pairs(recorded))
+    rows = [_row(_TRUE, "recorded", None, natural)]
+    for method in methods:
+        # What does not look ahead has the whole sentence at once, right or wrong.
+        delays_s = (NEVER_S, LATENCY_S) if method.looks_ahead else (NEVER_S,)
+        for ms in lookaheads_ms if method.looks_ahead else lookaheads_ms[:1]:
+            made = made_persistence(model, utterances, pairs, method, lookahead_s=ms / 1e3)
+            rows.append(_row(_TRUE, method.name, ms, made))
+            found = wrong_phoneme_persistence(model, few, method, delays_s, lookahead_s=ms / 1e3)
+            cases = zip((_NEVER, _CORRECTED), found, strict=False)
+            rows += [_row(case, method.name, ms, left) for case, left in cases]
+    return rows
+
+
+def wrong_phoneme_persistence(
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    method: Method,
+    corrected_after_s: Sequence[float] = (NEVER_S,),
+    *,
+    lookahead_s: float,
+    seed: int = 0,
+) -> list[Persistence | None]:
+    """One phoneme of each sentence is heard wrong: how far that moves the mouth, for how long.
+
+    RMS distance between the motion with one phoneme substituted, until so long after its beginning
+    was heard, and the motion without; over that during the wrong phoneme when it is never put
+    right. The listener is not waited for: the face at t is decided when the sound up to
+    t + look-ahead was heard. One answer for each delay (None: nothing moved); no answer where no
+    sentence is long enough.
+    """
+    rng = np.random.default_rng(seed)
+    squares, never = [], []
+    for utterance in utterances:
+        phones = utterance.phones
+        spoken = [i for i, p in enumerate(phones) if p.phoneme != SILENCE]
+        if len(spoken) < 2 + AFTER:
+            continue
+        hit = spoken[int(rng.integers(1, len(spoken) - AFTER))]
+        wrong = misheard(phones[hit : hit + 1], "substitution", 1.0, rng)[0].phoneme
+        after = phones[hit : hit + 1 + AFTER]
+        times_s = np.arange(0.0, after[-1].end_s or 0.0, 1.0 / _RATE_HZ)
+        faces = {
+            delay_s: method.faces(
+                model, _misheard_at(phones, hit, wrong, delay_s), times_s, lookahead_s
+            )
+            for delay_s in {0.0, NEVER_S, *corrected_after_s}
+        }
+        right = faces[0.0]
+        squares.append([_squares(after, times_s, faces[d] - right) for d in corrected_after_s])
+        never.append(_squares(after, times_s, faces[NEVER_S] - right)[0])
+    if not squares:
+        return []
+    n, unit = len(squares), np.array(never)
+    draws = rng.multinomial(n, np.full(n, 1.0 / n), size=_N_RESAMPLINGS)
+    unit_totals = draws @ unit
+    found = []
+    for each in np.array(squares).transpose(1, 0, 2, 3):
+        totals = np.tensordot(draws, each, axes=1)
+        samples = [_shares(*both) for both in zip(totals, unit_totals, strict=True)]
+        found.append(persistence_of(_shares(each.sum(axis=0), unit.sum(axis=0)), samples, n))
+    return found
+
+
+def _misheard_at(phones: Sequence[PhonemeEvent], hit: int, wrong: str, until_s: float) -> Heard:
+    """A listener that believes `wrong` in place of one phone for `until_s` from its beginning on.
+
+    It learns of beginnings and ends in time, and calls nothing final that it may still put right.
+    """
+    wrongly_heard = [*phones[:hit], replace(phones[hit], phoneme=wrong), *phones[hit + 1 :]]
+    put_right_s = phones[hit].start_s + until_s
+    updates = []
+    for step in range(math.ceil((phones[-1].end_s or 0.0) / BLOCK_S) + 1):
+        heard_s = step * BLOCK_S
+        believed = phones if heard_s >= put_right_s else wrongly_heard
+        known = [p for p in believed if p.start_s <= heard_s]
+        events = tuple(p if (p.end_s or 0.0) <= heard_s else replace(p, end_s=None) for p in known)
+        updates.append(PhonemeUpdate(0.0, heard_s, max(0.0, heard_s - until_s), events))
+    return Heard(tuple(wrongly_heard if until_s == NEVER_S else phones), tuple(updates))
+
+
+def _squares(phones: Sequence[PhonemeEvent], times_s: Array, distance: Array) -> Array:
+    """(n_phones, 2): the sum of squares inside each phone, and over how many instants."""
+    found = []
+    for phone in phones:
+        inside = (times_s >= phone.start_s) & (times_s < (phone.end_s or 0.0))
+        found.append((float((distance[inside] ** 2).sum()), float(inside.sum())))
+    return np.array(found)
+
+
+def _shares(squares: Array, unit: Array) -> Array:
+    """RMS of each phone (n_phones, 2) over that of `unit` (2,); NaN where nothing moved."""
+    rms = np.sqrt(squares[:, 0] / np.maximum(squares[:, 1], 1.0))
+    return np.asarray(rms / np.sqrt(unit[0] / unit[1]) if unit[0] else np.full(len(rms), np.nan))
+
+
+def _row(case: str, strategy: str, lookahead_ms: int | None, found: Persistence | None) -> Row:
+    return {
+        "case": case,
+        "strategy": strategy,
+        "lookahead_ms": lookahead_ms,
+        "left": found and found.shares.tolist(),
+        "left_95": found and found.intervals.tolist(),
+        "counted": found.counted if found else 0,
+    }

@@ -1,0 +1,97 @@
+"""How long a method takes for a phoneme and for a frame, on the phonemes that it is scored on."""
+
+import math
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from lipservo_lab.evaluation.motion.methods import (
+    Heard,
+    LiveMethod,
+    Method,
+    PublishedMethod,
+    script_of,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.animpho.synthesizer import PublishedSynthesizer
+from lipsync.face.frame import Frame
+from lipsync.motion.live_synthesizer import LiveSynthesizer
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import PhonemeScript, PhonemeUpdate
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """95th percentiles in milliseconds: of deciding a phoneme, of one frame at 100 Hz."""
+
+    phoneme_p95_ms: float
+    frame_p95_ms: float
+
+
+class _Synthesizer(Protocol):
+    @property
+    def phonemes_planned(self) -> int: ...
+
+    def push(self, update: PhonemeUpdate) -> None: ...
+
+    def frame_at(self, time_s: float) -> Frame: ...
+
+
+def method_times(
+    method: Method, model: TrainedModel, sentences: Iterable[Heard], lookahead_s: float
+) -> Times | None:
+    """Frame by frame at 100 Hz, as live; None for methods that only exist a sentence at a time.
+
+    A frame in which a phoneme begins to move the mouth, and what was learned in it, is that
+    phoneme's cost; all others are frames. The published method learns a sentence beforehand, as it
+    does where it is scored, and its look-ahead is the phone's own length.
+    """
+    phoneme_ms: list[float] = []
+    frame_ms: list[float] = []
+    for heard in sentences:
+        synthesizer: _Synthesizer
+        if isinstance(method, LiveMethod):
+            synthesizer = method.synthesizer(model, lookahead_s)
+            script = script_of(heard, lookahead_s)
+        elif isinstance(method, PublishedMethod):
+            synthesizer, script = method.synthesizer(model), _Known(heard)
+        else:
+            return None
+        _add_times(synthesizer, script, heard, phoneme_ms, frame_ms)
+    return Times(_p95(phoneme_ms), _p95(frame_ms))
+
+
+class _Known:
+    """A sentence that is known as a whole from the beginning."""
+
+    def __init__(self, heard: Heard) -> None:
+        self._updates = [PhonemeUpdate(0.0, math.inf, math.inf, heard.events)]
+
+    def updates(self, until_s: float) -> list[PhonemeUpdate]:  # noqa: ARG002 - all at once
+        told, self._updates = self._updates, []
+        return told
+
+
+def _add_times(
+    synthesizer: LiveSynthesizer | PublishedSynthesizer | _Synthesizer,
+    script: PhonemeScript,
+    heard: Heard,
+    phoneme_ms: list[float],
+    frame_ms: list[float],
+) -> None:
+    for tick in range(int((heard.events[-1].end_s or 0.0) / TICK_S)):
+        time_s = tick * TICK_S
+        updates, n_planned = script.updates(time_s), synthesizer.phonemes_planned
+        began = time.perf_counter()
+        for update in updates:
+            synthesizer.push(update)
+        synthesizer.frame_at(time_s)
+        took_ms = (time.perf_counter() - began) * 1e3
+        (phoneme_ms if synthesizer.phonemes_planned > n_planned else frame_ms).append(took_ms)
+
+
+def _p95(values: Sequence[float]) -> float:
+    return float(np.percentile(values, 95)) if values else float("nan")

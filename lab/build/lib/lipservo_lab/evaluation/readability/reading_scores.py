@@ -1,0 +1,255 @@
+"""Scores of what was read; intervals: 95 % bootstrap over sentences (Efron 1979), percentiles.
+
+What is read: known words of held-out sentences, and sets of words that a model never saw.
+
+The readability of one method's motion on one model, in one call.
+"""
+
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance
+from lipservo_lab.evaluation.motion.methods import Method
+from lipservo_lab.evaluation.motion.motion_scores import (
+    Listen,
+    Part,
+    Progress,
+    true_phonemes,
+    words_part,
+)
+from lipservo_lab.evaluation.readability.readers import (
+    COMPONENT_READER,
+    MARGIN_S,
+    Motions,
+    ReaderKind,
+    Reading,
+    known_fold,
+    new_word_folds,
+    read_words,
+    sentences_with,
+    slotted,
+    spoken_words,
+)
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
+from lipsync.face.model import FaceModel
+
+KNOWN = "known"
+
+
+def reading_parts(folder: Path, corpus: Corpus) -> list[Part]:
+    """`known`, the sentences of `random_test`, and `new_a`, `new_b`, ...: the sets of new words.
+
+    corpus: labelled. Raises CorpusError for a missing or damaged splits.json, one whose
+    `random_test` holds none or all of the sentences, and a set that leaves none to train on.
+    """
+    path = folder / "splits.json"
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        random_test = frozenset(map(str, content["random_test"]))
+        word_sets = {str(k): frozenset(map(str, v)) for k, v in content["new_words"].items()}
+    except FileNotFoundError:
+        raise CorpusError(
+            f"{path}: no such file; it says which sentences and words are held out "
+            "(--words names words instead)"
+        ) from None
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise CorpusError(f"{path}: not a usable list of splits ({error})") from error
+    names = frozenset(u.name for u in corpus.utterances)
+    parts = [Part(KNOWN, names - random_test, names & random_test, None)]
+    if not parts[0].test:
+        raise CorpusError(f"{path}: its random_test names no labelled sentence of the folder")
+    parts += [words_part(f"new_{key.lower()}", corpus, each) for key, each in word_sets.items()]
+    for part in parts:
+        if not part.train:
+            raise CorpusError(f"{path}: split {part.split} leaves no sentence to train on")
+    return parts
+
+
+_N_SAMPLES = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingScore:
+    """How much was read right.
+
+    score: of known words the mean over slots of the share read right; of new words the mean over
+    the set's words of recall less false alarms (the share of a word's places that are read as it,
+    less the share of other words in its slot that are). shares: what `score` is the mean of, by
+    slot or by word. whole_sentences: the share of sentences with every word right; None for new
+    words. gain: how far words go from their slot's mean word, projected on how far recorded ones
+    go, over the latter.
+    """
+
+    score: float
+    interval: tuple[float, float]
+    shares: dict[str, float]
+    whole_sentences: float | None
+    gain: float
+    n_sentences: int
+
+
+def known_score(readings: Sequence[Reading], *, seed: int = 0) -> ReadingScore:
+    """Of words that the model has learned; every sentence has every slot."""
+    names = sorted({r.sentence for r in readings})
+    slots = sorted({r.slot for r in readings})
+    right = np.zeros((len(names), len(slots)))
+    for reading in readings:
+        place = names.index(reading.sentence), slots.index(reading.slot)
+        right[place] = reading.read == reading.said
+    samples = _draws(len(names), seed) @ right.mean(axis=1) / len(names)
+    return ReadingScore(
+        float(right.mean()),
+        _interval(samples),
+        {
+            f"slot {slot + 1}": float(share)
+            for slot, share in zip(slots, right.T.mean(axis=1), strict=True)
+        },
+        float(right.all(axis=1).mean()),
+        gain(readings),
+        len(names),
+    )
+
+
+def new_word_score(
+    readings: Sequence[Reading], words: frozenset[str], *, seed: int = 0
+) -> ReadingScore:
+    """Of words that the model has never seen."""
+    names = {name: n for n, name in enumerate(sorted({r.sentence for r in readings}))}
+    ordered = sorted(words)
+    # Of each sentence and word: said, and read; not said in the word's slot, and read.
+    counts = np.zeros((len(names), len(ordered), 4))
+    slots = {word: {r.slot for r in readings if r.said == word} for word in ordered}
+    for reading in readings:
+        for column, word in enumerate(ordered):
+            if reading.slot in slots[word]:
+                kind = 0 if reading.said == word else 2
+                counts[names[reading.sentence], column, kind] += 1
+                counts[names[reading.sentence], column, kind + 1] += reading.read == word
+    totals = counts.sum(axis=0)
+    drawn = np.tensordot(_draws(len(names), seed), counts, axes=1)
+    samples = _recall_less_false_alarms(drawn)
+    samples = samples[~np.isnan(samples).all(axis=1)]
+    return ReadingScore(
+        float(_recall_less_false_alarms(totals).mean()),
+        _interval(np.nanmean(samples, axis=1)),
+        dict(zip(ordered, map(float, _recall_less_false_alarms(totals)), strict=True)),
+        None,
+        gain([r for r in readings if r.said in words]),
+        len(names),
+    )
+
+
+def gain(readings: Sequence[Reading]) -> float:
+    """1: words differ as much as recorded ones; 0: not at all, or in other ways."""
+    return sum(r.projection for r in readings) / sum(r.recorded_square for r in readings)
+
+
+def _recall_less_false_alarms(counts: Array) -> Array:
+    """(..., 4) -> (...); NaN where a drawn sample does not hold the word."""
+    said, hits, others, alarms = np.moveaxis(counts, -1, 0)
+    recall = np.divide(hits, said, out=np.full_like(hits, np.nan), where=said > 0)
+    return np.asarray(recall - alarms / np.maximum(others, 1.0))
+
+
+def _draws(n_sentences: int, seed: int) -> Array:
+    """(_N_SAMPLES, n_sentences): how often each is drawn."""
+    even = np.full(n_sentences, 1.0 / n_sentences)
+    draws = np.random.default_rng(seed).multinomial(n_sentences, even, size=_N_SAMPLES)
+    return draws.astype(np.float64)
+
+
+def _interval(samples: Array) -> tuple[float, float]:
+    low, high = np.percentile(samples, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def known_readability(
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    test: frozenset[str],
+    method: Method | None,
+    *,
+    lookahead_s: float = 0.1,
+    listen: Listen = true_phonemes,
+    kind: ReaderKind = COMPONENT_READER,
+    progress: Progress = iter,
+) -> ReadingScore:
+    """How well the test's words are read off the method's motion; None: off the recorded one.
+
+    utterances: test and what the reader is fitted on, in the model's points. The model must not
+    have learned the test.
+    """
+    sentences = slotted(utterances)
+    recorded = recorded_motions(model, sentences, kind)
+    folds = known_fold(kind, sentences, test, recorded)
+    made = recorded
+    if method is not None:
+        read = [u for u in sentences if u.name in test]
+        faces = made_faces(model, progress(read), method, lookahead_s, listen)
+        made = seen_motions(model, faces, kind)
+    return known_score(read_words(folds, made, recorded))
+
+
+def new_word_readability(
+    model: TrainedModel,
+    utterances: Sequence[Utterance],
+    words: frozenset[str],
+    method: Method | None,
+    *,
+    lookahead_s: float = 0.1,
+    listen: Listen = true_phonemes,
+    kind: ReaderKind = COMPONENT_READER,
+    progress: Progress = iter,
+) -> ReadingScore:
+    """The same of words that the model has not learned, in all sentences that hold one of them."""
+    sentences = slotted(utterances)
+    recorded = recorded_motions(model, sentences, kind)
+    folds = new_word_folds(kind, sentences, words, recorded)
+    made = recorded
+    if method is not None:
+        read = sentences_with(words, sentences)
+        faces = made_faces(model, progress(read), method, lookahead_s, listen)
+        made = seen_motions(model, faces, kind)
+    return new_word_score(read_words(folds, made, recorded), words)
+
+
+def recorded_motions(model: FaceModel, sentences: Iterable[Utterance], kind: ReaderKind) -> Motions:
+    """Recorded faces as a reader sees them, at the recording's frames."""
+    return {u.name: kind.view(model, u.markers_mm) for u in sentences}
+
+
+def seen_motions(model: FaceModel, faces: Motions, kind: ReaderKind) -> Motions:
+    """Faces (n_frames, n_components) of sentences as a reader sees them."""
+    return {name: kind.view(model, model.markers_mm(each)) for name, each in faces.items()}
+
+
+def made_faces(
+    model: TrainedModel,
+    sentences: Iterable[Utterance],
+    method: Method,
+    lookahead_s: float,
+    listen: Listen,
+    rate_hz: float | None = None,
+) -> Motions:
+    """(n_frames, n_components) of each sentence; rate_hz: None for the recording's frames.
+
+    What comes after the last word is not played: nobody reads it.
+    """
+    made = {}
+    for utterance in sentences:
+        rate = rate_hz or utterance.frame_rate_hz
+        duration_s = len(utterance.markers_mm) / utterance.frame_rate_hz
+        until_s = min(duration_s, seen_until_s(utterance))
+        times_s = np.arange(0.0, until_s, 1.0 / rate)
+        made[utterance.name] = method.faces(model, listen(utterance), times_s, lookahead_s)
+    return made
+
+
+def seen_until_s(utterance: Utterance) -> float:
+    """When a reader has seen the last word, and the frame after it."""
+    return spoken_words(utterance)[-1].end_s + MARGIN_S + 1.0 / utterance.frame_rate_hz

@@ -1,0 +1,1 @@
+"""How accurate and how quick a recogniser is."""

@@ -1,0 +1,258 @@
+"""A recogniser measured on a corpus of transcribed speech.
+
+How often a text that was not said is taken for one that was, and the other way round.
+"""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from lipservo_lab.corpus.alignment_cache import LABELLED, AlignedUtterance
+from lipservo_lab.corpus.transcribed import TranscribedUtterance
+from lipservo_lab.evaluation.recognition.conditions import (
+    Condition,
+    encoder_readings_deg,
+    servo_noise,
+)
+from lipservo_lab.evaluation.recognition.recognition_scores import Score, phone_sequence
+from lipservo_lab.evaluation.recognition.stream_observers import label_frames
+from lipservo_lab.learning.recognition import noise
+from lipsync.audio.file import read_speech
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.phonemes import LiveRecognizer
+from lipsync.recognition.alignment import (
+    DOUBTFUL_SCORE,
+    LEAST_SCORE,
+    AlignmentError,
+    PronunciationError,
+    align,
+    goodness_of_pronunciation,
+)
+from lipsync.recognition.network import NetworkWeights
+
+#: Recordings that speak at once in babble noise.
+_N_VOICES = 20
+#: Whose servos are heard alone.
+_N_ROBOTS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Everything that was measured; `score.figures()` are the accuracies.
+
+    groups: the same of some of the speakers, by name.
+    """
+
+    score: Score
+    n_utterances: int
+    duration_s: float
+    n_revisions: int
+    n_phones_said: int
+    cost_s: float
+    block_cost_p50_s: float
+    block_cost_p99_s: float
+    n_default: int
+    n_labelled: int
+    n_tight: int
+    n_failed: int
+    groups: Mapping[str, Score] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON; the keys of `lipservo bench recognition`."""
+        least, median, most = self.score.agreement()
+        grouped: dict[str, object] = {
+            name: {
+                **score.figures(),
+                "closures": score.bilabials.n_spoken,
+                "utterances": len(score.phone_all_by_utterance),
+            }
+            for name, score in sorted(self.groups.items())
+        }
+        return {
+            **self.score.figures(),
+            "revisions_per_s": self.n_revisions / self.duration_s if self.duration_s else 0.0,
+            "rtf": self.cost_s / self.duration_s if self.duration_s else 0.0,
+            "ms_per_phoneme": 1e3 * self.cost_s / max(1, self.n_phones_said),
+            "utterances": self.n_utterances,
+            "seconds": self.duration_s,
+            "alignment": {
+                "default": self.n_default,
+                "labelled": self.n_labelled,
+                "tight_not_scored": self.n_tight,
+            },
+            "failed_alignments": self.n_failed,
+            "block_ms_p50": 1e3 * self.block_cost_p50_s,
+            "block_ms_p99": 1e3 * self.block_cost_p99_s,
+            "agreement_min_median_max": [least, median, most],
+            **({"groups": grouped} if grouped else {}),
+        }
+
+
+def measure(
+    utterances: Sequence[TranscribedUtterance],
+    alignments: Mapping[str, AlignedUtterance],
+    make_recognizer: Callable[[], LiveRecognizer],
+    condition: Condition | None = None,
+    progress: Callable[[str], None] = lambda _name: None,
+    groups_of: Callable[[str], Sequence[str]] = lambda _speaker: (),
+) -> Figures:
+    """Recognise every utterance aligned at the default beams or labelled, each as a new stream.
+
+    Alignments that needed the second try are no reference: they are counted, not scored. groups_of:
+    names of the groups that a speaker is counted in.
+    """
+    counts = Counter(alignments[u.name].beams for u in utterances if not alignments[u.name].error)
+    scored = [u for u in utterances if alignments[u.name].beams in ("default", LABELLED)]
+    is_babble = condition is not None and condition.kind == "babble"
+    step = max(1, len(utterances) // _N_VOICES)
+    voices = [read_speech(u.sound) for u in utterances[::step]] if is_babble else []
+    score, duration_s, n_revisions, n_said = Score(), 0.0, 0, 0
+    costs: list[np.ndarray] = []
+    groups: dict[str, Score] = defaultdict(Score)
+    recognizer = make_recognizer()
+    for utterance in scored:
+        samples = read_speech(utterance.sound)
+        servos_deg = None
+        if condition is not None:
+            samples = condition.apply(samples, utterance.name, voices)
+            servos_deg = condition.servo_positions_deg(utterance.name, len(samples))
+        heard, block_costs = label_frames(recognizer, samples, servos_deg)
+        reference = alignments[utterance.name].labels(len(heard.labels))
+        for each in (score, *(groups[name] for name in groups_of(utterance.speaker))):
+            each.add(heard.labels, reference)
+        duration_s += len(samples) / SAMPLE_RATE_HZ
+        n_revisions += heard.n_revisions
+        n_said += len(phone_sequence(heard.labels))
+        costs.append(np.array(block_costs.costs_s))
+        progress(utterance.name)
+    all_costs = np.concatenate(costs) if costs else np.zeros(1)
+    return Figures(
+        score=score,
+        n_utterances=len(scored),
+        duration_s=duration_s,
+        n_revisions=n_revisions,
+        n_phones_said=n_said,
+        cost_s=float(all_costs.sum()),
+        block_cost_p50_s=float(np.median(all_costs)),
+        block_cost_p99_s=float(np.percentile(all_costs, 99)),
+        n_default=counts["default"],
+        n_labelled=counts[LABELLED],
+        n_tight=counts["tight"],
+        n_failed=sum(bool(alignments[u.name].error) for u in utterances),
+        groups=groups,
+    )
+
+
+def false_speech(
+    recognizer: LiveRecognizer, samples: np.ndarray, servos_deg: np.ndarray | None = None
+) -> float:
+    """The share of 10 ms frames called speech in sound (n,) that holds none.
+
+    servos_deg: as `label_frames` has it.
+    """
+    from lipservo_lab.corpus.alignment_cache import PHONEME_INDEX
+    from lipsync.phonemes import SILENCE
+
+    labels = label_frames(recognizer, samples.astype(np.float32), servos_deg)[0].labels
+    return float(np.mean(labels != PHONEME_INDEX[SILENCE])) if len(labels) else 0.0
+
+
+def own_servo_figures(make_recognizer: Callable[[], LiveRecognizer]) -> dict[str, float]:
+    """The share of frames called speech while a robot's servos move and nobody speaks.
+
+    20 s at -36 dBFS, 10 dB below usual speech; then the same of a robot that tells how its servos
+    move, after half a minute in which it listened to others of its moves. Means of four robots.
+    """
+    untold, told = [], []
+    level = np.float32(10.0 ** (-36 / 20))
+    for robot in range(_N_ROBOTS):
+        rng, recognizer = np.random.default_rng(0), make_recognizer()
+        first, first_speeds = servo_noise(rng, 30 * SAMPLE_RATE_HZ, robot)
+        sound, speeds = servo_noise(rng, 20 * SAMPLE_RATE_HZ, robot)
+        untold.append(false_speech(recognizer, level * sound))
+        false_speech(recognizer, level * first, encoder_readings_deg(first_speeds))
+        told.append(false_speech(recognizer, level * sound, encoder_readings_deg(speeds)))
+    return {
+        "own_servos_speech_share": float(np.mean(untold)),
+        "own_servos_speech_share_told": float(np.mean(told)),
+    }
+
+
+def quiet_sounds(rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Half a minute each of sounds that hold no speech, by name."""
+    n = 30 * SAMPLE_RATE_HZ
+    white = noise.white(rng, n)
+    return {
+        "digital_silence": np.zeros(n, np.float32),
+        "white_-80_dbfs": white * np.float32(10.0 ** (-80 / 20)),
+        "white_-50_dbfs": white * np.float32(10.0 ** (-50 / 20)),
+        "white_-26_dbfs": white * np.float32(10.0 ** (-26 / 20)),
+        "music_-26_dbfs": noise.band(rng, n) * np.float32(10.0 ** (-26 / 20)),
+    }
+
+
+def block_costs_s(recognizer: LiveRecognizer, samples: np.ndarray, n_passes: int = 5) -> np.ndarray:
+    """Processor time of each 10 ms block (m,): the least of several passes over the sound.
+
+    What other programs cost on a shared machine (caches emptied, memory slowed) goes away with the
+    least; what this block costs by itself stays.
+    """
+    passes = [label_frames(recognizer, samples)[1].costs_s for _ in range(n_passes)]
+    least: np.ndarray = np.min(passes, axis=0)
+    return least
+
+
+#: The false text is one of so many that are nearest in length: aligners refuse others by that.
+_NEAREST = 5
+KINDS = ("true", "other", "half_other", "half_missing")
+
+
+def texts_of(
+    utterance: TranscribedUtterance, pool: Sequence[TranscribedUtterance], rng: np.random.Generator
+) -> dict[str, str]:
+    """By kind: what was said; what another utterance says; half of each; half of what was said."""
+    others = [u.text for u in pool if u.text != utterance.text]
+    nearest = sorted(others, key=lambda text: abs(len(text) - len(utterance.text)))[:_NEAREST]
+    own, other = utterance.text.split(), str(rng.choice(nearest)).split()
+    half = max(1, len(own) // 2)
+    made = (own, other, [*own[:half], *other[half:]], own[:half])
+    return {kind: " ".join(words) for kind, words in zip(KINDS, made, strict=True)}
+
+
+def score_texts(
+    utterances: Sequence[TranscribedUtterance], weights: NetworkWeights, seed: int = 0
+) -> Iterator[dict[str, float | None]]:
+    """For each utterance the score of each kind of text; None where no alignment was found."""
+    rng = np.random.default_rng(seed)
+    for utterance in utterances:
+        samples = read_speech(utterance.sound)
+        scores: dict[str, float | None] = {}
+        for kind, text in texts_of(utterance, utterances, rng).items():
+            try:
+                scores[kind] = goodness_of_pronunciation(
+                    samples, align(samples, text).phones, weights
+                )
+            except (AlignmentError, PronunciationError):
+                scores[kind] = None
+        yield scores
+
+
+def text_figures(scores: Sequence[dict[str, float | None]]) -> dict[str, object]:
+    """For each kind: how many, how many found no way through, were refused, doubted, passed."""
+    figures: dict[str, object] = {"utterances": len(scores)}
+    counts: dict[str, Callable[[float], bool]] = {
+        "refused": lambda score: score < LEAST_SCORE,
+        "doubted": lambda score: LEAST_SCORE <= score < DOUBTFUL_SCORE,
+        "passed": lambda score: score >= DOUBTFUL_SCORE,
+    }
+    for kind in KINDS:
+        found = [score for each in scores if (score := each[kind]) is not None]
+        figures[f"{kind}_not_aligned"] = len(scores) - len(found)
+        for name, counted in counts.items():
+            figures[f"{kind}_{name}"] = sum(map(counted, found))
+        figures[f"{kind}_score_min_median_max"] = (
+            [round(float(x), 2) for x in np.percentile(found, [0, 50, 100])] if found else None
+        )
+    return figures

@@ -1,0 +1,273 @@
+"""How soon the mouth closes when a voice stops, and whether a stop gap in a word closes it too.
+
+Recordings are cut dead in the middle of a vowel, or silence is put before a stop consonant, and
+recogniser and synthesiser run as they do live. All times are sound time: the face that belongs to
+an instant of the sound. Shown it is a constant later (`ClosingBench.delay_s`), in which the
+look-ahead was spent; so a mouth may begin to close before the voice stops.
+
+How soon the mouth leaves rest when somebody begins to speak.
+
+Each recording is played after a pause, once with digital silence there and once with room noise
+40 dB below the speech all over, to a mouth at rest. Times are sound time, as in closing_times.py: a
+mouth that looks ahead leaves rest before the onset that it gets ready for.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
+from lipsync.motion.closures import lip_gap_of
+from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
+from lipsync.phonemes import SILENCE, LiveRecognizer
+from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
+
+Samples = NDArray[np.float32]
+#: (phoneme, first frame, frame after the last), 10 ms each.
+Phones = Sequence[tuple[str, int, int]]
+
+_VOWELS = frozenset(
+    ["AA", "AE", "AH", "AO", "AW", "AY", "EH", "ER", "EY", "IH", "IY", "OW", "OY", "UH", "UW"]
+)
+#: P and B are stops too, but there the lips do close.
+_STOPS = frozenset(["T", "D", "K", "G"])
+_HOP = round(BLOCK_S * SAMPLE_RATE_HZ)
+#: Heard before the cut, and silence after it.
+_BEFORE_S, _AFTER_S = 2.0, 0.8
+_LEAST_BEFORE_S = 0.5
+#: Cuts and stops that are tried in each recording.
+_CUTS, _STOPS_EACH = 3, 1
+GAPS_S = (0.04, 0.08, 0.12)
+#: A mouth sent to rest by a gap is on its way so long after it.
+_GAP_MARGIN_S = 0.05
+_ROOM_DB = -40.0
+#: Samples of the longest part that is played.
+_LONGEST = round((2 * _BEFORE_S + _AFTER_S + max(GAPS_S)) * SAMPLE_RATE_HZ)
+_LEAST_VOWEL_FRAMES = 6
+#: A mouth less open than this at the cut has nothing to close, mm beyond the gap at rest.
+_LEAST_OPENING_MM = 2.0
+#: Closing has begun, and is complete, when so much of the opening is gone.
+_BEGUN, _COMPLETE = 0.1, 0.9
+
+
+@dataclass(frozen=True, slots=True)
+class Mouth:
+    """What the mouth does after an instant of sound, every 10 ms from there on.
+
+    opening_mm (n,): lip gap beyond the one at rest; is_resting (n,): whether it is going to rest.
+    """
+
+    opening_mm: Array
+    is_resting: NDArray[np.bool_]
+
+
+class ClosingBench:
+    """A recogniser and a mouth to be watched."""
+
+    def __init__(self, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float) -> None:
+        self._recognizer = recognizer
+        self._synthesizer = LiveSynthesizer(model, model.expectation, Style(lookahead_s))
+        self._gap = lip_gap_of(model)
+        self._rest_mm = self._width_mm(model.rest)
+
+    @property
+    def delay_s(self) -> float:
+        """How much later than its sound a face is known: the constant part, servos apart."""
+        return self._recognizer.latency_s + self._synthesizer.lookahead_s + BLOCK_S
+
+    def watch(self, samples: Samples, from_s: float) -> Mouth:
+        """Play samples (n,) from silence on; the mouth from `from_s` to the end."""
+        self._recognizer.reset()
+        self._synthesizer.reset()
+        n_behind = math.ceil(self.delay_s / BLOCK_S - 1e-6)
+        padded = np.concatenate((samples, np.zeros(n_behind * _HOP, np.float32)))
+        watch = _MouthObserver(self._synthesizer, n_behind, self.opening_mm)
+        whole = padded[: len(padded) // _HOP * _HOP]
+        RecognizerStream(self._recognizer, (watch,)).run(blocks_of(whole))
+        first = round(from_s / BLOCK_S)
+        return Mouth(np.array(watch.openings_mm[first:]), np.array(watch.resting[first:]))
+
+    def opening_mm(self, face: Array) -> float:
+        """Lip gap of a face (n_components,) beyond the one at rest."""
+        return self._width_mm(face) - self._rest_mm
+
+    def _width_mm(self, face: Array) -> float:
+        return float(np.linalg.norm(self._gap.at_mean_mm + face @ self._gap.per_face))
+
+
+class _MouthObserver:
+    """The mouth at each step of the recogniser's stream, `n_behind` steps behind the sound."""
+
+    def __init__(
+        self, synthesizer: LiveSynthesizer, n_behind: int, opening_mm: Callable[[Array], float]
+    ) -> None:
+        self.openings_mm: list[float] = []
+        self.resting: list[bool] = []
+        self._synthesizer = synthesizer
+        self._opening_mm = opening_mm
+        self._number = -n_behind
+
+    def observe(self, step: StreamStep) -> None:
+        """Move the mouth by what became known."""
+        self._number += 1
+        for update in step.updates:
+            self._synthesizer.push(update)
+        if self._number >= 0:
+            face = self._synthesizer.frame_at(self._number * BLOCK_S).coefficients
+            self.openings_mm.append(self._opening_mm(face))
+            self.resting.append(self._synthesizer.is_resting)
+
+
+def closing_figures(
+    bench: ClosingBench,
+    recordings: Iterable[tuple[Samples, Phones]],
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    """Watch the mouth over recordings with their phones; figures by name.
+
+    Every recording is cut in some of its vowels and gets gaps before some of its stops, once with
+    digital silence there and once with room noise 40 dB below the speech all over.
+    """
+    cuts: list[tuple[float, float]] = []
+    rests: dict[float, list[bool]] = {gap_s: [] for gap_s in GAPS_S}
+    n_cuts = 0
+    for samples, phones in recordings:
+        room = room_noise(rng, samples, _LONGEST)
+        for cut_s in _some(rng, vowel_cuts(phones), _CUTS):
+            for noise in (None, room):
+                sound, at_s = cut_dead(samples, cut_s)
+                n_cuts += 1
+                times = closing_times(bench.watch(_in(noise, sound), at_s).opening_mm)
+                if times is not None:
+                    cuts.append(times)
+        for at_s in _some(rng, stop_onsets(phones), _STOPS_EACH):
+            for gap_s in GAPS_S:
+                for noise in (None, room):
+                    sound, from_s = with_gap(samples, at_s, gap_s)
+                    mouth = bench.watch(_in(noise, sound), from_s)
+                    n_gap = round((gap_s + _GAP_MARGIN_S) / BLOCK_S)
+                    rests[gap_s].append(bool(mouth.is_resting[:n_gap].any()))
+    figures: dict[str, float] = {"closing_cuts": n_cuts, "closing_cuts_with_open_mouth": len(cuts)}
+    for name, column in (("begins", 0), ("complete", 1)):
+        times_ms = 1e3 * np.array([times[column] for times in cuts] or [math.nan])
+        for percent in (50, 95, 100):
+            # Of the values themselves: infinite ones cannot be interpolated.
+            value = np.percentile(times_ms, percent, method="higher")
+            figures[f"closing_{name}_ms_p{percent}"] = float(value)
+    for gap_s, rested in rests.items():
+        figures[f"gap_{1e3 * gap_s:.0f}_ms_brought_to_rest"] = _share(rested)
+    figures["gaps_of_each_length"] = len(rests[GAPS_S[0]])
+    figures["closing_delay_ms"] = 1e3 * bench.delay_s
+    return figures
+
+
+def _share(flags: list[bool]) -> float:
+    return sum(flags) / len(flags) if flags else math.nan
+
+
+def _some(rng: np.random.Generator, instants_s: list[float], n: int) -> list[float]:
+    """At most n of the instants that have enough sound before them."""
+    late = [instant_s for instant_s in instants_s if instant_s >= _LEAST_BEFORE_S]
+    return [float(x) for x in rng.choice(late, min(n, len(late)), replace=False)] if late else []
+
+
+def room_noise(rng: np.random.Generator, samples: Samples, n: int) -> Samples:
+    """Noise (n,) 40 dB below a recording."""
+    level = float(np.sqrt(np.mean(np.square(samples)))) * 10.0 ** (_ROOM_DB / 20.0)
+    noise: Samples = np.asarray(level * rng.standard_normal(n), np.float32)
+    return noise
+
+
+def _in(noise: Samples | None, sound: Samples) -> Samples:
+    return sound if noise is None else sound + noise[: len(sound)]
+
+
+def vowel_cuts(phones: Phones) -> list[float]:
+    """The middles of all long enough vowels, s."""
+    return [
+        (first + end) / 2 * BLOCK_S
+        for phone, first, end in phones
+        if phone in _VOWELS and end - first >= _LEAST_VOWEL_FRAMES
+    ]
+
+
+def stop_onsets(phones: Phones) -> list[float]:
+    """Where a stop consonant follows a vowel, s."""
+    return [
+        onset * BLOCK_S
+        for (before, _, _), (phone, onset, _) in pairwise(phones)
+        if before in _VOWELS and phone in _STOPS
+    ]
+
+
+def cut_dead(samples: Samples, cut_s: float) -> tuple[Samples, float]:
+    """The last two seconds before the cut, then digital silence; and where in it the cut is, s."""
+    cut = round(cut_s * SAMPLE_RATE_HZ)
+    spoken = samples[max(0, cut - round(_BEFORE_S * SAMPLE_RATE_HZ)) : cut]
+    silence = np.zeros(round(_AFTER_S * SAMPLE_RATE_HZ), np.float32)
+    return np.concatenate((spoken, silence)), len(spoken) / SAMPLE_RATE_HZ
+
+
+def with_gap(samples: Samples, at_s: float, gap_s: float) -> tuple[Samples, float]:
+    """Two seconds around an instant with silence put in there; and where the gap begins, s."""
+    at, reach = round(at_s * SAMPLE_RATE_HZ), round(_BEFORE_S * SAMPLE_RATE_HZ)
+    before, after = samples[max(0, at - reach) : at], samples[at : at + reach // 2]
+    silence = np.zeros(round(gap_s * SAMPLE_RATE_HZ), np.float32)
+    return np.concatenate((before, silence, after)), len(before) / SAMPLE_RATE_HZ
+
+
+def closing_times(opening_mm: Array) -> tuple[float, float] | None:
+    """When closing begins and when it is complete, s after the cut at index 0.
+
+    Begun: a tenth of the greatest opening since the cut is gone; complete: nine tenths are, and
+    stay away. None for a mouth that was not open at the cut.
+    """
+    if opening_mm[0] < _LEAST_OPENING_MM:
+        return None
+    widest = int(opening_mm[: round(0.4 / BLOCK_S)].argmax())
+    most_mm = opening_mm[widest]
+    is_falling = opening_mm[widest:] <= (1.0 - _BEGUN) * most_mm
+    if not is_falling.any():
+        return math.inf, math.inf
+    open_ones = np.flatnonzero(opening_mm > (1.0 - _COMPLETE) * most_mm)
+    n_open = int(open_ones[-1]) + 1
+    complete_s = math.inf if n_open == len(opening_mm) else n_open * BLOCK_S
+    return (widest + int(is_falling.argmax())) * BLOCK_S, complete_s
+
+
+#: A pause before the recording, and so much of it is played, s.
+_PAUSE_S, _PLAYED_S = 0.6, 1.5
+
+
+def waking_figures(
+    bench: ClosingBench, recordings: Iterable[tuple[Samples, Phones]], rng: np.random.Generator
+) -> dict[str, float]:
+    """From the onset of the first phone until the mouth leaves rest, ms: median, 95th percentile.
+
+    A mouth that has not left rest when the sound ends counts as infinitely late.
+    """
+    waking_ms: list[float] = []
+    for samples, phones in recordings:
+        onset_s = next((first * BLOCK_S for phone, first, _ in phones if phone != SILENCE), None)
+        if onset_s is None:
+            continue
+        pause = np.zeros(round(_PAUSE_S * SAMPLE_RATE_HZ), np.float32)
+        played = samples[: round((onset_s + _PLAYED_S) * SAMPLE_RATE_HZ)]
+        sound = np.concatenate((pause, played))
+        noise = room_noise(rng, samples, len(sound))
+        for noisy in (sound, sound + noise):
+            left = np.flatnonzero(~bench.watch(noisy, 0.0).is_resting)
+            left_s = float(left[0]) * BLOCK_S if len(left) else math.inf
+            waking_ms.append(1e3 * (left_s - onset_s - _PAUSE_S))
+    found = np.array(waking_ms or [math.nan])
+    return {
+        "waking_ms_p50": float(np.percentile(found, 50, method="higher")),
+        "waking_ms_p95": float(np.percentile(found, 95, method="higher")),
+        "waking_onsets": len(waking_ms),
+    }

@@ -1,0 +1,113 @@
+"""The motion at 100 Hz that a recording gives by what is heard of it.
+
+What the live recogniser gives for a recording, update by update, as the mouth would get it.
+
+How many of the P, B, M and F, V that are spoken the mouth closes for, by recognised phonemes.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lipservo_lab.evaluation.motion.measures import CLOSING, closes, is_bilabial
+from lipservo_lab.evaluation.motion.methods import Heard, LiveMethod
+from lipservo_lab.evaluation.recognition.stream_observers import UpdateLog
+from lipservo_lab.learning.motion.trained_model import TrainedModel
+from lipsync.arrays import Array
+from lipsync.audio.file import FileSource
+from lipsync.audio.source import SilenceAfter
+from lipsync.audio_block import BLOCK_S
+from lipsync.face.model import FaceModel
+from lipsync.motion.tick_plan import TICK_S
+from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent
+from lipsync.recognition.streaming import RecognizerStream, SoundAhead
+
+#: Silence after the recording, until the last phoneme is settled.
+_TAIL_S = 0.5
+
+
+def recognize_file(recognizer: LiveRecognizer, recording: Path) -> Heard:
+    """Play a recording to a recogniser, which is reset; updates are asked for every 10 ms."""
+    recognizer.reset()
+    log = UpdateLog()
+    stream = RecognizerStream(recognizer, (log,))
+    with SilenceAfter(FileSource(recording)) as source:
+        ahead = SoundAhead(source, recognizer)
+        until_s = (source.duration_s or 0.0) + recognizer.latency_s + _TAIL_S
+        for step in range(1, math.ceil(until_s / BLOCK_S) + 1):
+            stream.feed(ahead.blocks(step * BLOCK_S))
+    events = [
+        PhonemeEvent(e.phoneme, e.start_s, until_s if e.end_s is None else e.end_s, e.confidence)
+        for e in log.timeline.events
+        if e.start_s < until_s
+    ]
+    if not events:
+        events = [PhonemeEvent(SILENCE, 0.0, until_s)]
+    return Heard(tuple(events), tuple(log.updates), recognizer.latency_s)
+
+
+@dataclass(frozen=True, slots=True)
+class HeardMotion:
+    """faces: (n, n_components) at times_s (n,), a tick apart; spoken_s: heard as speech.
+
+    sound_s: how long the recording is; the faces go on a little in the silence after it.
+    """
+
+    times_s: Array
+    faces: Array
+    spoken_s: float
+    sound_s: float = 0.0
+
+
+def heard_motion(
+    recording: Path, recognizer: LiveRecognizer, model: TrainedModel, lookahead_s: float
+) -> HeardMotion:
+    """Play a recording to a recogniser, which is reset, and the live method by what it says."""
+    heard = recognize_file(recognizer, recording)
+    n_ticks = round((heard.events[-1].end_s or 0.0) / TICK_S)
+    times_s = np.arange(n_ticks, dtype=np.float64) * TICK_S
+    spoken_s = sum(
+        (event.end_s or 0.0) - event.start_s for event in heard.events if event.phoneme != SILENCE
+    )
+    faces = LiveMethod().faces(model, heard, times_s, lookahead_s)
+    with FileSource(recording) as source:
+        return HeardMotion(times_s, faces, spoken_s, source.duration_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Closure:
+    """A phone that closes the mouth, as it was spoken, and whether the mouth closed for it."""
+
+    phone: PhonemeEvent
+    was_met: bool
+
+
+def closure_hits(
+    motion: HeardMotion, phones: Iterable[PhonemeEvent], model: FaceModel
+) -> list[Closure]:
+    """Every closure among the phones spoken in a recording, in order, in the motion it gave.
+
+    A closure is met as in `bench motion` (docs/motion.md): lips at most 1 mm apart, or for F V
+    4.6 mm, at some instant from 40 ms before the phone to 40 ms after it.
+    """
+    gaps_mm = model.lip_gaps_mm(model.markers_mm(motion.faces))
+    return [
+        Closure(phone, closes(phone, motion.times_s, gaps_mm))
+        for phone in phones
+        if phone.phoneme in CLOSING
+    ]
+
+
+def closure_figures(closures: Iterable[Closure]) -> dict[str, object]:
+    """Counts and shares, P B M and F V apart; None where nothing was spoken that closes."""
+    figures: dict[str, object] = {}
+    found = list(closures)
+    for name, wanted in (("closure", True), ("labiodental", False)):
+        met = [c.was_met for c in found if is_bilabial(c.phone.phoneme) == wanted]
+        figures[f"{name}s"] = len(met)
+        figures[f"{name}s_met"] = sum(met)
+        figures[f"{name}_hits"] = sum(met) / len(met) if met else None
+    return figures

@@ -1,0 +1,213 @@
+"""How accurate a recogniser is, against forced alignment, in the scoring classes of `phonemes`.
+
+Frames are 10 ms. 'all' counts every frame, 'speech' those whose reference is not silence.
+
+Closures heard against closures spoken: recall, precision, and how far their onsets lie apart.
+
+How accurate weights are on recordings whose phonemes are known, by what is settled live.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.corpus.alignment_cache import PHONEME_INDEX
+from lipservo_lab.learning.recognition.augmentation import LabelledSamples
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
+from lipsync.recognition.batch import settled_phonemes
+from lipsync.recognition.features import FRAMES_PER_S
+from lipsync.recognition.network import LATENCY_S, NetworkWeights
+
+#: A hit may lie this many frames beside: the boundaries of forced alignment are not better.
+SLACK_FRAMES = 2
+_FRAME_MS = 10.0
+
+
+@dataclass(slots=True)
+class HeardClosures:
+    """Counts of one kind of closure, or of openings, added up over utterances.
+
+    onset_errors_ms: of each closure found, how much later than spoken it was heard to begin.
+    """
+
+    n_spoken: int = 0
+    n_found: int = 0
+    n_said: int = 0
+    n_true: int = 0
+    onset_errors_ms: list[float] = field(default_factory=list)
+
+    def add(self, said: NDArray[np.bool_], spoken: NDArray[np.bool_]) -> None:
+        """Count one utterance: whether each frame (n,) was heard, and was spoken, as a closure."""
+        said_runs, spoken_runs = _runs(said), _runs(spoken)
+        self.n_spoken += len(spoken_runs)
+        self.n_said += len(said_runs)
+        self.n_true += sum(_touches(run, spoken) for run in said_runs)
+        for run in spoken_runs:
+            if _touches(run, said):
+                self.n_found += 1
+                nearest = min(said_runs, key=lambda other: _apart(other, run))
+                self.onset_errors_ms.append(_FRAME_MS * (nearest[0] - run[0]))
+
+    def figures(self, name: str) -> dict[str, float]:
+        """Shares, 0 where nothing was counted; onset errors: median, 95th percentile of sizes."""
+        errors_ms = np.array(self.onset_errors_ms or [0.0])
+        return {
+            f"{name}_recall": self.n_found / self.n_spoken if self.n_spoken else 0.0,
+            f"{name}_precision": self.n_true / self.n_said if self.n_said else 0.0,
+            f"{name}_onset_error_ms_p50": float(np.median(errors_ms)),
+            f"{name}_onset_error_ms_abs_p95": float(np.percentile(np.abs(errors_ms), 95)),
+        }
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """(first, after the last) of each run of True."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], flags.astype(np.int8), [0]))))
+    return list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+
+
+def _touches(run: tuple[int, int], flags: NDArray[np.bool_]) -> bool:
+    """Whether a True of `flags` lies in the run or within the slack of it."""
+    first, end = run
+    return bool(flags[max(0, first - SLACK_FRAMES) : end + SLACK_FRAMES].any())
+
+
+def _apart(one: tuple[int, int], other: tuple[int, int]) -> tuple[int, int]:
+    """Frames between two runs, 0 where they overlap; and between their onsets."""
+    return max(0, one[0] - other[1], other[0] - one[1]), abs(one[0] - other[0])
+
+
+Labels = NDArray[np.int64]
+
+_CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
+_SILENCE_INDEX = PHONEMES.index(SILENCE)
+_SILENT_CLASS = VISEME_OF[SILENCE]
+#: Where the lips touch each other, and where the lower one touches the teeth.
+_CLOSED_CLASS, _BITTEN_CLASS = VISEME_OF["P"], VISEME_OF["F"]
+#: Vowels for which the jaw comes down.
+_OPEN_CLASSES = tuple(VISEME_OF[vowel] for vowel in ("EH", "AA", "AO"))
+
+
+@dataclass(slots=True)
+class Score:
+    """Counts, added up over utterances; every figure is a quotient of two of them.
+
+    `confusion` (n_visemes, n_visemes): frames by class of reference and hypothesis. bilabials:
+    P B M; labiodentals: F V; openings: vowels for which the jaw comes down, those of the classes
+    of EH, AA and AO, counted in the same way.
+    """
+
+    n_frames: int = 0
+    n_speech: int = 0
+    n_phones_right: int = 0
+    n_speech_phones_right: int = 0
+    n_slack_right: int = 0
+    n_phones: int = 0
+    n_edits: int = 0
+    bilabials: HeardClosures = field(default_factory=HeardClosures)
+    labiodentals: HeardClosures = field(default_factory=HeardClosures)
+    openings: HeardClosures = field(default_factory=HeardClosures)
+    phone_all_by_utterance: list[float] = field(default_factory=list)
+    confusion: NDArray[np.int64] = field(
+        default_factory=lambda: np.zeros((len(VISEME_CLASSES),) * 2, np.int64)
+    )
+
+    def add(self, hypothesis: Labels, reference: Labels) -> None:
+        """Count one utterance: phoneme numbers (n,) as in `PHONEMES`."""
+        is_speech = reference != _SILENCE_INDEX
+        right = hypothesis == reference
+        hypothesis_class, true_class = _CLASS_OF[hypothesis], _CLASS_OF[reference]
+        self.n_frames += len(hypothesis)
+        self.n_speech += int(is_speech.sum())
+        self.n_phones_right += int(right.sum())
+        self.n_speech_phones_right += int(right[is_speech].sum())
+        self.n_slack_right += int(_right_nearby(hypothesis_class, true_class)[is_speech].sum())
+        np.add.at(self.confusion, (true_class, hypothesis_class), 1)
+        self.bilabials.add(hypothesis_class == _CLOSED_CLASS, true_class == _CLOSED_CLASS)
+        self.labiodentals.add(hypothesis_class == _BITTEN_CLASS, true_class == _BITTEN_CLASS)
+        self.openings.add(
+            np.isin(hypothesis_class, _OPEN_CLASSES), np.isin(true_class, _OPEN_CLASSES)
+        )
+        said, spoken = phone_sequence(hypothesis), phone_sequence(reference)
+        self.n_phones += len(spoken)
+        self.n_edits += edit_distance(said, spoken)
+        self.phone_all_by_utterance.append(float(right.mean()))
+
+    def figures(self) -> dict[str, float]:
+        """All figures by name; 0 where nothing was counted."""
+        visemes_right = np.diag(self.confusion)
+        return {
+            "phone_all": _share(self.n_phones_right, self.n_frames),
+            "phone_speech": _share(self.n_speech_phones_right, self.n_speech),
+            "viseme_all": _share(int(visemes_right.sum()), self.n_frames),
+            "viseme_speech": _share(
+                int(visemes_right.sum() - visemes_right[_SILENT_CLASS]), self.n_speech
+            ),
+            "viseme_speech_slack20": _share(self.n_slack_right, self.n_speech),
+            **self.bilabials.figures("closure"),
+            **self.labiodentals.figures("labiodental"),
+            **self.openings.figures("opening"),
+            "per": _share(self.n_edits, self.n_phones),
+        }
+
+    def agreement(self) -> tuple[float, float, float]:
+        """Least, median and most phone accuracy of an utterance: figure 1 of the paper."""
+        if not self.phone_all_by_utterance:
+            return 0.0, 0.0, 0.0
+        ordered = self.phone_all_by_utterance
+        return min(ordered), float(np.median(ordered)), max(ordered)
+
+
+def phone_sequence(labels: Labels) -> list[int]:
+    """The phones in order, each run of frames once, without silence."""
+    return [label for label, _ in groupby(labels.tolist()) if label != _SILENCE_INDEX]
+
+
+def edit_distance(said: Sequence[int], spoken: Sequence[int]) -> int:
+    """Fewest insertions, deletions and substitutions that make one of the other (Levenshtein)."""
+    spoken_row = np.asarray(spoken)
+    steps = np.arange(len(spoken) + 1)
+    costs = steps.copy()
+    for index, phone in enumerate(said, start=1):
+        steps_down = np.minimum(costs[:-1] + (spoken_row != phone), costs[1:] + 1)
+        best = np.concatenate(([index], steps_down))
+        # Deletions run along the row: the least of what stands to the left plus the way from there.
+        costs = np.minimum.accumulate(best - steps) + steps
+    return int(costs[-1])
+
+
+def _right_nearby(hypothesis: Labels, reference: Labels) -> NDArray[np.bool_]:
+    """Whether each class of the hypothesis is the reference's anywhere within the slack."""
+    padded = np.pad(reference, SLACK_FRAMES, constant_values=-1)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * SLACK_FRAMES + 1)
+    nearby: NDArray[np.bool_] = (windows == hypothesis[:, None]).any(axis=1)
+    return nearby
+
+
+def _share(part: int, whole: int) -> float:
+    return part / whole if whole else 0.0
+
+
+def settled_score(
+    weights: NetworkWeights, recordings: Sequence[LabelledSamples], latency_s: float = LATENCY_S
+) -> Score:
+    """The score of what the live recogniser settles on, each recording as a new stream.
+
+    As `benchmark.measure`, without its streams and costs: many times quicker.
+    """
+    score = Score()
+    settled = settled_phonemes(weights, [each.samples for each in recordings], latency_s)
+    for recording, events in zip(recordings, settled, strict=True):
+        score.add(_labels(events, len(recording.labels)), recording.labels)
+    return score
+
+
+def _labels(events: Sequence[PhonemeEvent], n_frames: int) -> Labels:
+    """(n_frames,) numbers of the phonemes; the events have no gaps and reach to the end."""
+    labels = np.empty(n_frames, np.int64)
+    for event in events:
+        first = round(event.start_s * FRAMES_PER_S)
+        labels[first:] = PHONEME_INDEX[event.phoneme]
+    return labels

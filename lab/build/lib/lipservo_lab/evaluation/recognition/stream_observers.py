@@ -1,0 +1,215 @@
+"""What is recorded of a recogniser's stream: frame labels, updates, processor time.
+
+Hours of speech without a pause: a recogniser must not grow, neither in memory nor in cost.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.corpus.alignment_cache import PHONEME_INDEX
+from lipsync.arrays import Array, Array32
+from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
+from lipsync.phonemes import (
+    PHONEMES,
+    SILENCE,
+    VISEME_OF,
+    LiveRecognizer,
+    PhonemeUpdate,
+    ServoListener,
+)
+from lipsync.recognition.own_noise import ServoSpeeds
+from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
+from lipsync.timeline import PhonemeTimeline
+
+Labels = NDArray[np.int64]
+
+_HOP = round(BLOCK_S * SAMPLE_RATE_HZ)
+_CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
+_UNKNOWN = -1
+
+
+class FrameLabels:
+    """Phoneme numbers (n,) of 10 ms frames as last told, and how often a frame's viseme changed."""
+
+    def __init__(self, n_frames: int) -> None:
+        self.labels: Labels = np.full(n_frames, PHONEME_INDEX[SILENCE])
+        self.n_revisions = 0
+        self._visemes = np.full(n_frames, _UNKNOWN)
+
+    def observe(self, step: StreamStep) -> None:
+        """Take the updates of one step."""
+        for update in step.updates:
+            self._take(update)
+
+    def _take(self, update: PhonemeUpdate) -> None:
+        for event in update.events:
+            first = round(max(event.start_s, update.replace_from_s) / BLOCK_S)
+            end_s = update.heard_until_s if event.end_s is None else event.end_s
+            part = slice(first, round(end_s / BLOCK_S))
+            viseme = _CLASS_OF[PHONEME_INDEX[event.phoneme]]
+            visemes = self._visemes[part]
+            self.n_revisions += int(np.count_nonzero((visemes != _UNKNOWN) & (visemes != viseme)))
+            visemes[:] = viseme
+            self.labels[part] = PHONEME_INDEX[event.phoneme]
+
+
+class StepCosts:
+    """Processor time of each step, s."""
+
+    def __init__(self) -> None:
+        self.costs_s: list[float] = []
+
+    def observe(self, step: StreamStep) -> None:
+        """Take the cost of one step."""
+        self.costs_s.append(step.cost_s)
+
+
+class UpdateLog:
+    """All updates in order, and the timeline that they make."""
+
+    def __init__(self) -> None:
+        self.updates: list[PhonemeUpdate] = []
+        self.timeline = PhonemeTimeline(horizon_s=math.inf)
+
+    def observe(self, step: StreamStep) -> None:
+        """Take the updates of one step."""
+        for update in step.updates:
+            self.timeline.apply(update)
+            self.updates.append(update)
+
+
+def label_frames(
+    recognizer: LiveRecognizer, samples: Array32, servos_deg: Array | None = None
+) -> tuple[FrameLabels, StepCosts]:
+    """Reset and feed samples (n,) at 16 kHz as a live stream, and silence until all is settled.
+
+    The blocks are 10 ms long and end where the label of a frame is due: latency_s after the start
+    of the frame. So frame t is judged by what was settled when the sound to 10 t ms + latency was
+    heard, and nothing later. The costs are those of the blocks. servos_deg: what encoders read of
+    the robot's servos, a row (n_servos,) each 10 ms, which the recogniser is told when it is read.
+    """
+    recognizer.reset()
+    n_tail = round((recognizer.latency_s + 0.1) * SAMPLE_RATE_HZ)
+    padded = np.concatenate((samples, np.zeros(n_tail, np.float32)))
+    n_first = round(recognizer.latency_s * SAMPLE_RATE_HZ) % _HOP or _HOP
+    labels, costs = FrameLabels(len(samples) // _HOP), StepCosts()
+    whole = padded[: n_first + (len(padded) - n_first - 1) // _HOP * _HOP]
+    blocks = blocks_of(whole, n_first)
+    if servos_deg is not None and isinstance(recognizer, ServoListener):
+        blocks = _with_servos(blocks, recognizer, servos_deg)
+    RecognizerStream(recognizer, (labels, costs)).run(blocks)
+    return labels, costs
+
+
+def _with_servos(
+    blocks: Iterable[AudioBlock], recognizer: ServoListener, servos_deg: Array
+) -> Iterator[AudioBlock]:
+    """The blocks; before each, the recogniser is told what was read by then."""
+    speeds, n_told = ServoSpeeds(), 0
+    for block in blocks:
+        while n_told < len(servos_deg) and (n_told + 1) * BLOCK_S <= block.end_s:
+            found = speeds.take((n_told + 1) * BLOCK_S, servos_deg[n_told])
+            if found is not None:
+                recognizer.note_servo_speeds(*found)
+            n_told += 1
+        yield block
+
+
+Samples = NDArray[np.float32]
+
+#: By then all buffers are full and every path was taken.
+SETTLED_S = 600.0
+_BLOCKS_PER_REPORT = 6_000
+
+
+@dataclass(frozen=True, slots=True)
+class Endurance:
+    """What a long stream cost; costs are processor time of a 10 ms block, medians of a quarter."""
+
+    sound_s: float
+    settled_mb: float
+    end_mb: float
+    first_quarter_s: float
+    last_quarter_s: float
+    clock_error_s: float
+
+    def as_dict(self) -> dict[str, float]:
+        """For JSON. `clock_error_ms`: sound fed less sound reported on, at the end."""
+        return {
+            "endurance_hours": self.sound_s / 3600.0,
+            "endurance_rss_mb_after_10_min": self.settled_mb,
+            "endurance_rss_mb_end": self.end_mb,
+            "endurance_block_ms_first_quarter": 1e3 * self.first_quarter_s,
+            "endurance_block_ms_last_quarter": 1e3 * self.last_quarter_s,
+            "endurance_cost_ratio": self.last_quarter_s / self.first_quarter_s,
+            "endurance_clock_error_ms": 1e3 * self.clock_error_s,
+        }
+
+
+def without_pauses(recognizer: LiveRecognizer, samples: Samples) -> Samples:
+    """The samples (n,) without the 10 ms frames that the recogniser calls silent."""
+    labels = label_frames(recognizer, samples)[0].labels
+    frames = samples[: len(labels) * _HOP].reshape(-1, _HOP)
+    spoken: Samples = frames[labels != PHONEMES.index(SILENCE)].ravel()
+    return spoken
+
+
+def endure(
+    recognizer: LiveRecognizer,
+    speech: Samples,
+    duration_s: float,
+    resident_mb: Callable[[], float],
+    progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> Endurance:
+    """Play speech (n,) over and over for `duration_s` of sound time, as fast as it goes.
+
+    resident_mb: the memory of the process now. What is kept for the figures is laid out before the
+    stream begins.
+    """
+    recognizer.reset()
+    n_blocks = round(duration_s / BLOCK_S)
+    watch = _Watch(n_blocks, resident_mb, progress)
+    loop = np.resize(speech, len(speech) // _HOP * _HOP).reshape(-1, _HOP)
+    RecognizerStream(recognizer, (watch,)).run(
+        AudioBlock(loop[number % len(loop)], number * BLOCK_S) for number in range(n_blocks)
+    )
+    quarter = max(1, n_blocks // 4)
+    return Endurance(
+        sound_s=n_blocks * BLOCK_S,
+        settled_mb=watch.settled_mb,
+        end_mb=resident_mb(),
+        first_quarter_s=float(np.median(watch.costs_s[:quarter])),
+        last_quarter_s=float(np.median(watch.costs_s[-quarter:])),
+        clock_error_s=n_blocks * BLOCK_S - watch.heard_until_s,
+    )
+
+
+class _Watch:
+    """Costs of all blocks in memory laid out beforehand; the memory of the process at 10 min."""
+
+    def __init__(
+        self,
+        n_blocks: int,
+        resident_mb: Callable[[], float],
+        progress: Callable[[int, int], None],
+    ) -> None:
+        self.costs_s = np.full(n_blocks, np.inf, np.float32)
+        self.heard_until_s = 0.0
+        self.settled_mb = resident_mb()
+        self._resident_mb = resident_mb
+        self._progress = progress
+        self._n_seen = 0
+
+    def observe(self, step: StreamStep) -> None:
+        number, self._n_seen = self._n_seen, self._n_seen + 1
+        self.costs_s[number] = step.cost_s
+        if step.updates:
+            self.heard_until_s = step.updates[-1].heard_until_s
+        if number == round(SETTLED_S / BLOCK_S):
+            self.settled_mb = self._resident_mb()
+        if number % _BLOCKS_PER_REPORT == 0:
+            self._progress(number, len(self.costs_s))

@@ -1,0 +1,202 @@
+"""Minutes of one voice with its text, made ready to be learned from, and refused where it is none.
+
+A forced aligner lays any text over any sound for which it finds a way, so every alignment is scored
+(`goodness_of_pronunciation`), labels that somebody brought too. Sentences that were not said so are
+left out; where they are many, the folder is not what it should be.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from lipservo_lab.corpus.alignment_cache import (
+    LABELLED,
+    AlignedUtterance,
+    align_corpus,
+)
+from lipservo_lab.corpus.transcribed import TranscribedUtterance
+from lipservo_lab.learning.recognition.augmentation import LabelledSamples
+from lipservo_lab.learning.recognition.training_data import read_labelled
+from lipsync.arrays import Array32
+from lipsync.audio.file import read_speech
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
+from lipsync.recognition.alignment import LEAST_SCORE, goodness_of_pronunciation
+from lipsync.textgrid import LabelError
+
+#: Less of a voice is hardly learned from, and leaves too little to grade it on.
+LEAST_S = 120.0
+#: What is kept for grading: every fifth text, and at least so much.
+_HELD_OUT_STEP, LEAST_HELD_OUT_S = 5, 20.0
+#: Left out at most: of true texts of 64 native sentences none is, of 60 learners' seven, of others'
+#: texts on native sentences all (docs/recognition.md, Whether the text was said).
+MOST_LEFT_OUT = 0.34
+
+#: What is done, how many, of how many.
+Advance = Callable[[str, int, int], None]
+
+
+class VoiceError(UserError):
+    """A folder is no voice to learn; the message is one line: what, where, what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """One recording with the phoneme of every 10 ms, and how long it was.
+
+    is_reference: its times are good enough to be graded on: alignments of the second try are not.
+    """
+
+    name: str
+    text: str
+    speech: LabelledSamples
+    duration_s: float
+    is_reference: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Voice:
+    """What adapts, what grades, and what was left out: name and reason."""
+
+    learned: tuple[Sentence, ...]
+    held_out: tuple[Sentence, ...]
+    left_out: Mapping[str, str]
+
+    @property
+    def learned_s(self) -> float:
+        """Seconds that adapt."""
+        return sum(each.duration_s for each in self.learned)
+
+    @property
+    def held_out_s(self) -> float:
+        """Seconds that grade."""
+        return sum(each.duration_s for each in self.held_out)
+
+
+def only_speaker(
+    utterances: tuple[TranscribedUtterance, ...], speaker: str | None
+) -> tuple[TranscribedUtterance, ...]:
+    """The utterances of one speaker; VoiceError where it is not clear which."""
+    names = sorted({each.speaker for each in utterances})
+    if speaker is None and len(names) > 1:
+        raise VoiceError(f"{len(names)} speakers; choose one with --speaker: {', '.join(names)}")
+    chosen = tuple(each for each in utterances if speaker in (None, each.speaker))
+    if not chosen:
+        raise VoiceError(f"no speaker {speaker}; known: {', '.join(names)}")
+    return chosen
+
+
+def read_voice(
+    utterances: tuple[TranscribedUtterance, ...],
+    advance: Advance = lambda _what, _done, _all: None,
+    n_processes: int = 1,
+) -> Voice:
+    """Read, align and split the utterances of one speaker.
+
+    Raises SoundError for a file that is no sound, LabelError for labels that cannot be used, and
+    VoiceError for too little of a voice and for texts that are not what is said.
+    """
+    sounds = {each.name: read_speech(each.sound) for each in utterances}
+    check_length(sum(len(samples) for samples in sounds.values()) / SAMPLE_RATE_HZ)
+    done: list[str] = []
+
+    def count(name: str) -> None:
+        done.append(name)
+        advance("aligning", len(done), len(utterances))
+
+    aligned = align_corpus(utterances, None, n_processes=n_processes, progress=count)
+    _refuse_bad_labels(utterances, aligned)
+    left_out = {
+        name: reason
+        for name, each in aligned.items()
+        if (reason := why_left_out(each, sounds[name]))
+    }
+    _refuse_other_texts(len(utterances), left_out)
+    sentences = [
+        Sentence(
+            each.name,
+            each.text,
+            read_labelled(each, aligned[each.name]),
+            len(sounds[each.name]) / SAMPLE_RATE_HZ,
+            aligned[each.name].beams in ("default", LABELLED),
+        )
+        for each in utterances
+        if each.name not in left_out
+    ]
+    learned, held_out = split_sentences(sentences)
+    return Voice(learned, held_out, left_out)
+
+
+def check_length(duration_s: float) -> None:
+    """Raises VoiceError for less than two minutes."""
+    if duration_s < LEAST_S:
+        raise VoiceError(
+            f"needs at least {LEAST_S / 60:.0f} minutes of speech, has {duration_s:.0f} s; "
+            "record more sentences"
+        )
+
+
+def why_left_out(aligned: AlignedUtterance, samples: Array32) -> str:
+    """Why an utterance is not learned from, or nothing."""
+    if aligned.error:
+        return aligned.error
+    score = aligned.score
+    if score is None:
+        score = goodness_of_pronunciation(samples, aligned.events())
+    return "" if score >= LEAST_SCORE else f"not what is said: its text scores {score:.2f}"
+
+
+def split_sentences(
+    sentences: Sequence[Sentence],
+) -> tuple[tuple[Sentence, ...], tuple[Sentence, ...]]:
+    """What adapts and what grades; no text is in both.
+
+    Every fifth text is held out, and more where these are shorter than 20 s. Raises VoiceError
+    where 20 s cannot be had, or would be more than is left to learn from.
+    """
+    texts = list(dict.fromkeys(_same(each.text) for each in sentences if each.is_reference))
+    # The fifth, the tenth and so on first; the others in case these are short.
+    in_order = sorted(range(len(texts)), key=lambda number: (number + 1) % _HELD_OUT_STEP)
+    held: set[str] = set()
+    held_s = 0.0
+    n_least = len(texts) // _HELD_OUT_STEP
+    for number, index in enumerate(in_order):
+        if number >= n_least and held_s >= LEAST_HELD_OUT_S:
+            break
+        held.add(texts[index])
+        held_s += sum(
+            each.duration_s
+            for each in sentences
+            if each.is_reference and _same(each.text) == texts[index]
+        )
+    held_out = tuple(s for s in sentences if _same(s.text) in held and s.is_reference)
+    learned = tuple(s for s in sentences if _same(s.text) not in held)
+    if held_s < LEAST_HELD_OUT_S or sum(s.duration_s for s in learned) < held_s:
+        raise VoiceError(
+            f"only {len(texts)} different texts can be used, too few to grade on others than are "
+            "learned; give at least 20 different sentences, each in a file of its own"
+        )
+    return learned, held_out
+
+
+def _same(text: str) -> str:
+    """The same for two texts that differ in case and spaces alone."""
+    return " ".join(text.lower().split())
+
+
+def _refuse_bad_labels(
+    utterances: Sequence[TranscribedUtterance], aligned: Mapping[str, AlignedUtterance]
+) -> None:
+    """Labels are somebody's work, and their mistakes that person's to mend."""
+    for each in utterances:
+        if each.labels is not None and aligned[each.name].error:
+            raise LabelError(aligned[each.name].error)
+
+
+def _refuse_other_texts(n_all: int, left_out: Mapping[str, str]) -> None:
+    if len(left_out) > MOST_LEFT_OUT * n_all:
+        name, reason = next(iter(left_out.items()))
+        raise VoiceError(
+            f"the text is not what is said in {len(left_out)} of {n_all} sounds "
+            f"({name}: {reason}); check that each text belongs to its sound and that "
+            "somebody speaks there"
+        )

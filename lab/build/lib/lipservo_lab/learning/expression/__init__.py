@@ -1,0 +1,1 @@
+"""Learning expression from tracks of somebody's head, eyes and lids; offline."""

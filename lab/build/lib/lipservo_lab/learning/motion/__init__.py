@@ -1,0 +1,1 @@
+"""Training of a face model from a corpus. Offline."""

@@ -1,0 +1,243 @@
+"""Corpora of several speakers become one corpus, as if one face had said everything.
+
+One speaker's motion on another speaker's face: a rotation, and a scale for each axis.
+
+    y = rest' + A R (x - rest)
+
+x: a marker of the speaker, rest: where it is in the speaker's closed mouth, rest': where it is in
+the other's. Displacements from a rest face are carried over, turned and scaled, as in Noh and
+Neumann, "Expression cloning" (SIGGRAPH 2001, section 3), but with one scale an axis for the whole
+mouth in place of one a vertex. R: Procrustes rotation of rest onto rest', with a scale of its own
+for each axis of the target (Bennani Dosse and Ten Berge, "Anisotropic orthogonal Procrustes
+analysis", Journal of Classification 27, 2010), so that a longer face is not taken for a nodding
+one. A: diagonal; a_i^2 is the ratio of how much phonemes differ on both faces along axis i:
+
+    a_i^2 = sum_p w_p |d'_pi|^2 / sum_p w_p |d_pi|^2
+
+d_p: the mean face in the middle of phoneme p, turned, less the mean over phonemes; w_p: how often
+the rarer of both says p. Phonemes and not frames are compared, because two speakers read different
+texts; and differences between phonemes, not from rest, because a mouth may rest ajar.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.corpus.utterance import Corpus, CorpusError, Utterance, at_frame_rate
+from lipservo_lab.learning.motion.frame_statistics import closed_mouth_mm
+from lipsync.arrays import Array
+from lipsync.errors import UserError
+from lipsync.face.head_motion import fit_similarity
+from lipsync.phonemes import PHONEMES, SILENCE
+
+#: A phoneme said once says little about a face.
+_FEWEST_TIMES = 2
+#: Fewer phonemes span no three axes.
+_FEWEST_PHONEMES = 4
+#: Beyond that it is no other face but another unit, or a face that does not speak.
+_LARGEST_SCALE = 4.0
+#: Rotation and scales are fitted in turn: exact to rounding on a face turned by 30 degrees and
+#: stretched by a half.
+_ROUNDS = 200
+
+
+class FaceMapError(UserError):
+    """Two speakers cannot be brought to one face; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class PhonemeFaces:
+    """The closed mouth, and what each phoneme looks like in its middle, on average.
+
+    rest_mm: (n_points, 3); means_mm: (40, n_points, 3), 0 for what is not said; counts: (40,).
+    """
+
+    rest_mm: Array
+    means_mm: Array
+    counts: Array
+
+
+@dataclass(frozen=True, slots=True)
+class FaceMap:
+    """rest_mm, target_rest_mm: (n_points, 3); rotation: (3, 3); scale: (3,), x, y and z."""
+
+    rest_mm: Array
+    target_rest_mm: Array
+    rotation: Array
+    scale: Array
+
+    @property
+    def angle_deg(self) -> float:
+        """By how much the speaker's head is turned against the target's."""
+        return float(np.degrees(np.arccos(np.clip((np.trace(self.rotation) - 1.0) / 2.0, -1, 1))))
+
+    def on_target(self, markers_mm: NDArray[np.floating]) -> Array:
+        """(n_frames, n_points, 3) of the speaker, as the target's face would do it."""
+        moved = (markers_mm - self.rest_mm) @ self.rotation.T
+        return np.asarray(self.target_rest_mm + moved * self.scale)
+
+
+def phoneme_faces(utterances: Sequence[Utterance], rest_mm: Array) -> PhonemeFaces:
+    """Every phone's middle, interpolated between frames. rest_mm: (n_points, 3)."""
+    counts, sums = np.zeros(len(PHONEMES)), np.zeros((len(PHONEMES), *rest_mm.shape))
+    for utterance in utterances:
+        last = len(utterance.markers_mm) - 1
+        for phone in utterance.phones:
+            if phone.phoneme == SILENCE or phone.end_s is None:
+                continue
+            at = min(last, (phone.start_s + phone.end_s) / 2.0 * utterance.frame_rate_hz)
+            before = min(last - 1, int(at))
+            first, second = utterance.markers_mm[before : before + 2].astype(np.float64)
+            index = PHONEMES.index(phone.phoneme)
+            counts[index] += 1
+            sums[index] += first + (at - before) * (second - first)
+    return PhonemeFaces(rest_mm, sums / np.maximum(counts, 1.0)[:, None, None], counts)
+
+
+def fit_face_map(speaker: PhonemeFaces, target: PhonemeFaces) -> FaceMap:
+    """How the speaker's motion is done by the target's face.
+
+    Raises FaceMapError where they have too few phonemes in common, or move too differently.
+    """
+    both = np.minimum(speaker.counts, target.counts)
+    known = np.flatnonzero(both >= _FEWEST_TIMES)
+    if len(known) < _FEWEST_PHONEMES:
+        raise FaceMapError(
+            f"only {len(known)} phonemes are said {_FEWEST_TIMES} times by both speakers, "
+            f"{_FEWEST_PHONEMES} are needed to compare their faces; record more sentences"
+        )
+    rotation = _rotation(speaker.rest_mm, target.rest_mm)
+    weights = both[known] / both[known].sum()
+    ours = _differences(speaker.means_mm[known] @ rotation.T, weights)
+    theirs = _differences(target.means_mm[known], weights)
+    scale = np.sqrt(theirs / np.maximum(ours, 1e-12))
+    for axis, factor in zip("xyz", scale, strict=True):
+        if not 1.0 / _LARGEST_SCALE <= factor <= _LARGEST_SCALE:
+            raise FaceMapError(
+                f"one face moves {max(factor, 1.0 / max(factor, 1e-6)):.3g} times as much as the "
+                f"other along {axis}, {_LARGEST_SCALE:g} times is the most that is taken for "
+                "another face; look at how they were tracked"
+            )
+    return FaceMap(speaker.rest_mm, target.rest_mm, rotation, scale)
+
+
+def _differences(means_mm: Array, weights: Array) -> Array:
+    """(3,) mm^2: how much phonemes (n, n_points, 3) differ along each axis."""
+    apart = means_mm - np.tensordot(weights, means_mm, axes=1)
+    return np.asarray(np.tensordot(weights, apart**2, axes=1).sum(axis=0))
+
+
+def _rotation(source: Array, target: Array) -> Array:
+    """(3, 3), of `target ~ b R source` between centred faces (n_points, 3), b a scale an axis."""
+    source, target = source - source.mean(axis=0), target - target.mean(axis=0)
+    stretch = np.ones(3)
+    for _ in range(_ROUNDS):
+        rotation: Array = fit_similarity(source[None], target / stretch)[1][0]
+        turned = source @ rotation.T
+        stretch = (target * turned).sum(axis=0) / (turned**2).sum(axis=0)
+    return rotation
+
+
+#: Between a speaker and a sentence in the name of a sentence of several speakers.
+SEPARATOR = "/"
+#: Weights beyond these are slips of the pen, and the larger ones take hours.
+_SMALLEST_WEIGHT, _LARGEST_WEIGHT = 0.001, 100.0
+
+
+def on_one_face(
+    corpora: Sequence[Corpus],
+    *,
+    face_of: str | None = None,
+    weights: Mapping[str, float] | None = None,
+) -> tuple[Corpus, dict[str, FaceMap]]:
+    """One corpus of all labelled sentences, each speaker's motion on one speaker's face.
+
+    And how the others' motion came to that face, by their names.
+
+    corpora: of one layout, each of one speaker, who is called as the corpus is. face_of: whose face
+    it is, None for the first's; its head and its frame rate are taken too. weights: how often a
+    frame of a speaker counts, 1 where none is given. A sentence is called SPEAKER/NAME; a single
+    corpus keeps its names. Raises CorpusError for a name that is there twice or not at all, a
+    weight that is none, and a speaker whose face cannot be compared.
+    """
+    of_speaker = {corpus.name: corpus for corpus in corpora}
+    check_speakers([corpus.name for corpus in corpora], face_of, weights or {})
+    for corpus in corpora:
+        if not corpus.labelled().utterances:
+            raise CorpusError(f"corpus {corpus.name}: no sentence has a phones tier")
+    target = corpora[0] if face_of is None else of_speaker[face_of]
+    if len(corpora) == 1:
+        return corpora[0].labelled(), {}
+    faces = {corpus.name: _phoneme_faces(corpus) for corpus in corpora}
+    maps: dict[str, FaceMap] = {}
+    utterances: list[Utterance] = []
+    for corpus in corpora:
+        said = corpus.labelled().utterances
+        if corpus is not target:
+            try:
+                maps[corpus.name] = fit_face_map(faces[corpus.name], faces[target.name])
+            except FaceMapError as error:
+                raise CorpusError(f"{corpus.name} beside {target.name}: {error}") from error
+            said = _moved(said, maps[corpus.name], target.labelled().utterances[0].frame_rate_hz)
+        weight = (weights or {}).get(corpus.name, 1.0)
+        utterances += [
+            replace(u, name=f"{corpus.name}{SEPARATOR}{u.name}", weight=weight) for u in said
+        ]
+    skipped = tuple(line for corpus in corpora for line in corpus.skipped)
+    name = "+".join(of_speaker)
+    return Corpus(name, target.layout, tuple(utterances), target.head_reference_mm, skipped), maps
+
+
+def speaker_name(name: str) -> str:
+    """Whose sentence of several speakers' it is; "" where it is of one speaker's corpus."""
+    return name.rpartition(SEPARATOR)[0]
+
+
+def sentence_name(name: str) -> str:
+    """The name of a sentence in its own speaker's folder."""
+    return name.rpartition(SEPARATOR)[2]
+
+
+def check_speakers(names: Sequence[str], face_of: str | None, weights: Mapping[str, float]) -> None:
+    """Raises CorpusError for a name that is there twice or not at all, a weight that is none.
+
+    names: of the corpora.
+    """
+    for name in names:
+        if names.count(name) > 1:
+            raise CorpusError(
+                f"{names.count(name)} corpora are called {name!r}; rename folders, for a folder's "
+                "name says whose sentences they are"
+            )
+    for name in (*weights, *([] if face_of is None else [face_of])):
+        if name not in names:
+            raise CorpusError(f"no corpus is called {name!r}; there are {', '.join(names)}")
+    for name, weight in weights.items():
+        if not _SMALLEST_WEIGHT <= weight <= _LARGEST_WEIGHT:
+            raise CorpusError(
+                f"weight {weight:g} of {name}: from {_SMALLEST_WEIGHT} to {_LARGEST_WEIGHT:g}; "
+                "leave the corpus out if it is to count nothing"
+            )
+
+
+def _moved(
+    said: Sequence[Utterance], face_map: FaceMap, frame_rate_hz: float
+) -> tuple[Utterance, ...]:
+    """A speaker's sentences on the target's face, at its frame rate."""
+    on_target = [
+        replace(u, markers_mm=face_map.on_target(u.markers_mm).astype(np.float32)) for u in said
+    ]
+    return tuple(at_frame_rate(utterance, frame_rate_hz) for utterance in on_target)
+
+
+def _phoneme_faces(corpus: Corpus) -> PhonemeFaces:
+    said = corpus.labelled().utterances
+    for utterance in said:
+        if not np.isfinite(utterance.markers_mm).all():
+            raise CorpusError(
+                f"corpus {corpus.name}: {utterance.name} has markers that are not numbers; leave "
+                "the sentence out or track it again"
+            )
+    return phoneme_faces(said, closed_mouth_mm(said, corpus.layout))

@@ -1,0 +1,1 @@
+"""A corpus becomes a state model: parameters, manifold, states, units."""

@@ -1,0 +1,322 @@
+"""A corpus becomes a state model.
+
+The speech manifold: frames laid out by how far they are from each other.
+
+Edge, Hilton and Jackson, steps 3: PCA of the matrix of Euclidean distances between all frames. Each
+row of the matrix is one frame, told by its distances to all others; its principal components are
+the coordinates. (Classical scaling squares and centres the distances first; of Euclidean ones that
+gives back the frames themselves, rotated, and nothing would be gained.)
+
+The matrix of 70,000 frames has 4.9e9 entries. Its columns are samples of one smooth function of a
+frame, so that some hundreds of them, taken at landmarks that lie evenly in the recordings, hold
+what all do (de Silva and Tenenbaum, "Sparse multidimensional scaling using landmark points", 2004;
+Nystrom's method for the symmetric case). With every frame a landmark it is the exact form.
+
+The parameters of motion: principal components, their speed, and one scale for each.
+
+Edge, Hilton and Jackson, "Data" and steps 1 and 2 of the digest's numbering. They find the
+components by EM (Roweis, "EM Algorithms for PCA and SPCA", NIPS 1997), which walks towards the
+space of the leading eigenvectors of the covariance without ever forming it: the way to go for
+60,000 coordinates a frame, and taken here for dense scans. Markers have 141: their covariance is
+formed and its eigenvectors are exact, and the same at every run.
+
+States of the mouth: clusters of the manifold, which follows which, and what each looks like.
+
+Edge, Hilton and Jackson, steps 4 and 5 and the Gaussians of step 6.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
+from sklearn.cluster import BisectingKMeans
+from sklearn.decomposition import PCA
+from threadpoolctl import threadpool_limits
+
+from lipservo_lab.corpus.utterance import Utterance
+from lipsync.arrays import Array, Indices
+from lipsync.errors import UserError
+from lipsync.offline.line_synthesis import frames_between, joined_phones, unit_spans
+from lipsync.offline.offline_model import StateModel, Units
+from lipsync.phonemes import PHONEMES
+
+#: Coordinates that hold this share of the variance are kept, as in the paper.
+KEPT_SHARE = 0.99
+#: Of 2,999 frames of grid_s1 the distances by 800 landmarks are those of the exact form within
+#: 0.7 % (root mean square), by 200 within 1.5 %; both keep 8 dimensions.
+N_LANDMARKS = 800
+
+
+def landmark_frames(n_frames: int, n_landmarks: int) -> Indices:
+    """Numbers of the landmarks, evenly over the recordings: (min(n_frames, n_landmarks),)."""
+    if n_frames <= n_landmarks:
+        return np.arange(n_frames)
+    return np.linspace(0, n_frames - 1, n_landmarks).round().astype(np.int64)
+
+
+def speech_manifold(
+    parameters: Array, n_landmarks: int | None = N_LANDMARKS, kept_share: float = KEPT_SHARE
+) -> Array:
+    """Coordinates (n, d) of frames with parameters (n, m), by PCA of their distances.
+
+    D_ij = || z_i - z_j || with j over the landmarks, equation (M1); coordinates: the leading
+    principal components of the rows of D that hold `kept_share` of their variance, equation (M2),
+    divided by the root of the number of landmarks, so that they are as large whatever that is.
+    n_landmarks: None takes every frame, the exact form.
+    """
+    numbers = landmark_frames(len(parameters), n_landmarks or len(parameters))
+    distances = cdist(parameters, parameters[numbers]).astype(np.float32)
+    distances -= distances.mean(axis=0)
+    covariance = (distances.T @ distances).astype(np.float64) / len(parameters)
+    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = np.maximum(values[::-1], 0.0), vectors[:, ::-1]
+    held = np.cumsum(values) / max(float(values.sum()), np.finfo(float).tiny)
+    n_kept = int(np.searchsorted(held, kept_share)) + 1
+    # A direction has no sign of its own: the largest entry is made positive.
+    vectors = vectors[:, :n_kept]
+    vectors = vectors * np.sign(vectors[np.abs(vectors).argmax(axis=0), np.arange(n_kept)])
+    return np.asarray(distances @ vectors / np.sqrt(len(numbers)), dtype=np.float64)
+
+
+#: Up to so many coordinates a frame the covariance is formed: 18 MB, and its eigenvectors 5 s.
+MOST_FOR_COVARIANCE = 1_500
+#: EM carries this many components more than asked for: it comes nearer by the ratio of the variance
+#: of the first that it leaves out to that of the last that is kept, every round.
+_SPARE = 20
+#: It ends when the variance held grows by less than this share; the space is then off by the root.
+_TOLERANCE = 1e-11
+_MOST_ROUNDS = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """mean_mm (n_coordinates,), basis (n_components, n_coordinates), rows orthonormal.
+
+    share: of the variance of all frames that the components hold.
+    """
+
+    mean_mm: Array
+    basis: Array
+    share: float
+
+    def of(self, frames_mm: NDArray[np.floating]) -> Array:
+        """(n, n_coordinates) -> (n, n_components): equation (P1), x = B (f - mean)."""
+        return np.asarray((frames_mm - self.mean_mm) @ self.basis.T, dtype=np.float64)
+
+
+def find_components(sentences_mm: Sequence[NDArray[np.floating]], n_components: int) -> Components:
+    """The leading principal components of all frames of sentences (n_frames, n_coordinates).
+
+    Exact up to `MOST_FOR_COVARIANCE` coordinates, by EM beyond.
+    """
+    if sentences_mm[0].shape[1] > MOST_FOR_COVARIANCE:
+        return components_by_em(sentences_mm, n_components)
+    frames_mm = np.concatenate(sentences_mm).astype(np.float64, copy=False)
+    pca = PCA(n_components, svd_solver="covariance_eigh").fit(frames_mm)
+    return Components(pca.mean_, pca.components_, float(pca.explained_variance_ratio_.sum()))
+
+
+def components_by_em(sentences_mm: Sequence[NDArray[np.floating]], n_components: int) -> Components:
+    """The same by EM, one sentence in memory as float64 at a time.
+
+    Roweis, section 3.1: X = (C' C)^-1 C' Y, then C = Y X' (X X')^-1. With the columns of C kept
+    orthonormal, both together lead to the space of Y Y' C, which is all that matters of C. It
+    starts from frames that lie evenly in the recordings, so the same frames give the same result.
+    """
+    n_frames = sum(map(len, sentences_mm))
+    sums = sum(each.sum(axis=0, dtype=np.float64) for each in sentences_mm)
+    mean_mm = np.asarray(sums / n_frames, dtype=np.float64)
+
+    def centred() -> Iterator[Array]:
+        for each in sentences_mm:
+            yield each.astype(np.float64) - mean_mm
+
+    n_carried = min(n_components + _SPARE, n_frames, len(mean_mm))
+    chosen = np.linspace(0, n_frames - 1, n_carried).round().astype(np.int64)
+    starts = np.cumsum([0, *map(len, sentences_mm)])
+    at_sentence = np.searchsorted(starts, chosen, side="right") - 1
+    first = [sentences_mm[i][n - starts[i]] for i, n in zip(at_sentence, chosen, strict=True)]
+    scattered = (np.array(first, dtype=np.float64) - mean_mm).T
+    held = 0.0
+    for _ in range(_MOST_ROUNDS):
+        space = np.linalg.qr(scattered)[0]
+        scattered = np.zeros_like(space)
+        for y in centred():
+            scattered += y.T @ (y @ space)
+        within = space.T @ scattered
+        values, turn = np.linalg.eigh((within + within.T) / 2)
+        before, held = held, float(values[::-1][:n_components].sum())
+        if held - before <= _TOLERANCE * held:
+            break
+    basis = (space @ turn[:, ::-1])[:, :n_components].T
+    # A direction has no sign of its own: the largest entry is made positive.
+    signs = np.sign(basis[np.arange(len(basis)), np.abs(basis).argmax(axis=1)])
+    everything = sum(float((y**2).sum()) for y in centred())
+    share = held / max(everything, np.finfo(float).tiny)
+    return Components(mean_mm, basis * signs[:, None], share)
+
+
+def velocities(positions: Array) -> Array:
+    """x'_i = x_{i+1} - x_i, (n, p) -> (n, p), equation (P2); the last frame keeps the last step."""
+    steps = np.diff(positions, axis=0)
+    last = steps[-1:] if len(steps) else np.zeros_like(positions[:1])
+    return np.concatenate([steps, last])
+
+
+def joint_parameters(sentences: Sequence[Array]) -> Array:
+    """z_i = (x_i / s, x'_i / s'), (n, 2 p) over all sentences, equation (P3).
+
+    s and s' make the variance of each block 1 in all: one scale a block. A scale for every
+    component would blow the jitter of the last ones up to the size of the jaw.
+    """
+    blocks = [np.concatenate(sentences), np.concatenate([velocities(x) for x in sentences])]
+    scaled = []
+    for block in blocks:
+        scale = float(np.sqrt(block.var(axis=0).sum()))
+        scaled.append(block / (scale if scale > 0.0 else 1.0))
+    return np.concatenate(scaled, axis=1)
+
+
+def bisected_states(coordinates: Array, n_states: int, seed: int) -> Indices:
+    """The state of each frame, (n,), by bisecting k-means on the manifold (n, d), equation (S1).
+
+    The cluster with the largest squared error is split in two until there are `n_states`
+    (Steinbach, Karypis and Kumar, "A comparison of document clustering techniques", 2000).
+    """
+    kmeans = BisectingKMeans(n_states, random_state=seed, n_init=1)
+    return np.asarray(kmeans.fit_predict(coordinates), dtype=np.int64)
+
+
+def transitions(sentences: Sequence[Indices], n_states: int) -> NDArray[np.bool_]:
+    """T (n_states, n_states), equation (S2): whether a frame in i is anywhere followed by one in j.
+
+    sentences: the states of each sentence in order of time. Binary on purpose: what was seen once
+    is as possible as what is common.
+    """
+    follows = np.zeros((n_states, n_states), dtype=np.bool_)
+    for states in sentences:
+        follows[states[:-1], states[1:]] = True
+    return follows
+
+
+def state_gaussians(
+    positions: Array, speeds: Array, states: Indices, n_states: int, shrinkage: float
+) -> tuple[Array, Array]:
+    """Means (n_states, 2 p) and covariances (n_states, 2 p, 2 p) of y = (x, x'), equation (S3).
+
+    positions, speeds: (n, p). A state of a few frames cannot tell a covariance of 2 p numbers: it
+    is drawn to the mean one of all states as if `shrinkage` frames of that had been seen as well.
+    """
+    both = np.concatenate([positions, speeds], axis=1)
+    counts = np.bincount(states, minlength=n_states).astype(np.float64)
+    means = np.zeros((n_states, both.shape[1]))
+    np.add.at(means, states, both)
+    means /= np.maximum(counts, 1.0)[:, None]
+    rest = both - means[states]
+    within = rest.T @ rest / len(both)
+    floor = 1e-6 * max(float(np.trace(within)) / len(within), 1e-12) * np.eye(len(within))
+    scatter = np.zeros((n_states, both.shape[1], both.shape[1]))
+    for state in range(n_states):
+        mine = rest[states == state]
+        scatter[state] = mine.T @ mine
+    weights = (counts + shrinkage)[:, None, None]
+    return means, (scatter + shrinkage * (within + floor)) / weights + floor
+
+
+Progress = Callable[[str], None]
+
+
+class BuildingError(UserError):
+    """A corpus that no state model can be made of; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """What the paper leaves open, chosen on inner splits (docs/decisions/0029)."""
+
+    n_components: int = 10
+    n_states: int = 100
+    n_landmarks: int = N_LANDMARKS
+    shrinkage: float = 20.0
+    seed: int = 0
+
+
+def build_states(
+    utterances: Sequence[Utterance],
+    cepstra: Sequence[Array],
+    recipe: Recipe | None = None,
+    progress: Progress = lambda _: None,
+) -> StateModel:
+    """A state model of labelled sentences, and of what is heard at each of their frames.
+
+    cepstra: (n_frames, m) of each. Raises BuildingError for too few frames, and for sentences at
+    different rates.
+    """
+    recipe = recipe or Recipe()
+    rates = {u.frame_rate_hz for u in utterances}
+    if len(rates) != 1:
+        raise BuildingError(f"sentences at {len(rates)} frame rates; a state model has one")
+    frame_rate_hz = rates.pop()
+    frames = [_flat(u) for u in utterances]
+    borders = np.concatenate([[0], np.cumsum([len(each) for each in frames])])
+    _check_numbers(recipe, int(borders[-1]), frames[0].shape[1])
+    with threadpool_limits(limits=1):  # several threads add up in changing order
+        progress("principal components")
+        components = find_components(frames, recipe.n_components)
+        sentences = [components.of(each) for each in frames]
+        motion = np.concatenate(sentences)
+        progress("speech manifold")
+        manifold = speech_manifold(joint_parameters(sentences), recipe.n_landmarks)
+        progress(f"{recipe.n_states} states in {manifold.shape[1]} dimensions")
+        states = bisected_states(manifold, recipe.n_states, recipe.seed)
+        speeds = np.concatenate([velocities(x) for x in sentences])
+        means, covariances = state_gaussians(
+            motion, speeds, states, recipe.n_states, recipe.shrinkage
+        )
+    return StateModel(
+        frame_rate_hz=frame_rate_hz,
+        borders=borders,
+        cepstra=np.concatenate(cepstra).astype(np.float32),
+        states=states,
+        units=_units(utterances, borders),
+        follows=transitions(
+            [states[r.start : r.stop] for r in frames_between(borders)], recipe.n_states
+        ),
+        means=means,
+        covariances=covariances,
+        mean_mm=components.mean_mm,
+        basis=components.basis,
+    )
+
+
+def _units(utterances: Sequence[Utterance], borders: Array) -> Units:
+    phonemes, first, end = [], [], []
+    for utterance, start in zip(utterances, borders, strict=False):
+        n_frames = len(utterance.markers_mm)
+        phones = joined_phones(utterance.phones, n_frames / utterance.frame_rate_hz)
+        spans = unit_spans(phones, n_frames, utterance.frame_rate_hz)
+        phonemes += [PHONEMES.index(p) for p in spans.phonemes]
+        first.append(spans.first + start)
+        end.append(spans.end + start)
+    return Units(np.array(phonemes), np.concatenate(first), np.concatenate(end))
+
+
+def _check_numbers(recipe: Recipe, n_frames: int, n_coordinates: int) -> None:
+    if n_frames < 2 * recipe.n_states:
+        raise BuildingError(
+            f"{n_frames} frames are too few for {recipe.n_states} states: record more, or ask "
+            f"for {n_frames // 2} at most (--states)"
+        )
+    most = min(n_frames - 1, n_coordinates)
+    if recipe.n_components > most:
+        raise BuildingError(
+            f"{recipe.n_components} components: {n_frames} frames of {n_coordinates // 3} points "
+            f"have {most} at most (--components)"
+        )
+
+
+def _flat(utterance: Utterance) -> NDArray[np.float32]:
+    """(n_frames, 3 n_points), without a copy: dense scans take a gigabyte."""
+    return utterance.markers_mm.reshape(len(utterance.markers_mm), -1)

@@ -1,0 +1,225 @@
+"""Sounds that are no speech, and what rooms and wires do to speech. For training and scoring.
+
+Everything takes its randomness as an argument: the same generator state gives the same samples.
+Samples are (n,) float32 at 16 kHz.
+
+Sound files of the user's own that hold no speech: music, effects, the robot in its room.
+"""
+
+import io
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import soundfile
+import soxr
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array32
+from lipsync.audio.file import read_speech
+from lipsync.audio.source import SoundError
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
+
+Noise = Callable[[np.random.Generator, int], Array32]
+
+
+def white(rng: np.random.Generator, n: int) -> Array32:
+    """White noise of unit power."""
+    return rng.standard_normal(n).astype(np.float32)
+
+
+def coloured(rng: np.random.Generator, n: int) -> Array32:
+    """Noise whose power falls by 0 to 12 dB an octave, with one random resonance."""
+    spectrum = np.fft.rfft(white(rng, n))
+    hz = np.linspace(20.0, SAMPLE_RATE_HZ / 2, len(spectrum))
+    slope = rng.uniform(0.0, 2.0)
+    centre_hz, width = np.exp(rng.uniform(np.log(100.0), np.log(6000.0))), rng.uniform(0.1, 1.0)
+    resonance = 1.0 + rng.uniform(0.0, 5.0) * np.exp(-((np.log(hz / centre_hz) / width) ** 2))
+    return unit_power(np.fft.irfft(spectrum * hz ** (-slope / 2) * resonance, n))
+
+
+def chords(rng: np.random.Generator, n: int) -> Array32:
+    """Sustained harmonic tones that start, swell, waver and stop: the music of training."""
+    total = np.zeros(n)
+    for _ in range(max(2, round(n / SAMPLE_RATE_HZ * rng.uniform(2.0, 8.0)))):
+        n_tone = min(n, round(SAMPLE_RATE_HZ * rng.uniform(0.15, 1.5)))
+        time_s = np.arange(n_tone) / SAMPLE_RATE_HZ
+        pitch_hz = np.exp(rng.uniform(np.log(60.0), np.log(1200.0)))
+        vibrato = rng.uniform(0.0, 0.01) * np.sin(2 * np.pi * rng.uniform(3.0, 7.0) * time_s)
+        phase = 2 * np.pi * pitch_hz * np.cumsum(1.0 + vibrato) / SAMPLE_RATE_HZ
+        falloff = rng.uniform(0.5, 2.0)
+        harmonics = np.arange(1, max(2, min(25, int(7_800 / pitch_hz))))
+        strengths = rng.uniform(0.2, 1.0, len(harmonics)) / harmonics**falloff
+        tone = sum(a * np.sin(k * phase) for a, k in zip(strengths, harmonics, strict=True))
+        attack_s, decay_s = rng.uniform(0.005, 0.1), rng.uniform(0.1, 2.0)
+        envelope = np.minimum(1.0, time_s / attack_s) * np.exp(-time_s / decay_s)
+        start = int(rng.integers(0, n - n_tone + 1))
+        total[start : start + n_tone] += tone * envelope * rng.uniform(0.3, 1.0)
+    return unit_power(total + 0.02 * rng.standard_normal(n))
+
+
+def band(rng: np.random.Generator, n: int) -> Array32:
+    """Plucked strings, bass and drums at a steady beat: the music-like noise of the bench.
+
+    Made otherwise than `chords`, so that no network was trained on its like. Strings are
+    Karplus and Strong's (Computer Music Journal 7(2), 1983): a loop of noise, averaged each turn.
+    """
+    beat = round(SAMPLE_RATE_HZ * 60.0 / rng.uniform(90.0, 140.0) / 2)
+    scale_hz = 220.0 * 2.0 ** (np.array([0, 2, 4, 5, 7, 9, 11, 12]) / 12.0)
+    total = np.zeros(n + 2 * SAMPLE_RATE_HZ)
+    for index, start in enumerate(range(0, n, beat)):
+        degree = int(rng.integers(0, 8))
+        for pitch_hz in (scale_hz[degree], scale_hz[(degree + 2) % 8], scale_hz[(degree + 4) % 8]):
+            string = _string(rng, pitch_hz, 4 * beat)
+            total[start : start + len(string)] += string[: len(total) - start]
+        if index % 2 == 0:
+            bass = _string(rng, scale_hz[degree] / 4, 4 * beat)
+            total[start : start + len(bass)] += 2.0 * bass[: len(total) - start]
+        drum = rng.standard_normal(beat) * np.exp(-np.arange(beat) / (0.02 * SAMPLE_RATE_HZ))
+        total[start : start + beat] += 0.7 * drum
+    return unit_power(total[:n])
+
+
+def babble(voices: Sequence[Array32], n_voices: int = 6) -> Noise:
+    """So many of the voices at random at once, each from a random place on."""
+
+    def together(rng: np.random.Generator, n: int) -> Array32:
+        total = np.zeros(n, np.float32)
+        for index in rng.choice(len(voices), size=min(n_voices, len(voices)), replace=False):
+            voice = unit_power(voices[index])
+            total += np.resize(np.roll(voice, -int(rng.integers(len(voice)))), n)
+        return unit_power(total)
+
+    return together
+
+
+def add_noise(speech: Array32, noise: Array32, snr_db: float) -> Array32:
+    """Speech with noise `snr_db` below it; both powers are means over the whole length."""
+    power = float(np.mean(np.square(speech, dtype=np.float64)))
+    gain = np.sqrt(power * 10.0 ** (-snr_db / 10.0))
+    return (speech + np.float32(gain) * unit_power(noise)).astype(np.float32)
+
+
+def reverberate(rng: np.random.Generator, speech: Array32) -> Array32:
+    """Speech in a room: reflections of walls, then an exponential tail of noise, 0.15 to 0.7 s.
+
+    What is not direct has .02 to 3 times its power, as from beside the talker to across the room.
+    """
+    reverberation_s, wet = rng.uniform(0.15, 0.7), rng.uniform(0.15, 1.7)
+    time_s = np.arange(round(reverberation_s * SAMPLE_RATE_HZ)) / SAMPLE_RATE_HZ
+    # -60 dB after the reverberation time: Sabine's definition.
+    tail = rng.standard_normal(len(time_s)) * 10.0 ** (-3.0 * time_s / reverberation_s)
+    # Diffuse sound comes after the first walls, which send single echoes.
+    tail[: round(rng.uniform(0.0, 0.02) * SAMPLE_RATE_HZ)] = 0.0
+    n_echoes = int(rng.integers(0, 9))
+    at = rng.integers(16, round(0.05 * SAMPLE_RATE_HZ), n_echoes)
+    echo_power = float(np.sum(tail**2)) * rng.uniform(0.0, 1.5)
+    strengths = rng.uniform(0.2, 1.0, n_echoes) * rng.choice((-1.0, 1.0), n_echoes)
+    if n_echoes:
+        strengths *= np.sqrt(echo_power / np.sum(strengths**2))
+        np.add.at(tail, at, strengths)
+    tail *= wet / np.sqrt(np.sum(tail**2))
+    tail[0] = 1.0
+    n_fft = 1 << (len(speech) + len(tail)).bit_length()
+    wet_speech = np.fft.irfft(np.fft.rfft(speech, n_fft) * np.fft.rfft(tail, n_fft), n_fft)
+    return wet_speech[: len(speech)].astype(np.float32)
+
+
+def telephone(speech: Array32) -> Array32:
+    """Speech through an 8 kHz line with 8-bit mu-law samples (ITU-T G.711's curve)."""
+    narrow = np.clip(soxr.resample(speech, SAMPLE_RATE_HZ, 8_000), -1.0, 1.0)
+    curve = np.log1p(255.0 * np.abs(narrow)) / np.log(256.0)
+    steps = np.rint(curve * 127.0) / 127.0
+    line = np.sign(narrow) * np.expm1(steps * np.log(256.0)) / 255.0
+    wide = soxr.resample(line.astype(np.float32), 8_000, SAMPLE_RATE_HZ)
+    return np.resize(wide, len(speech)).astype(np.float32)
+
+
+def lossy(rng: np.random.Generator, speech: Array32) -> Array32:
+    """Speech as a lossy codec leaves it: Vorbis at some 28 to 53 kbit/s."""
+    stream = io.BytesIO()
+    quality = rng.uniform(0.4, 1.0)
+    soundfile.write(stream, speech, SAMPLE_RATE_HZ, format="OGG", compression_level=quality)
+    stream.seek(0)
+    heard = soundfile.read(stream, dtype="float32")[0]
+    return np.resize(heard, len(speech)).astype(np.float32)
+
+
+def add_at(total: NDArray[np.float64], start: int, part: NDArray[np.float64]) -> None:
+    """Lay `part` (n,) into `total` (m,) from sample `start` on; what is beyond its end is lost."""
+    end = min(len(total), start + len(part))
+    if start < end:
+        total[start:end] += part[: end - start]
+
+
+def unit_power(samples: NDArray[np.floating]) -> Array32:
+    """The same at a mean power of 1; silence stays silence."""
+    power = float(np.mean(np.square(samples, dtype=np.float64)))
+    return (samples / np.sqrt(power) if power > 0.0 else samples).astype(np.float32)
+
+
+def _string(rng: np.random.Generator, pitch_hz: float, n: int) -> NDArray[np.float64]:
+    period = max(2, round(SAMPLE_RATE_HZ / pitch_hz))
+    loop = rng.uniform(-1.0, 1.0, period)
+    turns = []
+    for _ in range(-(-n // period)):
+        turns.append(loop)
+        loop = 0.498 * (loop + np.roll(loop, 1))
+    return np.concatenate(turns)[:n]
+
+
+#: Of a long file so much is kept, from its middle: memory, and no file should drown the others.
+_LONGEST_S = 90
+_SAMPLES_S = 16_000
+
+
+class FoundSoundsError(UserError):
+    """A folder of sounds cannot be used; the message is one line."""
+
+
+def read_found_sounds(
+    folder: Path, warn: Callable[[str], None] = lambda _line: None
+) -> list[Array32]:
+    """Every sound file below a folder, (n,) at 16 kHz; what is no sound is told and left out.
+
+    Raises FoundSoundsError for a folder that holds no sound.
+    """
+    if not folder.is_dir():
+        raise FoundSoundsError(f"{folder}: no such folder; give one of sounds without speech")
+    sounds = []
+    for path in sorted(folder.rglob("*")):
+        if not path.is_file():
+            continue
+        try:
+            samples = read_speech(path)
+        except SoundError as error:
+            warn(str(error))
+            continue
+        spare = max(0, len(samples) - _LONGEST_S * _SAMPLES_S) // 2
+        # Float16 would do; half the memory is not worth another type.
+        sounds.append(samples[spare : spare + _LONGEST_S * _SAMPLES_S].copy())
+    if not sounds:
+        raise FoundSoundsError(f"{folder}: holds no sound file that can be read")
+    return sounds
+
+
+def found(sounds: list[Array32]) -> Noise:
+    """A part of one of the sounds; short ones again and again with pauses, long ones likelier."""
+    weights = np.sqrt([float(len(sound)) for sound in sounds])
+    chances = weights / weights.sum()
+
+    def part(rng: np.random.Generator, n: int) -> Array32:
+        sound = sounds[int(rng.choice(len(sounds), p=chances))]
+        if len(sound) >= n:
+            first = int(rng.integers(0, len(sound) - n + 1))
+            return unit_power(sound[first : first + n])
+        total = np.zeros(n, np.float32)
+        at = int(rng.integers(0, max(1, n - len(sound))))
+        while at < n:
+            end = min(n, at + len(sound))
+            total[at:end] = sound[: end - at]
+            at = end + int(rng.integers(0, 2 * _SAMPLES_S))
+        return unit_power(total)
+
+    return part

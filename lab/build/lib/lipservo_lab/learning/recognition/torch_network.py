@@ -1,0 +1,126 @@
+"""The network in torch, for training: made by a plan, started from weights, exported to NumPy."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from lipservo_lab.learning.recognition.training_data import (
+    TrainingArray,
+    TrainingError,
+    TrainingPlan,
+    draw_windows,
+)
+from lipsync.phonemes import PHONEMES
+from lipsync.recognition.features import N_BANDS, FeatureScale
+from lipsync.recognition.network import Layer, NetworkWeights
+
+#: Windows from which the norms of a network that goes on from other weights are set.
+_NORM_WINDOWS = 64
+
+
+class _Residual(nn.Module):
+    """x + relu(norm(conv(x))), causal."""
+
+    def __init__(self, channels: int, dilation: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv1d(channels, channels, 3, dilation=dilation, bias=False)
+        self.norm = nn.BatchNorm1d(channels)
+        self.padding = 2 * dilation
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """(b, channels, n) to the same."""
+        return x + torch.relu(self.norm(self.conv(nn.functional.pad(x, (self.padding, 0)))))
+
+
+class TorchNetwork(nn.Module):
+    """The network as torch trains it: features (b, 40, n) to logits (b, n_heads, 40 phones, n)."""
+
+    def __init__(self, plan: TrainingPlan) -> None:
+        super().__init__()
+        self.n_heads = len(plan.delays)
+        self.entry = nn.Conv1d(N_BANDS, plan.channels, 3)
+        self.body = nn.Sequential(*(_Residual(plan.channels, d) for d in plan.dilations))
+        self.exit = nn.Conv1d(plan.channels, self.n_heads * len(PHONEMES), 1)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """See the class."""
+        logits = self.exit(self.body(torch.relu(self.entry(nn.functional.pad(x, (2, 0))))))
+        return logits.unflatten(1, (self.n_heads, len(PHONEMES)))
+
+
+def exported(network: nn.Module, scale: FeatureScale, plan: TrainingPlan) -> NetworkWeights:
+    """The weights for NumPy: batch norm folded into the convolutions."""
+    assert isinstance(network, TorchNetwork)
+    layers = [Layer(_kernel(network.entry.weight), _numpy(network.entry.bias), 1)]
+    for block, dilation in zip(network.body, plan.dilations, strict=True):
+        assert isinstance(block, _Residual)
+        norm = block.norm
+        gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)
+        bias = norm.bias - gain * norm.running_mean
+        layers.append(
+            Layer(_kernel(block.conv.weight * gain[:, None, None]), _numpy(bias), dilation)
+        )
+    return NetworkWeights(
+        scale=scale,
+        entry=layers[0],
+        residuals=tuple(layers[1:]),
+        output=_numpy(network.exit.weight[:, :, 0].T),
+        output_bias=_numpy(network.exit.bias),
+        delays=plan.delays,
+        phonemes=PHONEMES,
+    )
+
+
+def started_from(
+    weights: NetworkWeights, arrays: Sequence[TrainingArray], plan: TrainingPlan
+) -> TorchNetwork:
+    """A network that says what `weights` say, ready to go on learning.
+
+    The weights hold no norms, these are folded into them; they are set here from what the layers
+    give on windows of the arrays, so that the first step finds the network as it was left.
+    """
+    network = TorchNetwork(plan)
+    layers = [weights.entry, *weights.residuals]
+    dilations = tuple(layer.dilation for layer in weights.residuals)
+    channels = len(weights.entry.bias)
+    if (dilations, channels, weights.delays) != (plan.dilations, plan.channels, plan.delays):
+        raise TrainingError("the weights to start from are of another shape than the plan's")
+    rng = np.random.default_rng([plan.seed, plan.n_steps])
+    sample = replace(plan, batch=_NORM_WINDOWS)
+    hidden = torch.from_numpy(draw_windows(arrays, sample, rng)[0])
+    with torch.no_grad():
+        network.entry.weight.copy_(_torch_kernel(layers[0].kernel))
+        network.entry.bias.copy_(torch.from_numpy(layers[0].bias))
+        hidden = torch.relu(network.entry(nn.functional.pad(hidden, (2, 0))))
+        for block, layer in zip(network.body, layers[1:], strict=True):
+            assert isinstance(block, _Residual)
+            block.conv.weight.copy_(_torch_kernel(layer.kernel))
+            given = block.conv(nn.functional.pad(hidden, (block.padding, 0)))
+            mean, variance = given.mean(dim=(0, 2)), given.var(dim=(0, 2))
+            block.norm.running_mean.copy_(mean)
+            block.norm.running_var.copy_(variance)
+            block.norm.weight.copy_(torch.sqrt(variance + block.norm.eps))
+            block.norm.bias.copy_(torch.from_numpy(layer.bias) + mean)
+            hidden = hidden + torch.relu(given + torch.from_numpy(layer.bias)[:, None])
+        network.exit.weight.copy_(torch.from_numpy(weights.output.T[:, :, None]))
+        network.exit.bias.copy_(torch.from_numpy(weights.output_bias))
+    return network
+
+
+def _kernel(weight: torch.Tensor) -> NDArray[np.float32]:
+    """(out, in, 3 taps) as (3 taps x in, out): a frame's past and present times one matrix."""
+    return _numpy(weight.permute(2, 1, 0).flatten(0, 1))
+
+
+def _torch_kernel(kernel: NDArray[np.float32]) -> torch.Tensor:
+    """The other way round."""
+    taps = torch.from_numpy(kernel).unflatten(0, (3, -1))
+    return taps.permute(2, 1, 0)
+
+
+def _numpy(tensor: torch.Tensor) -> NDArray[np.float32]:
+    return np.ascontiguousarray(tensor.detach().numpy(), dtype=np.float32)

@@ -1,0 +1,217 @@
+"""From aligned speech to the arrays that the network learns from.
+
+Every utterance is augmented several times (`augmentation`); each copy of the corpus is one long
+array, every utterance beginning as a stream does, with a fresh level and mean.
+
+How the network is trained: its shape, the schedule, and the windows that a step learns from.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.corpus.alignment_cache import AlignedUtterance
+from lipservo_lab.corpus.transcribed import TranscribedUtterance
+from lipservo_lab.learning.recognition import augmentation, noise
+from lipservo_lab.learning.recognition.augmentation import LabelledSamples, Surroundings
+from lipservo_lab.learning.recognition.noise import found
+from lipservo_lab.learning.recognition.nonspeech_sounds import laughter_of
+from lipservo_lab.worker_pool import worker_pool
+from lipsync.arrays import Array32
+from lipsync.audio.file import read_speech
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.errors import UserError
+from lipsync.phonemes import PHONEMES, SILENCE
+from lipsync.recognition.features import (
+    FRAMES_PER_S,
+    HOP,
+    N_BANDS,
+    FeatureScale,
+    LevelNormalizer,
+    LogMelStream,
+)
+from lipsync.recognition.network import NetworkWeights
+
+#: Targets of frames that a head cannot know yet; torch's cross entropy passes over them.
+NO_TARGET = -100
+#: Silence put behind every utterance, so that late heads learn its last phones.
+_TAIL_S = 0.15
+#: One sound without speech for so many utterances: a seventh of the time.
+_UTTERANCES_PER_SOUND = 2
+_SOUND_S = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingArray:
+    """One augmented copy of the whole corpus.
+
+    features: (n, 40) float16; targets: (n, n_heads), the phoneme's number for each head's delay.
+    """
+
+    features: NDArray[np.float16]
+    targets: NDArray[np.int64]
+
+
+def read_labelled(utterance: TranscribedUtterance, aligned: AlignedUtterance) -> LabelledSamples:
+    """The utterance's samples, with a tail of silence, and labels."""
+    samples = read_speech(utterance.sound)
+    samples = np.concatenate((samples, np.zeros(round(_TAIL_S * SAMPLE_RATE_HZ), np.float32)))
+    return LabelledSamples(samples, aligned.labels(len(samples) // HOP))
+
+
+def feature_scale(recordings: Iterable[LabelledSamples]) -> FeatureScale:
+    """What is typical of these recordings."""
+    return FeatureScale.of(LogMelStream().push(each.samples) for each in recordings)
+
+
+def delayed(labels: NDArray[np.int64], n_frames: int, delays: Sequence[int]) -> NDArray[np.int64]:
+    """Targets (n_frames, n_heads): what head h says at frame n is the label of frame n - delay."""
+    targets = np.full((n_frames, len(delays)), NO_TARGET)
+    for head, delay in enumerate(delays):
+        n_known = min(n_frames - delay, len(labels))
+        targets[delay : delay + n_known, head] = labels[:n_known]
+    return targets
+
+
+def as_array(
+    recordings: Iterable[LabelledSamples], scale: FeatureScale, delays: Sequence[int]
+) -> TrainingArray:
+    """All recordings one after the other, each as a stream of its own."""
+    features, targets = [], []
+    for each in recordings:
+        frames = LevelNormalizer(scale).push(LogMelStream().push(each.samples))
+        features.append(frames.astype(np.float16))
+        targets.append(delayed(each.labels, len(frames), delays))
+    return TrainingArray(np.concatenate(features), np.concatenate(targets))
+
+
+def training_arrays(
+    clean: Sequence[LabelledSamples],
+    scale: FeatureScale,
+    delays: Sequence[int],
+    *,
+    n_heavy: int,
+    seed: int,
+    found_sounds: Sequence[Array32] = (),
+    n_processes: int = 1,
+    progress: Callable[[int], None] = lambda _n: None,
+) -> list[TrainingArray]:
+    """One lightly augmented copy, `n_heavy` heavily; the same seed gives the same arrays.
+
+    found_sounds: recordings (n,) in which nobody speaks, beside those that are made.
+    """
+    jobs = [(copy, seed, scale, tuple(delays)) for copy in range(1 + n_heavy)]
+    arrays: list[TrainingArray] = []
+    _SHARED[:] = clean
+    _FOUND[:] = found_sounds
+    if n_processes <= 1:
+        for job in jobs:
+            arrays.append(_one_array(job))
+            progress(len(arrays))
+        return arrays
+    # Forked workers see the recordings without copying them.
+    with worker_pool(n_processes, get_context("fork")) as pool:
+        for array in pool.map(_one_array, jobs):
+            arrays.append(array)
+            progress(len(arrays))
+    return arrays
+
+
+_SHARED: list[LabelledSamples] = []
+_FOUND: list[Array32] = []
+
+
+def _one_array(job: tuple[int, int, FeatureScale, tuple[int, ...]]) -> TrainingArray:
+    copy, seed, scale, delays = job
+    return as_array(_augmented(_SHARED, copy, seed), scale, delays)
+
+
+def _augmented(clean: Sequence[LabelledSamples], copy: int, seed: int) -> Iterable[LabelledSamples]:
+    some = clean[:: max(1, len(clean) // 200)]
+    voices = [each.samples for each in some]
+    around = Surroundings(
+        noise.babble(voices),
+        noise.babble(voices, 1),
+        laughter_of([(each.samples, each.labels) for each in some]),
+        found(_FOUND) if _FOUND else None,
+    )
+    silence = PHONEMES.index(SILENCE)
+    for index, each in enumerate(clean):
+        rng = np.random.default_rng([seed, copy, index])
+        if copy == 0:
+            yield augmentation.augment_lightly(rng, each)
+        else:
+            yield augmentation.augment_heavily(rng, each, around)
+        if index % _UTTERANCES_PER_SOUND == 0:
+            n_frames = round(_SOUND_S * FRAMES_PER_S)
+            samples = augmentation.no_speech(rng, n_frames * HOP, around)
+            yield LabelledSamples(samples, np.full(n_frames, silence))
+
+
+#: Chance that a window of the lightly changed copy is drawn; the heavily changed share the rest.
+_LIGHT_SHARE = 0.25
+_MASKED_BANDS = 8
+
+
+class TrainingError(UserError):
+    """There is nothing to learn from, or the parts do not fit; the message is one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingPlan:
+    """How to learn; the defaults are those of `lipservo learn recognizer`.
+
+    closure_weight: of a frame of P B M or F V in the loss of the viseme classes. A closure that is
+    missed is seen by everybody, one too many by few, so missing one costs more.
+    """
+
+    delays: tuple[int, ...] = (2, 7, 12)
+    head_weights: tuple[float, ...] = (0.3, 0.5, 0.2)
+    dilations: tuple[int, ...] = (1, 2, 4, 8, 1, 2, 4, 8)
+    channels: int = 192
+    n_steps: int = 5_000
+    batch: int = 32
+    window: int = 400
+    peak_rate: float = 3e-3
+    weight_decay: float = 0.02
+    closure_weight: float = 2.0
+    seed: int = 0
+    n_threads: int = 2
+    log_every: int = 50
+    check_every: int = 100
+
+    @property
+    def averaging(self) -> float:
+        """Share of the running average that stays at each step: it spans a quarter of the run."""
+        return 1.0 - 4.0 / max(8, self.n_steps)
+
+    def shaped_as(self, weights: NetworkWeights) -> "TrainingPlan":
+        """The same schedule for a network of this shape."""
+        return replace(
+            self,
+            delays=weights.delays,
+            dilations=tuple(layer.dilation for layer in weights.residuals),
+            channels=len(weights.entry.bias),
+        )
+
+
+def draw_windows(
+    arrays: Sequence[TrainingArray], plan: TrainingPlan, rng: np.random.Generator
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Features (batch, 40, window), some bands blanked; targets (batch, n_heads, window)."""
+    features = np.empty((plan.batch, N_BANDS, plan.window), np.float32)
+    targets = np.empty((plan.batch, len(plan.delays), plan.window), np.int64)
+    for index in range(plan.batch):
+        heavy = len(arrays) > 1 and rng.random() > _LIGHT_SHARE
+        array = arrays[int(rng.integers(1, len(arrays)))] if heavy else arrays[0]
+        first = int(rng.integers(0, max(1, len(array.features) - plan.window)))
+        part = slice(first, first + plan.window)
+        features[index] = array.features[part].T
+        targets[index] = array.targets[part].T
+        if rng.random() < 0.5:
+            band = int(rng.integers(0, N_BANDS - _MASKED_BANDS))
+            features[index, band : band + int(rng.integers(1, _MASKED_BANDS))] = 0.0
+    return features, targets

@@ -1,0 +1,216 @@
+"""One training from corpora to weights: align, split by speaker, disturb, learn, write a log.
+
+The mean of two sets of weights, one of which went on from the other.
+
+Weights that were trained further and those they began with mostly lie in one valley of the loss, so
+that the mean knows what is new and keeps what was known: Wortsman and others, "Robust fine-tuning
+of zero-shot models", CVPR 2022, equation 1.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from lipservo_lab.corpus.alignment_cache import AlignedUtterance, align_corpus
+from lipservo_lab.corpus.transcribed import (
+    TranscribedUtterance,
+    of_speakers,
+    read_transcribed,
+    without_names,
+)
+from lipservo_lab.learning.recognition import noise
+from lipservo_lab.learning.recognition.augmentation import LabelledSamples
+from lipservo_lab.learning.recognition.network_training import train_network
+from lipservo_lab.learning.recognition.noise import read_found_sounds
+from lipservo_lab.learning.recognition.synthetic_corpus import SyntheticVoice, write_voice
+from lipservo_lab.learning.recognition.training_data import (
+    TrainingArray,
+    TrainingError,
+    TrainingPlan,
+    as_array,
+    feature_scale,
+    read_labelled,
+    training_arrays,
+)
+from lipservo_lab.learning.recognition.weight_average import averaged
+from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF
+from lipsync.recognition.alignment import LEAST_SCORE
+from lipsync.recognition.features import FeatureScale
+from lipsync.recognition.network import NetworkWeights, StreamingNetwork
+
+#: The scale needs no more than every sixth utterance.
+_SCALE_STEP = 6
+#: So many validation utterances are enough for a curve.
+_MOST_VALIDATION = 40
+#: Texts that a synthetic voice reads: short enough for every synthesiser, long enough for prosody.
+_TEXT_CHARACTERS = range(20, 200)
+_CLASS_OF = np.array([VISEME_OF[phoneme] for phoneme in PHONEMES])
+_MEMBERSHIP = np.eye(len(VISEME_CLASSES), dtype=np.float32)[_CLASS_OF]
+
+#: What is done, how many, of how many.
+Advance = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingRun:
+    """What to learn from, and where the run is kept.
+
+    held_out, validation: speakers; left_out: utterances. limit: only so many of each speaker; None:
+    all. voices: synthetic ones, which read texts of the corpora that train, so many each. sounds:
+    folders of files in which nobody speaks. start: weights to go on from; start_share: how much of
+    them is in the mean that comes out.
+    """
+
+    corpora: tuple[Path, ...]
+    folder: Path
+    held_out: frozenset[str] = frozenset()
+    validation: frozenset[str] = frozenset()
+    left_out: frozenset[str] = frozenset()
+    limit: int | None = None
+    voices: tuple[SyntheticVoice, ...] = ()
+    n_texts_each: int = 200
+    sounds: tuple[Path, ...] = ()
+    start: NetworkWeights | None = None
+    start_share: float = 0.0
+    n_copies: int = 10
+    n_processes: int = 1
+    plan: TrainingPlan = field(default_factory=TrainingPlan)
+
+
+def run_training(run: TrainingRun, advance: Advance) -> NetworkWeights:
+    """Learn; a run that was interrupted goes on from what its folder holds.
+
+    What is held or left out is not even aligned. Raises TrainingError where no speaker is left,
+    and for two utterances of one name; TranscriptError for an utterance to be left out that is in
+    none of the corpora.
+    """
+    run.folder.mkdir(parents=True, exist_ok=True)
+    plan = run.plan
+    sounds = [sound for folder in run.sounds for sound in read_found_sounds(folder)]
+    utterances, alignments = _aligned(run, advance)
+    usable = [u for u in utterances if _is_said(alignments[u.name])]
+    training = [u for u in usable if u.speaker not in run.validation]
+    if not training:
+        raise TrainingError("no utterance is left to learn from; hold out fewer speakers")
+    clean = [read_labelled(u, alignments[u.name]) for u in training]
+    scale = feature_scale(clean[::_SCALE_STEP]) if run.start is None else run.start.scale
+    arrays = training_arrays(
+        clean,
+        scale,
+        plan.delays,
+        n_heavy=run.n_copies,
+        seed=plan.seed,
+        found_sounds=sounds,
+        n_processes=min(run.n_processes, 1 + run.n_copies),
+        progress=lambda n: advance("disturbing", n, 1 + run.n_copies),
+    )
+    validation = [u for u in usable if u.speaker in run.validation]
+    step = max(1, len(validation) // _MOST_VALIDATION)
+    recordings = [read_labelled(u, alignments[u.name]) for u in validation[::step]]
+    conditions = _conditions(recordings, scale, plan.delays)
+    learned = train_network(
+        arrays,
+        scale,
+        plan,
+        folder=run.folder,
+        start=run.start,
+        check=lambda _step, weights: figures(weights, conditions),
+        progress=lambda n: advance("learning", n, plan.n_steps),
+    )
+    return learned if run.start is None else averaged(learned, run.start, run.start_share)
+
+
+def figures(weights: NetworkWeights, conditions: Mapping[str, TrainingArray]) -> dict[str, float]:
+    """Frame accuracies without a decoder: phones and viseme classes, condition by condition."""
+    found: dict[str, float] = {}
+    silence = PHONEMES.index(SILENCE)
+    for name, array in conditions.items():
+        posteriors = StreamingNetwork(weights).push(array.features.astype(np.float32))
+        for head, delay in enumerate(weights.delays):
+            known = array.targets[:, head] >= 0
+            targets = array.targets[known, head]
+            phones = posteriors[known, head]
+            visemes_right = (phones @ _MEMBERSHIP).argmax(axis=1) == _CLASS_OF[targets]
+            key = f"{name}_delay{delay}"
+            found[f"{key}_phone_all"] = float(np.mean(phones.argmax(axis=1) == targets))
+            found[f"{key}_viseme_all"] = float(np.mean(visemes_right))
+            found[f"{key}_viseme_speech"] = float(np.mean(visemes_right[targets != silence]))
+    return found
+
+
+def _aligned(
+    run: TrainingRun, advance: Advance
+) -> tuple[list[TranscribedUtterance], dict[str, AlignedUtterance]]:
+    everything = tuple(u for corpus in run.corpora for u in read_transcribed(corpus))
+    names = Counter(u.name for u in everything)
+    if twice := [name for name, count in names.items() if count > 1]:
+        raise TrainingError(f"{twice[0]!r} is in the corpora twice; rename it in one of them")
+    utterances = [
+        utterance
+        for utterance in without_names(everything, run.left_out)
+        if utterance.speaker not in run.held_out
+    ]
+    utterances = list(of_speakers(tuple(utterances), frozenset(), run.limit))
+    utterances += _spoken(run, utterances, advance)
+    done: list[str] = []
+
+    def count(name: str) -> None:
+        done.append(name)
+        advance("aligning", len(done), len(utterances))
+
+    alignments = align_corpus(
+        tuple(utterances),
+        run.folder / "alignments.jsonl",
+        n_processes=run.n_processes,
+        progress=count,
+    )
+    return utterances, alignments
+
+
+def _is_said(aligned: AlignedUtterance) -> bool:
+    """Learners and children say other words than their text; labels of those would be wrong."""
+    return not aligned.error and (aligned.score is None or aligned.score >= LEAST_SCORE)
+
+
+def _spoken(
+    run: TrainingRun, utterances: Sequence[TranscribedUtterance], advance: Advance
+) -> list[TranscribedUtterance]:
+    """What the synthetic voices say: each its own share of the texts that train."""
+    texts = [
+        utterance.text
+        for utterance in utterances
+        if utterance.speaker not in run.validation and len(utterance.text) in _TEXT_CHARACTERS
+    ]
+    spoken: list[TranscribedUtterance] = []
+    n_done = 0
+
+    def count() -> None:
+        nonlocal n_done
+        n_done += 1
+        advance("speaking", n_done, len(run.voices) * run.n_texts_each)
+
+    for number, voice in enumerate(run.voices):
+        share = texts[number :: len(run.voices)][: run.n_texts_each]
+        folder = run.folder / "synthetic"
+        corpus = write_voice(voice, share, folder, seed=run.plan.seed, progress=count)
+        spoken += read_transcribed(corpus)
+    return spoken
+
+
+def _conditions(
+    recordings: Sequence[LabelledSamples], scale: FeatureScale, delays: Sequence[int]
+) -> dict[str, TrainingArray]:
+    """The validation utterances clean, in white noise at 10 dB, and 30 dB lower; none: nothing."""
+    if not recordings:
+        return {}
+    rng = np.random.default_rng(0)
+    noisy = [
+        replace(h, samples=noise.add_noise(h.samples, noise.white(rng, len(h.samples)), 10.0))
+        for h in recordings
+    ]
+    quiet = [replace(h, samples=h.samples * np.float32(10.0**-1.5)) for h in recordings]
+    ways = {"clean": recordings, "white_10db": noisy, "level_-30db": quiet}
+    return {name: as_array(way, scale, delays) for name, way in ways.items()}

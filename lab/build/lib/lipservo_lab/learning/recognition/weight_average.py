@@ -1,0 +1,34 @@
+"""The mean of two sets of weights, one of which went on from the other.
+
+Weights that were trained further and those they began with mostly lie in one valley of the loss, so
+that the mean knows what is new and keeps what was known: Wortsman and others, "Robust fine-tuning
+of zero-shot models", CVPR 2022, equation 1.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from lipsync.arrays import Array32
+from lipsync.recognition.network import Layer, NetworkWeights
+
+
+def averaged(learned: NetworkWeights, start: NetworkWeights, start_share: float) -> NetworkWeights:
+    """`start_share` of `start` and the rest of `learned`, which began as `start`."""
+
+    def mean(one: Array32, other: Array32) -> Array32:
+        share = np.float32(start_share)
+        return np.asarray((1 - share) * one + share * other, np.float32)
+
+    def mean_layer(one: Layer, other: Layer) -> Layer:
+        kernel, bias = mean(one.kernel, other.kernel), mean(one.bias, other.bias)
+        return Layer(kernel, bias, one.dilation)
+
+    residuals = zip(learned.residuals, start.residuals, strict=True)
+    return replace(
+        learned,
+        entry=mean_layer(learned.entry, start.entry),
+        residuals=tuple(mean_layer(one, other) for one, other in residuals),
+        output=mean(learned.output, start.output),
+        output_bias=mean(learned.output_bias, start.output_bias),
+    )

@@ -1,0 +1,1 @@
+"""Somebody is recorded while reading sentences: camera and microphone on one clock."""

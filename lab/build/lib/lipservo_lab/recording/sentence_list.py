@@ -1,0 +1,84 @@
+"""The sentences that somebody reads, and which of them a folder already holds."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+from lipsync.errors import UserError
+from lipsync.recognition.alignment import words_of
+
+#: Longer ones are not said in one breath, and a take is kept in memory as sound.
+LONGEST_WORDS = 40
+#: What a take consists of; the text is written last, so that it says that the others are there.
+ENDINGS = (".mkv", ".wav", ".txt")
+
+
+class SentenceError(UserError):
+    """A list of sentences, or a folder of recordings, that cannot be used; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sentence:
+    """name: of its files; text: what is read."""
+
+    name: str
+    text: str
+
+
+def shipped_sentences() -> tuple[Sentence, ...]:
+    """Sixty of our own: every phoneme of English, and most of what follows what in it."""
+    text = (files("lipservo.config") / "sentences.txt").read_text(encoding="utf-8")
+    return _sentences(text, "sentences.txt")
+
+
+def read_sentences(path: Path) -> tuple[Sentence, ...]:
+    """One sentence a line; empty lines and those that begin with # are none. Raises SentenceError.
+
+    Sentences are called s001, s002 and so on, in their order.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SentenceError(f"{path}: cannot be read as text (UTF-8): {error}") from error
+    return _sentences(text, str(path))
+
+
+def recorded_names(folder: Path, sentences: Sequence[Sentence]) -> set[str]:
+    """Which sentences the folder holds whole.
+
+    Raises SentenceError where a file of that name holds another sentence.
+    """
+    names = set()
+    for sentence in sentences:
+        paths = [folder / f"{sentence.name}{ending}" for ending in ENDINGS]
+        if not all(path.is_file() for path in paths):
+            continue
+        said = paths[-1].read_text(encoding="utf-8", errors="replace").strip()
+        if said != sentence.text:
+            raise SentenceError(
+                f"{paths[-1]}: holds another sentence than this list ({said[:40]!r}); record "
+                "another list into another folder"
+            )
+        names.add(sentence.name)
+    return names
+
+
+def _sentences(text: str, where: str) -> tuple[Sentence, ...]:
+    found: list[Sentence] = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        said = " ".join(line.split())
+        if not said or said.startswith("#"):
+            continue
+        words = words_of(said)
+        if not words:
+            raise SentenceError(f"{where}, line {number}: holds no words")
+        if len(words) > LONGEST_WORDS:
+            raise SentenceError(
+                f"{where}, line {number}: {len(words)} words; {LONGEST_WORDS} at most, so that it "
+                "can be read in one go"
+            )
+        found.append(Sentence(f"s{len(found) + 1:03}", said))
+    if not found:
+        raise SentenceError(f"{where}: holds no sentence; write one a line")
+    return tuple(found)

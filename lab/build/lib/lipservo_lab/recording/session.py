@@ -1,0 +1,328 @@
+"""A session: sentence after sentence, told by keys; what is kept is on the disk at once.
+
+What somebody sees who is being recorded: the sentence, how loud it is, what to press.
+
+When the microphone's sound was captured, on the monotonic clock that pictures are timed by.
+"""
+
+import enum
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Protocol
+
+import numpy as np
+
+from lipservo.calibrating.camera import Frame
+from lipservo.terminal.output import MESSAGES
+from lipservo_lab.recording.sentence_list import Sentence
+from lipservo_lab.recording.take import (
+    KEY_S,
+    Take,
+    TakeDiscarded,
+    brightness,
+    sound_level_db,
+    take_files,
+)
+from lipsync.audio.source import SoundError
+from lipsync.audio_block import AudioBlock
+
+_BAR = 30
+#: The bar is empty at this level, dB below full scale.
+_EMPTY_DB = -60.0
+
+
+class Screen:
+    """Lines on stderr; under them a level meter, where stderr is a terminal."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        self._is_quiet = quiet
+        self._has_meter = MESSAGES.is_terminal and not quiet
+
+    def show(self, sentence: Sentence, number: int, total: int) -> None:
+        """The sentence to be read; said even to the quiet."""
+        self._line(f"\n{number} of {total}  {sentence.name}\n", "dim")
+        self._line(f"    {sentence.text}\n", "bold")
+
+    def say(self, line: str) -> None:
+        """What is going on, and what can be pressed."""
+        if not self._is_quiet:
+            self._line(line, "")
+
+    def warn(self, line: str) -> None:
+        """What is wrong with a take."""
+        self._line(f"! {line}", "yellow")
+
+    def meter(self, level_db: float, brightness: float) -> None:
+        """level_db: of the sound; brightness: of the picture, 0 to 255."""
+        if not self._has_meter:
+            return
+        full = min(_BAR, max(0, round((1.0 - level_db / _EMPTY_DB) * _BAR)))
+        bar = "#" * full + "." * (_BAR - full)
+        MESSAGES.file.write(f"\r[{bar}] {level_db:4.0f} dB  brightness {brightness:3.0f} ")
+        MESSAGES.file.flush()
+
+    def end(self) -> None:
+        """Leave the meter's line."""
+        if self._has_meter:
+            MESSAGES.file.write("\n")
+
+    def _line(self, text: str, style: str) -> None:
+        if self._has_meter:
+            MESSAGES.file.write("\r\x1b[2K")  # over the meter
+        MESSAGES.print(text, style=style, soft_wrap=True)
+
+
+#: Time stamps of so many blocks are remembered, two seconds: a card's clock drifts by less than
+#: 0.1 ms in that time.
+_REMEMBERED = 200
+
+
+class SoundClock:
+    """The monotonic time of a moment of sound: the median of what the device has said of late.
+
+    One time stamp is off by a few milliseconds, whenever the computer was busy.
+    """
+
+    def __init__(self) -> None:
+        self._zeros_s: deque[float] = deque(maxlen=_REMEMBERED)
+        self._last: tuple[float, float] | None = None
+
+    def observe(self, captured: tuple[float, float] | None) -> None:
+        """(monotonic seconds, sound time captured then), `MicrophoneSource.captured`."""
+        if captured is not None and captured != self._last:
+            self._last = captured
+            self._zeros_s.append(captured[0] - captured[1])
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether anything has come."""
+        return bool(self._zeros_s)
+
+    @property
+    def zero_s(self) -> float:
+        """The monotonic time at which sound time 0 was captured."""
+        return median(self._zeros_s)
+
+
+#: Pictures arrive later than sound; so long is waited for the last ones of a take.
+_PICTURES_S = 0.3
+#: How long a microphone may take to give its first sound.
+_PATIENCE_S = 5.0
+_TICK_S = 0.02
+_METER_S = 0.1
+#: A take as long as that was forgotten.
+_LONGEST_S = 60.0
+
+
+class Microphone(Protocol):
+    """What is used of `MicrophoneSource`."""
+
+    @property
+    def captured(self) -> tuple[float, float] | None:
+        """(monotonic seconds, sound time captured then)."""
+
+    @property
+    def lost_blocks(self) -> int:
+        """Blocks of sound that were lost so far."""
+
+    @property
+    def is_lost(self) -> bool:
+        """The device is gone."""
+
+    def blocks(self, until_s: float) -> list[AudioBlock]:
+        """The blocks not handed out before that end at or before sound time `until_s`."""
+
+
+class Pictures(Protocol):
+    """What is used of `CameraFeed`."""
+
+    def take_frames(self) -> list[Frame]:
+        """What has come since the last call."""
+
+
+@dataclass(frozen=True, slots=True)
+class Devices:
+    """rate_hz: pictures a second that the camera promises; clock: monotonic seconds.
+
+    next_key: waits so long for a key at most, and gives it or None. is_stopped: a signal has come.
+    """
+
+    microphone: Microphone
+    pictures: Pictures
+    rate_hz: float
+    next_key: Callable[[float], str | None]
+    is_stopped: Callable[[], bool]
+    clock: Callable[[], float]
+    sleep: Callable[[float], None]
+
+
+@dataclass(slots=True)
+class Outcome:
+    """Names of sentences, and warnings of those that were kept in spite of them."""
+
+    recorded: list[str] = field(default_factory=list)
+    skipped: list[str] = field(default_factory=list)
+    warnings: dict[str, tuple[str, ...]] = field(default_factory=dict)
+
+
+class _Wish(enum.Enum):
+    NEXT = enum.auto()
+    AGAIN = enum.auto()
+    BACK = enum.auto()
+    STOP = enum.auto()
+
+
+class Session:
+    """Asks for the sentences that the folder does not hold; the rest can be said again."""
+
+    def __init__(self, devices: Devices, screen: Screen, folder: Path) -> None:
+        self._devices, self._screen, self._folder = devices, screen, folder
+        self._clock = SoundClock()
+        self._heard_s = self._metered_s = 0.0
+        self._level_db = -90.0
+        self._brightness = 0.0
+        self._outcome = Outcome()
+
+    def run(self, sentences: Sequence[Sentence], recorded: set[str]) -> Outcome:
+        """Until all are said, or somebody stops; the devices are open.
+
+        Raises SoundError, CameraError or OutputError where one fails; what was kept stays.
+        """
+        self._wait_for_sound()
+        number = 0
+        while 0 <= number < len(sentences):
+            sentence = sentences[number]
+            if sentence.name in recorded:
+                number += 1
+                continue
+            self._screen.show(sentence, number + 1, len(sentences))
+            wish = self._one(sentence)
+            if wish is _Wish.STOP:
+                break
+            if wish is _Wish.BACK:
+                number = max(0, number - 1)
+                recorded.discard(sentences[number].name)
+            elif wish is _Wish.NEXT:
+                number += 1
+        return self._outcome
+
+    def _one(self, sentence: Sentence) -> _Wish:
+        """Wait for a key, and record where it says so."""
+        self._screen.say("space: record · s: skip · b: back · q: stop")
+        while True:
+            key, _, _ = self._tick()
+            if self._devices.is_stopped() or key == "q":
+                return _Wish.STOP
+            if key == "b":
+                return _Wish.BACK
+            if key == "s":
+                self._outcome.skipped.append(sentence.name)
+                return _Wish.NEXT
+            if key in (" ", "\n", "\r"):
+                return self._record(sentence)
+
+    def _record(self, sentence: Sentence) -> _Wish:
+        """One take, kept or not."""
+        wish = _Wish.AGAIN
+        warnings: tuple[str, ...] = ()
+        with take_files(self._folder, sentence) as (clip, sound):
+            take = Take(clip, self._heard_s + KEY_S, self._clock.zero_s, self._devices.rate_hz)
+            try:
+                lost_before = self._devices.microphone.lost_blocks
+                self._screen.say("RECORDING · space: done · r: again · q: stop without it")
+                wish = self._take_in(take)
+                if wish is not _Wish.NEXT:
+                    raise TakeDiscarded
+                lost = self._devices.microphone.lost_blocks - lost_before
+                if take.is_empty:
+                    self._screen.warn("no picture or no sound came: once again")
+                    wish = _Wish.AGAIN
+                    raise TakeDiscarded
+                warnings = take.finish(sound, lost)
+                wish = self._judged(warnings)
+                if wish is not _Wish.NEXT:
+                    raise TakeDiscarded
+            finally:
+                take.close()
+        if wish is _Wish.NEXT:
+            self._outcome.recorded.append(sentence.name)
+            if warnings:
+                self._outcome.warnings[sentence.name] = warnings
+            self._screen.say(f"kept: {sentence.name}")
+        return wish
+
+    def _take_in(self, take: Take) -> _Wish:
+        """Everything until somebody says that the sentence is done."""
+        begun_s = self._heard_s
+        while True:
+            key, blocks, frames = self._tick()
+            take.add_blocks(blocks)
+            take.add_frames(frames)
+            if self._devices.is_stopped() or key == "q":
+                return _Wish.STOP
+            if key == "r":
+                return _Wish.AGAIN
+            is_forgotten = self._heard_s - begun_s > _LONGEST_S
+            if key in (" ", "\n", "\r") or is_forgotten:
+                take.end(self._heard_s - KEY_S)
+                until_s = self._devices.clock() + _PICTURES_S
+                while self._devices.clock() < until_s:
+                    _, blocks, frames = self._tick(reads_keys=False)
+                    take.add_blocks(blocks)
+                    take.add_frames(frames)
+                return _Wish.NEXT
+
+    def _judged(self, warnings: tuple[str, ...]) -> _Wish:
+        """A good take is kept; of another one somebody is asked."""
+        if not warnings:
+            return _Wish.NEXT
+        for line in warnings:
+            self._screen.warn(line)
+        self._screen.say("space: again · k: keep it all the same · q: stop without it")
+        while True:
+            key, _, _ = self._tick()
+            if self._devices.is_stopped() or key == "q":
+                return _Wish.STOP
+            if key == "k":
+                return _Wish.NEXT
+            if key in (" ", "\n", "\r", "r"):
+                return _Wish.AGAIN
+
+    def _tick(self, *, reads_keys: bool = True) -> tuple[str | None, list[AudioBlock], list[Frame]]:
+        """What has come in the next 20 ms: a key, sound, pictures."""
+        key = None
+        if reads_keys:
+            key = self._devices.next_key(_TICK_S)
+        else:
+            self._devices.sleep(_TICK_S)
+        blocks = self._devices.microphone.blocks(np.inf)
+        self._clock.observe(self._devices.microphone.captured)
+        if self._devices.microphone.is_lost:
+            raise SoundError("the microphone is gone; plug it in and start again")
+        frames = self._devices.pictures.take_frames()
+        if blocks:
+            self._heard_s = blocks[-1].end_s
+            level_db = sound_level_db(np.concatenate([block.samples for block in blocks]))
+            self._level_db = max(level_db, self._level_db - 1.0)
+        now_s = self._devices.clock()
+        if now_s - self._metered_s >= _METER_S:
+            self._metered_s = now_s
+            if frames:
+                self._brightness = brightness(frames[-1][1])
+            self._screen.meter(self._level_db, self._brightness)
+        return key, blocks, frames
+
+    def _wait_for_sound(self) -> None:
+        until_s = self._devices.clock() + _PATIENCE_S
+        while not self._clock.is_ready:
+            self._tick(reads_keys=False)
+            if self._devices.is_stopped():
+                return
+            if self._devices.clock() > until_s:
+                raise SoundError(
+                    f"the microphone has given no sound in {_PATIENCE_S:.0f} s; is it muted, or "
+                    "another one meant (--mic)?"
+                )

@@ -1,0 +1,230 @@
+"""One take: pictures and sound from the same moment on, in files that are whole or not there.
+
+What is wrong with a take, as far as numbers tell; for whoever could say it again.
+"""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+from lipservo.calibrating.camera import Frame
+from lipservo_lab.recording.clip_writer import ClipWriter
+from lipservo_lab.recording.sentence_list import Sentence
+from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
+from lipsync.output_file import write_whole, written_whole
+
+Samples = NDArray[np.float32]
+
+#: A sample this large has met the end of a converter's range.
+_FULL_SCALE: Final = 0.999
+#: So many of them: one alone is not heard.
+_FEWEST_CLIPPED: Final = 3
+_WINDOW_S: Final = 0.05
+#: The loudest tenth of the windows, dB below full scale; speech near a microphone is at -30 to -15.
+_QUIETEST_DB: Final = -42.0
+#: Speech above the quietest tenth: less is a noisy room, or nobody spoke.
+_LEAST_ABOVE_NOISE_DB: Final = 12.0
+#: Mean brightness of a picture, of 255, below which skin and lips look alike to a camera.
+_DARKEST: Final = 50.0
+#: Share of the promised pictures that must be there.
+_FEWEST_FRAMES: Final = 0.9
+#: Pictures this far apart hide a closure of the lips (P lasts 80 ms).
+_LONGEST_GAP_S: Final = 0.1
+#: Fewer pictures a second do not show how lips close.
+SLOWEST_HZ: Final = 24.0
+_SHORTEST_S: Final = 0.7
+
+
+def sound_level_db(samples: Samples) -> float:
+    """Root mean square in dB below full scale, at least -90."""
+    if not len(samples):
+        return -90.0
+    return max(-90.0, 10.0 * float(np.log10(np.mean(np.square(samples, dtype=np.float64)) + 1e-9)))
+
+
+def warnings_of(
+    samples: Samples,
+    frames_s: Sequence[float],
+    brightness: Sequence[float],
+    rate_hz: float,
+    lost_blocks: int = 0,
+) -> tuple[str, ...]:
+    """One line for each thing that is wrong; none for a good take.
+
+    samples: (n,) at 16 kHz; frames_s: times of the pictures; brightness: means of some of them,
+    0 to 255; rate_hz: pictures a second that the camera promised; lost_blocks: blocks of 10 ms of
+    sound that were lost.
+    """
+    duration_s = len(samples) / SAMPLE_RATE_HZ
+    found = []
+    if duration_s < _SHORTEST_S:
+        found.append(f"only {duration_s:.1f} s long: was the whole sentence said?")
+    found += _of_sound(samples)
+    if lost_blocks:
+        found.append(f"{10 * lost_blocks} ms of sound were lost: close other programs")
+    found += _of_pictures(np.asarray(frames_s), duration_s, rate_hz)
+    if len(brightness) and np.mean(brightness) < _DARKEST:
+        found.append(
+            f"too dark (brightness {np.mean(brightness):.0f} of 255): put a lamp before the face"
+        )
+    return tuple(found)
+
+
+def _of_sound(samples: Samples) -> list[str]:
+    n_clipped = int((np.abs(samples) >= _FULL_SCALE).sum())
+    if n_clipped >= _FEWEST_CLIPPED:
+        return [f"{n_clipped} samples clipped: turn the microphone down or sit farther away"]
+    window = round(_WINDOW_S * SAMPLE_RATE_HZ)
+    n = len(samples) // window
+    if not n:
+        return []
+    levels = [sound_level_db(each) for each in samples[: n * window].reshape(n, window)]
+    loud_db, noise_db = float(np.quantile(levels, 0.9)), float(np.quantile(levels, 0.1))
+    if loud_db < _QUIETEST_DB:
+        return [f"too quiet ({loud_db:.0f} dB): turn the microphone up or come nearer"]
+    if loud_db - noise_db < _LEAST_ABOVE_NOISE_DB:
+        return [
+            f"speech is only {loud_db - noise_db:.0f} dB above the noise: was the sentence said, "
+            "with a moment of silence before it?"
+        ]
+    return []
+
+
+def _of_pictures(frames_s: NDArray[np.float64], duration_s: float, rate_hz: float) -> list[str]:
+    if len(frames_s) < 2:
+        return ["no pictures: does the camera work?"]
+    found_hz = (len(frames_s) - 1) / float(frames_s[-1] - frames_s[0])
+    gaps_s = np.diff(np.append(frames_s, max(duration_s, frames_s[-1])))
+    if found_hz < max(SLOWEST_HZ - 0.5, _FEWEST_FRAMES * rate_hz):
+        return [
+            f"{found_hz:.1f} pictures a second, {rate_hz:.0f} were promised: more light, or a "
+            "smaller picture (--size)"
+        ]
+    if gaps_s.max() > _LONGEST_GAP_S:
+        return [f"{1e3 * gaps_s.max():.0f} ms without a picture: close other programs"]
+    return []
+
+
+#: A take begins so long after its key and ends so long before: the keys are heard, too.
+KEY_S = 0.15
+#: Every so many pictures one is looked at for its brightness.
+_LOOKED_AT = 5
+_ROW_STEP = 4
+
+
+class TakeDiscarded(Exception):  # noqa: N818 - a wish of a person, not an error
+    """The take is not to be kept: raise it inside `take_files`, and nothing stays."""
+
+
+@contextmanager
+def take_files(folder: Path, sentence: Sentence) -> Iterator[tuple[Path, Path]]:
+    """Where to write the clip and its sound; with the text they take their names at the end.
+
+    The text is last: where it is, the others are. Whatever is raised inside leaves the folder as
+    it was; TakeDiscarded goes no farther.
+    """
+    place = folder / sentence.name
+    text = place.with_suffix(".txt")
+    try:
+        with (
+            written_whole(place.with_suffix(".wav")) as sound,
+            written_whole(place.with_suffix(".mkv")) as clip,
+        ):
+            yield clip, sound
+            # A take that is said again: without its text it is none until all is there again.
+            text.unlink(missing_ok=True)
+    except TakeDiscarded:
+        return
+    write_whole(text, f"{sentence.text}\n")
+
+
+class Take:
+    """Sound and pictures as they come, from sound time `begins_s` to `end`.
+
+    zero_s: when sound time 0 was captured, on the clock that pictures are timed by. The clip begins
+    with its first picture, and so does the sound.
+    """
+
+    def __init__(self, clip: Path, begins_s: float, zero_s: float, rate_hz: float) -> None:
+        self._writer = ClipWriter(clip, rate_hz)
+        self._begins_s, self._zero_s, self._rate_hz = begins_s, zero_s, rate_hz
+        self._ends_s = np.inf
+        self._pending: deque[Frame] = deque()
+        self._first_s: float | None = None
+        self._blocks: list[AudioBlock] = []
+        self._frames_s: list[float] = []
+        self._brightness: list[float] = []
+
+    def add_blocks(self, blocks: Sequence[AudioBlock]) -> None:
+        """What was heard, in order."""
+        self._blocks += [b for b in blocks if b.end_s > self._begins_s]
+
+    def add_frames(self, frames: Sequence[Frame]) -> None:
+        """What was seen, in order."""
+        self._pending += [(taken_s - self._zero_s, picture) for taken_s, picture in frames]
+        # A take ends before the key that ends it: what may be cut off is not written yet.
+        until_s = self._blocks[-1].end_s - KEY_S if self._blocks else 0.0
+        self._write_frames(min(until_s, self._ends_s))
+
+    def end(self, sound_s: float) -> None:
+        """The take ends there, `KEY_S` ago or later; sound and pictures until then may come."""
+        self._ends_s = sound_s
+
+    def _write_frames(self, until_s: float) -> None:
+        while self._pending and self._pending[0][0] < until_s:
+            sound_s, picture = self._pending.popleft()
+            if sound_s < self._begins_s:
+                continue
+            if self._first_s is None:
+                self._first_s = sound_s
+            if not self._writer.add_frame(sound_s - self._first_s, picture):
+                continue
+            if len(self._frames_s) % _LOOKED_AT == 0:
+                self._brightness.append(brightness(picture))
+            self._frames_s.append(sound_s - self._first_s)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no picture or no sound has come."""
+        return not self._frames_s or not len(self._samples())
+
+    def finish(self, sound: Path, lost_blocks: int) -> tuple[str, ...]:
+        """Write clip and sound, neither of them empty; what is wrong with them."""
+        self._write_frames(self._ends_s)
+        samples = self._samples()
+        self._writer.finish(samples)
+        soundfile.write(str(sound), samples, SAMPLE_RATE_HZ, format="WAV", subtype="PCM_16")
+        return warnings_of(samples, self._frames_s, self._brightness, self._rate_hz, lost_blocks)
+
+    def close(self) -> None:
+        """Give the clip's file back."""
+        self._writer.close()
+
+    def _samples(self) -> NDArray[np.float32]:
+        """From the first picture to the end."""
+        if self._first_s is None or not self._blocks:
+            return np.zeros(0, np.float32)
+        samples = np.concatenate([block.samples for block in self._blocks])
+        offset_s = self._blocks[0].start_s
+        first = max(0, round((self._first_s - offset_s) * SAMPLE_RATE_HZ))
+        last = round(min(self._ends_s - offset_s, len(samples) / SAMPLE_RATE_HZ) * SAMPLE_RATE_HZ)
+        return samples[first:last]
+
+
+def brightness(picture: Any) -> float:
+    """Mean of an av.VideoFrame's luma, 0 to 255; of its colours where it has no luma.
+
+    Read off the first plane: FFmpeg's converter must not be in two threads with one picture.
+    """
+    plane, packed = picture.planes[0], picture.format.name
+    rows = np.frombuffer(plane, np.uint8).reshape(-1, plane.line_size)
+    # Packed formats have chroma in every other byte; planar ones have planes of their own for it.
+    first, step = {"yuyv422": (0, 2), "uyvy422": (1, 2)}.get(packed, (0, 1))
+    used = picture.width * (2 if step == 2 else 1)
+    return float(rows[::_ROW_STEP, first:used:step].mean())

@@ -1,0 +1,1 @@
+"""Rendering whole folders of lines, in several processes or computers."""

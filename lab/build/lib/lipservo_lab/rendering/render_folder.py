@@ -1,0 +1,144 @@
+"""`lines render-folder`: every sound of a folder becomes a performance."""
+
+import os
+from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from lipservo.commands.lines.render import Method
+from lipservo.commands.options import Json, Model, Quiet
+from lipservo.settings.motion_names import STRONGEST
+from lipservo.terminal.output import MESSAGES, RESULTS, print_json
+from lipsync.errors import UserError
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from lipservo.rendering.rendered import Rendering
+
+
+def render_folder(
+    folder: Annotated[
+        Path, typer.Argument(exists=True, file_okay=False, help="Folder of sound files.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write into.")],
+    method: Annotated[
+        Method,
+        typer.Option(help="By phonemes and sound; as published; or as a face does live."),
+    ] = "heard",
+    strength: Annotated[
+        float, typer.Option(min=0.0, max=STRONGEST, help="How far the mouth moves.")
+    ] = 1.0,
+    model: Model = None,
+    offline: Annotated[
+        Path | None,
+        typer.Option(help="Offline model (.npz); default: the shipped one.", show_default=False),
+    ] = None,
+    reference_sound: Annotated[
+        bool,
+        typer.Option("--reference-sound", help="Name the sound in the file, do not include it."),
+    ] = False,
+    expression: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FACE",
+            help="Store head, eyes, lids and brows too, as this face (name or YAML) moves them.",
+            show_default=False,
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes; default: one a core.", show_default=False),
+    ] = None,
+    dask: Annotated[
+        str | None,
+        typer.Option(
+            metavar="HOST:PORT",
+            help="Render on the Dask cluster of this scheduler.",
+            show_default=False,
+        ),
+    ] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Render every sound of a folder to a performance, on all cores or on a cluster.
+
+    NAME.TextGrid, NAME.json or NAME.txt beside NAME.wav says what is spoken; without any of them
+    the recogniser listens.
+    """
+    from lipservo.rendering.rendered import Rendering, check_expression_of
+    from lipsync.errors import check_extra
+
+    if method == "model-based":
+        check_extra("dtaidistance", "lines render-folder --method model-based")
+    if jobs is not None and dask is not None:
+        raise UserError("--jobs and --dask: give one of them")
+    how = Rendering(method, strength, model, offline, not reference_sound, expression)
+    if expression is not None:
+        check_expression_of(expression)
+    n_processes = jobs or os.cpu_count() or 1
+    with ExitStack() as stack:
+        cluster = None if dask is None else stack.enter_context(_cluster(dask))
+        _render_folder(folder, output, how, n_processes, cluster, as_json=as_json, quiet=quiet)
+
+
+def _cluster(address: str) -> "AbstractContextManager[Client]":
+    from lipservo_lab.rendering.cluster import cluster_at
+    from lipsync.errors import check_extra
+
+    check_extra("distributed", "lines render-folder --dask")
+    return cluster_at(address)
+
+
+def _render_folder(
+    folder: Path,
+    output: Path,
+    how: "Rendering",
+    n_processes: int,
+    cluster: "Client | None",
+    *,
+    as_json: bool,
+    quiet: bool,
+) -> None:
+    from rich.progress import Progress
+
+    from lipservo.rendering.rendered import load_speaker
+    from lipservo_lab.rendering.batch import lines_of, render_all
+    from lipsync.errors import check_extra
+    from lipsync.offline.performance import is_performance
+    from lipsync.output_file import OutputError, check_output
+
+    check_extra("joblib", "rendering a folder")
+    lines = lines_of(folder, output)
+    load_speaker(how.model, how.offline)  # a model that is wrong is told once, not for every line
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"{output}: no folder can be made there ({error.strerror})") from error
+    for line in lines:
+        check_output(line.output, replaces=is_performance, kind="performance")
+    with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
+        task = progress.add_task("rendering", total=len(lines))
+        rendered, failed = render_all(
+            lines, how, n_processes, lambda: progress.advance(task), cluster
+        )
+    for done in rendered:
+        for note in done.notes:
+            MESSAGES.print(f"{done.output}: {note}", soft_wrap=True)
+    if as_json:
+        print_json(
+            {
+                "output": str(output),
+                "method": how.method,
+                "rendered": len(rendered),
+                "failed": failed,
+                "duration_s": sum(done.duration_s for done in rendered),
+                "seconds": round(sum(done.seconds for done in rendered), 3),
+            }
+        )
+    else:
+        RESULTS.print(f"{output}: {len(rendered)} of {len(lines)} lines rendered", soft_wrap=True)
+    if failed:
+        raise UserError("\n".join(f"not rendered: {reason}" for reason in failed.values()))

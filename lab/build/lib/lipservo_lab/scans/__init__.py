@@ -1,0 +1,1 @@
+"""Dense, unregistered scans of a talking face become motion of one mesh, and a corpus."""

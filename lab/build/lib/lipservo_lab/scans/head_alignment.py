@@ -1,0 +1,227 @@
+"""Where the head is in a scan: rigid alignment by iterated closest points (trimesh).
+
+Edge, Hilton and Jackson remove drift of the head so. trimesh's is the form of Besl and McKay
+("A method for registration of 3-D shapes", IEEE PAMI 14(2), 1992), point to point; what it leaves
+over is taken out with the upper face while the surface is fitted.
+
+The mesh that scans are brought onto: the shipped face, or that in the shape of a person.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from lipservo_lab.scans.scan import Scan, ScanError, axes_text
+from lipsync.arrays import Array, Indices
+from lipsync.markers import INNER_LIP, INNER_LIP_GROUP, OUTER_LIP, OUTER_LIP_GROUP, PointLayout
+from lipsync.twin.head_surface import N_SKIN, MeanFace, load_mean_face
+
+#: Skin above this height moves little in speech: the head is held by it.
+_UPPER_FACE_MM = -20.0
+#: The first 468 vertices are those of the 478-point mesh, under their numbers; the others get
+#: numbers that are no landmark's.
+_OTHERS_FROM = 1000
+#: How far behind the rim of the face, in rings, the mesh reaches.
+_RIM = 0.5
+#: Round the lips, as far as a lip's height: what `lips` counts.
+_LIPS_MM = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """vertices_mm (n, 3) at rest, triangles (m, 3), outward; landmarks (n,), a number for each.
+
+    still, lips (n,): whether a vertex lies in the upper face, and on or beside the lips.
+    """
+
+    vertices_mm: Array
+    triangles: Indices
+    landmarks: Indices
+    still: np.ndarray
+    lips: np.ndarray
+
+    @property
+    def layout(self) -> PointLayout:
+        """All vertices, with the lips in their groups."""
+        known = {*OUTER_LIP, *INNER_LIP}
+        skin = tuple(int(n) for n in self.landmarks if int(n) not in known)
+        groups = ((OUTER_LIP_GROUP, OUTER_LIP), (INNER_LIP_GROUP, INNER_LIP), ("skin", skin))
+        return PointLayout(f"scans-{len(self.landmarks)}", groups, (13, 14))
+
+    def rows_of(self, landmarks: tuple[int, ...]) -> Indices:
+        """Which vertices have these numbers; KeyError for one that none has."""
+        row_of = {int(number): row for row, number in enumerate(self.landmarks)}
+        return np.array([row_of[number] for number in landmarks], dtype=np.int64)
+
+
+def shipped_template(mean: MeanFace | None = None) -> Template:
+    """The face of the twin up to its rim: 7,134 vertices."""
+    mean = mean or load_mean_face()
+    inside = mean.behind <= _RIM
+    chosen = np.flatnonzero(inside)
+    new = np.full(len(inside), -1)
+    new[chosen] = np.arange(len(chosen))
+    triangles = new[mean.triangles]
+    triangles = triangles[(triangles >= 0).all(axis=1)]
+    places = mean.vertices_mm[chosen]
+    landmarks = np.where(chosen < N_SKIN, chosen, chosen + _OTHERS_FROM)
+    lip_points = places[np.isin(landmarks, [*OUTER_LIP, *INNER_LIP])]
+    away = np.linalg.norm(places[:, None] - lip_points[None], axis=2).min(axis=1)
+    return Template(
+        places,
+        np.asarray(triangles, dtype=np.int64),
+        landmarks.astype(np.int64),
+        places[:, 1] > _UPPER_FACE_MM,
+        away < _LIPS_MM,
+    )
+
+
+_ROUNDS, _FIRST_ROUNDS = 30, 12
+#: So many points of the face are laid on the scan.
+_SAMPLE, _FIRST_SAMPLE = 1200, 350
+#: A scan may lack some of the face: this share of its points, those that are nearest, is believed.
+_BELIEVED_SHARE = 0.7
+#: Root mean square of the believed distances, mm: faces of others are within some 3.
+_FARTHEST_MM = 5.0
+#: Nearer than this it is a face the right way up; else all axes are tried.
+_CERTAIN_MM = 1.5
+#: Other axes are believed when they fit so much better: a face is nearly its own mirror image.
+_CLEARLY_BETTER = 0.75
+_MOST_TARGETS, _FIRST_TARGETS = 40_000, 3_000
+#: A head that seems smaller or larger than this was not found.
+_SCALES = (0.6, 1.6)
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """face point p lies at `scale * rotation @ p + shift_mm` in the scan; scale is 1 but once."""
+
+    rotation: Array
+    shift_mm: Array
+    scale: float = 1.0
+
+    def in_scan(self, face_mm: Array) -> Array:
+        """(n, 3) of the face -> where they are in the scan."""
+        return np.asarray(self.scale * face_mm @ self.rotation.T + self.shift_mm)
+
+    def on_face(self, scan_mm: Array) -> Array:
+        """(n, 3) of the scan -> where they are on the face."""
+        return np.asarray((scan_mm - self.shift_mm) @ self.rotation / self.scale)
+
+    def after(self, rotation: Array, shift_mm: Array) -> "Pose":
+        """For a face moved by p -> rotation @ p + shift_mm: its points stay in their places."""
+        turned = self.rotation @ rotation.T
+        return Pose(turned, self.shift_mm - self.scale * turned @ shift_mm, self.scale)
+
+
+def rigid_motion(points: Array, onto: Array) -> tuple[Array, Array]:
+    """Rotation (3, 3) and shift (3,) that lay points (n, 3) on others best: Umeyama's."""
+    centre, other = points.mean(axis=0), onto.mean(axis=0)
+    u, _, vt = np.linalg.svd((onto - other).T @ (points - centre))
+    u[:, 2] *= np.sign(np.linalg.det(u @ vt))
+    rotation = u @ vt
+    return rotation, other - rotation @ centre
+
+
+def find_pose(
+    face_mm: Array, scan: Scan, start: Pose | None = None, *, scaled: bool = False
+) -> Pose:
+    """Where a face (n, 3) is in a scan; from `start`, else from where the middles of both meet.
+
+    scaled: of another person, whose face may have another size.
+    """
+    targets = scan.points_mm[:: max(1, len(scan.points_mm) // _MOST_TARGETS)]
+    start = start or Pose(np.eye(3), _middle(targets) - _middle(face_mm))
+    return _icp(_sample(face_mm, _SAMPLE), targets, start, _ROUNDS, scaled=scaled)
+
+
+def misfit_mm(face_mm: Array, scan: Scan, pose: Pose) -> float:
+    """Root mean square distance of the nearer 70 % of the face's points from the scan."""
+    distances, _ = cKDTree(scan.points_mm).query(pose.in_scan(_sample(face_mm, _SAMPLE)))
+    believed = np.sort(distances)[: round(_BELIEVED_SHARE * len(distances))]
+    return float(np.sqrt((believed**2).mean()))
+
+
+def check_face(face_mm: Array, scan: Scan, axes: Array, name: str) -> None:
+    """Raises ScanError for a scan that is no face, upside down, mirrored, or along other axes.
+
+    axes: those that the scan was read by, which the advice is given for.
+    """
+    usual = [np.diag(signs) for signs in ((1.0, 1, 1), (-1.0, 1, 1), (-1.0, -1, 1), (1.0, -1, 1))]
+    fits = _fits(face_mm, scan, usual)
+    if fits.get(tuple(np.eye(3).ravel().tolist()), np.inf) > _CERTAIN_MM:
+        fits |= _fits(face_mm, scan, _all_turns())
+    as_given = fits.get(tuple(np.eye(3).ravel().tolist()), np.inf)
+    best = np.array(
+        min(fits, key=fits.__getitem__, default=tuple(np.eye(3).ravel().tolist()))
+    ).reshape(3, 3)
+    least = min(fits.values(), default=np.inf)
+    if least > _FARTHEST_MM:
+        raise ScanError(
+            f"{name}: not a face: laid on one it is {least:.1f} mm off, or holds much beside one; "
+            "cut the scan to the face"
+        )
+    if as_given > _FARTHEST_MM or least < _CLEARLY_BETTER * as_given:
+        raise ScanError(
+            f"{name}: {_fault(best)}: {as_given:.1f} mm off as it is, {least:.1f} mm otherwise; "
+            f"give --axes={axes_text(best @ axes)}"
+        )
+
+
+def _all_turns() -> list[Array]:
+    """All 48 ways to name and sign three axes."""
+    return [
+        np.eye(3)[list(order)] * np.array(signs)[:, None]
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+    ]
+
+
+def _fits(face_mm: Array, scan: Scan, turns: Sequence[Array]) -> dict[tuple[float, ...], float]:
+    """How far a face is off a scan that is turned so, mm; without those that shrink it."""
+    fits: dict[tuple[float, ...], float] = {}
+    sample = _sample(face_mm, _FIRST_SAMPLE)
+    few = scan.points_mm[:: max(1, len(scan.points_mm) // _FIRST_TARGETS)]
+    for turn in turns:
+        turned = Scan(few @ turn.T, scan.normals, 0.0)
+        start = Pose(np.eye(3), _middle(turned.points_mm) - _middle(sample))
+        pose = _icp(sample, turned.points_mm, start, _FIRST_ROUNDS, scaled=True)
+        if _SCALES[0] < pose.scale < _SCALES[1]:
+            fits[tuple(turn.ravel().tolist())] = misfit_mm(sample, turned, pose) / pose.scale
+    return fits
+
+
+def _fault(turn: Array) -> str:
+    if np.array_equal(turn, np.diag([-1.0, 1.0, 1.0])):
+        return "mirrored"
+    if np.array_equal(turn, np.diag([-1.0, -1.0, 1.0])):
+        return "upside down"
+    return "along other axes" + (", and mirrored" if np.linalg.det(turn) < 0 else "")
+
+
+def _icp(sample: Array, targets: Array, start: Pose, n_rounds: int, *, scaled: bool) -> Pose:
+    from trimesh.registration import icp
+
+    align: Callable[..., tuple[Array, Array, float]] = icp
+    first: Any = np.eye(4)
+    first[:3, :3], first[:3, 3] = start.scale * start.rotation, start.shift_mm
+    matrix, _, _ = align(
+        sample, targets, initial=first, threshold=1e-5, max_iterations=n_rounds,
+        scale=scaled, reflection=False,
+    )  # fmt: skip
+    scale = float(np.cbrt(np.linalg.det(matrix[:3, :3])))
+    return Pose(matrix[:3, :3] / scale, matrix[:3, 3].copy(), scale)
+
+
+def _sample(points: Array, n: int) -> Array:
+    return points[:: max(1, len(points) // n)]
+
+
+def _middle(points: Array) -> Array:
+    """Of the box around all but stray points: scans are denser here than there."""
+    low, high = np.percentile(points, (2, 98), axis=0)
+    return np.asarray((low + high) / 2)

@@ -1,0 +1,117 @@
+"""Registered takes as a corpus folder (docs/motion.md, A corpus of your own), or as one archive."""
+
+import io
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import soundfile
+from numpy.typing import NDArray
+
+from lipservo_lab.scans.head_alignment import Template
+from lipservo_lab.scans.scan_import import RegisteredTake
+from lipservo_lab.scans.takes import TakeSound
+from lipservo_lab.video.face_track import RIGID
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.output_file import write_whole
+from lipsync.textgrid import write_tiers
+
+#: A corpus keeps 64ths: here of a millimetre.
+_UNITS_PER_MM = 64.0
+#: A corpus has y down and z into the picture.
+_TO_PICTURE_AXES = np.array([1.0, -1.0, -1.0])
+_RIGHT_EYE, _LEFT_EYE = 33, 263
+#: For cross-validation by `lipservo bench motion`, where there are enough sentences.
+_FOLDS, _LEAST_FOR_FOLDS = 5, 10
+_KIND = "lipservo registered scans"
+
+
+class CorpusWriter:
+    """Writes takes into a folder that is not there yet for others, one after the other."""
+
+    def __init__(self, place: Path, template: Template, rate_hz: float) -> None:
+        self._place = place
+        self._template = template
+        self._rate_hz = rate_hz
+        self._names: list[str] = []
+        for name in ("audio", "landmarks", "labels"):
+            (place / name).mkdir()
+
+    def add(self, made: RegisteredTake, sound: TakeSound) -> None:
+        """One sentence."""
+        name = made.take.name
+        whole = np.rint(made.points_mm * _TO_PICTURE_AXES * _UNITS_PER_MM)
+        small = np.abs(whole).max() <= np.iinfo(np.int16).max
+        points = whole.astype(np.int16 if small else np.int32)
+        np.savez_compressed(self._place / "landmarks" / f"{name}.npz", landmarks_64th_px=points)
+        soundfile.write(self._place / "audio" / f"{name}.flac", sound.samples, SAMPLE_RATE_HZ)
+        write_tiers(self._place / "labels" / f"{name}.TextGrid", sound.tiers)
+        self._names.append(name)
+
+    def finish(self, about: Mapping[str, object]) -> None:
+        """What belongs to all sentences. about: for import.json."""
+        template = self._template
+        eyes = template.vertices_mm[template.rows_of((_RIGHT_EYE, _LEFT_EYE))]
+        listed = {
+            "frame_rate_hz": self._rate_hz,
+            "landmark_ids": template.landmarks.tolist(),
+            "eye_distance_mm": round(float(np.linalg.norm(eyes[0] - eyes[1])), 3),
+            "groups": {"rigid": list(RIGID)},
+        }
+        self._json("landmarks.json", listed)
+        self._json("layout.json", template.layout.description())
+        self._json("import.json", about)
+        if len(self._names) >= _LEAST_FOR_FOLDS:
+            folds = [self._names[first::_FOLDS] for first in range(_FOLDS)]
+            self._json("splits.json", {"folds": folds, "new_words": {}})
+        np.savez_compressed(self._place / "mesh.npz", allow_pickle=False, **_mesh(template))
+
+    def _json(self, name: str, content: Mapping[str, object]) -> None:
+        text = json.dumps(content, indent=1) + "\n"
+        (self._place / name).write_text(text, encoding="utf-8")
+
+
+def write_motion(
+    path: Path,
+    made: Sequence[RegisteredTake],
+    template: Template,
+    rate_hz: float,
+    about: Mapping[str, object],
+) -> None:
+    """All takes end to end, whole or not at all: `about`, `points_mm`, `borders`, and the mesh.
+
+    Raises OutputError.
+    """
+    said = {
+        "kind": _KIND,
+        "rate_hz": rate_hz,
+        "takes": [each.take.name for each in made],
+        "names": template.layout.names,
+        **about,
+    }
+    rows = template.rows_of(template.layout.landmarks)
+    buffer = io.BytesIO()
+    arrays: dict[str, NDArray[Any]] = {
+        "about": np.frombuffer(json.dumps(said).encode(), dtype=np.uint8),
+        "points_mm": np.concatenate([each.points_mm for each in made]),
+        "borders": np.cumsum([0, *(len(each.points_mm) for each in made)]),
+        "named_points": rows,
+        **_mesh(template),
+    }
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    write_whole(path, buffer.getvalue())
+
+
+def is_motion(head: bytes) -> bool:
+    """Whether a file that begins so looks like one of `write_motion`."""
+    return head.startswith(b"PK") and b"about.npy" in head
+
+
+def _mesh(template: Template) -> dict[str, NDArray[Any]]:
+    return {
+        "vertices_mm": template.vertices_mm.astype(np.float32),
+        "triangles": template.triangles.astype(np.int32),
+        "landmarks": template.landmarks.astype(np.int32),
+    }

@@ -1,0 +1,294 @@
+"""Takes of scans become motion of one mesh, each scan with a report.
+
+What became of scans and takes, in figures and in words.
+
+Named points that were seen in scans: painted dots, lipstick, or a tracker's.
+"""
+
+import csv
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.scans.head_alignment import Template, check_face, shipped_template
+from lipservo_lab.scans.scan import (
+    Scan,
+    ScanError,
+    ScanFrame,
+    ScanFrameError,
+    check_unit,
+    read_scan,
+)
+from lipservo_lab.scans.surface_fit import Markers, RegisteredScan, Registration, worn_template
+from lipservo_lab.scans.takes import Take
+from lipsync.arrays import Array
+from lipsync.markers import FACE_MESH_478, MARKERS_47
+
+
+@dataclass(frozen=True, slots=True)
+class ScanReport:
+    """One scan.
+
+    left_out: why nothing was made of it. error_mm, p95_mm: distance between mesh and scan along the
+    normal where they were matched, median and 95th percentile; it does not tell sliding along the
+    surface. matched: share of the mesh that found its surface. markers: how many were used.
+    """
+
+    take: str
+    scan: str
+    left_out: str | None = None
+    error_mm: float | None = None
+    p95_mm: float | None = None
+    matched: float | None = None
+    markers: int = 0
+
+    def as_json(self) -> dict[str, object]:
+        """By name."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class TakeReport:
+    """One take. phonemes: `labels`, `text` or `recognised`; None without sound."""
+
+    take: str
+    scans: int
+    left_out: str | None = None
+    notes: tuple[str, ...] = ()
+    seconds: float = 0.0
+    phonemes: str | None = None
+
+    def as_json(self) -> dict[str, object]:
+        """By name."""
+        return asdict(self)
+
+
+_COLUMNS = ("scan", "name", "x", "y", "z")
+
+
+def read_markers(path: Path, template: Template, frame: ScanFrame) -> Mapping[str, Markers]:
+    """By the name of the scan, without its ending.
+
+    A CSV file with the columns scan, name, x, y, z, in units and axes of the scans. A name is that
+    of a layout's point, such as `outer_lip_61`, or the number of a landmark. Raises ScanError for a
+    file that cannot be read so, and for a name that the template has not.
+    """
+    row_of = {int(number): row for row, number in enumerate(template.landmarks)}
+    known = {str(number): row for number, row in row_of.items()}
+    for layout in (MARKERS_47, FACE_MESH_478, template.layout):
+        for name, number in zip(layout.names, layout.landmarks, strict=True):
+            if number in row_of:
+                known[name] = row_of[number]
+    seen: dict[str, dict[int, list[float]]] = {}
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file)
+            if not set(_COLUMNS) <= set(reader.fieldnames or ()):
+                raise ScanError(f"{path}: its first line must name {','.join(_COLUMNS)}")
+            for line in reader:
+                where = f"{path}, line {reader.line_num}"
+                vertex = known.get(str(line["name"]).strip())
+                if vertex is None:
+                    raise ScanError(
+                        f"{where}: the template has no point {line['name']!r}; names are those of "
+                        "the layouts, outer_lip_61 for one, or numbers of landmarks"
+                    )
+                seen.setdefault(str(line["scan"]).strip(), {})[vertex] = _place(line, where)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ScanError(f"{path}: cannot be read as CSV: {error}") from error
+    return {
+        scan: Markers(np.array(list(points)), frame.in_mm(np.array(list(points.values()))))
+        for scan, points in seen.items()
+    }
+
+
+def _place(line: Mapping[str, str | None], where: str) -> list[float]:
+    try:
+        place: Array = np.array([float(line[axis] or "") for axis in "xyz"])
+    except (TypeError, ValueError):
+        place = np.full(3, np.nan)
+    if not np.isfinite(place).all():
+        raise ScanError(f"{where}: x, y and z are not three numbers")
+    return [float(each) for each in place]
+
+
+#: What is done, how much of it, of how much.
+Advance = Callable[[str, int, int], None]
+
+#: Scans that are missing for longer are not bridged.
+_LONGEST_HOLE_S = 0.1
+#: So many scans of all are kept for the picture sheet, evenly.
+_SAMPLES = 24
+
+
+@dataclass(frozen=True, slots=True)
+class RegisteredTake:
+    """points_mm (n_scans, n_vertices, 3) in the pose of the head, in order of time."""
+
+    take: Take
+    points_mm: NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True)
+class SampleScan:
+    """For the picture sheet. errors_mm (n_vertices,): NaN where the scan had no surface."""
+
+    report: ScanReport
+    points_mm: Array
+    errors_mm: Array
+
+
+@dataclass(frozen=True)
+class ScanImport:
+    """Goes through all takes; `takes` and `scans` hold the reports of what it has been through.
+
+    template: in the shape of the person. neutral: the scan that gave it that shape.
+    """
+
+    template: Template
+    neutral: Path
+    rate_hz: float
+    frame: ScanFrame
+    given: tuple[Take, ...]
+    markers: Mapping[str, Mapping[str, Markers]]
+    takes: list[TakeReport] = field(default_factory=list)
+    scans: list[ScanReport] = field(default_factory=list)
+    samples: list[SampleScan] = field(default_factory=list)
+
+    def registered(self, advance: Advance) -> Iterator[RegisteredTake]:
+        """Every take that could be used, as it is made."""
+        n_all = sum(len(take.scans) for take in self.given)
+        every = max(1, n_all // _SAMPLES)
+        registration = Registration(self.template)
+        for take in self.given:
+            registration.begin()
+            found: list[RegisteredScan | None] = []
+            for path in take.scans:
+                markers = self.markers.get(take.name, {}).get(path.stem)
+                scan, report = _register(registration, take, path, self.frame, markers)
+                found.append(scan)
+                self.scans.append(report)
+                if scan is not None and (len(self.scans) - 1) % every == 0:
+                    self.samples.append(_sample(scan, report))
+                advance("registering", len(self.scans), n_all)
+            made, of_take = _joined(take, found, self.rate_hz)
+            self.takes.append(of_take)
+            if made is not None:
+                yield made
+
+    def refuse_nothing(self) -> None:
+        """Raises ScanError with the first reasons where no take could be used."""
+        if any(report.left_out is None for report in self.takes):
+            return
+        scans = [f"{r.take}/{r.scan}: {r.left_out}" for r in self.scans if r.left_out]
+        takes = [f"{r.take}: {r.left_out}" for r in self.takes if r.left_out]
+        told = [*scans[:2], *takes[:1]]
+        raise ScanError(f"nothing usable: {'; '.join(told)}")
+
+
+def begin_import(
+    takes: Sequence[Take],
+    frame: ScanFrame,
+    rate_hz: float,
+    neutral: Path | None = None,
+    advance: Advance = lambda *_: None,
+) -> ScanImport:
+    """Give the template the shape of the person, and read the markers.
+
+    neutral: a scan of the face at rest; None: the first scan that can be read. Raises ScanError and
+    ScanFrameError for scans of another size, along other axes, mirrored, or of no face, and for
+    markers that the template has not.
+    """
+    template = shipped_template()
+    markers = {
+        take.name: read_markers(take.markers, template, frame)
+        for take in takes
+        if take.markers is not None
+    }
+    for take in takes:
+        strangers = sorted(set(markers.get(take.name, ())) - {path.stem for path in take.scans})
+        if strangers:
+            raise ScanError(f"{take.markers}: {strangers[0]!r} is no scan of take {take.name}")
+    path, scan = _neutral(takes, frame, neutral)
+    check_unit(scan.points_mm, frame.unit, str(path))
+    check_face(template.vertices_mm, scan, frame.axes, str(path))
+    advance("finding the face", 0, 1)
+    seen = next((m[path.stem] for m in markers.values() if path.stem in m), None)
+    try:
+        worn = worn_template(template, scan, seen)
+    except ScanError as error:
+        raise ScanError(f"{path}: {error}; give another neutral scan (--template)") from error
+    advance("finding the face", 1, 1)
+    return ScanImport(worn, path, rate_hz, frame, tuple(takes), markers)
+
+
+def _neutral(takes: Sequence[Take], frame: ScanFrame, neutral: Path | None) -> tuple[Path, Scan]:
+    if neutral is not None:
+        return neutral, read_scan(neutral, frame)
+    first: ScanError | None = None
+    for take in takes:
+        for path in take.scans:
+            try:
+                return path, read_scan(path, frame)
+            except ScanError as error:
+                first = first or error
+    raise ScanError(f"no scan can be read: {first}")
+
+
+def _register(
+    registration: Registration,
+    take: Take,
+    path: Path,
+    frame: ScanFrame,
+    markers: Markers | None,
+) -> tuple[RegisteredScan | None, ScanReport]:
+    report = ScanReport(
+        take.name, path.stem, markers=0 if markers is None else len(markers.seen_mm)
+    )
+    try:
+        scan = read_scan(path, frame)
+        check_unit(scan.points_mm, frame.unit, str(path))
+        registered = registration.register(scan, markers)
+    except (ScanError, ScanFrameError) as error:
+        return None, replace(report, left_out=str(error).removeprefix(f"{path}: "))
+    errors = registered.errors_mm
+    return registered, replace(
+        report,
+        error_mm=round(float(np.median(errors)), 3),
+        p95_mm=round(float(np.percentile(errors, 95)), 3),
+        matched=round(registered.matched, 3),
+    )
+
+
+def _joined(
+    take: Take, found: Sequence[RegisteredScan | None], rate_hz: float
+) -> tuple[RegisteredTake | None, TakeReport]:
+    """One array of all scans, short holes bridged by straight lines."""
+    report = TakeReport(take.name, len(found), seconds=round(len(found) / rate_hz, 3))
+    there = np.array([scan is not None for scan in found])
+    if there.sum() < 2:
+        reason = f"{there.sum()} of {len(found)} scans could be registered"
+        return None, replace(report, left_out=reason)
+    holes = [len(list(group)) for is_there, group in groupby(there.tolist()) if not is_there]
+    if holes and max(holes) / rate_hz > _LONGEST_HOLE_S + 1e-9:
+        reason = f"{max(holes)} scans in a row are missing, {max(holes) / rate_hz:.2f} s"
+        return None, replace(report, left_out=reason)
+    known = np.flatnonzero(there)
+    seen = np.array([scan.points_mm for scan in found if scan is not None], dtype=np.float32)
+    after = np.clip(np.searchsorted(known, np.arange(len(found))), 0, len(known) - 1)
+    before = np.clip(after - 1, 0, None)
+    before = np.where(known[after] <= np.arange(len(found)), after, before)
+    length = np.maximum(known[after] - known[before], 1)
+    share = np.clip((np.arange(len(found)) - known[before]) / length, 0.0, 1.0)
+    points = seen[before] + share[:, None, None].astype(np.float32) * (seen[after] - seen[before])
+    notes = (f"{sum(holes)} scans bridged",) if holes else ()
+    return RegisteredTake(take, points.astype(np.float32)), replace(report, notes=notes)
+
+
+def _sample(scan: RegisteredScan, report: ScanReport) -> SampleScan:
+    errors = np.where(scan.fit.matched, np.abs(scan.fit.off_mm), np.nan)
+    return SampleScan(report, scan.points_mm, errors)

@@ -1,0 +1,132 @@
+"""Which takes of scans a folder holds, and what lies beside them: sound, words, labels, markers.
+
+What is said in a take, and when: its labels, else its text, else as it is recognised.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipservo_lab.scans.scan import SCAN_ENDINGS, ScanError
+from lipservo_lab.video.clip_labels import label_clip
+from lipsync.audio.file import read_speech
+from lipsync.audio_block import SAMPLE_RATE_HZ
+from lipsync.textgrid import Interval, read_tiers
+
+_SOUND_ENDINGS = (".wav", ".flac")
+
+
+@dataclass(frozen=True, slots=True)
+class Take:
+    """Scans in order of time; None for what is not there.
+
+    text: what is said. labels: a TextGrid with phones. markers: where named points were seen.
+    """
+
+    name: str
+    scans: tuple[Path, ...]
+    sound: Path | None = None
+    text: str | None = None
+    labels: Path | None = None
+    markers: Path | None = None
+
+
+def find_takes(folder: Path, template: Path | None = None) -> tuple[Take, ...]:
+    """Every sub-folder with scans, else the folder itself as one take, in order of their names.
+
+    Scans are in order of the numbers in their names. Beside the sub-folder NAME may lie NAME.wav or
+    .flac, NAME.txt, NAME.TextGrid and NAME.markers.csv; of a folder that is one take they lie in
+    it. template: no scan of a take, wherever it lies. Raises ScanError for a folder that is not
+    there, without scans, or with a single one.
+    """
+    if not folder.is_dir():
+        raise ScanError(f"{folder}: no such folder; give one with a scan (.ply, .obj) a picture")
+    inner = sorted(each for each in folder.iterdir() if each.is_dir())
+    takes = [_take(each, folder, each.name, template) for each in inner]
+    takes = [take for take in takes if take.scans]
+    if not takes:
+        takes = [_take(folder, folder, folder.resolve().name, template)]
+    n_scans = sum(len(take.scans) for take in takes)
+    if n_scans == 0:
+        raise ScanError(f"{folder}: holds no scan; looked for {' '.join(SCAN_ENDINGS)}")
+    if n_scans == 1:
+        raise ScanError(f"{folder}: one scan only; motion needs a sequence of them")
+    return tuple(takes)
+
+
+def _take(scans: Path, beside: Path, name: str, template: Path | None) -> Take:
+    found = [
+        path
+        for path in scans.iterdir()
+        if path.is_file()
+        and path.suffix.lower() in SCAN_ENDINGS
+        and (template is None or not template.exists() or not path.samefile(template))
+    ]
+    sounds = [beside / f"{name}{ending}" for ending in _SOUND_ENDINGS]
+    text = beside / f"{name}.txt"
+    try:
+        said = text.read_text(encoding="utf-8").strip() if text.is_file() else None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScanError(f"{text}: cannot be read as text (UTF-8): {error}") from error
+    return Take(
+        name,
+        tuple(sorted(found, key=lambda path: _in_order(path.stem))),
+        next((each for each in sounds if each.is_file()), None),
+        said or None,
+        _there(beside / f"{name}.TextGrid"),
+        _there(beside / f"{name}.markers.csv"),
+    )
+
+
+def _there(path: Path) -> Path | None:
+    return path if path.is_file() else None
+
+
+def _in_order(name: str) -> tuple[tuple[int, str], ...]:
+    """scan_9 before scan_10."""
+    parts = re.split(r"(\d+)", name)
+    return tuple((int(part), "") if part.isdigit() else (-1, part) for part in parts)
+
+
+#: As a corpus's reader allows.
+_LENGTH_TOLERANCE_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class TakeSound:
+    """samples (n,) at 16 kHz; tiers of a TextGrid; source: `labels`, `text` or `recognised`."""
+
+    samples: NDArray[np.float32]
+    tiers: dict[str, tuple[Interval, ...]]
+    source: str
+
+
+def take_sound(take: Take, rate_hz: float) -> TakeSound:
+    """Sound and labels of a take that has a sound.
+
+    Raises ScanError for sound that is not as long as the scans, or labels without phones; UserError
+    for a sound, labels or text that cannot be used.
+    """
+    if take.sound is None:
+        raise ScanError(
+            f"no sound {take.name}.wav or .flac, so it is no sentence of a corpus; "
+            "-o FILE.npz keeps motion alone"
+        )
+    samples = read_speech(take.sound)
+    sound_s, scans_s = len(samples) / SAMPLE_RATE_HZ, len(take.scans) / rate_hz
+    if abs(sound_s - scans_s) > _LENGTH_TOLERANCE_S:
+        raise ScanError(
+            f"{sound_s:.2f} s of sound, {len(take.scans)} scans at {rate_hz:g} a second are "
+            f"{scans_s:.2f} s; would --rate-hz {len(take.scans) / sound_s:.3g} be right?"
+        )
+    if take.labels is None:
+        said = label_clip(samples, take.text)
+        tiers = {name: tier for name, tier in said.tiers().items() if tier}
+        return TakeSound(samples, tiers, said.source)
+    labels = dict(read_tiers(take.labels))
+    if not labels.get("phones"):
+        raise ScanError(f"{take.labels}: no tier 'phones'")
+    return TakeSound(samples, labels, "labels")

@@ -1,0 +1,225 @@
+"""`python -m lipservo_lab.twin_making.mean_face_file FACE_MEAN.npz OUT.npz`: the shipped face anew.
+
+FACE_MEAN.npz holds `vertices_mm` (478, 3) and `triangles`, as the corpus has them.
+
+Coarse mesh to smooth surface: Loop's subdivision, of trimesh.
+
+Loop (1987) gives a surface that is smooth in its second derivatives but at few vertices, so it does
+not look faceted; old vertices keep their numbers, so markers stay vertices. It does not pass
+through the vertices that it is given: `through_points` moves those until it does.
+
+The back of the head, which no camera tracked: rings from the rim of the face to a pole.
+
+Each vertex of the rim starts a cubic Bezier curve that leaves the face backwards and ends at the
+pole. The shape is generated, not measured.
+"""
+
+import io
+import sys
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array, Indices
+from lipsync.errors import check_extra
+from lipsync.output_file import write_whole
+from lipsync.twin.head_surface import FACE_RIM, LEFT_IRIS, N_SKIN, RIGHT_IRIS
+
+#: Each splits a triangle into four: 1,824 become 29,184.
+ROUNDS = 2
+
+
+def subdivide(vertices: Array, triangles: Indices, rounds: int = ROUNDS) -> tuple[Array, Indices]:
+    """Vertices (n, d), of which the first are the old ones, and triangles (4^rounds as many, 3).
+
+    Each of the d columns is subdivided as the three of a place are. Raises MissingExtraError.
+    """
+    check_extra("trimesh", "making a mean face")
+    from trimesh.remesh import subdivide_loop
+
+    loop: Callable[..., tuple[Array, Indices]] = subdivide_loop
+    columns = vertices.shape[1]
+    padded = np.zeros((len(vertices), -(-columns // 3) * 3))
+    padded[:, :columns] = vertices
+    done = [
+        loop(padded[:, at : at + 3], triangles, iterations=rounds)
+        for at in range(0, padded.shape[1], 3)
+    ]
+    places = np.hstack([each for each, _ in done])[:, :columns]
+    return np.asarray(places, dtype=np.float64), np.asarray(done[0][1], dtype=np.int64)
+
+
+def through_points(vertices: Array, triangles: Indices, rounds: int) -> Array:
+    """Vertices whose Loop surface comes near the ones given; nearer with each round.
+
+    Progressive iterative approximation (Cheng, Fan, Deng, Lin, Wang and Bao, "Loop subdivision
+    surface based progressive interpolation", J. Comput. Sci. Technol. 24(1), 2009): each vertex
+    moves by what its place on the surface misses.
+    """
+    control = vertices.copy()
+    for _ in range(rounds):
+        surface, _ = subdivide(control, triangles)
+        control += vertices - surface[: len(vertices)]
+    return control
+
+
+#: Rings between rim and pole.
+N_RINGS = 13
+#: How far behind the eyes the head ends, and how far above them its pole is.
+_BACK_MM, _POLE_UP_MM = -176.0, 2.0
+#: Reach of the two inner control points of a curve, by where it starts: top, side, chin.
+_LEAVING_MM = np.array([60.0, 62.0, 42.0])
+_ARRIVING_MM = np.array([96.0, 84.0, 86.0])
+#: How much a curve leaves as the skin before it goes on, how much backwards and how much outwards.
+_GOING_ON = np.array([0.75, 0.35, 0.0])
+_BACKWARDS = np.array([0.35, 0.75, 1.0])
+_OUTWARDS = np.array([0.35, 0.30, 0.0])
+
+
+def head_shell(skin_mm: Array, rim: Indices, triangles: Indices) -> Array:
+    """(N_RINGS * n + 1, 3): rings from the rim (n,) of the skin backwards, and the pole."""
+    rim_mm = skin_mm[rim]
+    centre = (rim_mm.max(axis=0) + rim_mm.min(axis=0)) / 2
+    pole = np.array([centre[0], _POLE_UP_MM, _BACK_MM])
+    outward = _unit((rim_mm - centre) * (1.0, 1.0, 0.0))
+    leaving, arriving, going_on, backwards, outwards = (
+        _by_height(outward[:, 1], each)[:, None]
+        for each in (_LEAVING_MM, _ARRIVING_MM, _GOING_ON, _BACKWARDS, _OUTWARDS)
+    )
+    heading = _unit(
+        going_on * _skin_heading(skin_mm, rim, triangles)
+        + backwards * np.array([0.0, 0.0, -1.0])
+        + outwards * outward
+    )
+    p1 = rim_mm + leaving * heading
+    p2 = pole + arriving * outward
+    along = (np.arange(1, N_RINGS + 1) / (N_RINGS + 1))[:, None, None]
+    rings = (
+        (1 - along) ** 3 * rim_mm
+        + 3 * (1 - along) ** 2 * along * p1
+        + 3 * (1 - along) * along**2 * p2
+        + along**3 * pole
+    )
+    return np.asarray(np.vstack([rings.reshape(-1, 3), pole]), dtype=np.float64)
+
+
+def ring_of(n_rim: int) -> Array:
+    """(N_RINGS * n_rim + 1,): how many rings behind the rim each vertex of the shell lies."""
+    rings = np.repeat(np.arange(1.0, N_RINGS + 1), n_rim)
+    return np.asarray(np.append(rings, N_RINGS + 1.0), dtype=np.float64)
+
+
+def _skin_heading(skin_mm: Array, rim: Indices, triangles: Indices) -> Array:
+    """(n, 3): which way the skin runs where it ends, smoothed along the rim."""
+    place_on_rim = {int(vertex): at for at, vertex in enumerate(rim)}
+    heading = np.zeros((len(rim), 3))
+    for triangle in triangles:
+        inner = [vertex for vertex in triangle if int(vertex) not in place_on_rim]
+        for vertex in triangle:
+            at = place_on_rim.get(int(vertex))
+            if at is not None and inner:
+                heading[at] += _unit((skin_mm[vertex] - skin_mm[inner].mean(axis=0))[None])[0]
+    for _ in range(3):
+        heading = _unit(np.roll(heading, 1, 0) + 2 * heading + np.roll(heading, -1, 0))
+    return heading
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True), dtype=np.float64)
+
+
+def shell_triangles(rim: Indices, first: int) -> Indices:
+    """Triangles between rim, rings and pole, outward; `first` is the first ring's first vertex.
+
+    rim: its vertices, clockwise as the viewer sees them.
+    """
+    n = len(rim)
+    loops = np.vstack([rim, first + np.arange(N_RINGS * n).reshape(N_RINGS, n)])
+    inner, outer = loops[:-1], loops[1:]
+    ahead_inner, ahead_outer = np.roll(inner, -1, axis=1), np.roll(outer, -1, axis=1)
+    bands = [
+        np.stack([inner, ahead_inner, outer], axis=-1),
+        np.stack([ahead_inner, ahead_outer, outer], axis=-1),
+    ]
+    last = loops[-1]
+    cap = np.column_stack([last, np.roll(last, -1), np.full(n, first + N_RINGS * n)])
+    return np.asarray(np.vstack([*(b.reshape(-1, 3) for b in bands), cap]), dtype=np.int64)
+
+
+def _by_height(height: Array, top_side_chin: Array) -> Array:
+    """Between three values, by the cosine of where on the rim a vertex lies: 1 top, -1 chin."""
+    return np.asarray(np.interp(height, [-1.0, 0.0, 1.0], top_side_chin[::-1]), dtype=np.float64)
+
+
+#: So many rounds of progressive interpolation: the surface then misses the tracked points by less
+#: than they are noisy; more would follow their noise.
+_ROUNDS = 4
+#: Places are kept to a micrometre, so that the file packs well.
+_DECIMALS = 3
+
+
+def mean_face_arrays(points_mm: Array, triangles: Indices) -> dict[str, NDArray[Any]]:
+    """What the shipped file holds: points_mm (478, 3), triangles (n, 3), outward."""
+    skin = points_mm[:N_SKIN]
+    rim = np.array(FACE_RIM)
+    faces = repaired(triangles)
+    vertices = np.vstack([skin, head_shell(skin, rim, faces)])
+    faces = np.vstack([faces, shell_triangles(rim, N_SKIN)])
+    behind = np.concatenate([np.zeros(N_SKIN), ring_of(len(rim))])
+    control = through_points(vertices, faces, _ROUNDS)
+    surface, fine = subdivide(np.column_stack([control, behind]), faces)
+    return {
+        "vertices_mm": np.round(surface[:, :3], _DECIMALS).astype(np.float32),
+        "triangles": fine.astype(np.uint16),
+        "behind": np.round(surface[:, 3], _DECIMALS).astype(np.float32),
+        "irises_mm": points_mm[[RIGHT_IRIS, LEFT_IRIS]].astype(np.float32),
+    }
+
+
+def repaired(triangles: Indices) -> Indices:
+    """Without the triangles all of whose edges belong to two others, and turned one way.
+
+    A list of triangles that was collected from a list of edges also holds rings of three edges that
+    are no triangle of the surface. Raises MissingExtraError.
+    """
+    check_extra("trimesh", "making a mean face")
+    import trimesh
+    from trimesh.repair import fix_winding
+
+    turn: Callable[[trimesh.Trimesh], None] = fix_winding
+    edges = Counter(edge for triangle in triangles for edge in _edges(triangle))
+    real = np.array([t for t in triangles if any(edges[edge] <= 2 for edge in _edges(t))])
+    mesh = trimesh.Trimesh(np.zeros((real.max() + 1, 3)), real, process=False, validate=False)
+    turn(mesh)
+    faces = np.asarray(mesh.faces, dtype=np.int64)
+    as_given = {_turned(t) for t in real}
+    kept = sum(_turned(t) in as_given for t in faces)
+    return faces if 2 * kept > len(faces) else faces[:, ::-1]
+
+
+def _edges(triangle: Indices) -> list[tuple[int, int]]:
+    a, b, c = sorted(int(each) for each in triangle)
+    return [(a, b), (b, c), (a, c)]
+
+
+def _turned(triangle: Indices) -> tuple[int, ...]:
+    """The same for every corner that it may begin with, but not for the other side."""
+    first = int(np.argmin(triangle))
+    return tuple(int(each) for each in np.roll(triangle, -first))
+
+
+def main(source: Path, destination: Path) -> None:
+    """Read a tracked face, write the smooth one. Raises OSError, KeyError, OutputError."""
+    with np.load(source, allow_pickle=False) as file:
+        arrays = mean_face_arrays(file["vertices_mm"].astype(np.float64), file["triangles"])
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    write_whole(destination, buffer.getvalue())
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,1 @@
+"""Videos of a face as recordings: track, check, align with their sound, and write."""
