@@ -1,1 +1,0 @@
-"""The workshop: what measures lipservo and what learns its models. No robot needs it."""

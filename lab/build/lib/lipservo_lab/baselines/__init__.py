@@ -1,1 +1,0 @@
-"""What our methods are compared with: dominance functions, splines, linear regression."""

@@ -1,1 +1,0 @@
-"""What `lipservo bench` measures, prints and draws."""

@@ -1,1 +1,0 @@
-"""Calibration measured on robots that its fits were not made for."""

@@ -1,1 +1,0 @@
-"""What `lipservo bench nonspeech` and `bench recognition` measure of hearing."""

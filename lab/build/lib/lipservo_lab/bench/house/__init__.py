@@ -1,1 +1,0 @@
-"""Size and grain of the source: what a tick, a stop and a command pass, and lines by room."""

@@ -1,1 +1,0 @@
-"""Pictures of motion that `lipservo bench motion` draws."""

@@ -1,1 +1,0 @@
-"""Stops and signals, on real processes at simulated servos: their campaigns, and their way."""

@@ -1,1 +1,0 @@
-"""`lipservo bench sync`: lips against sound, at the encoders."""

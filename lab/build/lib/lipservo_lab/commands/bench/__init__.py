@@ -1,1 +1,0 @@
-"""`lipservo bench`: what the documentation claims, measured."""

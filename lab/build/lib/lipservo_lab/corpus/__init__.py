@@ -1,1 +1,0 @@
-"""Recorded speech with mouth motion: readers, head-motion removal, splits."""

@@ -1,1 +1,0 @@
-"""How good the motion is: measures over recorded sentences."""

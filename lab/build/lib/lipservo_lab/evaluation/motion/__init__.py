@@ -1,1 +1,0 @@
-"""How good synthesised motion is, beside recorded motion and other methods."""

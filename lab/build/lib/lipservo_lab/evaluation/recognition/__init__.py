@@ -1,1 +1,0 @@
-"""How accurate and how quick a recogniser is."""

@@ -1,1 +1,0 @@
-"""How each model that ships is learned from recordings."""

@@ -1,1 +1,0 @@
-"""Learning expression from tracks of somebody's head, eyes and lids; offline."""

@@ -1,1 +1,0 @@
-"""Head, gaze and lids as they were learned from somebody's tracks; live, NumPy only."""

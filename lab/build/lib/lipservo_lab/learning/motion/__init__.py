@@ -1,1 +1,0 @@
-"""Training of a face model from a corpus. Offline."""

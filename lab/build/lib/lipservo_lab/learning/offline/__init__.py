@@ -1,1 +1,0 @@
-"""A corpus becomes a state model: parameters, manifold, states, units."""

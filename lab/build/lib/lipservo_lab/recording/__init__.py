@@ -1,1 +1,0 @@
-"""Somebody is recorded while reading sentences: camera and microphone on one clock."""

@@ -1,1 +1,0 @@
-"""Rendering whole folders of lines, in several processes or computers."""

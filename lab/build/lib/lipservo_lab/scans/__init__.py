@@ -1,1 +1,0 @@
-"""Dense, unregistered scans of a talking face become motion of one mesh, and a corpus."""

@@ -1,1 +1,0 @@
-"""Videos of a face as recordings: track, check, align with their sound, and write."""
