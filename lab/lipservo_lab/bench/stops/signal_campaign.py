@@ -280,7 +280,10 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
     ended_s = time.monotonic()
     if case.ending is Ending.STOP:
         with ThreadPoolExecutor(1) as pool:
-            asking = pool.submit(stop_and_wait, robot.controls[0], StopLevel.SOFT, _GONE_S)
+            # Without `end` a daemon would wait, limp, for its start.
+            asking = pool.submit(
+                stop_and_wait, robot.controls[0], StopLevel.SOFT, _GONE_S, end=True
+            )
             robot.look_until(asking.done, _GONE_S)
         _, report = asking.result()
         if report is None or report["unconfirmed"]:
