@@ -230,9 +230,9 @@ class Speech:
         self.expression = options.expression
         self.lip_gap = options.lip_gap
         self._newest_mouth_deg = np.zeros(len(self.mouth))
-        self._newest_asked_s = self._newest_sound_s = -math.inf
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
+        self._newest_asked_s, self._newest_sound_s = -math.inf, -self.delay.total_s
 
     @property
     def phonemes_planned(self) -> int:

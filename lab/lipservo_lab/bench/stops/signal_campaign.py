@@ -215,7 +215,7 @@ _AGAIN_S: Final = 0.1
 #: A process that started on a busy machine works after this time at the latest.
 _WORKS_S: Final = 60.0
 #: After the servos are limp a process writes what it has to write, and ends.
-_GONE_S: Final = 15.0
+_END_S: Final = 15.0
 #: Half a minute for the port, and what an end takes.
 _PORT_GONE_S: Final = 45.0
 #: Everything is watched for so much longer: nobody gets torque again.
@@ -281,10 +281,8 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
     if case.ending is Ending.STOP:
         with ThreadPoolExecutor(1) as pool:
             # Without `end` a daemon would wait, limp, for its start.
-            asking = pool.submit(
-                stop_and_wait, robot.controls[0], StopLevel.SOFT, _GONE_S, end=True
-            )
-            robot.look_until(asking.done, _GONE_S)
+            asking = pool.submit(stop_and_wait, robot.controls[0], StopLevel.SOFT, _END_S, end=True)
+            robot.look_until(asking.done, _END_S)
         _, report = asking.result()
         if report is None or report["unconfirmed"]:
             outcome.broken.append(f"the stop was answered by {report}")
@@ -297,7 +295,7 @@ def _play(case: SignalCase, robot: RobotAtPort, outcome: SignalOutcome) -> None:
             robot.look(_AGAIN_S)
             ended_s = time.monotonic()
             process.send_signal(number)
-    timeout_s = _PORT_GONE_S if case.moment is Moment.UNPLUGGED and not case.twice else _GONE_S
+    timeout_s = _PORT_GONE_S if case.moment is Moment.UNPLUGGED and not case.twice else _END_S
     if not robot.look_until(lambda: process.poll() is not None, timeout_s):
         outcome.broken.append(f"did not end within {timeout_s:g} s")
     robot.look(_WATCH_S)

@@ -10,7 +10,7 @@ from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes
 from lipservo.runtime.speech.speech import Speech
-from lipservo.runtime.speech.speech_side import SpeechSide
+from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side
 from lipsync.audio.playback_clock import SteadyClock, clock_for
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 from lipsync.phonemes import PhonemeEvent
@@ -153,3 +153,18 @@ def test_a_calibrated_servo_that_the_face_has_not_is_refused():
             list(face.settings.servos)[1:],
             MemoryTargetChannel(),
         )
+
+
+def test_a_face_is_stopped_before_its_first_sound_and_its_speech_goes_on():
+    face = assemble_face("face_head", None)
+    card = Card(0.0)
+    synthesizer = make_synthesizer(face.model, MotionOptions())
+    channel = MemoryTargetChannel()
+    side = make_speech_side(face, card, Deaf(), synthesizer, channel, has_soft_start=False)
+    side.begin(0.0)
+    side.follow_stop(0.0, is_stopped=True)
+    for n in range(30):
+        card.now_s = n * TICK_S
+        side.advance(card.now_s)
+
+    assert all(np.isfinite(targets.positions_deg).all() for targets in channel.drain())
