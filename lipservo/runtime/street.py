@@ -8,8 +8,8 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.simulator.bus import SimulatedBus
 from lipservo.runtime.servos.assembly import Face, bridge_for
-from lipservo.runtime.speech.speech import Speech
-from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side
+from lipservo.runtime.speech.speech import Speech, SpeechOptions
+from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side, mouth_plan
 from lipservo.runtime.status.street_tick import StreetTick
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
@@ -85,6 +85,7 @@ def make_street_of(
     """Everything between any source of phonemes and an entered bus."""
     channel = MemoryTargetChannel()
     names = list(face.settings.servos)
-    speech = Speech(phonemes, clock, synthesizer, face.calibration, names, channel)
+    options = SpeechOptions(plan=mouth_plan(face))
+    speech = Speech(phonemes, clock, synthesizer, face.calibration, names, channel, options)
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz)
     return Street(SpeechSide(speech, rest=face.model.rest), bridge, face.model.rest)

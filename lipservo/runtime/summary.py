@@ -2,7 +2,7 @@
 
 import resource
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
@@ -14,13 +14,14 @@ from firmware_bridge.clock import Clock
 from lipservo.runtime.status.face_status import Status
 from lipservo.runtime.status.street_tick import StreetTick
 from lipservo.runtime.street import Street
+from lipsync.arrays import Array
 
 #: Lateness is counted in bins of 0.1 ms up to one second; later than that counts as one second.
 _BIN_S = 1e-4
 _N_BINS = 10_000
 #: Less than an encoder's step, 360 / 4096 deg.
 _AT_LIMIT_DEG = 0.05
-#: A joint at its limit in so large a share of the frames is worth a word.
+#: A joint at its limit, or held back, in so large a share of the frames is worth a word.
 _OFTEN = 0.05
 
 
@@ -78,6 +79,8 @@ class Summary:
     fallback_level: int = 0
     #: Joints that often stood at a limit in speech, and in which share of the frames.
     joints_at_limit: Mapping[str, float] = field(default_factory=dict)
+    #: Joints too slow for what was said, and in which share of the time they gave way.
+    joints_held_back: Mapping[str, float] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
@@ -120,6 +123,8 @@ class Tally:
 
     def summary(self, status: Status, duration_s: float, seconds: float) -> Summary:
         """The figures of a run that ended like this. seconds: what it took on a real clock."""
+        speech = self._street.speech
+        n_frames = max(self.frames_sent, 1)
         return Summary(
             source=status.sound or "",
             duration_s=duration_s,
@@ -128,7 +133,7 @@ class Tally:
             late_ticks=status.n_late or 0,
             lateness_p50_ms=self._lateness.percentile_ms(50),
             lateness_p99_ms=self._lateness.percentile_ms(99),
-            latency_declared_ms=self._street.speech.delay.total_s * 1e3,
+            latency_declared_ms=speech.delay.total_s * 1e3,
             latency_p50_ms=self._latency.percentile_ms(50),
             latency_p99_ms=self._latency.percentile_ms(99),
             range_limits_hit=status.range_hits_total or 0,
@@ -143,14 +148,17 @@ class Tally:
             start_to_first_command_s=self.first_command_s,
             rss_mb=peak_resident_mb(),
             seconds=seconds,
-            joints_at_limit={
-                name: round(float(n) / self.frames_sent, 3)
-                for name, n in zip(
-                    self._street.speech.calibration.servo_names, self._n_at_limit, strict=True
-                )
-                if n >= _OFTEN * max(self.frames_sent, 1)
-            },
+            joints_at_limit=_often(speech.calibration.servo_names, self._n_at_limit / n_frames),
+            joints_held_back=_often(speech.calibration.servo_names, speech.held_back_share),
         )
+
+
+def _often(names: Sequence[str], shares: Array) -> dict[str, float]:
+    return {
+        name: round(share, 3)
+        for name, share in zip(names, shares.tolist(), strict=True)
+        if share >= _OFTEN
+    }
 
 
 def peak_resident_mb() -> float:
@@ -228,5 +236,11 @@ def print_summary(summary: Summary, console: Console) -> None:
         console.print(
             f"{name} stood at a limit in {share:.0%} of the frames: widen its min_deg and "
             "max_deg if it can go farther, else calibrate it again",
+            soft_wrap=True,
+        )
+    for name, share in summary.joints_held_back.items():
+        console.print(
+            f"{name} was too slow for {share:.0%} of the motion, which was made smaller so that "
+            "lips close in time: raise its max_speed_deg_s if the servo is faster",
             soft_wrap=True,
         )

@@ -118,6 +118,10 @@ class PublishedSynthesizer:
                 return Frame(time_s, stretch.trajectory.at(time_s)[0])
         return Frame(time_s, self._units.rest)
 
+    def faces_after(self, frame: Frame, times_s: Array) -> Array:
+        """The frame's face for each later time (k,): the published method plans no further."""
+        return np.tile(frame.coefficients, (len(times_s), 1))
+
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme believed at a time, for displays."""
         return self._timeline.event_at(time_s)

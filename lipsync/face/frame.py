@@ -1,7 +1,10 @@
 """What a face shows at one instant, and the contract of every synthesiser of its mouth."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lipsync.arrays import Array
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
@@ -41,6 +44,31 @@ class Frame:
     expression: Expression = NO_EXPRESSION
 
 
+@dataclass(frozen=True, slots=True)
+class FaceWindow:
+    """A frame and the faces that are expected after it, so that joints may start in time.
+
+    times_s: (k,), seconds after the frame, ascending from 0. faces: (k, n_components), the first
+    is the frame's. closed: (k,), whether the lips must touch each other, or the teeth, by then.
+    shut: (n_components,), the frame with its lips brought together, as the next P would have it.
+    """
+
+    times_s: Array
+    faces: Array
+    closed: NDArray[np.bool_]
+    shut: Array
+
+
+#: The times of a window that holds nothing but its frame.
+_NOW: Final = np.zeros(1)
+_OPEN: Final = np.zeros(1, dtype=np.bool_)
+
+
+def frame_alone(frame: Frame) -> FaceWindow:
+    """The window of a frame after which nothing is known."""
+    return FaceWindow(_NOW, frame.coefficients[None], _OPEN, frame.coefficients)
+
+
 class Synthesizer(Protocol):
     """Phonemes in, frames out. What wraps a synthesiser is one itself."""
 
@@ -63,6 +91,9 @@ class Synthesizer(Protocol):
 
         Times ascend, but for a step back of half a second at most.
         """
+
+    def window_after(self, frame: Frame) -> FaceWindow:
+        """What is expected after the newest frame by all that is known; decides nothing."""
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme believed at a time, for displays."""

@@ -7,7 +7,7 @@ Bishop, "Pattern Recognition and Machine Learning", 2006, eq. 2.81), and only as
 
 import math
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,6 +38,14 @@ class LipGap:
     at_mean_mm: Array
     per_face: Array
     response: Array
+
+    def widths_mm(self, faces: Array) -> Array:
+        """How far the lips of faces (n, n_components) are apart, (n,)."""
+        return np.asarray(np.linalg.norm(self.at_mean_mm + faces @ self.per_face, axis=1))
+
+    def shut(self, face: Array) -> Array:
+        """The face (n_components,) with its lips pressed together."""
+        return self.narrowed(face, BILABIAL_GAP_MM, 1.0)
 
     def narrowed(self, face: Array, distance_mm: float, amount: float) -> Array:
         """The face (n_components,) with its gap brought to at most `distance_mm`.
@@ -118,12 +126,29 @@ def _is_due(
     known_until_s: float,
 ) -> bool:
     """Whether the lips should be closing or closed, by all that is known."""
+    return any(
+        from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
+        for from_s, until_s in closures(touched_s, moments_s, track, time_s, known_until_s)
+    )
+
+
+def closures(
+    touched_s: float,
+    moments_s: Mapping[int, float],
+    track: PhonemeTrack,
+    time_s: float,
+    known_until_s: float,
+) -> Iterator[tuple[float, float]]:
+    """From when until when lips touch, for each closing phoneme around and after `time_s`.
+
+    touched_s: when they touched last; the rest as `planned` has it.
+    """
     # A tightest moment is at most so far from its onset, before or after.
     first = bisect_right(track.starts_s, time_s) - 2
     for i in range(max(0, first), len(track.phonemes)):
         start_s, end_s = track.starts_s[i], track.ends_s[i]
         if start_s > known_until_s + _ROUNDING_S:
-            return False
+            return
         if track.phonemes[i] in moments_s:
             # In the recordings an M lasts long; a short one is tightest in its middle, not its end.
             moment_s = min(start_s + moments_s[track.phonemes[i]], (start_s + end_s) / 2.0)
@@ -133,7 +158,13 @@ def _is_due(
                 until_s = max(until_s, min(end_s, known_until_s) - _HUM_ENDS_S)
             if touched_s < start_s - HOLD_S:
                 until_s = max(until_s, end_s)  # told late: close late, as long as it goes on
-            begins_s = from_s - CLOSING_S
-            if begins_s <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S:
-                return True
-    return False
+            yield from_s, until_s
+
+
+def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float:
+    """How far lips are expected to be closed: 1 within a closure, 0 apart from all of them."""
+    share = 0.0
+    for from_s, until_s in spans_s:
+        apart = max((from_s - time_s) / CLOSING_S, (time_s - until_s) / PARTING_S, 0.0)
+        share = max(share, 1.0 - min(apart, 1.0))
+    return share * share * (3.0 - 2.0 * share)

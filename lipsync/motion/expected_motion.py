@@ -121,6 +121,14 @@ class ExpectedMotion:
         share = time_s / TICK_S - tick_of(time_s) + 1.0
         return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
 
+    def faces_after(self, frame: Frame, times_s: Array) -> Array:
+        """The faces (k, n_components) expected at later sound times (k,); decides nothing."""
+        until_s = frame.time_s + self.known_s
+        found = [context_at(self._track, time_s, until_s) for time_s in times_s.tolist()]
+        phonemes = np.array([phonemes for phonemes, _ in found])
+        known_s = np.maximum(until_s - times_s, 0.0)
+        return self._expectation.faces(phonemes, np.array([times for _, times in found]), known_s)
+
     def adjust_smoothness(self, smoothness: float) -> None:
         """Go over to another smoothness, 0 to 1, from the newest tick on."""
         self._smoothness.change(self._ticks.decided_until_s, smoothness)

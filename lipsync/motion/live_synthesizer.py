@@ -7,20 +7,24 @@ it alike.
 
 from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Final, Protocol
+
+import numpy as np
 
 from lipsync.animpho.units import AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.expectation.context import PhonemeTrack, context_at
 from lipsync.expectation.expectation import Expectation
-from lipsync.face.frame import Frame, Synthesizer
+from lipsync.face.frame import FaceWindow, Frame
 from lipsync.face.model import FaceModel
 from lipsync.motion.closures import (
     BILABIAL_GAP_MM,
     BILABIALS,
     LABIODENTALS,
     OPEN,
+    closed_share,
+    closures,
     lip_gap_of,
     planned,
 )
@@ -37,6 +41,11 @@ LONGEST_LOOKAHEAD_S = 1.0
 STRONGEST = 1.5
 #: Chosen on inner splits (decisions/0028).
 DEFAULT_UNIT_SHARE = 0.25
+
+
+#: A window shows the face so long after its frame, and where a closure is complete. Finer steps
+#: change no plan of joints by more than their noise (docs/decisions/0043).
+_WINDOW_S: Final = (0.033, 0.066, 0.1, 0.15, 0.2)
 
 
 class StyleError(UserError):
@@ -71,12 +80,35 @@ class Style:
                 raise StyleError(f"{name} is {value}; allowed: 0 to {most}")
 
 
-class TrackedSynthesizer(Synthesizer, Protocol):
-    """A synthesiser whose phonemes the finishing step can see."""
+class TrackedSynthesizer(Protocol):
+    """What the finishing step is put around: a `Synthesizer` whose phonemes it can see."""
 
     @property
     def track(self) -> PhonemeTrack:
         """The phonemes as they are believed now, end to end."""
+
+    @property
+    def phonemes_planned(self) -> int:
+        """How many phonemes have moved the mouth."""
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its frame is asked for."""
+
+    def reset(self) -> None:
+        """Forget everything."""
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Take a revision of the phonemes."""
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at a sound time."""
+
+    def faces_after(self, frame: Frame, times_s: Array) -> Array:
+        """The faces (k, n_components) expected at sound times (k,) after the newest frame."""
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,6 +224,36 @@ class FinishedSynthesizer:
             face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
             face = self._gap.narrowed(face, BILABIAL_GAP_MM, finish.bilabial.smooth(time_s))
         return replace(frame, coefficients=face)
+
+    def window_after(self, frame: Frame) -> FaceWindow:
+        """What is expected after the newest frame by the phonemes known; decides nothing."""
+        now_s, finish = frame.time_s, self._ticks.newest
+        until_s = now_s + self._known_s
+        track, lips, teeth = self._inner.track, finish.bilabial, finish.labiodental
+        closing = [
+            (gap_mm, list(closures(amount.touched_s, moments_s, track, now_s, until_s)))
+            for amount, moments_s, gap_mm in (
+                (teeth, self._labiodental_s, self._labiodental_gap_mm),
+                (lips, self._bilabial_s, BILABIAL_GAP_MM),
+            )
+        ]
+        begins_s = {from_s for _, spans_s in closing for from_s, _ in spans_s}
+        steps_s = (now_s + step_s for step_s in _WINDOW_S if step_s <= self._known_s)
+        times_s = sorted({*steps_s, *(s for s in begins_s if now_s < s <= until_s)})
+        strength = self._strength.goal
+        faces = self._inner.faces_after(frame, np.array(times_s)) if times_s else ()
+        rows, closed = [frame.coefficients], [max(lips.at(now_s)[0], teeth.at(now_s)[0]) == 1.0]
+        for time_s, face in zip(times_s, faces, strict=True):
+            moved = (1.0 - finish.rest.smooth(time_s)) * strength * (face - self._rest)
+            face = self._rest + moved
+            shares = [closed_share(spans_s, time_s) for _, spans_s in closing]
+            for (gap_mm, _), share in zip(closing, shares, strict=True):
+                face = self._gap.narrowed(face, gap_mm, share)
+            rows.append(face)
+            closed.append(max(shares) == 1.0)
+        offsets_s = np.array([now_s, *times_s]) - now_s
+        shut = self._gap.shut(frame.coefficients)
+        return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
     def _mixed(self, face: Array, units: UnitMotion, time_s: float) -> Array:
         """The weighted mean of a face (n_components,) and that of the AnimPhos."""

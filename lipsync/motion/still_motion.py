@@ -3,7 +3,7 @@
 import numpy as np
 
 from lipsync.arrays import Array
-from lipsync.face.frame import Frame
+from lipsync.face.frame import FaceWindow, Frame, frame_alone
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
 
@@ -48,6 +48,10 @@ class StillMotion:
             self._newest_s = event.start_s
             self._n_shown += 1
         return Frame(time_s, self._rest)
+
+    def window_after(self, frame: Frame) -> FaceWindow:
+        """Nothing but the frame."""
+        return frame_alone(frame)
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme of a sound time."""

@@ -75,6 +75,10 @@ class PlannedMotion:
         face = self._faces[0] if self._spline is None else self._spline(at_s)
         return Frame(time_s, np.asarray(face))
 
+    def faces_after(self, frame: Frame, times_s: Array) -> Array:  # noqa: ARG002 - a contract
+        """The faces (k, n_components) at later times (k,)."""
+        return np.array([self.frame_at(time_s).coefficients for time_s in times_s.tolist()])
+
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme of a time."""
         return self._timeline.event_at(time_s)

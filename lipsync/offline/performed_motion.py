@@ -5,17 +5,23 @@ What plays a face loads this: NumPy only.
 
 import math
 from collections.abc import Callable
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.arrays import Array
-from lipsync.face.frame import NO_EXPRESSION, Expression, Frame, Synthesizer
+from lipsync.face.frame import NO_EXPRESSION, Expression, FaceWindow, Frame, Synthesizer
+from lipsync.motion.closures import LipGap
 from lipsync.offline.performance import RATE_HZ, Performance
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 #: From what the mouth does otherwise to the first face, and from the last one back.
 EASING_S = 0.2
+#: What a performance shows is known: joints are planned over this window.
+_AHEAD_S: Final[Array] = np.linspace(0.0, 0.2, 11)
+#: Closer lips touch, as `lipsync.motion.closures` has it with room for a sampled motion.
+_TOUCHING_MM: Final = 1.0
 
 
 class StoredMotion:
@@ -65,12 +71,14 @@ class PerformedMotion:
         self,
         inner: Synthesizer,
         performed_at: Callable[[float], tuple[StoredMotion, float] | None],
+        gap: LipGap,
     ) -> None:
         """performed_at: what is performed at a sound time, and the time in it; None: nothing.
 
-        The time runs from -`EASING_S` to `EASING_S` behind the last face.
+        The time runs from -`EASING_S` to `EASING_S` behind the last face. gap: of the face's lips.
         """
         self._inner = inner
+        self._gap = gap
         self._performed_at = performed_at
         # What was performed last; it goes on from there.
         self._newest_s = -math.inf
@@ -109,6 +117,18 @@ class PerformedMotion:
         if time_s >= self._newest_s:
             self._newest_s, self._newest = time_s, face
         return Frame(time_s, face, motion.expression_at(at_s))
+
+    def window_after(self, frame: Frame) -> FaceWindow:
+        """Of a performance the faces of the next 200 ms; else what the one inside expects."""
+        performed = self._performed_at(frame.time_s)
+        if performed is None:
+            return self._inner.window_after(frame)
+        motion, at_s = performed
+        faces = [motion.face_at(at_s + step_s, frame.coefficients) for step_s in _AHEAD_S.tolist()]
+        faces[0] = frame.coefficients
+        rows = np.array(faces)
+        closed = self._gap.widths_mm(rows) <= _TOUCHING_MM
+        return FaceWindow(_AHEAD_S, rows, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme of a sound time."""

@@ -23,6 +23,7 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.readability:readability", "Words read off the mouth.", _MOTION
             ),
             "closures": Command(f"{_BENCH}.closures:closures", "Whether lips close.", _MOTION),
+            "speeds": Command(f"{_BENCH}.motion:speeds", "Motion of slow joints.", _MOTION),
             "sync": Command(f"{_BENCH}.faces:sync", "Lips against their sound.", _MOTION),
             "synthesis": Command(f"{_BENCH}.bench:synthesis", "Speed of the motion.", _MOTION),
             "line": Command(f"{_BENCH}.faces:line", "Rendering of scripted lines.", _MOTION),

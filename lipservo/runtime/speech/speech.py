@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.calibration import Calibration
 from calibration.run.compensation import Follower, VisemeTrim
+from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
 from firmware_bridge.loop.targets import ServoTargets, TargetChannel
 from lipservo.runtime.speech.expression import ExpressionLayer
 from lipservo.runtime.speech.layers import Claim, Layer, ServoLayers
@@ -16,7 +17,7 @@ from lipservo.settings.motion_names import LIP_GAP_OFFSET
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.audio_block import BLOCK_S
-from lipsync.face.frame import NO_EXPRESSION, Expression, Frame, Synthesizer
+from lipsync.face.frame import NO_EXPRESSION, Expression, FaceWindow, Frame, Synthesizer
 from lipsync.face.model import FaceModel
 from lipsync.motion.closures import lip_gap_of
 from lipsync.phonemes import (
@@ -167,6 +168,9 @@ _OLDEST_WORTH_SHOWING_S = 0.100
 _REMEMBERED_S = 1.0
 #: A sound that stood still goes on once it is so much further.
 _GOES_ON_S = 0.03
+#: The window of a pose after which nothing is known.
+_NOW: Final = np.zeros(1)
+_FREE: Final = np.zeros(1, dtype=np.bool_)
 #: Servos that are later than this are not fully made up for: all else would wait for them.
 _MOST_ADVANCE_S = 0.200
 
@@ -176,12 +180,14 @@ class SpeechOptions:
     """What a face has besides a mouth that speaks at once.
 
     least_delay_s: the face waits for a loudspeaker that is so late. expression: moves all else.
-    lip_gap: lips more open or closed than planned; None: as planned.
+    lip_gap: lips more open or closed than planned; None: as planned. plan: of the mouth's joints;
+    None: they are asked for whatever the face wants.
     """
 
     least_delay_s: float = 0.0
     expression: ExpressionLayer | None = None
     lip_gap: LipGapOffset | None = None
+    plan: JointPlan | None = None
 
 
 class Speech:
@@ -229,6 +235,7 @@ class Speech:
         self._cut_off = CutOff(PUBLISH_PERIOD_S)
         self.expression = options.expression
         self.lip_gap = options.lip_gap
+        self._plan = options.plan
         self._newest_mouth_deg = np.zeros(len(self.mouth))
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
@@ -238,6 +245,11 @@ class Speech:
     def phonemes_planned(self) -> int:
         """Phonemes that moved the mouth so far."""
         return self._synthesizer.phonemes_planned
+
+    @property
+    def held_back_share(self) -> Array:
+        """In which share of the time each joint of the mouth gave way to its limits, (n,)."""
+        return np.zeros(len(self.mouth)) if self._plan is None else self._plan.held_back_share
 
     @property
     def hears(self) -> Hearing | None:
@@ -332,7 +344,7 @@ class Speech:
         # Every period counts, also where ticks are farther apart: it closes in the same time.
         while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
             self._newest_asked_s += PUBLISH_PERIOD_S
-            self._newest_mouth_deg = self._cut_off.close()
+            self._newest_mouth_deg = self._planned(self._cut_off.close())
             shown_s = self._newest_asked_s + self.delay.actuation_s
             pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
             goals_deg = self._follower.feed(pose_deg)
@@ -341,14 +353,35 @@ class Speech:
     def _targets(self, sound_s: float) -> ServoTargets:
         phoneme, frame = self.shown_at(sound_s)
         face = frame.coefficients if self.lip_gap is None else self.lip_gap.feed(frame.coefficients)
-        mouth_deg = self._calibration.positions_deg(face) + self._trim.feed(phoneme)
-        self._newest_mouth_deg = self._cut_off.join(mouth_deg)
+        trim_deg = self._trim.feed(phoneme)
+        mouth_deg = self._cut_off.join(self._calibration.positions_deg(face) + trim_deg)
+        window = None if self._plan is None else self._synthesizer.window_after(frame)
+        self._newest_mouth_deg = self._planned(mouth_deg, window, trim_deg)
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
         # Servos are asked before the face is shown, by as much as they are late.
         asked_s = shown_s - self.delay.actuation_s
         self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
         pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
         return ServoTargets(asked_s, self._follower.feed(pose_deg))
+
+    def _planned(
+        self, mouth_deg: Array, window: FaceWindow | None = None, trim_deg: Array | float = 0.0
+    ) -> Array:
+        """What the mouth's servos can do of a pose (n,) that is wanted now, and of what follows.
+
+        window: what follows; None where nothing is known.
+        """
+        if self._plan is None:
+            return mouth_deg
+        if window is None:
+            return self._plan.step(TargetWindow(_NOW, mouth_deg[None], _FREE))
+        faces, shut = window.faces, window.shut
+        if self.lip_gap is not None:
+            faces, shut = self.lip_gap.shifted(faces), self.lip_gap.shifted(shut)
+        later_deg = [self._calibration.positions_deg(face) + trim_deg for face in faces[1:]]
+        positions_deg = np.array([mouth_deg, *later_deg])
+        shut_deg = self._calibration.positions_deg(shut) + trim_deg
+        return self._plan.step(TargetWindow(window.times_s, positions_deg, window.closed, shut_deg))
 
     def _compose(
         self, sound_s: float, shown_s: float, phoneme: str, performed: Expression

@@ -5,7 +5,10 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Final
 
+import numpy as np
+
 from firmware_bridge.bus import SOFT_START_S
+from firmware_bridge.gate.joint_plan import JointPlan
 from firmware_bridge.loop.targets import TargetChannel
 from lipservo.runtime.servos.assembly import Face
 from lipservo.runtime.speech.expression import expression_servos, make_expression
@@ -19,6 +22,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame, Synthesizer
+from lipsync.motion.closures import lip_gap_of
 from lipsync.motion.live_synthesizer import STRONGEST, FinishedSynthesizer
 from lipsync.offline.performed_motion import PerformedMotion
 from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
@@ -260,6 +264,16 @@ class SpeechSide:
                 self.speech.cut_off(now_s, self._rest)
 
 
+def mouth_plan(face: Face) -> JointPlan:
+    """The plan of a face's calibrated joints, by the limits of its YAML and the speeds measured."""
+    servos = [face.settings.servos[name] for name in face.calibration.servo_names]
+    speeds_deg_s = np.array([servo.max_speed_deg_s for servo in servos])
+    if face.calibration.following is not None:
+        speeds_deg_s = np.minimum(speeds_deg_s, face.calibration.following.top_speed_deg_s)
+    accelerations = [servo.max_acceleration_deg_s2 or math.inf for servo in servos]
+    return JointPlan(speeds_deg_s, np.array(accelerations), PUBLISH_PERIOD_S)
+
+
 def make_speech_side(
     face: Face,
     source: AudioSource,
@@ -288,15 +302,15 @@ def make_speech_side(
     watched = None if board is None else SpeechBoard(board, rest)
     if not isinstance(source, Playout):
         heard = RecognizedPhonemes(source, recognizer, voice)
-        options = SpeechOptions(expression=expression, lip_gap=lip_gap)
+        options = SpeechOptions(expression=expression, lip_gap=lip_gap, plan=mouth_plan(face))
         clock = clock_for(source)
         speech = Speech(heard, clock, synthesizer, face.calibration, names, channel, options)
         return SpeechSide(speech, None, mouth, rest, watched)
     spoken = SpokenPhonemes(source, recognizer)
     source.on_said = None if voice is None else voice.hear
     played = OwnPlaybackClock()
-    motion = PerformedMotion(synthesizer, performed_in(source))
-    options = SpeechOptions(source.latency_s, expression, lip_gap)
+    motion = PerformedMotion(synthesizer, performed_in(source), lip_gap_of(face.model))
+    options = SpeechOptions(source.latency_s, expression, lip_gap, mouth_plan(face))
     speech = Speech(spoken, played, motion, face.calibration, names, channel, options)
     quiet_s = SOFT_START_S + _MARGIN_S if has_soft_start else 0.0
     own = OwnVoice(source, played, speech, rest, quiet_s=quiet_s)

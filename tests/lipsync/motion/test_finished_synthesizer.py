@@ -7,11 +7,14 @@ import pytest
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from spoken_phonemes import spoken
 
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.face.frame import Expression, Frame
+from lipsync.face.model import load_face
+from lipsync.motion.closures import lip_gap_of
 from lipsync.motion.live_synthesizer import FinishedSynthesizer
 from lipsync.motion.tick_plan import TICK_S
-from lipsync.phonemes import PhonemeUpdate
+from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 
 MODEL = load_trained_model()
 PHONES = (("SIL", 0.4), ("AA", 0.2), ("M", 0.1), ("AA", 0.2), ("SIL", 1.0))
@@ -66,3 +69,24 @@ def test_a_finished_synthesiser_forgets_everything_when_it_is_reset():
     finished.reset()
     assert finished.event_at(0.65) is None
     np.testing.assert_array_equal(faces(finished), first)
+
+
+def test_the_window_after_a_frame_says_when_lips_must_touch_and_decides_nothing():
+    model = load_face()
+    spans = (("AA", 0.0, 0.5), ("P", 0.5, 0.6), ("AA", 0.6, 1.0))
+    said = PhonemeUpdate(0.0, 1.0, 1.0, tuple(PhonemeEvent(*span) for span in spans))
+    watched, other = (make_synthesizer(model, MotionOptions()) for _ in range(2))
+    for synthesizer in (watched, other):
+        synthesizer.push(said)
+    windows = []
+    for n in range(60):
+        frame = watched.frame_at(n / 100)
+        windows.append(watched.window_after(frame))
+        assert (frame.coefficients == other.frame_at(n / 100).coefficients).all()
+        assert (windows[-1].faces[0] == frame.coefficients).all()
+
+    announced = [n for n, window in enumerate(windows) if window.closed[1:].any()]
+    closes = next(n for n, window in enumerate(windows) if window.closed[0])
+    assert 0.05 <= (closes - announced[0]) / 100 <= 0.1
+    gaps_mm = lip_gap_of(model).widths_mm(windows[announced[0]].faces)
+    assert gaps_mm[windows[announced[0]].closed].max() < 1.0 < gaps_mm[0]

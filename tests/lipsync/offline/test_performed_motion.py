@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lipsync.face.frame import NO_EXPRESSION, Frame
+from lipsync.motion.closures import LipGap
 from lipsync.motion.still_motion import StillMotion
 from lipsync.offline.performance import RATE_HZ, Performance, PerformedSound
 from lipsync.offline.performed_motion import EASING_S, PerformedMotion, StoredMotion
@@ -21,6 +22,10 @@ FACES = arrays(
     st.tuples(st.integers(1, 9), st.just(3)),
     elements=st.floats(-30, 30, width=32),
 )
+
+
+#: The gap is the first coefficient in millimetres.
+GAP = LipGap(np.zeros(3), np.diag([1.0, 0.0, 0.0]), np.diag([1.0, 0.0, 0.0]))
 
 
 class Swaying(StillMotion):
@@ -43,7 +48,7 @@ def motion_of(faces, place_s=lambda time_s: time_s, inner=None, **expression):
         at_s = place_s(time_s)
         return None if at_s is None else (found, at_s)
 
-    return PerformedMotion(inner or StillMotion(REST), performed_at)
+    return PerformedMotion(inner or StillMotion(REST), performed_at, GAP)
 
 
 @given(FACES)
@@ -128,3 +133,14 @@ def test_phonemes_are_shown_as_they_are_told_and_counted_as_they_come():
     assert motion.event_at(0.03).phoneme == "M"
     motion.reset()
     assert (motion.phonemes_planned, motion.event_at(0.03)) == (0, None)
+
+
+def test_the_window_shows_the_next_faces_and_where_their_lips_touch():
+    opening = np.zeros((31, 3), np.float32)
+    opening[:, 0] = np.abs(np.arange(31) - 10) * 2.0  # closed at 0.1 s
+    motion = motion_of(opening)
+    window = motion.window_after(motion.frame_at(0.0))
+
+    assert window.times_s[window.closed] == pytest.approx([0.1])
+    assert window.faces[:, 0] == pytest.approx(np.abs(window.times_s - 0.1) * 200.0, abs=1e-4)
+    assert window.shut[0] < 1.0

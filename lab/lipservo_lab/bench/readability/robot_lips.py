@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from calibration.grade import CLOSED_GAP_MM
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.loop.life_cycle import LifeCycle
 from lipservo.calibrating.calibration_setup import CalibrationSetup
@@ -24,8 +25,10 @@ from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.errors import UserError
-from lipsync.face.frame import Frame
+from lipsync.face.frame import FaceWindow, Frame
+from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
+from lipsync.motion.closures import lip_gap_of
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
@@ -37,10 +40,11 @@ class PlayedMotion:
     lookahead_s = 0.0
     phonemes_planned = 0
 
-    def __init__(self, times_s: Array, faces: Array) -> None:
-        """times_s: (n,), ascending; faces: (n, n_components)."""
+    def __init__(self, times_s: Array, faces: Array, model: FaceModel) -> None:
+        """times_s: (n,), ascending; faces: (n, n_components), of the model."""
         self._times_s = times_s
         self._faces = faces
+        self._gap = lip_gap_of(model)
 
     def reset(self) -> None:
         """Nothing is remembered."""
@@ -53,10 +57,21 @@ class PlayedMotion:
         columns = [np.interp(time_s, self._times_s, column) for column in self._faces.T]
         return Frame(time_s, np.array(columns))
 
+    def window_after(self, frame: Frame) -> FaceWindow:
+        """The faces of the next 200 ms; where their lips touch, they must."""
+        times_s = frame.time_s + _AHEAD_S
+        columns = [np.interp(times_s, self._times_s, column) for column in self._faces.T]
+        faces = np.stack(columns, axis=1)
+        closed = self._gap.widths_mm(faces) <= CLOSED_GAP_MM
+        return FaceWindow(_AHEAD_S, faces, closed, self._gap.shut(frame.coefficients))
+
     def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
         """Nobody knows."""
         return None
 
+
+#: As a performance plays: `lipsync.offline.performed_motion`.
+_AHEAD_S: Final[Array] = np.linspace(0.0, 0.2, 11)
 
 ROBOT: Final = "face_sim"
 #: From one sentence to the next the mouth goes so slowly that nothing is left of it.
@@ -142,7 +157,7 @@ def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Arr
         SteadyClock(),
         bus,
         1.0 / TICK_S,
-        PlayedMotion(programme.times_s, programme.faces),
+        PlayedMotion(programme.times_s, programme.faces, robot.model),
     )
     mouth = street.speech.mouth
     sound_s: list[float] = []

@@ -327,3 +327,34 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.3f}"
     return "" if value is None else str(value)
+
+
+def speeds(
+    corpus: Annotated[
+        Path, typer.Option(help="A folder of recorded sentences, as for `bench motion`.")
+    ],
+    limit: Annotated[int, typer.Option(min=1, help="So many sentences of its `random_test`.")] = 24,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure motion whose joints are slow: what is asked of them, and whether lips still close.
+
+    With the plan of joint motion, and with the gate at the bus alone, at joints of 400, 300, 200
+    and 150 degrees a second. The lips are those of simulated robots, at their shafts.
+    """
+    from lipservo_lab.bench.sync.joint_speeds import SPEEDS_DEG_S, speed_figures
+
+    began_s = time.perf_counter()
+    with progress_bar(quiet=quiet) as advance:
+        figures = speed_figures(corpus, limit, advance)
+    figures |= {"machine": machine_class(), "seconds": round(time.perf_counter() - began_s, 1)}
+    if as_json:
+        print_json(figures)
+        return
+    faces = cast("dict[str, dict[str, float]]", figures.pop("faces"))
+    for name, row in faces.items():
+        for figure, value in row.items():
+            RESULTS.print(f"{name}: {figure}: {value}", highlight=False)
+    RESULTS.print(f"at {', '.join(f'{speed:g}' for speed in SPEEDS_DEG_S)} deg/s:", highlight=False)
+    for figure, found in figures.items():
+        RESULTS.print(f"{figure}: {found}", soft_wrap=True, highlight=False)

@@ -1,0 +1,126 @@
+"""A plan of each joint's next goal, so that limits of speed are met by starting earlier.
+
+The limiter at the bus trusts nothing and looks at nothing but its last goal: a joint that is asked
+for more than it can do comes late, and lips that come late do not touch. Whoever knows what is
+wanted next can do better. In this order of priority: no joint is asked beyond its limits; poses
+that must be met are met, the nearest first; everything else is as near as may be to what is
+wanted, neither early nor late on average.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import Array
+from firmware_bridge.gate.limits import AccelerationLimit
+
+#: Plans stay so far below a joint's limits: clocks of sound and bridge differ by 0.02 %, and a
+#: target is a float.
+_SHARE_OF_LIMITS = 0.99
+#: A closure is complete so long after the onset that announces it, in most recordings; lips that
+#: are a little late still touch within it. Measured: docs/decisions/0043.
+_NOTICE_S = 0.06
+#: A joint that is this far from what was wanted shows it: it moves a lip by some tenths of a mm.
+_NOTED_DEG = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class TargetWindow:
+    """Targets of joints from now on.
+
+    times_s: (k,), seconds from now, ascending from 0; positions_deg: (k, n_joints); must_meet:
+    (k,), poses for which others give way, such as lips that touch. urgent_deg: (n_joints,), a pose
+    that may have to be met with no more notice than the window gives; None: there is none.
+    """
+
+    times_s: Array
+    positions_deg: Array
+    must_meet: NDArray[np.bool_]
+    urgent_deg: Array | None = None
+
+
+class JointPlan:
+    """Streaming: `step` takes a window each `period_s` and gives the next goals.
+
+    A rate limit that only looks back lags behind; one that only looks ahead leads by as much. Their
+    mean keeps the same limit and has the timing of what is wanted. A pose that must be met in t
+    seconds bounds where the joint may be now: no farther from it than it goes in t. A pose that may
+    become urgent bounds it always: a mouth opens no farther than it can close in time, which lowers
+    the scale of a motion on a robot that is too slow for it, and on no other.
+    """
+
+    def __init__(
+        self, max_speed_deg_s: Array, max_acceleration_deg_s2: Array, period_s: float
+    ) -> None:
+        """Limits (n_joints,); an infinite one is none."""
+        self._speed_deg_s = _SHARE_OF_LIMITS * max_speed_deg_s
+        self._acceleration_deg_s2 = _SHARE_OF_LIMITS * max_acceleration_deg_s2
+        self._step_deg = self._speed_deg_s * period_s
+        self._period_s = period_s
+        self._smooth = AccelerationLimit(self._acceleration_deg_s2, self._speed_deg_s)
+        self._planned_deg: Array | None = None
+        self._behind_deg: Array = np.zeros(0)
+        self._n_steps = 0
+        self._n_held_back = np.zeros(len(max_speed_deg_s), dtype=np.int64)
+        # From rest to full speed; an acceleration without limit needs no time.
+        self._rising_s = self._speed_deg_s / self._acceleration_deg_s2
+        bounded = np.isfinite(max_acceleration_deg_s2)
+        self._gentle_deg_s2 = np.where(bounded, self._acceleration_deg_s2, 0.0) / 4.0
+        # Ranges are kept by whoever wants a pose, and by the last gate.
+        anywhere_deg = np.full(len(max_speed_deg_s), 1e6)
+        self._anywhere_deg = -anywhere_deg, anywhere_deg
+
+    def step(self, window: TargetWindow) -> Array:
+        """The goals (n_joints,) for the first time of the window."""
+        poses_deg, step_deg = self._closable(window), self._step_deg
+        goal_deg, before_deg = poses_deg[0], self._planned_deg
+        if before_deg is None:
+            before_deg = self._behind_deg = goal_deg
+            self._smooth.rest_at(goal_deg)
+        behind_deg = _clip(goal_deg, self._behind_deg - step_deg, self._behind_deg + step_deg)
+        self._behind_deg = behind_deg
+        if len(poses_deg) > 1:
+            goal_deg = (behind_deg + self._ahead(window.times_s, poses_deg)) / 2.0
+            for later in np.flatnonzero(window.must_meet)[::-1].tolist():
+                met_deg, reach_deg = poses_deg[later], self._reach(window.times_s[later])
+                goal_deg = _clip(goal_deg, met_deg - reach_deg, met_deg + reach_deg)
+        goal_deg = _clip(goal_deg, before_deg - step_deg, before_deg + step_deg)
+        smooth_deg = self._smooth.step(before_deg, goal_deg, *self._anywhere_deg, self._period_s)
+        self._smooth.sent(before_deg, smooth_deg, self._period_s)
+        self._planned_deg = smooth_deg
+        self._n_steps += 1
+        self._n_held_back += np.abs(window.positions_deg[0] - smooth_deg) > _NOTED_DEG
+        return smooth_deg
+
+    @property
+    def held_back_share(self) -> Array:
+        """In which share of all steps each joint was kept off what was wanted, (n_joints,)."""
+        return np.asarray(self._n_held_back / max(self._n_steps, 1))
+
+    def _closable(self, window: TargetWindow) -> Array:
+        """The poses (k, n_joints), those that need not be met within reach of the urgent one."""
+        poses_deg, urgent_deg = window.positions_deg, window.urgent_deg
+        if urgent_deg is None:
+            return poses_deg
+        reach_deg = self._reach(window.times_s[-1] + _NOTICE_S)
+        near_deg = _clip(poses_deg, urgent_deg - reach_deg, urgent_deg + reach_deg)
+        return np.where(window.must_meet[:, None], poses_deg, near_deg)
+
+    def _ahead(self, times_s: Array, poses_deg: Array) -> Array:
+        """Where joints would be now that are never late for what comes, (n_joints,)."""
+        needed_deg: Array = poses_deg[-1]
+        for n in range(len(times_s) - 2, -1, -1):
+            reach_deg = self._speed_deg_s * (times_s[n + 1] - times_s[n])
+            needed_deg = _clip(poses_deg[n], needed_deg - reach_deg, needed_deg + reach_deg)
+        return needed_deg
+
+    def _reach(self, time_s: float) -> Array:
+        """How far joints come from rest to rest in a time, (n_joints,)."""
+        gentle_deg = self._gentle_deg_s2 * time_s * time_s
+        swift_deg = self._speed_deg_s * (time_s - self._rising_s)
+        return np.where(time_s < 2.0 * self._rising_s, gentle_deg, swift_deg)
+
+
+def _clip(values: Array, low: Array, high: Array) -> Array:
+    return np.minimum(np.maximum(values, low), high)
