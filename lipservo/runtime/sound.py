@@ -29,7 +29,7 @@ from lipsync.errors import UserError
 from lipsync.phonemes import PhonemeEvent
 
 if TYPE_CHECKING:
-    from lipsync.text_to_speech.spoken_text import SpokenText
+    from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 
 def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
@@ -142,12 +142,12 @@ def spoken_text(text: str, language: str, playout: Playout, name: str = "text") 
 
     name: of the streams, one for each sentence. Raises SynthesisError.
     """
-    from lipsync.text_to_speech.spoken_text import Voice
+    from lipsync.text_to_speech.synthesis import Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
     sentences = speak_in_pieces(synthesizer_for(), text, Voice(language or _LANGUAGE))
 
-    def stream_of(sentence: "SpokenText") -> PlayoutStream:
+    def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
         stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
         stream.push(sentence.samples)

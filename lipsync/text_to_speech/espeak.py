@@ -27,11 +27,11 @@ from lipsync.text_to_speech.espeak_library import (
     WordMark,
     espeak_library,
 )
-from lipsync.text_to_speech.spoken_text import (
+from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
-    SpokenText,
     SpokenWord,
     SynthesisError,
+    SynthesizedSpeech,
     TimedPhones,
     UnspeakableTextError,
     Voice,
@@ -165,7 +165,7 @@ class Espeak:
         """None: a language is a voice."""
         return ()
 
-    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SpokenText:
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """See `Synthesizer`; one text at a time in a process, others wait."""
         written = checked_text(text, self.longest_text)
         self._check_voice(voice)
@@ -177,7 +177,7 @@ class Espeak:
                 "write words"
             )
         timed = refined(phonemes, spoken.samples, spoken.sample_rate_hz)
-        return SpokenText(
+        return SynthesizedSpeech(
             spoken.samples,
             spoken.sample_rate_hz,
             phoneme_events(timed),

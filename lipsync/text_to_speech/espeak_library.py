@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.text_to_speech.spoken_text import SynthesisError, Voice
+from lipsync.text_to_speech.synthesis import SynthesisError, Voice
 
 _LIBRARY = "libespeak-ng.so.1"
 _AUDIO_OUTPUT_SYNCHRONOUS = 2  # sound goes to the callback; a call returns when all is spoken

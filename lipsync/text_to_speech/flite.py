@@ -16,10 +16,10 @@ import soundfile
 from numpy.typing import NDArray
 
 from lipsync.phonemes import PHONEMES, SILENCE
-from lipsync.text_to_speech.spoken_text import (
+from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
-    SpokenText,
     SynthesisError,
+    SynthesizedSpeech,
     TimedPhones,
     UnspeakableTextError,
     Voice,
@@ -64,7 +64,7 @@ class Flite:
         listed = self._run("-lv").partition(":")[2].split()
         return tuple(sorted(set(listed) - {_TALKING_CLOCK}))
 
-    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SpokenText:
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """See `Synthesizer`; a process of its own for each text."""
         written = checked_text(text, self.longest_text)
         self._check_voice(voice)
@@ -85,7 +85,7 @@ class Flite:
             raise UnspeakableTextError(
                 f"{written[:40]!r} holds nothing that flite can speak; write English words"
             )
-        return SpokenText(_within_one(samples), sample_rate_hz, phoneme_events(timed), ())
+        return SynthesizedSpeech(_within_one(samples), sample_rate_hz, phoneme_events(timed), ())
 
     def _check_voice(self, voice: Voice) -> None:
         if voice.language != _LANGUAGE:

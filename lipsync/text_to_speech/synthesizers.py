@@ -5,10 +5,10 @@ from types import MappingProxyType
 
 from lipsync.text_to_speech.espeak import Espeak
 from lipsync.text_to_speech.flite import Flite
-from lipsync.text_to_speech.spoken_text import (
+from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
-    SpokenText,
     SynthesisError,
+    SynthesizedSpeech,
     Synthesizer,
     UnspeakableTextError,
     Voice,
@@ -32,7 +32,7 @@ def synthesizer_for(name: str = "espeak") -> Synthesizer:
 
 def speak_in_pieces(
     synthesizer: Synthesizer, text: str, voice: Voice = DEFAULT_VOICE
-) -> Iterator[SpokenText]:
+) -> Iterator[SynthesizedSpeech]:
     """Speak a text of any length sentence by sentence, each when it is asked for.
 
     So the first sounds soon, and no more than one is held. Pieces in which nothing can be spoken,

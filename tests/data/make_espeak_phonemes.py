@@ -9,7 +9,7 @@ from pathlib import Path
 
 from lipsync.text_to_speech import espeak_library
 from lipsync.text_to_speech.espeak_library import PhonemeMark
-from lipsync.text_to_speech.spoken_text import SynthesisError, Voice
+from lipsync.text_to_speech.synthesis import SynthesisError, Voice
 
 DATA = next(Path("/usr/lib").glob("*/espeak-ng-data"))  # Debian's espeak-ng-data
 PHONEMES_IN_BRACKETS = 0x100

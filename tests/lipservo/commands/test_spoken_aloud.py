@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from null_sink import null_sink
 
-from lipsync.text_to_speech.spoken_text import SynthesisError
+from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 # A PulseAudio server and a run in real time.

@@ -17,7 +17,7 @@ from lipservo.access.admission import Policy
 from lipservo.agents.listener import AgentSettings
 from lipservo.cli import app
 from lipsync.phoneme_files.reader import read_known_phonemes
-from lipsync.text_to_speech.spoken_text import SynthesisError
+from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 #: The clip's script, as far as it is said.

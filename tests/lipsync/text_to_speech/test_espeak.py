@@ -12,7 +12,7 @@ from spoken_phonemes import check_spoken, closures
 
 from lipsync.text_to_speech import espeak_library
 from lipsync.text_to_speech.espeak import Espeak
-from lipsync.text_to_speech.spoken_text import SynthesisError, UnspeakableTextError, Voice
+from lipsync.text_to_speech.synthesis import SynthesisError, UnspeakableTextError, Voice
 
 #: Said in its own words by nearly every voice.
 NUMBERS = "0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 37 100 1000"

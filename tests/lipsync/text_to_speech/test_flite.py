@@ -7,7 +7,7 @@ import pytest
 from spoken_phonemes import check_spoken, closures
 
 from lipsync.text_to_speech.flite import Flite, segments
-from lipsync.text_to_speech.spoken_text import (
+from lipsync.text_to_speech.synthesis import (
     SynthesisError,
     TimedPhones,
     UnspeakableTextError,

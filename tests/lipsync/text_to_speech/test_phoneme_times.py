@@ -9,7 +9,7 @@ from spoken_phonemes import closures
 
 from lipsync.text_to_speech.espeak import Espeak
 from lipsync.text_to_speech.espeak_library import PhonemeMark, espeak_library
-from lipsync.text_to_speech.spoken_text import Voice
+from lipsync.text_to_speech.synthesis import Voice
 
 VOWELS = "AEIOU"
 

@@ -5,7 +5,7 @@ from itertools import islice
 import pytest
 from spoken_phonemes import check_spoken
 
-from lipsync.text_to_speech.spoken_text import SynthesisError, UnspeakableTextError, Voice
+from lipsync.text_to_speech.synthesis import SynthesisError, UnspeakableTextError, Voice
 from lipsync.text_to_speech.synthesizers import (
     LONGEST_PIECE,
     SYNTHESIZERS,

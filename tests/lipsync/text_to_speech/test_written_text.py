@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.text_to_speech.spoken_text import pieces, readable
+from lipsync.text_to_speech.synthesis import pieces, readable
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,7 @@ def update_streams(draw) -> list[PhonemeUpdate]:
 
 
 def check_spoken(spoken):
-    """What holds of every `SpokenText`.
+    """What holds of every `SynthesizedSpeech`.
 
     Its phonemes are of the inventory and cover the sound without gaps; the sound is in full scale.
     """

@@ -35,7 +35,7 @@ from lipsync.motion.still_motion import StillMotion
 from lipsync.offline.performance import Performance
 from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.network import LATENCY_S
-from lipsync.text_to_speech.spoken_text import SpokenText
+from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 Samples = NDArray[np.float32]
 Seconds = NDArray[np.float64]
@@ -253,7 +253,7 @@ class SpeakingRobot:
         return np.asarray(upper[:, 1] - lower[:, 1])
 
 
-def spoken_stream(text: SpokenText, playout: Playout, *, knows: bool) -> PlayoutStream:
+def spoken_stream(text: SynthesizedSpeech, playout: Playout, *, knows: bool) -> PlayoutStream:
     """A whole text as a stream that has ended. knows: with its phonemes."""
     known = text.phonemes if knows else ()
     stream = PlayoutStream("text", text.sample_rate_hz, playout.output_rate_hz, known)

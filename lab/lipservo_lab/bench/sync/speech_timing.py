@@ -29,7 +29,7 @@ from lipsync.motion.closures import BILABIALS
 from lipsync.offline.line_methods import DEFAULT_METHOD, Line
 from lipsync.offline.performance import Performance, PerformedSound
 from lipsync.phonemes import SILENCE, PhonemeEvent
-from lipsync.text_to_speech.spoken_text import SpokenText
+from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 #: An event belongs to the nearest of its kind within this time.
 MATCHED_S: Final = 0.200
@@ -46,7 +46,7 @@ class Crossings:
     parting_s: Array
 
 
-def sounding_closures(text: SpokenText) -> Crossings:
+def sounding_closures(text: SynthesizedSpeech) -> Crossings:
     """What the sound asks for: closed from the onset of each P, B, M to its release.
 
     The release is where the closure's silence ends, at the burst; without silence the end of the
@@ -68,7 +68,7 @@ def sounding_closures(text: SpokenText) -> Crossings:
     return Crossings(np.array(closing_s), np.array(parting_s))
 
 
-def _release_s(text: SpokenText, start_s: float, end_s: float) -> float:
+def _release_s(text: SynthesizedSpeech, start_s: float, end_s: float) -> float:
     first = round(start_s * text.sample_rate_hz)
     sounds = np.abs(text.samples[first : round(end_s * text.sample_rate_hz)]) >= _SILENT
     # The longest stretch without sound: from one sample that sounds to the next.
@@ -101,12 +101,14 @@ def matched_errors_s(asked_s: Array, seen_s: Array) -> tuple[Array, int]:
     return nearest_s[matched], int(np.sum(~matched))
 
 
-def performances_of(texts: Sequence[SpokenText]) -> list[Performance]:
+def performances_of(texts: Sequence[SynthesizedSpeech]) -> list[Performance]:
     """Of each text, by the shipped models and the default method, its phonemes known."""
     return [_performance(text) for text in texts]
 
 
-def performed_stream(text: SpokenText, performance: Performance, playout: Playout) -> PlayoutStream:
+def performed_stream(
+    text: SynthesizedSpeech, performance: Performance, playout: Playout
+) -> PlayoutStream:
     """The whole line as a stream that has ended."""
     line = line_of(performance, "text", text.samples, text.sample_rate_hz)
     stream = line.stream(playout)
@@ -116,7 +118,7 @@ def performed_stream(text: SpokenText, performance: Performance, playout: Playou
     return stream
 
 
-def _performance(text: SpokenText) -> Performance:
+def _performance(text: SynthesizedSpeech) -> Performance:
     speaker = load_speaker(None, None)
     samples = soxr.resample(text.samples, text.sample_rate_hz, SAMPLE_RATE_HZ)
     faces, _ = rendered_faces(speaker, Line(text.phonemes, samples), DEFAULT_METHOD)
@@ -156,7 +158,7 @@ class SpeechTiming:
 
 
 def speech_timing(
-    texts: Sequence[SpokenText],
+    texts: Sequence[SynthesizedSpeech],
     *,
     knows: bool,
     performances: Sequence[Performance] | None = None,
@@ -209,7 +211,7 @@ def _loudspeaker(rng: np.random.Generator) -> SimulatedLoudspeaker:
 
 
 def _said(
-    text: SpokenText,
+    text: SynthesizedSpeech,
     loudspeaker: SimulatedLoudspeaker,
     performance: Performance | None,
     *,
@@ -226,7 +228,7 @@ def _said(
     return watched, first_sample_s(text, loudspeaker)
 
 
-def first_sample_s(text: SpokenText, loudspeaker: SimulatedLoudspeaker) -> float:
+def first_sample_s(text: SynthesizedSpeech, loudspeaker: SimulatedLoudspeaker) -> float:
     """When a text's first sample left the loudspeaker.
 
     The loudspeaker's samples are counted, not its reports believed. The first loud one tells:

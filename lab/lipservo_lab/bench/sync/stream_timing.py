@@ -12,7 +12,7 @@ from lipservo_lab.bench.sync.speech_timing import first_sample_s
 from lipsync.arrays import Array
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.markers import CLOSED_GAP_MM
-from lipsync.text_to_speech.spoken_text import SpokenText
+from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 #: The face is at full strength and at rest by then.
 _READY_S: Final = 2.0
@@ -45,7 +45,7 @@ class BargeIn:
     played_error_s: float
 
 
-def first_seen(text: SpokenText) -> FirstSeen:
+def first_seen(text: SynthesizedSpeech) -> FirstSeen:
     """A stream that begins with sound at its first byte, sent at the pace of speech."""
     voiced = _from_first_sound(text)
     robot = SpeakingRobot(hears=True)
@@ -60,7 +60,7 @@ def first_seen(text: SpokenText) -> FirstSeen:
     return FirstSeen(float(watched.times_s[moved][0]) - first_s, sound_s - first_s)
 
 
-def barge_in(text: SpokenText, after_s: float, rate_hz: float) -> BargeIn:
+def barge_in(text: SynthesizedSpeech, after_s: float, rate_hz: float) -> BargeIn:
     """Interrupted so long after its first sound was heard, with the lips open."""
     robot = SpeakingRobot(hears=True, rate_hz=rate_hz)
     samples = text.samples
@@ -86,7 +86,9 @@ def barge_in(text: SpokenText, after_s: float, rate_hz: float) -> BargeIn:
     return BargeIn(float(closed_s), abs(event.n_played / text.sample_rate_hz - heard_s))
 
 
-def stuck_open_s(texts: Sequence[SpokenText], rng: np.random.Generator) -> tuple[float, float, int]:
+def stuck_open_s(
+    texts: Sequence[SynthesizedSpeech], rng: np.random.Generator
+) -> tuple[float, float, int]:
     """Over jittery streams: seconds of lips that stay open with nothing to say, s.
 
     Then seconds of those that open for the next sound, which are no part of them, and underruns.
@@ -174,7 +176,7 @@ def _jittery(n_samples: int, rate_hz: int, rng: np.random.Generator) -> list[tup
     return schedule
 
 
-def _from_first_sound(text: SpokenText) -> NDArray[np.float32]:
+def _from_first_sound(text: SynthesizedSpeech) -> NDArray[np.float32]:
     return text.samples[int(np.flatnonzero(np.abs(text.samples) > _SOUNDS)[0]) :]
 
 

@@ -26,10 +26,10 @@ from lipsync.errors import UserError
 from lipsync.output_file import written_whole
 from lipsync.text_to_speech.espeak import Espeak
 from lipsync.text_to_speech.flite import Flite, segments
-from lipsync.text_to_speech.spoken_text import (
+from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
-    SpokenText,
     SynthesisError,
+    SynthesizedSpeech,
     Synthesizer,
     UnspeakableTextError,
     Voice,
@@ -69,7 +69,7 @@ class Festival:
             self._voices = tuple(sorted(voice.removesuffix(_DIPHONES) for voice in diphone))
         return self._voices
 
-    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SpokenText:
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """See `Synthesizer`; a process of its own for each text. No times of words."""
         written = checked_text(text, self.longest_text)
         if voice.name not in self.voices():
@@ -96,7 +96,9 @@ class Festival:
                     f"festival said nothing of {written[:40]!r}; write English words"
                 ) from None
         timed = segments(_as_flite_prints(printed), len(samples) / sample_rate_hz)
-        return SpokenText(np.clip(samples, -1.0, 1.0), sample_rate_hz, phoneme_events(timed), ())
+        return SynthesizedSpeech(
+            np.clip(samples, -1.0, 1.0), sample_rate_hz, phoneme_events(timed), ()
+        )
 
     def _run(self, program: str) -> str:
         try:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from lipservo_lab.bench.sync.speech_timing import performances_of, speech_timing
 
-from lipsync.text_to_speech.spoken_text import SynthesisError
+from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 #: Of lips that are late; where they are early it takes 125 ms to be noticed (ITU-R BT.1359).

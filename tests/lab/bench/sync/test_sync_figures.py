@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lipservo.cli import app
-from lipsync.text_to_speech.spoken_text import SynthesisError
+from lipsync.text_to_speech.synthesis import SynthesisError
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 # Minutes of computing.

@@ -12,7 +12,7 @@ from lipservo_lab.learning.recognition.synthetic_corpus import (
     write_voice,
 )
 
-from lipsync.text_to_speech.spoken_text import SynthesisError, Voice
+from lipsync.text_to_speech.synthesis import SynthesisError, Voice
 
 TEXTS = ["Put the big box by the boat", "My mother may move it"]
 

@@ -50,7 +50,7 @@ class SpokenWord:
 
 
 @dataclass(frozen=True, slots=True)
-class SpokenText:
+class SynthesizedSpeech:
     """Sound and what is said in it; times in seconds from the first sample.
 
     samples: float32 (n,), within [-1, 1]. phonemes: of our inventory, in order, each beginning
@@ -82,7 +82,7 @@ class Synthesizer(Protocol):
     def voices(self) -> tuple[str, ...]:
         """The names of its voices, in alphabetical order; none where a language is a voice."""
 
-    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SpokenText:
+    def speak(self, text: str, voice: Voice = DEFAULT_VOICE) -> SynthesizedSpeech:
         """Speak a text of at most `longest_text` characters.
 
         Text is text: marks of SSML are read out as they stand. Raises SynthesisError for a text in

@@ -1,0 +1,77 @@
+"""What is said beside a sound: ordered, bounded, and corrected from where a correction begins."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from lipsync.phonemes import PhonemeEvent
+from lipsync.spoken_text import LONGEST_LABEL, MOST_UNITS, SpokenText, SpokenTextError, SpokenUnit
+
+RATE_HZ = 16_000
+
+
+def words(*units):
+    return SpokenText("word", tuple(SpokenUnit(*unit) for unit in units), RATE_HZ)
+
+
+def test_a_correction_replaces_what_was_said_from_its_first_sample_on():
+    first = words(("recognise", 0, 8_000), ("speech", 8_000, 16_000), ("please", 16_000, 20_000))
+    later = words(("wreck", 0, 3_000), ("a", 3_000, 4_000), ("nice", 4_000, 8_000))
+
+    assert [u.label for u in first.revised(later).units] == ["wreck", "a", "nice"]
+    tail = words(("beach", 8_000, 14_000))
+    assert [u.label for u in first.revised(tail).units] == ["recognise", "beach"]
+
+
+def test_units_without_times_follow_those_that_are_there():
+    assert [u.label for u in words(("good", 0, 10)).revised(words(("day",))).units] == [
+        "good",
+        "day",
+    ]
+
+
+def test_phonemes_with_times_are_events_in_seconds():
+    said = SpokenText(
+        "phoneme", (SpokenUnit("HH", 0, 1_600), SpokenUnit("AY", 1_600, 8_000)), RATE_HZ
+    )
+
+    assert said.events() == (PhonemeEvent("HH", 0.0, 0.1), PhonemeEvent("AY", 0.1, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("kind", "units", "says"),
+    [
+        ("phoneme", (SpokenUnit("Q", 0, 1),), "'Q' is no phoneme"),
+        ("word", (SpokenUnit("", 0, 1),), "word 0: 1 to"),
+        ("word", (SpokenUnit("x" * (LONGEST_LABEL + 1)),), "word 0: 1 to"),
+        ("word", (SpokenUnit("a", 5, 9), SpokenUnit("b", 8, 12)), "word 1: sample 8 is before 9"),
+        ("word", (SpokenUnit("a", 5, 4),), "word 0: sample 4 is before 5"),
+        ("word", (SpokenUnit("a", -1, 4),), "word 0: sample -1 is before 0"),
+        ("word", (SpokenUnit("a"),) * (MOST_UNITS + 1), "at most"),
+    ],
+)
+def test_what_cannot_be_said_is_refused_with_its_place(kind, units, says):
+    with pytest.raises(SpokenTextError, match=says):
+        SpokenText(kind, units, RATE_HZ)
+
+
+def test_words_move_no_mouth_by_themselves():
+    with pytest.raises(SpokenTextError, match="without times"):
+        words(("hello", 0, 10)).events()
+    with pytest.raises(SpokenTextError, match="do not revise"):
+        words(("hello", 0, 10)).revised(SpokenText("text", (SpokenUnit("hello"),), RATE_HZ))
+
+
+SPANS = st.lists(st.integers(0, 1_000), max_size=30).map(sorted)
+
+
+@given(SPANS, SPANS)
+def test_whatever_revises_whatever_the_result_is_in_order(first, later):
+    def units(samples):
+        pairs = zip(samples[::2], samples[1::2], strict=False)
+        return words(*(("a", start, end) for start, end in pairs))
+
+    revised = units(first).revised(units(later))
+
+    n_later = len(units(later).units)
+    assert revised.units[len(revised.units) - n_later :] == units(later).units
