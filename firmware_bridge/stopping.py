@@ -47,6 +47,8 @@ class StopReport:
     """What the servos themselves said at the end; nothing is claimed for the others.
 
     confirmed: servos, by name, that were read with torque off. unconfirmed: why not, by name.
+    released: those that were let go on a bus whose servos cannot confirm it; released_words: what
+    is true of them then.
     at_rest: whether the face had come to neutral before; None: not known, for whoever switched
     torque off had not moved it. dry_run: nothing was ever switched on.
     """
@@ -55,16 +57,20 @@ class StopReport:
     unconfirmed: Mapping[str, str] = field(default_factory=dict)
     at_rest: bool | None = None
     dry_run: bool = False
+    released: tuple[str, ...] = ()
+    released_words: str = ""
 
     @property
     def complete(self) -> bool:
-        """Whether every servo confirmed."""
+        """Whether every servo confirmed that can; the others were let go."""
         return not self.unconfirmed
 
     def text(self) -> str:
         """For a person: one line, or one more for each servo that did not confirm."""
         if self.dry_run:
             return "dry run over; no torque was switched on"
+        if self.released and self.complete:
+            return f"stopped; {'at rest, ' if self.at_rest else ''}{self.line()}"
         where = "at rest and limp" if self.at_rest else "limp"
         n = len(self.confirmed)
         if self.complete:
@@ -79,19 +85,23 @@ class StopReport:
     def line(self) -> str:
         """For a log: who confirmed torque off, which need not be the end of the face."""
         n = len(self.confirmed)
+        if self.released and self.complete:
+            return f"{_servos(len(self.released))} let go, not confirmed: {self.released_words}"
         if self.complete:
             return f"torque off confirmed by all {n} servos"
         left = named_by_reason(self.unconfirmed)
         return f"torque off confirmed by {n} servos, NOT by {left}"
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON, and for whoever asked for the stop."""
+        """For JSON, and for whoever asked for the stop; `released` only where there are such."""
+        released = {"released": list(self.released), "released_words": self.released_words}
         return {
             "complete": self.complete,
             "at_rest": self.at_rest,
             "dry_run": self.dry_run,
             "confirmed": list(self.confirmed),
             "unconfirmed": dict(self.unconfirmed),
+            **(released if self.released else {}),
         }
 
 

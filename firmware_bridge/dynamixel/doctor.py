@@ -2,17 +2,15 @@
 
 import statistics
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 from firmware_bridge.bus import describe_errors
+from firmware_bridge.bus_kinds import Finding, Severity
 from firmware_bridge.dynamixel.bus import budget, slow_adapter
 from firmware_bridge.dynamixel.control_table import model_name
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
-    UNHURRIED_S,
     differences,
     duplicates,
     read_settings,
@@ -70,23 +68,6 @@ _STATE: Final = (
 )
 
 
-class Severity(IntEnum):
-    """How much it matters."""
-
-    GOOD = 0
-    WARNING = 1
-    BAD = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What was seen, and what to do about it."""
-
-    severity: Severity
-    what: str
-    remedy: str = ""
-
-
 def examine(
     line: Line, servos: Sequence[MountedServo], rate_hz: float, latency_timer_ms: int | None
 ) -> Iterator[Finding]:
@@ -95,7 +76,6 @@ def examine(
     latency_timer_ms: what the adapter's driver declares; None: it does not tell, so it is measured.
     """
     wanted_rate = line.baud_rate
-    line.extra_wait_s = UNHURRIED_S
     ids = [servo.joint.servo_id for servo in servos]
     at_rate: dict[int, tuple[int, int]] = {}
     for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):

@@ -2,10 +2,12 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
 from firmware_bridge.bus import Array
+from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.dynamixel.control_table import (
     CENTER_PULSE,
     PULSES_PER_DEG,
@@ -14,6 +16,7 @@ from firmware_bridge.dynamixel.control_table import (
     model_by_number,
     register,
 )
+from firmware_bridge.dynamixel.settings import DynamixelServo
 from firmware_bridge.dynamixel.wire.line import Line, Transport
 from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import Joint, named
@@ -56,6 +59,16 @@ class MountedServo:
         """The joint's soft limits in pulses, the smaller first."""
         ends = self.pulse(self.joint.min_deg), self.pulse(self.joint.max_deg)
         return min(ends), max(ends)
+
+
+def mounted_servos(wiring: Wiring) -> list[MountedServo]:
+    """Every servo of a face in its place, in the order of its joints."""
+    return [
+        MountedServo(joint, servo.facts, servo.sign, servo.zero_offset_deg, servo.max_current_ma)
+        for joint, servo in zip(
+            wiring.joints, cast(Sequence[DynamixelServo], wiring.servos), strict=True
+        )
+    ]
 
 
 class Mounting:

@@ -95,6 +95,9 @@ function advice() {
 export function confirmed({ report, atMs }) {
   if (isLimp({ report })) return ["good", `Stopped. ${capital(confirmedWords({ report, atMs }))}.`];
   const loose = looseWords(report);
+  if (!loose && report.released?.length) {
+    return ["warn", `Stopped. ${capital(report.released_words)}; no servo can confirm it. Keep your hands away.`];
+  }
   if (!loose) return ["warn", "Stopped. No servo has confirmed that it is limp: keep your hands away."];
   return ["bad", `Stopped, but NOT confirmed to be limp: ${loose}. Keep your hands away. ${SUPPLY} \`lipservo limp\`.`];
 }
