@@ -39,7 +39,7 @@ _HEAT_EVERY_S: Final = 0.049
 class HeatDerating:
     """By how much each joint's amplitude shrinks; arrays are (n_servos,)."""
 
-    def __init__(self, n_servos: int, *, has_load: bool) -> None:
+    def __init__(self, n_servos: int, *, has_load: bool = True) -> None:
         """has_load: servos report how hard they pull."""
         self._no_effort = None if has_load else np.zeros(n_servos)
         self._duty = np.zeros(n_servos)

@@ -51,6 +51,7 @@ def sim_bus(
     Any program that speaks to Dynamixels can open the port: lipservo, dynamixel-sdk, others.
     """
     from firmware_bridge.bus_kinds import bus_kind
+    from firmware_bridge.errors import BusError
     from firmware_bridge.process.operating_system import run_on_time
     from lipservo.runtime.servos.assembly import load_settings
 
@@ -68,6 +69,8 @@ def sim_bus(
             faults=script,
             chain_stops=chain_stops,
         )
+    except BusError as error:
+        raise UserError(str(error)) from error
     except ValueError as error:
         raise UserError(f"--faults {faults}: {error}") from error
     stopped = False

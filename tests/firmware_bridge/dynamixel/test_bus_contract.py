@@ -175,7 +175,8 @@ def test_servos_get_torque_are_let_go_and_restarted_one_by_one(face):
         assert eventually(
             lambda: bus.read().torque_on.tolist() == [False, True, True, False], face.clock
         )
-        eventually(lambda: bus.disable_torque(1), face.clock)
+        confirms = bus.capabilities.confirmed_limp
+        eventually(lambda: bus.disable_torque(1) is confirms, face.clock)
         bus.reboot(2)
         assert eventually(lambda: not bus.read().torque_on.any(), face.clock)
         assert eventually(lambda: not bus.feedback().age_s.any(), face.clock)
