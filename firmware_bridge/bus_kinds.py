@@ -7,7 +7,7 @@ kind is loaded when its name is first used, and what opens a port when it is ope
 
 import importlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
 from importlib.metadata import entry_points
@@ -62,18 +62,6 @@ class Finding:
     severity: Severity
     what: str
     remedy: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Released:
-    """Which servos of one port, by address, were let go.
-
-    confirmed: they say so; released: they were told, and cannot say; unconfirmed: why not.
-    """
-
-    confirmed: Sequence[int] = ()
-    unconfirmed: Mapping[int, str] = field(default_factory=dict)
-    released: Sequence[int] = ()
 
 
 class PortRelease(Protocol):

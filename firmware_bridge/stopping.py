@@ -1,9 +1,11 @@
 """How a person stops, starts and jogs a face; what its servos reported at the end; exit status."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Final
+
+from firmware_bridge.capabilities import BusCapabilities
 
 #: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
 PORT_WAIT_S: Final = 30.0
@@ -103,6 +105,21 @@ class StopReport:
             "unconfirmed": dict(self.unconfirmed),
             **(released if self.released else {}),
         }
+
+
+def let_go_report(
+    can: BusCapabilities,
+    let_go: Iterable[str],
+    unconfirmed: Mapping[str, str],
+    *,
+    at_rest: bool | None = None,
+    dry_run: bool = False,
+) -> StopReport:
+    """What may be said of servos that were let go, by name, on a bus that can do this."""
+    names = tuple(let_go)
+    if can.confirmed_limp:
+        return StopReport(names, unconfirmed, at_rest, dry_run)
+    return StopReport((), unconfirmed, at_rest, dry_run, names, can.released_words)
 
 
 def named_by_reason(unconfirmed: Mapping[str, str]) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.joints import Joint
-from firmware_bridge.stopping import StopReport
+from firmware_bridge.stopping import StopReport, let_go_report
 
 #: Why a servo holds no torque that a person switched off.
 SWITCHED_OFF: Final = "switched off by a person"
@@ -175,17 +175,7 @@ class TorqueOff:
         """What is known now."""
         names = [joint.name for joint in self._joints]
         why = "does not answer" if plugged else "cannot be reached: the port is gone"
-        can, limp = self._gate.capabilities, self._confirmed.tolist()
-        let_go = tuple(compress(names, limp))
-        return StopReport(
-            confirmed=let_go if can.confirmed_limp else (),
-            unconfirmed={
-                n: why
-                for n, is_limp in zip(names, limp, strict=True)
-                if not is_limp and not self._gate.dry_run
-            },
-            at_rest=at_rest,
-            dry_run=self._gate.dry_run,
-            released=() if can.confirmed_limp else let_go,
-            released_words="" if can.confirmed_limp else can.released_words,
-        )
+        let_go, dry_run = compress(names, self._confirmed), self._gate.dry_run
+        left = {} if dry_run else dict.fromkeys(compress(names, ~self._confirmed), why)
+        can = self._gate.capabilities
+        return let_go_report(can, let_go, left, at_rest=at_rest, dry_run=dry_run)

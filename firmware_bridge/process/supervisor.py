@@ -12,7 +12,7 @@ request, a signal, a deadline. A stop by a person is kept here, so that it outli
 import select
 import signal
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -44,6 +44,7 @@ from firmware_bridge.stopping import (
     StopLevel,
     StopReport,
     StopRequest,
+    let_go_report,
 )
 
 #: Easing to neutral takes two seconds at most, limp a few packets more.
@@ -81,15 +82,6 @@ class SupervisedServos:
     names: Mapping[int, str]
     make_release: Callable[[float], TorqueRelease]
     can: BusCapabilities
-
-    def report(
-        self, let_go: Iterable[str], unconfirmed: Mapping[str, str] | None = None
-    ) -> StopReport:
-        """What may be said of those that were let go, by name."""
-        names, left = tuple(let_go), unconfirmed or {}
-        if self.can.confirmed_limp:
-            return StopReport(names, left)
-        return StopReport((), left, released=names, released_words=self.can.released_words)
 
 
 class Supervisor:
@@ -398,7 +390,7 @@ class Supervisor:
         self._last_status = status
         if status == ExitStatus.ENDED_WELL:
             self._comes_back = False
-            self._conclude(self._servos.report(self._servo_names.values()), status)
+            self._conclude(let_go_report(self._servos.can, self._servo_names.values(), {}), status)
             return
         self._bridge.note_end(status, now_s)
         if self._comes_back and status > 0 and not self._is_ending:
@@ -461,7 +453,7 @@ class Supervisor:
         status: int = ExitStatus.UNCONFIRMED if unconfirmed else ExitStatus.ENDED_WELL
         if not self._is_ending and self._last_status != ExitStatus.UNCONFIRMED:
             status = self._last_status
-        report = self._servos.report(let_go, unconfirmed)
+        report = let_go_report(self._servos.can, let_go, unconfirmed)
         self._say(report.line())
         if self._is_ending or not self._may_restart():
             self._conclude(report, status)

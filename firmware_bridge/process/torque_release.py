@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from firmware_bridge.bus_kinds import NOT_SEEN, PortRelease, Released
+from firmware_bridge.bus_kinds import NOT_SEEN, PortRelease
 from firmware_bridge.errors import BusError, PortError
 
 #: Each servo is asked this often at least.
@@ -26,12 +26,17 @@ class TorqueRelease:
         addresses: Sequence[int],
         *,
         timeout_s: float = 0.0,
+        searches: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """timeout_s: how long servos are asked again that do not answer; three times at least."""
+        """timeout_s: how long servos are asked again that do not answer; three times at least.
+
+        searches: whoever else is found at the port is asked, too.
+        """
         self._open_port = open_port
         self._addresses = tuple(addresses)
         self._timeout_s = timeout_s
+        self._searches = searches
         self._now_s = now_s
         self._port: PortRelease | None = None
         self._opened_s = 0.0
@@ -78,10 +83,14 @@ class TorqueRelease:
         self._opened_s = self._now_s()
         self._n_rounds = 0
         self.confirmed = []
-        self.unconfirmed = dict.fromkeys(self._addresses, NOT_SEEN)
-        port.tell_all(self._addresses)
+        asked: Sequence[int] = self._addresses
+        if self._searches:
+            asked = port.find(asked)
+        else:
+            port.tell_all(asked)
+        self.unconfirmed = dict.fromkeys(asked, NOT_SEEN)
         if not port.confirms:
-            self.released, self.unconfirmed = list(self._addresses), {}
+            self.released, self.unconfirmed = list(asked), {}
 
     def _next_round(self, port: PortRelease) -> None:
         if self._n_rounds:
@@ -109,39 +118,17 @@ def release_port(
     addresses: Sequence[int] = (),
     *,
     timeout_s: float = 0.0,
-) -> Released:
+) -> TorqueRelease:
     """Torque off at a port: everybody there is told, whoever is found is asked.
 
     addresses: must be found. Waits up to `timeout_s` for the port. Raises PortError when it cannot
     be opened.
     """
-    port = _opened(open_port, timeout_s)
-    try:
-        asked = port.find(addresses)
-        if not port.confirms:
-            return Released(released=asked)
-        left = {each: why for each in asked if (why := _asked_often(port, each))}
-    finally:
-        port.close()
-    return Released([each for each in asked if each not in left], left)
-
-
-def _asked_often(port: PortRelease, address: int) -> str:
-    """Empty as soon as the servo says that it is limp; else why not."""
-    why = NOT_SEEN
-    for _ in range(_REPEATS):
-        why = port.ask(address)
-        if not why:
-            break
-    return why
-
-
-def _opened(open_port: Callable[[], PortRelease], timeout_s: float) -> PortRelease:
+    release = TorqueRelease(open_port, addresses, searches=True)
     give_up_s = time.monotonic() + timeout_s
-    while True:
-        try:
-            return open_port()
-        except PortError:
-            if time.monotonic() >= give_up_s:
-                raise
+    while not release.step():
+        if release.port_error and time.monotonic() >= give_up_s:
+            raise PortError(release.port_error)
+        if release.port_error:
             time.sleep(_RETRY_S)
+    return release

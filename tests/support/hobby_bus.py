@@ -11,6 +11,29 @@ WORDS = "pulses off; a digital servo may hold"
 PULSES = BusCapabilities(hold=True, pulse_rate_hz=50.0, released_words=WORDS)
 
 
+class PulsePort:
+    """A port that is told to let go, and has no way to answer."""
+
+    confirms = False
+
+    def __init__(self, there=()):
+        self.there, self.told, self.is_open = list(there), [], True
+
+    def tell_all(self, addresses):
+        self.told.append(list(addresses))
+
+    def ask(self, address):
+        raise AssertionError(f"{address} cannot be asked")
+
+    def find(self, addresses):
+        found = sorted({*self.there, *addresses})
+        self.tell_all(found)
+        return found
+
+    def close(self):
+        self.is_open = False
+
+
 class HobbySettings(BusSettings):
     kind: str = "pulses"
     address: int = 12

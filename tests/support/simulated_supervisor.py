@@ -4,6 +4,7 @@ import signal
 import socket
 
 from dynamixel_chain import BAUD_RATE, MemoryFace
+from hobby_bus import PulsePort
 
 from firmware_bridge.dynamixel.control_table import CAPABILITIES
 from firmware_bridge.dynamixel.torque import LineRelease
@@ -75,7 +76,7 @@ class SupervisedFace:
         self.speech = SimulatedChild("speech", self.clock, HeartbeatTimeouts(60.0, 3.0))
         self.control = ControlSocket.bind(path)
         self.path, self.said = path, []
-        self.unplugged = False
+        self.unplugged, self.capabilities = False, capabilities
         self.supervisor = Supervisor(
             self.bridge,
             self.speech,
@@ -97,6 +98,8 @@ class SupervisedFace:
     def _open(self):
         if self.unplugged:
             raise PortError("/dev/x: no such port")
+        if not self.capabilities.confirmed_limp:
+            return PulsePort()
         return LineRelease(self.servos.open(), [BAUD_RATE])
 
     def hold(self):
