@@ -39,11 +39,14 @@ class UnknownBusError(BusError):
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """The servos of one face on one bus: `joints` and `servos` in the same order."""
+    """The servos of one face on one bus.
 
-    settings: "BusSettings"
+    settings: of the kind's own model; servos: likewise, in the order of `joints`.
+    """
+
+    settings: Any
     joints: tuple[Joint, ...]
-    servos: tuple["BusServo", ...]
+    servos: tuple[Any, ...]
     rate_hz: float
 
 
@@ -93,19 +96,14 @@ class BusKind:
 
     #: As a face's YAML has it under `bus.kind`.
     name: str
+    #: What stands under `bus:`, and under `servos:` for each servo, with the checks of both.
+    settings: "type[BusSettings]"
+    servo: "type[BusServo]"
     #: The kind that the same servos have at a port; empty: this one.
     at_port: str = ""
     #: See the methods `workshop` and `simulator`; empty: it has none.
     workshop_module: str = ""
     simulator_module: str = ""
-
-    def settings(self) -> "type[BusSettings]":
-        """What stands under `bus:`."""
-        raise NotImplementedError
-
-    def servo(self) -> "type[BusServo]":
-        """What stands under `servos:` for each servo, with the checks of what it can do."""
-        raise NotImplementedError
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
         """What its servos can do; known while no port is open."""

@@ -80,19 +80,13 @@ class BusServo(Strict):
         return getattr(self, "model", None)
 
     @property
-    def stall_ma(self) -> float | None:
-        """What it draws at full effort; None: it does not measure current."""
-        return None
-
-    @property
-    def most_ma(self) -> float | None:
-        """What it may draw; None: as much as it can."""
-        return getattr(self, "max_current_ma", None)
-
-    @property
     def bounds(self) -> Mapping[str, float | None]:
         """What its model bears, None where nobody says it."""
         return {"hottest_degc": None, "least_v": None, "most_v": None}
+
+    def strain(self, _effort: float) -> float:
+        """How much of the most that it may draw it draws at an effort; 0 where nobody knows."""
+        return 0.0
 
     @model_validator(mode="after")
     def _neutral_is_within_reach(self) -> Self:

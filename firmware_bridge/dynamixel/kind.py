@@ -23,16 +23,10 @@ class DynamixelKind(BusKind):
     """See `BusKind`."""
 
     name = "dynamixel"
+    settings = DynamixelSettings
+    servo = DynamixelServo
     workshop_module = "firmware_bridge.dynamixel.provisioning"
     simulator_module = "firmware_bridge.simulator.host"
-
-    def settings(self) -> type[DynamixelSettings]:
-        """Port, rate, and which code makes the packets."""
-        return DynamixelSettings
-
-    def servo(self) -> type[DynamixelServo]:
-        """Id, model, and the most current."""
-        return DynamixelServo
 
     def capabilities(self, _settings: "BusSettings") -> BusCapabilities:
         """Everything that there is."""
@@ -44,7 +38,7 @@ class DynamixelKind(BusKind):
         from firmware_bridge.dynamixel.mounting import mounted_servos
         from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, latency_timer_ms
 
-        settings, port = _dynamixel(wiring), str(wiring.settings.port)
+        settings, port = wiring.settings, wiring.settings.port
 
         def remark() -> str | None:
             timer_ms = latency_timer_ms(port)
@@ -67,7 +61,7 @@ class DynamixelKind(BusKind):
         """By the bytes of a tick."""
         from firmware_bridge.dynamixel.bus import budget
 
-        return budget(len(wiring.servos), _dynamixel(wiring).baud_rate, rate_hz)
+        return budget(len(wiring.servos), wiring.settings.baud_rate, rate_hz)
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """At the face's rate; where that is not known, at all usual ones."""
@@ -75,7 +69,7 @@ class DynamixelKind(BusKind):
         from firmware_bridge.dynamixel.torque import LineRelease
         from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
 
-        rates = SCANNED_RATES if wiring is None else (_dynamixel(wiring).baud_rate,)
+        rates = SCANNED_RATES if wiring is None else (wiring.settings.baud_rate,)
         opener = SameAdapter(port, rates[0])
         return lambda: LineRelease(opener(), rates)
 
@@ -86,8 +80,8 @@ class DynamixelKind(BusKind):
         from firmware_bridge.dynamixel.provisioning import unhurried_line
         from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms
 
-        port = str(wiring.settings.port)
-        with unhurried_line(port, _dynamixel(wiring).baud_rate) as line:
+        port = wiring.settings.port
+        with unhurried_line(port, wiring.settings.baud_rate) as line:
             servos = mounted_servos(wiring)
             yield from examine(line, servos, wiring.rate_hz, latency_timer_ms(port))
 
@@ -96,14 +90,9 @@ class DynamixelKind(BusKind):
         from firmware_bridge.dynamixel.mounting import mounted_servos, read_identities
         from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
 
-        opener = SameAdapter(str(wiring.settings.port), _dynamixel(wiring).baud_rate)
+        opener = SameAdapter(wiring.settings.port, wiring.settings.baud_rate)
         said = read_identities(opener, mounted_servos(wiring))
         return [None if each is None else each.eeprom for each in said]
-
-
-def _dynamixel(wiring: Wiring) -> DynamixelSettings:
-    assert isinstance(wiring.settings, DynamixelSettings)
-    return wiring.settings
 
 
 DYNAMIXEL: Final = DynamixelKind()

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
 
@@ -16,7 +15,6 @@ from firmware_bridge.dynamixel.control_table import (
     model_by_number,
     register,
 )
-from firmware_bridge.dynamixel.settings import DynamixelServo
 from firmware_bridge.dynamixel.wire.line import Line, Transport
 from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import Joint, named
@@ -64,10 +62,8 @@ class MountedServo:
 def mounted_servos(wiring: Wiring) -> list[MountedServo]:
     """Every servo of a face in its place, in the order of its joints."""
     return [
-        MountedServo(joint, servo.facts, servo.sign, servo.zero_offset_deg, servo.max_current_ma)
-        for joint, servo in zip(
-            wiring.joints, cast(Sequence[DynamixelServo], wiring.servos), strict=True
-        )
+        MountedServo(joint, each.facts, each.sign, each.zero_offset_deg, each.max_current_ma)
+        for joint, each in zip(wiring.joints, wiring.servos, strict=True)
     ]
 
 

@@ -73,11 +73,6 @@ class DynamixelServo(BusServo, _Keys):
         return servo_models()[self.model]
 
     @property
-    def stall_ma(self) -> float | None:
-        """Of its model, where that measures current."""
-        return self.facts.stall_a * 1e3 if self.facts.measures_current else None
-
-    @property
     def bounds(self) -> Mapping[str, float | None]:
         """The factory limits of its model."""
         defaults = self.facts.defaults
@@ -86,6 +81,12 @@ class DynamixelServo(BusServo, _Keys):
             "least_v": defaults["min_voltage_limit"] * _VOLT_UNIT,
             "most_v": defaults["max_voltage_limit"] * _VOLT_UNIT,
         }
+
+    def strain(self, effort: float) -> float:
+        """Of max_current_ma, where the model measures current."""
+        if self.max_current_ma is None or not self.facts.measures_current:
+            return 0.0
+        return effort * self.facts.stall_a * 1e3 / self.max_current_ma
 
     @model_validator(mode="after")
     def _the_servo_can_do_it(self) -> Self:

@@ -1,14 +1,12 @@
 """Simulated Dynamixels for whoever wants to speak to them: in memory, or behind a terminal."""
 
 from pathlib import Path
-from typing import cast
 
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
 from firmware_bridge.dynamixel.mounting import mounted_servos
-from firmware_bridge.dynamixel.settings import DynamixelSettings
 from firmware_bridge.errors import ServoError
 from firmware_bridge.simulator.chain import SimulatedChain, chain_for
 from firmware_bridge.simulator.fault_script import read_faults
@@ -18,7 +16,7 @@ from firmware_bridge.simulator.wire import WireRules
 
 def simulated_wire(wiring: Wiring) -> tuple[DynamixelBus, ManualClock]:
     """The servos of a face in memory, and the clock that moves them."""
-    servos, clock, rate = mounted_servos(wiring), ManualClock(), _rate(wiring)
+    servos, clock, rate = mounted_servos(wiring), ManualClock(), wiring.settings.baud_rate
     chain = chain_for(servos, rate)
     return DynamixelBus(servos, lambda: MemoryTransport(chain, clock, rate)), clock
 
@@ -50,7 +48,7 @@ def serve(
     rules = WireRules(chain_stops=chain_stops)
     if wiring is not None:
         seed, script = read_faults(faults, len(wiring.servos))
-        servos, rate = mounted_servos(wiring), baud_rate or _rate(wiring)
+        servos, rate = mounted_servos(wiring), baud_rate or wiring.settings.baud_rate
         chain = chain_for(servos, rate, faults=script, seed=seed, rules=rules)
     else:
         seed, script = read_faults(faults, n_servos)
@@ -59,7 +57,3 @@ def serve(
             kinds, ids, baud_rate=baud_rate, faults=script, seed=seed, rules=rules
         )
     return PtyHost(chain, link)
-
-
-def _rate(wiring: Wiring) -> int:
-    return cast(DynamixelSettings, wiring.settings).baud_rate

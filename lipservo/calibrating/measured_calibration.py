@@ -264,9 +264,7 @@ def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
     effort: (n_servos,), of the mouth, in stall torques.
     """
     for (name, servo), share in zip(setup.settings.mouth_servos.items(), effort, strict=True):
-        if servo.most_ma is None or servo.stall_ma is None:
-            continue
-        if share * servo.stall_ma >= _STRAINED * servo.most_ma:
+        if servo.strain(share) >= _STRAINED:
             _say(f"{name} draws its max_current_ma: lips are closed no farther than this")
             return name
     return None

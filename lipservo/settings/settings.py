@@ -227,8 +227,8 @@ def _schema(kind: object) -> type[FaceSettings]:
 
 @cache
 def _schema_of(kind: BusKind) -> type[FaceSettings]:
-    bus = kind.settings()
-    servo = create_model("ServoSettings", __base__=(ServoSettings, kind.servo()))
+    bus = kind.settings
+    servo = create_model("ServoSettings", __base__=(ServoSettings, kind.servo))
     return create_model(
         "FaceSettings",
         __base__=FaceSettings,

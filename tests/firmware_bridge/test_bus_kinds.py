@@ -49,7 +49,7 @@ def installed(monkeypatch):
 @pytest.mark.parametrize("name", ["simulated", "dynamixel"])
 def test_a_kind_that_comes_with_lipservo_says_what_its_servos_can_do(name):
     kind = bus_kind(name)
-    settings = kind.settings()(kind=name, port="/dev/x")
+    settings = kind.settings(kind=name, port="/dev/x")
 
     assert kind.name == name
     assert kind.capabilities(settings).in_memory is (name == "simulated")
@@ -145,5 +145,5 @@ def test_what_a_stop_does_is_the_table_of_the_page():
 
     for name in ("simulated", "dynamixel"):
         kind = bus_kind(name)
-        can = kind.capabilities(kind.settings()(kind=name, port="/dev/x"))
+        can = kind.capabilities(kind.settings(kind=name, port="/dev/x"))
         assert told[name] == dict(can.stop_table())

@@ -46,12 +46,8 @@ class HobbyServo(BusServo):
 
 class HobbyKind(BusKind):
     name = "pulses"
-
-    def settings(self):
-        return HobbySettings
-
-    def servo(self):
-        return HobbyServo
+    settings = HobbySettings
+    servo = HobbyServo
 
     def capabilities(self, _settings):
         return PULSES
