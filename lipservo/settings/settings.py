@@ -112,6 +112,10 @@ class FaceSettings(Strict):
             return face_schema(content).model_validate(content)
         return as_it_is(content)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Its class is made anew in every process.
+        return FaceSettings.model_validate, (self.model_dump(),)
+
     @field_validator("prevent", mode="before")
     @classmethod
     def _a_list_will_do(cls, rules: object) -> object:

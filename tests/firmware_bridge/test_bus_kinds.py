@@ -6,12 +6,17 @@ from importlib.metadata import EntryPoint
 import pytest
 from hobby_bus import PULSES, PULSES_KIND, WORDS
 from places import ROOT
+from typer.testing import CliRunner
 
+from calibration.calibration import CalibrationError
 from firmware_bridge import bus_kinds
 from firmware_bridge.bus_kinds import GROUP, UnknownBusError, bus_kind, bus_names
 from firmware_bridge.bus_settings import BusSettings
+from firmware_bridge.capabilities import IN_MEMORY
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import BusError
+from lipservo.calibrating.calibration_setup import check_places
+from lipservo.cli import app
 from lipservo.runtime.servos.assembly import bus_for
 from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
@@ -130,6 +135,36 @@ def test_what_a_kind_has_not_it_says_in_words():
         PULSES_KIND.workshop()
     with pytest.raises(BusError, match="bus pulses: has no port"):
         PULSES_KIND.port_release("/dev/x", None)
+
+
+def test_whoever_starts_such_a_face_is_told_what_a_stop_does():
+    assert PULSES.warnings() == [
+        f"stop: to neutral; then {WORDS}, which no servo confirms",
+        f"stop --limp: {WORDS}, which no servo confirms",
+        "stop --freeze: held at the goal sent last",
+        "computer dies, or the plug is pulled: they go on to the goal sent last, and hold",
+    ]
+    assert not IN_MEMORY.warnings()
+
+
+@pytest.mark.usefixtures("installed")
+def test_a_joint_is_jogged_and_nobody_claims_to_know_where_it_stands(tmp_path):
+    config = tmp_path / "hobby.yaml"
+    config.write_text(FACE)
+    done = CliRunner().invoke(app, ["jog", "jaw", "5", "--config", str(config), "--hold-s", "0.1"])
+
+    assert done.exit_code == 0, done.output
+    assert done.stdout == "jaw was sent to 5.0 deg\n"
+    assert "which no servo confirms" in done.stderr
+    assert f"2 servos let go, not confirmed: {WORDS}" in " ".join(done.stderr.split())
+
+
+@pytest.mark.usefixtures("installed")
+def test_what_needs_encoders_is_refused_in_one_line():
+    face = parse_face(FACE, "face.yaml")
+
+    with pytest.raises(CalibrationError, match="a pulses bus cannot say where they stand"):
+        check_places(face)
 
 
 def test_what_a_stop_does_is_the_table_of_the_page():
