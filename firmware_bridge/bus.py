@@ -12,6 +12,8 @@ from typing import Final, Protocol, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_bridge.capabilities import BusCapabilities
+
 #: float64 of any shape; docstrings say which.
 Array = NDArray[np.float64]
 
@@ -27,6 +29,10 @@ def any_set(values: NDArray[np.bool_] | NDArray[np.number]) -> bool:
 def all_set(flags: NDArray[np.bool_]) -> bool:
     """Whether all are true, as quickly."""
     return 0 not in flags.tobytes()
+
+
+#: In `errors` of a servo that was given a goal outside its range; of Dynamixel's, and for all.
+GOAL_OUT_OF_RANGE: Final = 6
 
 
 class HardwareError(IntFlag):
@@ -49,8 +55,8 @@ def describe_errors(bits: int) -> str:
 class Feedback:
     """Where the servos stand, every tick. Arrays are (n_servos,).
 
-    positions_deg: NaN for a servo that never answered. effort: share of the stall torque, 0..1.
-    age_s: 0 = answered just now.
+    positions_deg: NaN for a servo that never answered, or cannot say. effort: share of the stall
+    torque, 0..1; NaN where it is not measured. age_s: 0 = answered just now, or cannot say.
     """
 
     time_s: float
@@ -66,7 +72,8 @@ class Health:
 
     silent_s: how long nothing has come from it. torque_on: as its register says.
     watchdog_tripped: it stopped by itself since it heard nothing.
-    temperature_degc: NaN = never heard; room_degc: how far it is below its own limit.
+    temperature_degc, voltage_v: NaN = never heard, or not measured; room_degc: how far it is below
+    its own limit, infinite where nobody can say.
     effort: share of the stall torque; current_ma: NaN where it is not measured.
     n_unanswered: questions of the tick that it did not answer so far.
     """
@@ -106,7 +113,7 @@ STATE_WORDS = tuple(state.name.lower().replace("_", " ") for state in ServoState
 
 @dataclass(frozen=True, slots=True)
 class ServoHealth:
-    """How one servo is, for people: a log, a table, a page. NaN: never heard.
+    """How one servo is, for people: a log, a table, a page. NaN: never heard, or not measured.
 
     state: `ServoState` in words. load: share of the stall torque, 0..1. current_ma: None where the
     model does not measure it. hardware_errors: bits of `HardwareError`. n_reboots, n_unanswered:
@@ -126,35 +133,11 @@ class ServoHealth:
     torque_on: bool
 
 
-#: How long a servo whose torque has just come on stays slow, on a bus with a soft start.
-SOFT_START_S: Final = 1.0
-
-
-@dataclass(frozen=True, slots=True)
-class BusCapabilities:
-    """What the servos of one kind of bus can do; whoever needs it asks for this, not for the kind.
-
-    place: they report where they stand. load, heat: they report how hard they pull, how warm they
-    are. watchdog: they stop by themselves when they hear nothing. confirmed_limp: they report
-    themselves that torque is off. hold: they stay where they are while nothing is sent. profile:
-    they bound their own speed. soft_start_s: they are slow for so long after torque came on.
-    """
-
-    place: bool
-    load: bool
-    heat: bool
-    watchdog: bool
-    confirmed_limp: bool
-    hold: bool
-    profile: bool
-    soft_start_s: float = 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class Readings:
     """What the servos said. Every array is (n_servos,), in the order of the face's servo names.
 
-    positions_deg: where each joint stands; NaN for a servo that has never answered.
+    positions_deg: where each joint stands; NaN for a servo that has never answered, or cannot.
     goals_deg: where each servo is trying to be, or would with torque on; NaN when it did not say.
     torque_on: whether the servo holds its goal by force.
     errors: number in the last status packet, 0 = none;
@@ -173,6 +156,13 @@ class Readings:
     def missing(self) -> NDArray[np.bool_]:
         """Which servos did not answer this time, (n_servos,)."""
         return self.age_s > 0.0
+
+    def start_deg(self, can: BusCapabilities) -> Array:
+        """From where the joints may be moved, (n_servos,): their places, 0 for one not heard.
+
+        Where servos cannot say that: the goals given last, 0 before the first.
+        """
+        return np.nan_to_num(self.positions_deg if can.place else self.goals_deg)
 
 
 class ServoBus(Protocol):
@@ -226,7 +216,7 @@ class ServoBus(Protocol):
         """
 
     def disable_torque(self, index: int) -> bool:
-        """Let one servo go limp; whether it confirmed."""
+        """Let one servo go limp; whether it confirmed: False on a bus where none can."""
 
     def disable_all(self) -> NDArray[np.bool_]:
         """Let every servo go limp now; which of them confirmed, (n_servos,)."""

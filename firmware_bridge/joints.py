@@ -13,6 +13,7 @@ SERVO_LIMIT_MARGIN_DEG: Final = 5.0
 class Joint:
     """One servo-driven joint, in joint degrees: 0 = its neutral, between the two limits.
 
+    servo_id: by which its bus finds the servo, under the name `address_key` in the YAML.
     max_acceleration_deg_s2: infinite = not limited. critical: without it the whole face stops.
     Raises ValueError unless min_deg <= 0 <= max_deg, max_speed_deg_s > 0, all finite, and
     max_acceleration_deg_s2 > 0.
@@ -25,6 +26,7 @@ class Joint:
     max_speed_deg_s: float
     max_acceleration_deg_s2: float = math.inf
     critical: bool = False
+    address_key: str = "id"
 
     def __post_init__(self) -> None:
         if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:
@@ -45,4 +47,4 @@ class Joint:
 
 def named(joint: Joint) -> str:
     """How a joint's servo is called in a message."""
-    return f"servo {joint.name!r} (id {joint.servo_id})"
+    return f"servo {joint.name!r} ({joint.address_key} {joint.servo_id})"

@@ -1,9 +1,11 @@
 """How a person stops, starts and jogs a face; what its servos reported at the end; exit status."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Final
+
+from firmware_bridge.capabilities import BusCapabilities
 
 #: A stop by a signal waits so long for a lost port, to switch torque off once it is back.
 PORT_WAIT_S: Final = 30.0
@@ -47,6 +49,8 @@ class StopReport:
     """What the servos themselves said at the end; nothing is claimed for the others.
 
     confirmed: servos, by name, that were read with torque off. unconfirmed: why not, by name.
+    released: those that were let go on a bus whose servos cannot confirm it; released_words: what
+    is true of them then.
     at_rest: whether the face had come to neutral before; None: not known, for whoever switched
     torque off had not moved it. dry_run: nothing was ever switched on.
     """
@@ -55,16 +59,20 @@ class StopReport:
     unconfirmed: Mapping[str, str] = field(default_factory=dict)
     at_rest: bool | None = None
     dry_run: bool = False
+    released: tuple[str, ...] = ()
+    released_words: str = ""
 
     @property
     def complete(self) -> bool:
-        """Whether every servo confirmed."""
+        """Whether every servo confirmed that can; the others were let go."""
         return not self.unconfirmed
 
     def text(self) -> str:
         """For a person: one line, or one more for each servo that did not confirm."""
         if self.dry_run:
             return "dry run over; no torque was switched on"
+        if self.released and self.complete:
+            return f"stopped; {'at rest, ' if self.at_rest else ''}{self.line()}"
         where = "at rest and limp" if self.at_rest else "limp"
         n = len(self.confirmed)
         if self.complete:
@@ -79,20 +87,39 @@ class StopReport:
     def line(self) -> str:
         """For a log: who confirmed torque off, which need not be the end of the face."""
         n = len(self.confirmed)
+        if self.released and self.complete:
+            return f"{_servos(len(self.released))} let go, not confirmed: {self.released_words}"
         if self.complete:
             return f"torque off confirmed by all {n} servos"
         left = named_by_reason(self.unconfirmed)
         return f"torque off confirmed by {n} servos, NOT by {left}"
 
     def as_dict(self) -> dict[str, object]:
-        """For JSON, and for whoever asked for the stop."""
+        """For JSON, and for whoever asked for the stop; `released` only where there are such."""
+        released = {"released": list(self.released), "released_words": self.released_words}
         return {
             "complete": self.complete,
             "at_rest": self.at_rest,
             "dry_run": self.dry_run,
             "confirmed": list(self.confirmed),
             "unconfirmed": dict(self.unconfirmed),
+            **(released if self.released else {}),
         }
+
+
+def let_go_report(
+    can: BusCapabilities,
+    let_go: Iterable[str],
+    unconfirmed: Mapping[str, str],
+    *,
+    at_rest: bool | None = None,
+    dry_run: bool = False,
+) -> StopReport:
+    """What may be said of servos that were let go, by name, on a bus that can do this."""
+    names = tuple(let_go)
+    if can.confirmed_limp:
+        return StopReport(names, unconfirmed, at_rest, dry_run)
+    return StopReport((), unconfirmed, at_rest, dry_run, names, can.released_words)
 
 
 def named_by_reason(unconfirmed: Mapping[str, str]) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from calibration.calibration import CalibrationError
 from lipsync.errors import shown
 
-_TICKS_A_TURN = 4096
+TICKS_A_TURN = 4096
 _KEYS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
@@ -32,7 +32,7 @@ class RecordedRange:
         """Joint degrees of the two ends, neutral = 0; turned round for a reversed drive."""
         neutral = (self.least_tick + self.most_tick) / 2 if neutral_tick is None else neutral_tick
         ends = [
-            (tick - neutral) * 360.0 / _TICKS_A_TURN for tick in (self.least_tick, self.most_tick)
+            (tick - neutral) * 360.0 / TICKS_A_TURN for tick in (self.least_tick, self.most_tick)
         ]
         return (-ends[1], -ends[0]) if self.reversed else (ends[0], ends[1])
 
@@ -74,9 +74,9 @@ def _parse(place: str, name: str, entry: object) -> RecordedRange:
         if isinstance(value, bool) or not isinstance(value, int):
             raise CalibrationError(f"{place}.{key} is {shown(value)}, expected a whole number")
         values[key] = value
-    if not 0 <= values["range_min"] < values["range_max"] < _TICKS_A_TURN:
+    if not 0 <= values["range_min"] < values["range_max"] < TICKS_A_TURN:
         raise CalibrationError(
-            f"{place}: needs 0 <= range_min < range_max <= {_TICKS_A_TURN - 1}, got "
+            f"{place}: needs 0 <= range_min < range_max <= {TICKS_A_TURN - 1}, got "
             f"{values['range_min']} and {values['range_max']}; record the range again"
         )
     return RecordedRange(

@@ -7,17 +7,8 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import (
-    SOFT_START_S,
-    Array,
-    BusCapabilities,
-    Feedback,
-    Health,
-    Readings,
-    all_set,
-    any_set,
-)
-from firmware_bridge.dynamixel.control_table import register
+from firmware_bridge.bus import Array, Feedback, Health, Readings, all_set, any_set
+from firmware_bridge.dynamixel.control_table import CAPABILITIES, register
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting, identify_all
 from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.torque import SoftStart, TorqueSwitch, Watchdogs
@@ -108,16 +99,7 @@ class DynamixelBus:
     PortGone until `reopen` succeeds. Never writes EEPROM.
     """
 
-    capabilities: Final = BusCapabilities(
-        place=True,
-        load=True,
-        heat=True,
-        watchdog=True,
-        confirmed_limp=True,
-        hold=True,
-        profile=True,
-        soft_start_s=SOFT_START_S,
-    )
+    capabilities: Final = CAPABILITIES
 
     def __init__(
         self,

@@ -12,6 +12,23 @@ from typing import Any, Final
 
 import yaml
 
+from firmware_bridge.capabilities import BusCapabilities
+
+#: How long a servo whose torque has just come on stays slow.
+SOFT_START_S: Final = 1.0
+CAPABILITIES: Final = BusCapabilities(
+    place=True,
+    load=True,
+    heat=True,
+    voltage=True,
+    watchdog=True,
+    confirmed_limp=True,
+    hold=True,
+    profile=True,
+    soft_start_s=SOFT_START_S,
+    memory=True,
+    set_up=True,
+)
 #: goal_position, present_position and the position limits.
 PULSES_PER_TURN: Final = 4096
 PULSES_PER_DEG: Final = PULSES_PER_TURN / 360.0

@@ -2,11 +2,10 @@
 
 import statistics
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 from firmware_bridge.bus import describe_errors
+from firmware_bridge.bus_kinds import Finding, Severity
 from firmware_bridge.dynamixel.bus import budget, slow_adapter
 from firmware_bridge.dynamixel.control_table import model_name
 from firmware_bridge.dynamixel.mounting import MountedServo
@@ -68,23 +67,6 @@ _STATE: Final = (
     "temperature_limit",
     "return_delay_time",
 )
-
-
-class Severity(IntEnum):
-    """How much it matters."""
-
-    GOOD = 0
-    WARNING = 1
-    BAD = 2
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """What was seen, and what to do about it."""
-
-    severity: Severity
-    what: str
-    remedy: str = ""
 
 
 def examine(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_bridge.bus import Array
+from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.dynamixel.control_table import (
     CENTER_PULSE,
     PULSES_PER_DEG,
@@ -56,6 +57,14 @@ class MountedServo:
         """The joint's soft limits in pulses, the smaller first."""
         ends = self.pulse(self.joint.min_deg), self.pulse(self.joint.max_deg)
         return min(ends), max(ends)
+
+
+def mounted_servos(wiring: Wiring) -> list[MountedServo]:
+    """Every servo of a face in its place, in the order of its joints."""
+    return [
+        MountedServo(joint, each.facts, each.sign, each.zero_offset_deg, each.max_current_ma)
+        for joint, each in zip(wiring.joints, wiring.servos, strict=True)
+    ]
 
 
 class Mounting:

@@ -1,24 +1,31 @@
 """Setting servos up: what each should hold in its EEPROM, what differs, and writing just that.
 
-The only place that writes EEPROM: torque off, only differences, all of it read back.
+The only place that writes EEPROM: torque off, only differences, all of it read back. Servos that
+belong to no face yet are found, taken over from another program, and moved a little, here too.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Final
 
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import (
+    CENTER_PULSE,
     PULSES_PER_DEG,
     PULSES_PER_TURN,
     ServoModel,
     baud_rates,
     model_by_number,
     register,
+    servo_models,
 )
-from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo, mounted_servos
 from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, open_port
 from firmware_bridge.errors import ServoError
-from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG
+from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 
 #: Rates worth trying, the likely ones first: asked for, factory, usual ones.
 SCANNED_RATES: Final = (57_600, 1_000_000, 2_000_000, 3_000_000, 4_000_000, 115_200, 9_600)
@@ -42,6 +49,23 @@ class Difference:
 
     def __str__(self) -> str:
         return f"{self.name} is {self.found}, should be {self.wanted}"
+
+
+@contextmanager
+def unhurried_line(port: str, baud_rate: int) -> Iterator[Line]:
+    """An open port that is waited for longer than a loop could. Raises PortError."""
+    transport = open_port(port, baud_rate)
+    try:
+        line = Line(transport)
+        line.extra_wait_s = UNHURRIED_S
+        yield line
+    finally:
+        transport.close()
+
+
+def servos_by_joint(wiring: Wiring) -> dict[str, MountedServo]:
+    """Every servo of a face in its place, by the name of its joint."""
+    return {servo.joint.name: servo for servo in mounted_servos(wiring)}
 
 
 def wanted_settings(servo: MountedServo, baud_rate: int) -> dict[str, int]:
@@ -293,3 +317,67 @@ def _other_model(servo: MountedServo, number: int) -> list[str]:
 
 def _alone(name: str) -> str:
     return f"connect the servo of {name!r} alone and run `lipservo setup-servos {name}`"
+
+
+#: What a servo of no face yet must hold before it is moved for the first time: LeRobot homes it by
+#: its homing offset and drives it in mode 4; a face of ours uses neither.
+_PLAIN = {"drive_mode": 0, "operating_mode": 3, "homing_offset": 0, "startup_configuration": 0}
+
+
+def find_unknown(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
+    """The first rate at which anybody answers, and the model of every id there."""
+    with unhurried_line(port, first_rate) as line:
+        scanned = scan(line, [first_rate, *SCANNED_RATES])
+        rate, found = next((each for each in scanned if each[1]), (0, {}))
+    if not found:
+        raise ServoError(f"{port}: no servo answers at any rate; check power and cable")
+    models = {each: model_by_number(number) for each, number in sorted(found.items())}
+    unknown = [each for each, model in models.items() if model is None]
+    if unknown:
+        raise ServoError(f"id {unknown[0]} is of unknown model {found[unknown[0]]}")
+    return rate, {each: model.name for each, model in models.items() if model is not None}
+
+
+def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int, list[Difference]]:
+    """What differs, by id, of servos found with their models; those that are plain are left out.
+
+    Raises PortError, and ServoError for a servo that falls silent.
+    """
+    with unhurried_line(port, rate) as line:
+        held = {
+            servo_id: read_settings(line, servo_id, servo_models()[name], _PLAIN)
+            for servo_id, name in found.items()
+        }
+    differing = {servo_id: differences(each, _PLAIN) for servo_id, each in held.items()}
+    return {servo_id: each for servo_id, each in differing.items() if each}
+
+
+def clear_foreign_settings(
+    port: str, rate: int, found: Mapping[int, str], foreign: Mapping[int, list[Difference]]
+) -> None:
+    """Write what `foreign_settings` found, torque off. Raises PortError, ServoError.
+
+    Refuses a servo that turns the other way: what was recorded of it would be mirrored.
+    """
+    for servo_id, changes in foreign.items():
+        if any(each.name == "drive_mode" and each.found & 1 for each in changes):
+            raise ServoError(
+                f"id {servo_id} runs in reverse drive mode; set drive mode 0 with Dynamixel Wizard "
+                "and record its range again"
+            )
+    with unhurried_line(port, rate) as line:
+        for servo_id, changes in foreign.items():
+            for _ in set_up(line, servo_id, servo_models()[found[servo_id]], changes):
+                pass  # each is read back
+
+
+def lone_servo(
+    port: str, rate: int, servo_id: int, model_name: str, reach_deg: float
+) -> tuple[DynamixelBus, Joint, int]:
+    """A bus of one servo whose joint has 0 where it stands now; and that place, in ticks."""
+    model = servo_models()[model_name]
+    with unhurried_line(port, rate) as line:
+        place = read_settings(line, servo_id, model, ["present_position"])["present_position"]
+    joint = Joint(f"id_{servo_id}", servo_id, -reach_deg, reach_deg, 60.0)
+    servo = MountedServo(joint, model, 1, (place - CENTER_PULSE) / PULSES_PER_DEG)
+    return DynamixelBus([servo], SameAdapter(port, rate)), joint, place

@@ -6,12 +6,19 @@ from typing import Final
 
 import numpy as np
 
-from firmware_bridge.bus import SOFT_START_S, any_set
-from firmware_bridge.dynamixel.control_table import VELOCITY_UNIT_DEG_S, WATCHDOG_UNIT_S, register
+from firmware_bridge.bus import any_set
+from firmware_bridge.bus_kinds import NOT_SEEN
+from firmware_bridge.dynamixel.control_table import (
+    SOFT_START_S,
+    VELOCITY_UNIT_DEG_S,
+    WATCHDOG_UNIT_S,
+    register,
+)
 from firmware_bridge.dynamixel.mounting import MountedServo, Mounting, identify, mismatches
 from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, MAX_ID
+from firmware_bridge.dynamixel.wire.line import Line, Transport
 
 _WRITE_TRIES: Final = 3
 
@@ -267,3 +274,61 @@ class TorqueSwitch:
             if status is not None and len(status.data) == 4:
                 return int.from_bytes(status.data, "little", signed=True)
         return None
+
+
+#: A packet that nobody answers is said this often.
+_REPEATS_BY_FORCE: Final = 3
+_TORQUE_ENABLE: Final = register("torque_enable").address
+_ANSWERS: Final = register("status_return_level").address
+
+
+class LineRelease:
+    """Torque off by force at an open port, of servos that somebody else drove before."""
+
+    confirms: Final = True
+
+    def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
+        """rates: at which somebody may hear; the transport is open at the first."""
+        self._line = Line(transport)
+        self._rates = tuple(dict.fromkeys(rates))
+
+    def tell_all(self, addresses: Sequence[int]) -> None:
+        """Torque off to everybody, again and again; a tripped watchdog is cleared in between.
+
+        Whoever was told not to answer, answers from now on.
+        """
+        line = self._line
+        everybody = codec.write(BROADCAST_ID, _TORQUE_ENABLE, b"\0")
+        blocks = [(each, b"\0") for each in addresses]
+        listed = codec.sync_write(_TORQUE_ENABLE, 1, blocks) if blocks else everybody
+        for _ in range(_REPEATS_BY_FORCE):
+            line.tell(listed)
+        line.tell(codec.write(BROADCAST_ID, _ADDRESS, b"\0"))
+        line.tell(everybody)
+        line.tell(codec.write(BROADCAST_ID, _ANSWERS, b"\2"))
+
+    def ask(self, address: int) -> str:
+        """Empty when the servo says that its torque is off; else why not; it is told once more."""
+        status = self._line.read(address, _TORQUE_ENABLE, 1)
+        if status is not None and status.data == b"\0":
+            return ""
+        self._line.write(address, _TORQUE_ENABLE, b"\0")
+        return NOT_SEEN if status is None else "kept its torque"
+
+    def find(self, addresses: Sequence[int]) -> Sequence[int]:
+        """Everybody is told at every rate. A chain has one: the others are not searched then."""
+        line, found = self._line, set(addresses)
+        for rate in self._rates:
+            line.baud_rate = rate
+            self.tell_all(addresses)
+            line.ping(MAX_ID)  # until its time is over the packets before are on the wire
+        for rate in self._rates:
+            line.baud_rate = rate
+            found |= {status.servo_id for status in line.ping_all()}
+            if found:
+                break
+        return sorted(found)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._line.transport.close()

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from firmware_bridge.bus import Array, Feedback, ServoBus, ServoHealth, ServoState
+from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.errors import BusError, PortError
 from firmware_bridge.gate.limits import Limited
 from firmware_bridge.gate.ramp import EASE_PEAK_SLOPE, Ramp, StaleLevel
@@ -114,6 +115,11 @@ class Bridge:
         return self._settings.rate_hz
 
     @property
+    def capabilities(self) -> BusCapabilities:
+        """What its servos can do."""
+        return self._servos.gate.capabilities
+
+    @property
     def state(self) -> FaceState:
         """What the face is doing."""
         return self._state
@@ -212,7 +218,7 @@ class Bridge:
                 readings = self._servos.read()
         if self._state is not FaceState.STOPPED:
             return  # a stop came in between, and holds
-        self._begin(np.nan_to_num(readings.positions_deg), readings.time_s)
+        self._begin(readings.start_deg(self.capabilities), readings.time_s)
         self._state = FaceState.DRIVEN
         self._n_armed += 1
 
@@ -222,7 +228,7 @@ class Bridge:
         Those that hold go on holding; those that lost their torque meanwhile are brought up one by
         one, as after a replug. Raises PortError when the port fails.
         """
-        self._begin(np.nan_to_num(self._servos.read().positions_deg), self._tick_s)
+        self._begin(self._servos.read().start_deg(self.capabilities), self._tick_s)
         self._servos.gate.open()
         self._state = FaceState.DRIVEN
         self._n_armed += 1
@@ -234,7 +240,7 @@ class Bridge:
     def start_frozen(self) -> None:
         """Take over a face that a person froze: what holds goes on holding, nothing else does."""
         readings = self._servos.read()
-        self._begin(np.nan_to_num(readings.positions_deg), readings.time_s)
+        self._begin(readings.start_deg(self.capabilities), readings.time_s)
         self._servos.gate.close(_by_a_person(StopLevel.FREEZE))
         self._state = FaceState.FROZEN
         self._servos.keep_holding(readings.time_s)
@@ -369,7 +375,7 @@ class Bridge:
         lost = supervision.lost_critical
         if lost is not None:
             why = f"{named(self._joints[lost])} {supervision.reasons[lost]}"
-            self.failure = f"critical {why}; all is limp"
+            self.failure = f"critical {why}; all is {self.capabilities.released_words}"
             self.stop(StopLevel.LIMP)
         return wanted_deg, limited
 
@@ -438,8 +444,8 @@ def face_status(bridge: Bridge) -> dict[str, object]:
     state: a `FaceState`; plugged: whether the port is there; servos: the `ServoState` in words of
     each joint, by name; troubles: a line for each servo that is not driven; jogged: joints that a
     person jogs, by name; health: a `ServoHealth` for each servo that was asked, None for what was
-    never heard; *_total: how often the gate stepped in, over all joints; the counts are those of
-    `BridgeStatus`.
+    never heard; capabilities: what the bus can do; *_total: how often the gate stepped in, over all
+    joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
     gate = {
@@ -456,6 +462,7 @@ def face_status(bridge: Bridge) -> dict[str, object]:
         "troubles": list(bridge.troubles),
         "jogged": list(bridge.jogged),
         "health": bridge.health_records(),
+        "capabilities": bridge.capabilities.as_dict(),
         "n_ticks": status.n_ticks,
         "n_late": status.n_late,
         "n_stale": status.n_stale,

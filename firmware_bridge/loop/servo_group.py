@@ -39,7 +39,9 @@ _HEAT_EVERY_S: Final = 0.049
 class HeatDerating:
     """By how much each joint's amplitude shrinks; arrays are (n_servos,)."""
 
-    def __init__(self, n_servos: int) -> None:
+    def __init__(self, n_servos: int, *, has_load: bool = True) -> None:
+        """has_load: servos report how hard they pull."""
+        self._no_effort = None if has_load else np.zeros(n_servos)
         self._duty = np.zeros(n_servos)
         self._duty_at_s: float | None = None
         self._scale = np.ones(n_servos)
@@ -50,7 +52,8 @@ class HeatDerating:
             if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
                 return self._scale
             share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
-            self._duty += share * (feedback.effort * feedback.effort - self._duty)
+            effort = feedback.effort if self._no_effort is None else self._no_effort
+            self._duty += share * (effort * effort - self._duty)
         self._duty_at_s = feedback.time_s
         warm = health.room_degc / _DERATE_FROM_DEGC
         worked = 2.0 - self._duty / _DUTY_FULL
@@ -81,6 +84,7 @@ class ServoGroup:
     ) -> None:
         """Arguments as those of `Bridge`."""
         self._bus = bus
+        self._has_place = bus.capabilities.place
         self._joints = tuple(joints)
         self.limiter = Limiter(self._joints, settings.period_s, settings.prevent)
         given_up, off = settings.given_up, settings.switched_off
@@ -88,7 +92,7 @@ class ServoGroup:
             bus, joints, dry_run=settings.dry_run, given_up=given_up, switched_off=off
         )
         self.supervision = ServoSupervision(self._joints, settings.tracking, given_up, off)
-        self._heat = HeatDerating(len(self._joints))
+        self._heat = HeatDerating(len(self._joints), has_load=bus.capabilities.load)
         self.torque_off = TorqueOff(self._joints, self.gate)
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
@@ -118,7 +122,7 @@ class ServoGroup:
         """Where everybody stands, asked again for those who did not answer."""
         readings = self._bus.read()
         for _ in range(_READS - 1):
-            if np.isfinite(readings.positions_deg).all():
+            if not self._has_place or np.isfinite(readings.positions_deg).all():
                 break
             readings = self._bus.read()
         return readings
@@ -152,7 +156,8 @@ class ServoGroup:
         and its watchdog, which tripped meanwhile, protects nothing until it was set again.
         """
         self._to_keep.clear()
-        self.limiter.start_from(np.nan_to_num(self._bus.feedback().positions_deg), time_s)
+        here_deg = self._bus.feedback().positions_deg if self._has_place else self.limiter.sent_deg
+        self.limiter.start_from(np.nan_to_num(here_deg), time_s)
         for index in self._not_off(range(len(self._joints))):
             why_not = "" if self.gate.keep(index) else "lost its torque; not again"
             self.supervision.note_attempt(index, why_not, time_s)
@@ -168,7 +173,8 @@ class ServoGroup:
         """
         heard, near_deg = self._stopping_places()
         self.limiter.start_from(np.where(heard, near_deg, self.limiter.sent_deg), time_s)
-        self._to_stay = ~heard
+        if self._has_place:
+            self._to_stay = ~heard
 
     def stay_on(self, time_s: float) -> Limited:
         """The goals of a frozen face again; those not heard then stop as soon as they are.
@@ -179,8 +185,7 @@ class ServoGroup:
             index = self._to_keep.popleft()
             if self.gate.keep(index):
                 self.supervision.note_attempt(index, "", time_s)
-                here_deg = self._bus.feedback().positions_deg[index]
-                self.limiter.start_one(index, float(here_deg))
+                self._start_here(index)
             else:
                 self._to_keep.append(index)
         if self._to_stay.any():
@@ -191,6 +196,12 @@ class ServoGroup:
         limited = self.limiter.unchanged()
         self.send(limited, time_s)
         return limited
+
+    def _start_here(self, index: int) -> None:
+        """Who holds now goes on from where it stands; where nobody knows, from its last goal."""
+        here_deg = float(self._bus.feedback().positions_deg[index])
+        if math.isfinite(here_deg) or self._has_place:
+            self.limiter.start_one(index, here_deg)
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
         """Who was heard just now, and where each comes to a stand, given where it goes."""
@@ -210,12 +221,13 @@ class ServoGroup:
         self.feedback = feedback = self._bus.feedback()
         self._health = health = self._bus.look_after()
         self.scale = self._heat.scale(feedback, health)
-        self.supervision.check_tracking(goals_deg, feedback)
+        if self._has_place:
+            self.supervision.check_tracking(goals_deg, feedback)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)
         enabled = self.supervision.act(health, time_s, self.gate)
         if enabled is not None:
-            self.limiter.start_one(enabled, float(self._bus.feedback().positions_deg[enabled]))
+            self._start_here(enabled)
 
     def rest(self, time_s: float) -> None:
         """A tick of a face that is limp in a silence: hear how all are, and who has not let go."""
@@ -249,7 +261,7 @@ class ServoGroup:
         """The same for JSON: names and values of `ServoHealth`, None for what was never heard."""
         records = [dict(zip(_HEALTH, row)) for row in zip(*self._health_columns())]  # noqa: B905 - strict costs as much again
         for record in records:
-            for name in ("temperature_degc", "voltage_v"):
+            for name in ("temperature_degc", "load", "voltage_v"):
                 if record[name] != record[name]:
                     record[name] = None
         return records

@@ -1,14 +1,16 @@
 """The one gate to torque: whether a servo may hold; and torque off until each has confirmed."""
 
 from collections.abc import Collection, Mapping, Sequence
+from itertools import compress
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import ServoBus
+from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.joints import Joint
-from firmware_bridge.stopping import StopReport
+from firmware_bridge.stopping import StopReport, let_go_report
 
 #: Why a servo holds no torque that a person switched off.
 SWITCHED_OFF: Final = "switched off by a person"
@@ -80,15 +82,22 @@ class TorqueGate:
         may_keep = not self.dry_run and index not in self._switched_off
         return may_keep and self._bus.keep_torque(index)
 
+    @property
+    def capabilities(self) -> BusCapabilities:
+        """What the servos can do."""
+        return self._bus.capabilities
+
     def disable(self, index: int) -> bool:
-        """Let one servo go limp; whether it confirmed."""
-        return self._bus.disable_torque(index)
+        """Let one servo go limp; whether it confirmed, or cannot."""
+        confirmed = self._bus.disable_torque(index)
+        return confirmed or not self.capabilities.confirmed_limp
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let everybody go limp; who confirmed. In a dry run nothing is written, nobody did."""
+        """Let everybody go limp; who confirmed, or cannot. In a dry run nothing is written."""
         if self.dry_run:
             return np.zeros(self._n_servos, dtype=np.bool_)
-        return self._bus.disable_all()
+        confirmed = self._bus.disable_all()
+        return confirmed if self.capabilities.confirmed_limp else np.ones_like(confirmed)
 
     def reboot(self, index: int) -> None:
         """Restart one servo, which comes back limp, unless nobody may touch it."""
@@ -123,7 +132,10 @@ _LONGEST_S: Final = 2.0
 
 
 class TorqueOff:
-    """Who has confirmed that it is limp. Methods that speak to the servos may raise PortError."""
+    """Who has confirmed that it is limp, or was let go and cannot.
+
+    Methods that speak to the servos may raise PortError.
+    """
 
     def __init__(self, joints: Sequence[Joint], gate: TorqueGate) -> None:
         self._joints = tuple(joints)
@@ -163,14 +175,7 @@ class TorqueOff:
         """What is known now."""
         names = [joint.name for joint in self._joints]
         why = "does not answer" if plugged else "cannot be reached: the port is gone"
-        confirmed = self._confirmed.tolist()
-        return StopReport(
-            confirmed=tuple(n for n, limp in zip(names, confirmed, strict=True) if limp),
-            unconfirmed={
-                n: why
-                for n, limp in zip(names, confirmed, strict=True)
-                if not limp and not self._gate.dry_run
-            },
-            at_rest=at_rest,
-            dry_run=self._gate.dry_run,
-        )
+        let_go, dry_run = compress(names, self._confirmed), self._gate.dry_run
+        left = {} if dry_run else dict.fromkeys(compress(names, ~self._confirmed), why)
+        can = self._gate.capabilities
+        return let_go_report(can, let_go, left, at_rest=at_rest, dry_run=dry_run)

@@ -1,7 +1,7 @@
 """Who holds a serial port or a face's socket, as Linux tells under /proc.
 
-Holding a port means that its file is open and locked, as every lipservo does
-(`firmware_bridge.dynamixel.wire.serial_transport`); a simulator at the other end does not.
+Holding a port means that its file is open and locked, as every kind of bus does; a simulator at the
+other end does not.
 """
 
 import contextlib

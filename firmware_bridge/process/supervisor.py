@@ -13,9 +13,11 @@ import select
 import signal
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from enum import Enum
 from typing import Final
 
+from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.process.child import RestartedChild, WatchedChild
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import (
@@ -42,6 +44,7 @@ from firmware_bridge.stopping import (
     StopLevel,
     StopReport,
     StopRequest,
+    let_go_report,
 )
 
 #: Easing to neutral takes two seconds at most, limp a few packets more.
@@ -68,6 +71,19 @@ class _Phase(Enum):
     STOPPED = "stopped"  # limp, until a person starts the face
 
 
+@dataclass(frozen=True, slots=True)
+class SupervisedServos:
+    """The servos of a face, as far as they matter when no bridge drives them.
+
+    names: by address. make_release: torque off by force, given how long silent servos are asked
+    again, seconds. can: what they can report of it.
+    """
+
+    names: Mapping[int, str]
+    make_release: Callable[[float], TorqueRelease]
+    can: BusCapabilities
+
+
 class Supervisor:
     """Runs bridge and speech, restarts what dies or hangs, and keeps what a person has stopped."""
 
@@ -76,9 +92,8 @@ class Supervisor:
         bridge: WatchedChild,
         speech: WatchedChild,
         control: ControlSocket,
-        make_release: Callable[[float], TorqueRelease],
+        servos: SupervisedServos,
         *,
-        servo_names: Mapping[int, str],
         say: Callable[[str], None],
         notice: ServiceNotice,
         record: StopRecord | None = None,
@@ -88,16 +103,14 @@ class Supervisor:
         Parameters
         ----------
         control : served here while no bridge serves it.
-        make_release : torque off by force, given how long silent servos are asked again, seconds.
-        servo_names : by id.
         say : takes one line for the log.
         record : keeps what must outlive this process, and may hold a stop from before it.
 
         """
         self._bridge, self._speech = RestartedChild(bridge, say), RestartedChild(speech, say)
         self._control = control
-        self._make_release = make_release
-        self._servo_names = dict(servo_names)
+        self._servos = servos
+        self._servo_names = dict(servos.names)
         self._say = say
         self._notice = notice
         self._phase = _Phase.WAITING
@@ -175,7 +188,7 @@ class Supervisor:
             "stopped_by": None if stop is None else stop.requested_by,
             "stop_report": None if report is None else {**report.as_dict(), "at_s": self._at_s},
             "can_start": self._is_kept,
-            "torque_on": None if report is None or not report.complete else False,
+            "torque_on": False if report and report.complete and not report.released else None,
             "troubles": [each for each in (self._port_error, self._start_error) if each],
         }
 
@@ -377,7 +390,7 @@ class Supervisor:
         self._last_status = status
         if status == ExitStatus.ENDED_WELL:
             self._comes_back = False
-            self._conclude(StopReport(tuple(self._servo_names.values())), status)
+            self._conclude(let_go_report(self._servos.can, self._servo_names.values(), {}), status)
             return
         self._bridge.note_end(status, now_s)
         if self._comes_back and status > 0 and not self._is_ending:
@@ -397,7 +410,7 @@ class Supervisor:
 
     def _begin_release(self, now_s: float) -> None:
         self._phase = _Phase.RELEASING
-        self._release = self._make_release(_SERVO_TIMEOUT_S if self._is_ending else 0.0)
+        self._release = self._servos.make_release(_SERVO_TIMEOUT_S if self._is_ending else 0.0)
         self._release_s = now_s
 
     def _drop_release(self) -> None:
@@ -435,12 +448,12 @@ class Supervisor:
         self._port_error = ""
         self._drop_release()
         names = self._servo_names
-        confirmed = tuple(names[each] for each in release.confirmed)
+        let_go = [names[each] for each in (*release.confirmed, *release.released)]
         unconfirmed = {names[each]: why for each, why in release.unconfirmed.items()}
         status: int = ExitStatus.UNCONFIRMED if unconfirmed else ExitStatus.ENDED_WELL
         if not self._is_ending and self._last_status != ExitStatus.UNCONFIRMED:
             status = self._last_status
-        report = StopReport(confirmed, unconfirmed)
+        report = let_go_report(self._servos.can, let_go, unconfirmed)
         self._say(report.line())
         if self._is_ending or not self._may_restart():
             self._conclude(report, status)

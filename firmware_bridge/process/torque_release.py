@@ -1,46 +1,44 @@
 """Torque off where no bridge runs any more: open the port and let every joint go limp."""
 
 import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from typing import Final
 
-from firmware_bridge.dynamixel.control_table import register
-from firmware_bridge.dynamixel.wire import codec
-from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, MAX_ID
-from firmware_bridge.dynamixel.wire.line import Line, Transport
+from firmware_bridge.bus_kinds import NOT_SEEN, PortRelease
 from firmware_bridge.errors import BusError, PortError
 
-_TORQUE, _WATCHDOG = register("torque_enable").address, register("bus_watchdog").address
-_LEVEL = register("status_return_level").address
-#: A packet that nobody answers is said this often; each servo is asked this often at least.
+#: Each servo is asked this often at least.
 _REPEATS: Final = 3
 _RETRY_S: Final = 0.05
-_NOT_SEEN: Final = "did not answer"
-_STILL_ON: Final = "kept its torque"
 
 
 class TorqueRelease:
     """Torque off by force, one small step a call, so that a loop can go on meanwhile.
 
-    confirmed: the ids that were read limp; unconfirmed: why the others were not; port_error: why
-    the port cannot be opened just now, empty once it is.
+    confirmed: the servos that were read limp, by address; released: those that were told and cannot
+    say it; unconfirmed: why the others were not; port_error: why the port cannot be opened just
+    now, empty once it is.
     """
 
     def __init__(
         self,
-        open_transport: Callable[[], Transport],
-        ids: Sequence[int],
+        open_port: Callable[[], PortRelease],
+        addresses: Sequence[int],
         *,
         timeout_s: float = 0.0,
+        searches: bool = False,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        """timeout_s: how long servos are asked again that do not answer; three times at least."""
-        self._open_transport = open_transport
-        self._ids = tuple(ids)
+        """timeout_s: how long servos are asked again that do not answer; three times at least.
+
+        searches: whoever else is found at the port is asked, too.
+        """
+        self._open_port = open_port
+        self._addresses = tuple(addresses)
         self._timeout_s = timeout_s
+        self._searches = searches
         self._now_s = now_s
-        self._line: Line | None = None
+        self._port: PortRelease | None = None
         self._opened_s = 0.0
         self._left: list[int] = []
         self._n_rounds = 0
@@ -48,24 +46,25 @@ class TorqueRelease:
         self.done = False
         self.port_error = ""
         self.confirmed: list[int] = []
-        self.unconfirmed: dict[int, str] = dict.fromkeys(self._ids, _NOT_SEEN)
+        self.released: list[int] = []
+        self.unconfirmed: dict[int, str] = dict.fromkeys(self._addresses, NOT_SEEN)
 
     @property
     def is_open(self) -> bool:
         """Whether the servos have been told."""
-        return self._line is not None
+        return self._port is not None
 
     def step(self) -> bool:
         """Open the port, or tell all, or ask one; whether it is over. Never raises BusError."""
         if self.done:
             return True
         try:
-            if self._line is None:
+            if self._port is None:
                 self._open()
             elif self._left:
-                self._ask(self._line, self._left.pop(0))
+                self._ask(self._port, self._left.pop(0))
             else:
-                self._next_round(self._line)
+                self._next_round(self._port)
         except BusError as error:
             self.close()
             self.port_error = str(error)
@@ -74,23 +73,28 @@ class TorqueRelease:
 
     def close(self) -> None:
         """Give the port back."""
-        if self._line is not None:
-            self._line.transport.close()
-            self._line = None
+        if self._port is not None:
+            self._port.close()
+            self._port = None
 
     def _open(self) -> None:
-        transport = self._open_transport()
-        self._line = Line(transport)
+        port = self._port = self._open_port()
         self.port_error = ""
         self._opened_s = self._now_s()
         self._n_rounds = 0
         self.confirmed = []
-        self.unconfirmed = dict.fromkeys(self._ids, _NOT_SEEN)
-        tell_all_limp(self._line, self._ids)
+        asked: Sequence[int] = self._addresses
+        if self._searches:
+            asked = port.find(asked)
+        else:
+            port.tell_all(asked)
+        self.unconfirmed = dict.fromkeys(asked, NOT_SEEN)
+        if not port.confirms:
+            self.released, self.unconfirmed = list(asked), {}
 
-    def _next_round(self, line: Line) -> None:
+    def _next_round(self, port: PortRelease) -> None:
         if self._n_rounds:
-            tell_all_limp(line, list(self.unconfirmed))
+            port.tell_all(list(self.unconfirmed))
         waited_s = self._now_s() - self._opened_s
         enough = self._n_rounds >= _REPEATS and waited_s >= self._timeout_s
         if not self.unconfirmed or enough:
@@ -100,94 +104,31 @@ class TorqueRelease:
         self._left = list(self.unconfirmed)
         self._n_rounds += 1
 
-    def _ask(self, line: Line, servo_id: int) -> None:
-        why = ask_whether_limp(line, servo_id)
+    def _ask(self, port: PortRelease, address: int) -> None:
+        why = port.ask(address)
         if why:
-            self.unconfirmed[servo_id] = why
+            self.unconfirmed[address] = why
         else:
-            del self.unconfirmed[servo_id]
-            self.confirmed.append(servo_id)
-
-
-def tell_all_limp(line: Line, ids: Sequence[int]) -> None:
-    """Torque off to everybody, again and again; a tripped watchdog is cleared in between.
-
-    Whoever was told not to answer, answers from now on.
-    """
-    everybody = codec.write(BROADCAST_ID, _TORQUE, b"\0")
-    listed = codec.sync_write(_TORQUE, 1, [(each, b"\0") for each in ids]) if ids else everybody
-    for _ in range(_REPEATS):
-        line.tell(listed)
-    line.tell(codec.write(BROADCAST_ID, _WATCHDOG, b"\0"))
-    line.tell(everybody)
-    line.tell(codec.write(BROADCAST_ID, _LEVEL, b"\2"))
-
-
-def ask_whether_limp(line: Line, servo_id: int) -> str:
-    """Empty when the servo says that its torque is off; else why not, and it is told once more."""
-    status = line.read(servo_id, _TORQUE, 1)
-    if status is not None and status.data == b"\0":
-        return ""
-    line.write(servo_id, _TORQUE, b"\0")
-    return _NOT_SEEN if status is None else _STILL_ON
-
-
-@dataclass(frozen=True, slots=True)
-class Released:
-    """Which servos of one port are limp, and which are not, with the reason."""
-
-    confirmed: list[int] = field(default_factory=list)
-    unconfirmed: Mapping[int, str] = field(default_factory=dict)
+            del self.unconfirmed[address]
+            self.confirmed.append(address)
 
 
 def release_port(
-    open_transport: Callable[[int], Transport],
-    rates: Sequence[int],
-    ids: Sequence[int] = (),
+    open_port: Callable[[], PortRelease],
+    addresses: Sequence[int] = (),
     *,
     timeout_s: float = 0.0,
-) -> Released:
-    """Torque off at a port: everybody is told at every rate, whoever is found is asked.
+) -> TorqueRelease:
+    """Torque off at a port: everybody there is told, whoever is found is asked.
 
-    ids: must be found, at the first rate. A chain has one rate: the others are not searched once
-    servos were found. Waits up to `timeout_s` for the port. Raises PortError when it cannot be
-    opened.
+    addresses: must be found. Waits up to `timeout_s` for the port. Raises PortError when it cannot
+    be opened.
     """
-    transport = _opened(open_transport, rates[0], timeout_s)
-    try:
-        line = Line(transport)
-        for rate in dict.fromkeys(rates):
-            line.baud_rate = rate
-            tell_all_limp(line, ids)
-            line.ping(MAX_ID)  # until its time is over the packets before are on the wire
-        for rate in dict.fromkeys(rates):
-            line.baud_rate = rate
-            found = {status.servo_id for status in line.ping_all()}
-            asked = sorted(found | set(ids))
-            if found or ids:
-                break
-        left = {each: why for each in asked if (why := _asked_often(line, each))}
-    finally:
-        transport.close()
-    return Released([each for each in asked if each not in left], left)
-
-
-def _asked_often(line: Line, servo_id: int) -> str:
-    """Empty as soon as the servo says that it is limp; else why not."""
-    why = _NOT_SEEN
-    for _ in range(_REPEATS):
-        why = ask_whether_limp(line, servo_id)
-        if not why:
-            break
-    return why
-
-
-def _opened(open_transport: Callable[[int], Transport], rate: int, timeout_s: float) -> Transport:
+    release = TorqueRelease(open_port, addresses, searches=True)
     give_up_s = time.monotonic() + timeout_s
-    while True:
-        try:
-            return open_transport(rate)
-        except PortError:
-            if time.monotonic() >= give_up_s:
-                raise
+    while not release.step():
+        if release.port_error and time.monotonic() >= give_up_s:
+            raise PortError(release.port_error)
+        if release.port_error:
             time.sleep(_RETRY_S)
+    return release

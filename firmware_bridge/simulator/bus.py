@@ -3,14 +3,14 @@
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import Array, BusCapabilities, Feedback, Health, Readings
+from firmware_bridge.bus import GOAL_OUT_OF_RANGE, Array, Feedback, Health, Readings
+from firmware_bridge.capabilities import IN_MEMORY, BusCapabilities
 from firmware_bridge.clock import Clock
-from firmware_bridge.dynamixel.wire.codec import StatusError
 from firmware_bridge.errors import PortError
 from firmware_bridge.joints import SERVO_LIMIT_MARGIN_DEG, Joint
 
@@ -35,19 +35,11 @@ class SimulatedBus:
     the error until the next goal they take), take goals while limp, stay where they are when
     torque goes off, and run to the last goal they were given when it comes on.
 
+    With fewer capabilities they move the same, and say less: a bus of hobby servos, for one.
+
     Not simulated: acceleration, load, gravity, backlash, encoder steps, current, temperature,
     supply voltage, time on the wire, lost or damaged packets, a servo falling out.
     """
-
-    capabilities: Final = BusCapabilities(
-        place=True,
-        load=False,
-        heat=False,
-        watchdog=False,
-        confirmed_limp=True,
-        hold=True,
-        profile=False,
-    )
 
     def __init__(
         self,
@@ -57,13 +49,20 @@ class SimulatedBus:
         start_deg: Array | None = None,
         top_speed_deg_s: float = XL330_TOP_SPEED_DEG_S,
         n_remembered: int = 20_000,
+        capabilities: BusCapabilities = IN_MEMORY,
     ) -> None:
         """Servos standing limp at `start_deg`, (n_servos,), or in neutral.
+
+        capabilities: what they cannot do they report as NaN, and as not confirmed.
 
         The newest `n_remembered` writes stay in `history`: by default more than ten minutes at
         30 Hz, and 7 MB with ten servos.
         """
         n_servos = len(joints)
+        self.capabilities = capabilities
+        self._nothing = np.zeros(n_servos)
+        self._unknown = np.full(n_servos, np.nan)
+        self._effort = self._nothing if capabilities.load else self._unknown
         self._clock = clock
         self._min_deg = np.array([joint.min_deg for joint in joints]) - SERVO_LIMIT_MARGIN_DEG
         self._max_deg = np.array([joint.max_deg for joint in joints]) + SERVO_LIMIT_MARGIN_DEG
@@ -90,7 +89,7 @@ class SimulatedBus:
         self._move()
         taken = (self._min_deg <= positions_deg) & (positions_deg <= self._max_deg)
         self._goals_deg = np.where(taken, positions_deg, self._goals_deg)
-        self._errors = np.where(taken, 0, StatusError.DATA_LIMIT).astype(np.uint8)
+        self._errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
 
     def read(self) -> Readings:
@@ -98,7 +97,7 @@ class SimulatedBus:
         self._move()
         return Readings(
             time_s=self._moved_until_s,
-            positions_deg=self._positions_deg,
+            positions_deg=self._places_deg,
             goals_deg=self._goals_deg,
             torque_on=self._torque_on,
             errors=self._errors,
@@ -108,8 +107,8 @@ class SimulatedBus:
     def feedback(self) -> Feedback:
         """Every servo, at the clock's present time; no effort is simulated."""
         self._move()
-        nothing = np.zeros(self._goals_deg.shape)
-        return Feedback(self._moved_until_s, self._positions_deg, nothing, self._errors, nothing)
+        now_s, places_deg, errors = self._moved_until_s, self._places_deg, self._errors
+        return Feedback(now_s, places_deg, self._effort, errors, self._nothing)
 
     def remarks(self) -> Sequence[str]:
         """Nothing is unusual here."""
@@ -117,18 +116,17 @@ class SimulatedBus:
 
     def look_after(self) -> Health:
         """These servos are always well."""
-        n_servos = len(self._goals_deg)
-        nothing = np.zeros(n_servos)
+        n_servos, can, unknown = len(self._goals_deg), self.capabilities, self._unknown
         return Health(
-            silent_s=nothing,
+            silent_s=self._nothing,
             torque_on=self._torque_on,
             watchdog_tripped=np.zeros(n_servos, dtype=np.bool_),
             hardware_errors=np.zeros(n_servos, dtype=np.uint8),
-            temperature_degc=np.full(n_servos, 25.0),
-            room_degc=np.full(n_servos, 45.0),
-            voltage_v=np.full(n_servos, 5.0),
-            effort=nothing,
-            current_ma=nothing,
+            temperature_degc=np.full(n_servos, 25.0) if can.heat else unknown,
+            room_degc=np.full(n_servos, 45.0 if can.heat else np.inf),
+            voltage_v=np.full(n_servos, 5.0) if can.voltage else unknown,
+            effort=self._effort,
+            current_ma=self._effort,
             n_unanswered=np.zeros(n_servos, dtype=np.int64),
         )
 
@@ -165,13 +163,13 @@ class SimulatedBus:
         """Let one servo go limp."""
         self._move()
         self._set_torque_of(index, on=False)
-        return True
+        return self.capabilities.confirmed_limp
 
     def disable_all(self) -> NDArray[np.bool_]:
         """Let every servo go limp."""
         self._move()
         self._torque_on = np.zeros(self._goals_deg.shape, dtype=np.bool_)
-        return ~self._torque_on
+        return np.full(self._goals_deg.shape, self.capabilities.confirmed_limp)
 
     def reboot(self, index: int) -> None:
         """Restart: limp."""
@@ -179,6 +177,11 @@ class SimulatedBus:
 
     def reopen(self) -> None:
         """Memory is never unplugged."""
+
+    @property
+    def _places_deg(self) -> Array:
+        """As far as they say where they stand."""
+        return self._positions_deg if self.capabilities.place else self._unknown
 
     def _set_torque_of(self, index: int, *, on: bool) -> None:
         self._torque_on = self._torque_on.copy()

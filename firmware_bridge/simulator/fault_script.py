@@ -44,11 +44,13 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def read_faults(text: str, n_servos: int) -> tuple[int, tuple[Fault, ...]]:
-    """Seed and faults of a script for a chain of `n_servos`.
+def read_faults(text: str | None, n_servos: int) -> tuple[int, tuple[Fault, ...]]:
+    """Seed and faults of a script for a chain of `n_servos`; None: none.
 
     Raises FaultScriptError for whatever is not allowed in it.
     """
+    if text is None:
+        return 0, ()
     content = _load(text)
     if not isinstance(content, dict) or set(content) - {"seed", "faults"}:
         raise FaultScriptError("a fault script needs `faults: [...]` and may have `seed: <number>`")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from calibration.calibration import CalibrationError
 from calibration.fit.procedure import Procedure
 from calibration.mouth_servos import JointRange, MouthServos
 from firmware_bridge.clock import MonotonicClock
@@ -51,7 +52,7 @@ class CalibrationSetup:
         return MouthServos(
             joints=tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in mouth.items()),
             face_checksum=self.settings.checksum,
-            models=tuple(servo.model for servo in mouth.values()),
+            models=tuple(servo.make or "" for servo in mouth.values()),
             positive=tuple(self._word(servo.positive) for servo in mouth.values()),
             rules=mouth_rules(self.settings),
         )
@@ -79,9 +80,19 @@ def today() -> str:
     return datetime.date.today().isoformat()
 
 
+def check_places(settings: FaceSettings) -> None:
+    """Raises CalibrationError where servos cannot say where they stand."""
+    if not settings.capabilities.place:
+        raise CalibrationError(
+            f"{settings.name}: servos on a {settings.bus.kind} bus cannot say where they stand, "
+            "which this way of calibrating measures"
+        )
+
+
 @contextmanager
 def held_servos(setup: CalibrationSetup) -> Iterator[HeldFace]:
     """The face's own servos, in neutral and held until the block ends."""
+    check_places(setup.settings)
     clock = MonotonicClock()
     with ExitStack() as stack:
         bus = stack.enter_context(bus_for(setup.settings, clock))

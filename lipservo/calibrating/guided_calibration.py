@@ -39,7 +39,7 @@ def calibrate_by_eye(setup: CalibrationSetup) -> CalibrationResult:
     Raises CalibrationError for too few poses.
     """
     model, joints = setup.model, setup.servos.joints
-    if setup.settings.bus.kind == "simulated":
+    if setup.settings.capabilities.in_memory:
         markers_of = markers_of_face(model.markers_mm(model.rest[None])[0], setup.servos)
 
         def drawn(positions_deg: Array) -> Array:

@@ -34,7 +34,6 @@ from calibration.simulated.practice_robot import (
 from calibration.simulated.robot import SENSOR_NOISE_MM, SimulatedRobot
 from calibration.simulated.robot_family import RobotFamily
 from calibration.simulated.servos import SimulatedServos
-from firmware_bridge.dynamixel.control_table import servo_models
 from lipservo.calibrating.calibration_setup import (
     CalibrationSetup,
     held_servos,
@@ -138,7 +137,7 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
     """
     names = setup.servos.names
     check_calibration(calibration, setup.model, names, setup.settings.checksum)
-    if setup.settings.bus.kind == "simulated":
+    if setup.settings.capabilities.in_memory:
         bus, clock = simulated_wire(setup.settings)
         with bus, HeldFace(setup.settings, bus, clock) as face:
             following = _measured_following(setup, face, calibration)
@@ -264,12 +263,8 @@ def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
 
     effort: (n_servos,), of the mouth, in stall torques.
     """
-    models = servo_models()
     for (name, servo), share in zip(setup.settings.mouth_servos.items(), effort, strict=True):
-        model = models[servo.model]
-        if servo.max_current_ma is None or not model.measures_current:
-            continue
-        if share * model.stall_a * 1e3 >= _STRAINED * servo.max_current_ma:
+        if servo.strain(share) >= _STRAINED:
             _say(f"{name} draws its max_current_ma: lips are closed no farther than this")
             return name
     return None
@@ -293,7 +288,7 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
     fitted = CalibrationResult(
         fit_calibration(setup.model, servos.joints, servos.face_checksum, rules=servos.rules)
     )
-    if not setup.lags or setup.settings.bus.kind != "simulated":
+    if not (setup.lags and setup.settings.capabilities.in_memory):
         return fitted
     bus, clock = simulated_wire(setup.settings)
     with bus, HeldFace(setup.settings, bus, clock) as face:

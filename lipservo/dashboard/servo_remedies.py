@@ -73,18 +73,23 @@ def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dic
 
     Nothing is reported better than it is: what was never heard is null, and of a face that does not
     answer nothing is known but what its servos are called. While a person has stopped the face, a
-    servo is `limp` or `unconfirmed`, as it said at the stop.
+    servo is `limp` or `unconfirmed`, as it said at the stop, or `released` where it cannot say.
     """
     status = status or {}
     report = (status.get("stop_report") or {}) if is_fresh and is_stopped(status) else {}
     unconfirmed: Mapping[str, str] = report.get("unconfirmed") or {}
     at_stop = dict.fromkeys(report.get("confirmed") or (), "limp")
     at_stop |= dict.fromkeys(unconfirmed, "unconfirmed")
+    at_stop |= dict.fromkeys(report.get("released") or (), "released")
+    words = str(report.get("released_words"))
+    has_heat = bool((status.get("capabilities") or {}).get("heat", True))
     health = {str(each["name"]): each for each in status.get("health") or ()}
     states: Mapping[str, str] = status.get("servos") or {}
     return [
         _told(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
+        | _heard(health.get(name, {}), states.get(name, ""), is_fresh=is_fresh, has_heat=has_heat)
         | _doubt(unconfirmed.get(name))
+        | (_released(words) if at_stop.get(name) == "released" else {})
         for name in dict.fromkeys([*states, *health, *at_stop])
     ]
 
@@ -102,6 +107,23 @@ def _doubt(why: str | None) -> dict[str, Any]:
     return {"trouble": {"meaning": meaning.format(why=why), "remedy": remedy}}
 
 
+def _released(words: str) -> dict[str, Any]:
+    remedy = "nobody knows more than that: switch the servos' power off before you touch them"
+    return {"trouble": {"meaning": words, "remedy": remedy}}
+
+
+def _heard(
+    health: Mapping[str, Any], state: str, *, is_fresh: bool, has_heat: bool
+) -> dict[str, Any]:
+    """heard: whether anything came from it; a bus without a way back hears of none, and asks none.
+
+    answers: and it does now.
+    """
+    heard = is_fresh and bool(health)
+    heard = heard and (health.get("temperature_degc") is not None or not has_heat)
+    return {"heard": heard, "answers": heard and str(health.get("state") or state) != "waiting"}
+
+
 _FIGURES: Final = (
     "temperature_degc", "load", "voltage_v", "current_ma", "n_reboots", "n_unanswered", "torque_on",
 )  # fmt: skip
@@ -117,7 +139,6 @@ def _told(
         "name": name,
         "servo_id": health.get("servo_id"),
         "state": state,
-        "answers": heard.get("temperature_degc") is not None and state != "waiting",
         **{figure: heard.get(figure) for figure in _FIGURES},
         "hardware_errors": bits,
         "errors": error_words(bits),

@@ -15,7 +15,6 @@ from firmware_bridge.loop.bridge import face_status
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.process.log_lines import LogLines
-from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.stopping import StopReport
 from lipservo.runtime.face_speech import FaceSpeech
 from lipservo.runtime.requested_face import RequestedFace
@@ -77,7 +76,7 @@ def run_face(
             requested,
             source,
             channel,
-            has_soft_start=not isinstance(bus, SimulatedBus),
+            soft_start_s=bus.capabilities.soft_start_s,
             board=board if is_live else None,
             timer_s=time.perf_counter if is_live else None,
             synthesizer=synthesizer,
@@ -88,7 +87,7 @@ def run_face(
         street = Street(speech.side, bridge, requested.face.model.rest)
         delay = street.speech.delay
         if not request.quiet:
-            if requested.settings.bus.kind == "simulated":
+            if bus.capabilities.in_memory:
                 say_simulated()
             MESSAGES.print(str(request.motion), soft_wrap=True)
             MESSAGES.print(f"delay from sound to face: {delay}")

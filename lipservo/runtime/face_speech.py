@@ -35,7 +35,7 @@ class FaceSpeech:
         source: AudioSource,
         channel: TargetChannel,
         *,
-        has_soft_start: bool,
+        soft_start_s: float,
         board: LiveBoard | None = None,
         timer_s: Callable[[], float] | None = None,
         synthesizer: Synthesizer | None = None,
@@ -59,7 +59,7 @@ class FaceSpeech:
             self.recognizer,
             synthesizer,
             channel,
-            has_soft_start=has_soft_start,
+            soft_start_s=soft_start_s,
             is_watchable=board is not None,
             board=board,
         )

@@ -4,18 +4,20 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
+from firmware_bridge.errors import BusError
 from firmware_bridge.loop.report import TickReport
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
 from firmware_bridge.process.log_lines import LogLines
 from firmware_bridge.stop_signals import SignalCounter
-from firmware_bridge.stopping import StopRequest
+from firmware_bridge.stopping import ExitStatus, StopRequest
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest, request_json
 from lipservo.runtime.status.face_status import Status, whole_status
@@ -26,6 +28,8 @@ from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
+    from firmware_bridge.loop.bridge import Bridge
+    from firmware_bridge.loop.life_cycle import LifeCycle
     from firmware_bridge.process.supervisor import Supervisor
 
 #: The speech side says so often how it is.
@@ -62,8 +66,9 @@ def run_bridge_process(
     bridge that died before this one. given_up: servos that stay limp, by index, and why.
     """
     from firmware_bridge.clock import MonotonicClock
+    from firmware_bridge.loop.bridge import face_status
+    from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
     from firmware_bridge.loop.targets import SocketTargetChannel
-    from firmware_bridge.process.bridge_process import run_bridge
     from lipservo.health.health_log import health_log
     from lipservo.runtime.servos.assembly import bridge_for, bus_for
 
@@ -99,7 +104,7 @@ def run_bridge_process(
             switched_off=switched_off,
         )
         for index, reason in given_up.items():
-            say(f"stays limp: {settings.joints()[index].name}: {reason}")
+            say(f"stays {bridge.capabilities.released_words}: {bridge.names[index]}: {reason}")
         healths = health_log(settings.name, request.port, lines, os.environ)
         if healths is not None:
             stack.enter_context(healths)
@@ -113,16 +118,43 @@ def run_bridge_process(
                 servos(report)
                 trace.observe(report)
 
-        return run_bridge(
-            bus,
-            bridge,
-            control=listener,
-            lifeline=handed.lifeline,
-            stopped=stopped,
-            log=say,
-            on_health=None if healths is None else healths.offer,
-            on_tick=on_tick,
+        if handed.lifeline.closed:
+            return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
+        on_health = None if healths is None else healths.offer
+        links = LifeCycleLinks(
+            listener, handed.lifeline, say, partial(face_status, bridge), on_health
         )
+        life = LifeCycle(bridge, MonotonicClock(), links, stopped=stopped)
+        try:
+            with bus, life:
+                _drive(bridge, life, handed.lifeline, on_tick)
+        except BusError as error:
+            if not bridge.failure:
+                handed.lifeline.not_started(" ".join(str(error).split()))
+                raise
+            say(str(error))
+            return ExitStatus.CRITICAL_SERVO_FAILED
+    assert life.report is not None
+    return ExitStatus.ENDED_WELL if life.report.complete else ExitStatus.UNCONFIRMED
+
+
+def _drive(
+    bridge: "Bridge",
+    life: "LifeCycle",
+    lifeline: Lifeline,
+    on_tick: Callable[[TickReport], None],
+) -> None:
+    """Arm, and tick on the grid until told to stop, by a signal or the control socket."""
+    from firmware_bridge.process.operating_system import run_on_time
+
+    life.start()
+    run_on_time()
+    began = False
+    for time_s, late in life.ticks():
+        on_tick(bridge.tick(time_s, late))
+        if not began and bridge.settled:
+            began = True
+            lifeline.ready()
 
 
 def run_speech_process(
@@ -157,7 +189,7 @@ def run_speech_process(
             requested,
             source,
             SocketTargetChannel(end),
-            has_soft_start=True,
+            soft_start_s=requested.settings.capabilities.soft_start_s,
             board=live,
             timer_s=time.perf_counter,
         )
@@ -209,10 +241,10 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     from firmware_bridge.process.child import Child, HeartbeatTimeouts
     from firmware_bridge.process.operating_system import ServiceNotice
     from firmware_bridge.process.stop_record import StopRecord
-    from firmware_bridge.process.supervisor import Supervisor
+    from firmware_bridge.process.supervisor import SupervisedServos, Supervisor
     from firmware_bridge.process.torque_release import TorqueRelease
     from lipservo.health.health_log import stop_record_path
-    from lipservo.runtime.servos.assembly import check_servos, port_opener
+    from lipservo.runtime.servos.assembly import check_servos
     from lipservo.runtime.sound import check_sound
     from lipservo.runtime.speech.expression import check_expression
     from lipservo.traces.trace_file import is_trace
@@ -226,15 +258,17 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     check_sound(request)
     request = requested.with_resolved_avatars()
     check_expression(settings, face.folder)
-    opener = port_opener(port, settings.bus.baud_rate)
+    opener = settings.bus_kind.port_release(port, settings.wiring)
     opener().close()  # one that another face holds is refused before anything is started
     check_servos(face)
     servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
-    about = requested.about
+    about, can = requested.about, settings.capabilities
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
         say = no_log if request.quiet else stack.enter_context(LogLines())
         say(str(request.motion))
+        for line in can.warnings():
+            say(line)
         board = stack.enter_context(StatusBoard.create())
         live = stack.enter_context(requested.live_board())
         path, commands = requested.control_path, requested.commands(board.add_settings)
@@ -250,7 +284,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
         stack.callback(record.close)
         board.write_stopped(is_stopped=record.stopped is not None)
         if record.stopped is not None:
-            say(f"starts limp, and `lipservo start` drives it: {record.why}")
+            say(f"starts {can.released_words}, and `lipservo start` drives it: {record.why}")
         writer, reader = channel_pair()
         command = [sys.executable, "-m", "lipservo"]
         shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
@@ -275,8 +309,11 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
                 HeartbeatTimeouts(60.0, 3.0),
             ),
             listener,
-            lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
-            servo_names=servo_names,
+            SupervisedServos(
+                servo_names,
+                lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
+                can,
+            ),
             say=say,
             notice=ServiceNotice(say),
             record=record,

@@ -8,7 +8,7 @@ from pathlib import Path
 from firmware_bridge.process.commands import CommandQueue, Setting
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.runtime.run_request import RunRequest, about_run
-from lipservo.runtime.servos.assembly import Face, assembled_face, load_settings, settings_at_port
+from lipservo.runtime.servos.assembly import Face, assembled_face, load_settings
 from lipservo.runtime.speech.expression import expression_settings
 from lipservo.runtime.status.face_status import Status
 from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
@@ -23,9 +23,7 @@ class RequestedFace:
         """Raises SettingsError."""
         settings, self._folder = load_settings(request.config)
         self.request = request
-        self.settings = (
-            settings if request.port is None else settings_at_port(settings, request.port)
-        )
+        self.settings = settings if request.port is None else settings.at_port(request.port)
         self.rate_hz = request.rate_hz or settings.rate_hz
         self.control_path: Path = request.control or socket_path(settings.name)
 

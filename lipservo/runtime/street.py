@@ -6,7 +6,6 @@ Live running and `replay` share it; they differ in the clock and in who watches.
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.targets import MemoryTargetChannel
-from firmware_bridge.simulator.bus import SimulatedBus
 from lipservo.runtime.servos.assembly import Face, bridge_for
 from lipservo.runtime.speech.speech import Speech, SpeechOptions
 from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side, mouth_plan
@@ -61,14 +60,13 @@ def make_street(
 ) -> Street:
     """Everything between an entered source and an entered bus, with a recogniser in it."""
     channel = MemoryTargetChannel()
-    has_soft_start = not isinstance(bus, SimulatedBus)
     side = make_speech_side(
         face,
         source,
         recognizer,
         synthesizer,
         channel,
-        has_soft_start=has_soft_start,
+        soft_start_s=bus.capabilities.soft_start_s,
     )
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz)
     return Street(side, bridge, face.model.rest)

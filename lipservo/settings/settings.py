@@ -4,120 +4,55 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
+from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import (
+    ConfigDict,
+    ModelWrapValidatorHandler,
     ValidationError,
+    create_model,
     field_validator,
     model_validator,
 )
 
-from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.bus_kinds import BusKind, UnknownBusError, Wiring, bus_kind
+from firmware_bridge.bus_settings import BusServo, BusSettings, Strict, Text, within
+from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.joints import Joint
 from lipservo.settings.sections import (
-    Acceleration,
     AccessSettings,
     AvatarSettings,
-    BaudRate,
     CalibrationName,
-    Degrees,
     ExpressionSettings,
     JointName,
-    Milliamperes,
     MotionSettings,
     PreventSettings,
     RateHz,
     ServoExpression,
-    ServoId,
-    Sign,
     SoundSettings,
-    Speed,
     StaleSettings,
-    Strict,
-    Text,
     TrackingSettings,
-    within,
 )
 from lipservo.settings.strict_yaml import SettingsError, explain, read_mapping
+from lipsync.errors import shown
 
 _CALIBRATION_SUFFIX = ".calibration.yaml"
 
 
-ServoModel = Literal[
-    "XL330-M077",
-    "XL330-M288",
-    "XC330-M288",
-    "XC330-T288",
-    "XL430-W250",
-    "XM430-W210",
-    "XM430-W350",
-]
+class ServoSettings(BusServo):
+    """One servo and the joint it drives, with the keys of its kind of bus (`face_schema`).
 
-
-class BusSettings(Strict):
-    """How the servos are reached: in memory, or through a serial port."""
-
-    kind: Literal["simulated", "dynamixel"] = "simulated"
-    port: Text | None = None
-    baud_rate: BaudRate = 1_000_000
-    backend: Literal["own", "dynamixel-sdk"] = "own"
-
-    @model_validator(mode="after")
-    def _real_servos_have_a_port(self) -> Self:
-        if self.kind == "dynamixel" and self.port is None:
-            raise ValueError("needs `port:`, /dev/serial/by-id/... or /dev/ttyUSB0 for one")
-        return self
-
-
-class ServoSettings(Strict):
-    """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.
-
-    `positive` says in a word what a positive angle does. The servo's own angle is
-    sign x (joint angle + zero_offset_deg). critical: without this servo the whole face stops.
-    max_current_ma: the servo never pulls harder; only models that measure current.
+    critical: without this servo the whole face stops.
     """
 
-    id: ServoId
-    model: ServoModel
-    positive: Text
-    min_deg: Degrees
-    max_deg: Degrees
-    max_speed_deg_s: Speed
-    sign: Sign = 1
-    zero_offset_deg: Degrees = 0.0
-    max_acceleration_deg_s2: Acceleration | None = None
-    max_current_ma: Milliamperes | None = None
     critical: bool = False
     #: What it moves; only the mouth is calibrated to a speaker.
     part: Literal["mouth", "neck", "eyes", "lids", "brows"] = "mouth"
     expression: ServoExpression | None = None
-
-    @model_validator(mode="after")
-    def _neutral_is_within_reach(self) -> Self:
-        if not self.min_deg <= 0.0 <= self.max_deg:
-            raise ValueError(
-                f"needs min_deg <= 0 <= max_deg, got {self.min_deg:g} and {self.max_deg:g}"
-            )
-        return self
-
-    @model_validator(mode="after")
-    def _the_servo_can_do_it(self) -> Self:
-        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
-            servo_deg = self.sign * (angle + self.zero_offset_deg)
-            if not -180.0 <= servo_deg < 180.0:
-                raise ValueError(
-                    f"{name} puts the servo at {servo_deg:g} deg; it reaches -180..180"
-                )
-        fastest = servo_models()[self.model].no_load_deg_s
-        if self.max_speed_deg_s > fastest:
-            raise ValueError(
-                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than an {self.model} makes "
-                f"without load, {fastest:g}"
-            )
-        return self
 
     @model_validator(mode="after")
     def _a_mouth_only_smiles(self) -> Self:
@@ -126,24 +61,29 @@ class ServoSettings(Strict):
             raise ValueError(f"expression.of {shown} needs another `part:`; a mouth may smile")
         return self
 
-    @model_validator(mode="after")
-    def _the_servo_can_limit_its_current(self) -> Self:
-        model = servo_models()[self.model]
-        if self.max_current_ma is None:
-            return self
-        if model.current_unit_ma is None:
-            raise ValueError(f"max_current_ma: an {self.model} does not measure current")
-        most_ma = model.defaults["current_limit"] * model.current_unit_ma
-        if self.max_current_ma > most_ma:
-            raise ValueError(
-                f"max_current_ma {self.max_current_ma:g} is more than an {self.model} takes, "
-                f"{most_ma:g}"
-            )
-        return self
+
+class _UnknownBus(BusSettings):
+    """`bus:` of a kind that is not installed: its other keys cannot be judged."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    @field_validator("kind", mode="before")
+    @classmethod
+    def _is_not_known(cls, kind: object) -> object:
+        if not isinstance(kind, str):
+            raise ValueError(f"{shown(kind)} is not text")
+        try:
+            return bus_kind(kind).name
+        except UnknownBusError as error:
+            raise ValueError(str(error)) from error
 
 
 class FaceSettings(Strict):
-    """A whole face. The order of `servos` is the order of positions everywhere."""
+    """A whole face. The order of `servos` is the order of positions everywhere.
+
+    Which keys `bus` and its servos have is said by the kind of the bus: `face_schema`, which
+    `model_validate` goes by.
+    """
 
     name: Text
     rate_hz: RateHz
@@ -162,6 +102,19 @@ class FaceSettings(Strict):
     start_after_power_cut: bool = False
     #: Between the outer corners of the robot's eyes: what gives a photograph its scale.
     eye_distance_mm: Annotated[float, within(10.0, 500.0)] | None = None
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _as_its_bus_has_it(
+        cls, content: object, as_it_is: ModelWrapValidatorHandler[Self]
+    ) -> "FaceSettings":
+        if cls is FaceSettings and isinstance(content, Mapping):
+            return face_schema(content).model_validate(content)
+        return as_it_is(content)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Its class is made anew in every process.
+        return FaceSettings.model_validate, (self.model_dump(),)
 
     @field_validator("prevent", mode="before")
     @classmethod
@@ -183,16 +136,17 @@ class FaceSettings(Strict):
 
     @field_validator("servos")
     @classmethod
-    def _every_servo_has_its_own_id(
+    def _every_servo_has_its_own_address(
         cls, servos: Mapping[str, ServoSettings]
     ) -> Mapping[str, ServoSettings]:
         if not servos:
             raise ValueError("needs at least one servo")
         first: dict[int, str] = {}
         errors = [
-            f"{first[servo.id]} and {name} both have id {servo.id}; every servo needs its own"
+            f"{first[servo.address]} and {name} both have {servo.address_key} {servo.address}; "
+            "every servo needs its own"
             for name, servo in servos.items()
-            if first.setdefault(servo.id, name) != name
+            if first.setdefault(servo.address, name) != name
         ]
         if errors:
             raise ValueError("\n".join(errors))
@@ -201,7 +155,28 @@ class FaceSettings(Strict):
     @property
     def servo_port(self) -> str | None:
         """Where the servos are; None: simulated in memory."""
-        return self.bus.port if self.bus.kind == "dynamixel" else None
+        return None if self.capabilities.in_memory else self.bus.port
+
+    @property
+    def bus_kind(self) -> BusKind:
+        """What opens, simulates and examines its bus."""
+        return bus_kind(self.bus.kind)
+
+    @property
+    def capabilities(self) -> BusCapabilities:
+        """What its servos can do."""
+        return self.bus_kind.capabilities(self.bus)
+
+    @property
+    def wiring(self) -> Wiring:
+        """Its servos as the bus knows them."""
+        return Wiring(self.bus, self.joints(), tuple(self.servos.values()), self.rate_hz)
+
+    def at_port(self, port: str) -> Self:
+        """The same face with its servos at a port."""
+        kind = self.bus_kind.at_port or self.bus.kind
+        bus = self.bus.model_copy(update={"kind": kind, "port": port})
+        return self.model_copy(update={"bus": bus})
 
     @property
     def mouth_servos(self) -> Mapping[str, ServoSettings]:
@@ -224,15 +199,46 @@ class FaceSettings(Strict):
         return tuple(
             Joint(
                 name=name,
-                servo_id=servo.id,
+                servo_id=servo.address,
                 min_deg=servo.min_deg,
                 max_deg=servo.max_deg,
                 max_speed_deg_s=servo.max_speed_deg_s,
                 max_acceleration_deg_s2=servo.max_acceleration_deg_s2 or math.inf,
                 critical=servo.critical,
+                address_key=servo.address_key,
             )
             for name, servo in self.servos.items()
         )
+
+
+def face_schema(content: Mapping[Any, Any]) -> type[FaceSettings]:
+    """What a face may hold whose YAML has this content: bus and servos as its kind of bus has them.
+
+    For a kind that nobody knows, the servos are those of the default kind.
+    """
+    bus = content.get("bus", BusSettings())
+    kind = bus.get("kind", BusSettings().kind) if isinstance(bus, Mapping) else bus
+    return _schema(kind.kind if isinstance(kind, BusSettings) else kind)
+
+
+def _schema(kind: object) -> type[FaceSettings]:
+    try:
+        return _schema_of(bus_kind(kind if isinstance(kind, str) else ""))
+    except UnknownBusError:
+        known = _schema_of(bus_kind(BusSettings().kind))
+        return create_model("FaceSettings", __base__=known, bus=(_UnknownBus, ...))
+
+
+@cache
+def _schema_of(kind: BusKind) -> type[FaceSettings]:
+    bus = kind.settings
+    servo = create_model("ServoSettings", __base__=(ServoSettings, kind.servo))
+    return create_model(
+        "FaceSettings",
+        __base__=FaceSettings,
+        servos=(Mapping[JointName, servo], ...),  # type: ignore[valid-type]
+        bus=(bus, bus()),
+    )
 
 
 def load_face(path: Path) -> FaceSettings:
@@ -279,10 +285,12 @@ def _shipped() -> Traversable:
 
 def parse_face(text: str, file_name: str) -> FaceSettings:
     """The face that a YAML text describes; `file_name` names it in errors. Raises SettingsError."""
+    content = read_mapping(text, file_name)
+    schema = face_schema(content)
     try:
-        return FaceSettings.model_validate(read_mapping(text, file_name))
+        return schema.model_validate(content)
     except ValidationError as error:
-        raise SettingsError("\n".join(explain(error, FaceSettings, file_name))) from error
+        raise SettingsError("\n".join(explain(error, schema, file_name))) from error
 
 
 def _load(file: Traversable) -> FaceSettings:

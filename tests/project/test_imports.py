@@ -50,6 +50,18 @@ def test_no_folder_imports_itself_by_way_of_others():
         pytest.fail("a circle of folders: " + ", ".join(told))
 
 
+def test_only_the_bridge_knows_a_bus_by_its_name():
+    """A bus is one entry of `firmware_bridge.bus_kinds`; who asks for its name, asks there."""
+    buses = ("firmware_bridge.dynamixel", "firmware_bridge.simulator")
+    knowing = {
+        module: sorted(name for name in imported(module) if name.startswith(buses))
+        for module in MODULES
+        if not module.startswith((*buses, "lipservo_lab"))
+    }
+
+    assert {module: names for module, names in knowing.items() if names} == {}
+
+
 def is_offline(module):
     """Whether a part of its name is one of `OFFLINE`, or names training: `network_training`."""
     parts = module.split(".")
@@ -99,6 +111,30 @@ def test_the_live_path_starts_without_heavy_libraries(module):
     )
 
     assert answer.stdout.split() == []
+
+
+def test_a_face_in_memory_loads_nothing_that_speaks_to_a_servo():
+    """Of Dynamixel, as which its servos are written down, the tables and the checks alone."""
+    script = (
+        "import sys\n"
+        "from firmware_bridge.clock import ManualClock\n"
+        "from lipservo.runtime.servos.assembly import bus_for, load_settings\n"
+        "face, _ = load_settings('face_sim')\n"
+        "with bus_for(face, ManualClock()) as bus:\n    bus.read()\n"
+        "print(*sorted(n for n in sys.modules if n.startswith(('firmware_bridge.dynamixel.', "
+        "'serial', 'firmware_bridge.simulator.'))))"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+
+    assert answer.stdout.split() == [
+        "firmware_bridge.dynamixel.control_table",
+        "firmware_bridge.dynamixel.kind",
+        "firmware_bridge.dynamixel.settings",
+        "firmware_bridge.simulator.bus",
+        "firmware_bridge.simulator.kind",
+    ]
 
 
 def test_a_whole_replay_loads_no_training_library():

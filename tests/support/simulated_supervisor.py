@@ -3,13 +3,16 @@
 import signal
 import socket
 
-from dynamixel_chain import MemoryFace
+from dynamixel_chain import BAUD_RATE, MemoryFace
+from hobby_bus import PulsePort
 
+from firmware_bridge.dynamixel.control_table import CAPABILITIES
+from firmware_bridge.dynamixel.torque import LineRelease
 from firmware_bridge.errors import PortError
 from firmware_bridge.process.child import HeartbeatMonitor, HeartbeatTimeouts
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.operating_system import ServiceNotice
-from firmware_bridge.process.supervisor import Supervisor
+from firmware_bridge.process.supervisor import SupervisedServos, Supervisor
 from firmware_bridge.process.torque_release import TorqueRelease
 
 #: A round of the loop, as long as it waits at most.
@@ -66,22 +69,25 @@ class SimulatedChild:
 class SupervisedFace:
     """A supervisor with both children simulated, and three servos in memory with torque on."""
 
-    def __init__(self, path, record=None):
+    def __init__(self, path, record=None, capabilities=CAPABILITIES):
         self.servos = MemoryFace(3)
         self.clock = self.servos.clock
         self.bridge = SimulatedChild("bridge", self.clock, HeartbeatTimeouts(30.0, 1.0))
         self.speech = SimulatedChild("speech", self.clock, HeartbeatTimeouts(60.0, 3.0))
         self.control = ControlSocket.bind(path)
         self.path, self.said = path, []
-        self.unplugged = False
+        self.unplugged, self.capabilities = False, capabilities
         self.supervisor = Supervisor(
             self.bridge,
             self.speech,
             self.control,
-            lambda timeout_s: TorqueRelease(
-                self._open, [1, 2, 3], timeout_s=timeout_s, now_s=self.clock.now
+            SupervisedServos(
+                {1: "jaw", 2: "left", 3: "right"},
+                lambda timeout_s: TorqueRelease(
+                    self._open, [1, 2, 3], timeout_s=timeout_s, now_s=self.clock.now
+                ),
+                capabilities,
             ),
-            servo_names={1: "jaw", 2: "left", 3: "right"},
             say=self.said.append,
             notice=ServiceNotice(self.said.append, self.clock.now),
             record=record,
@@ -92,7 +98,9 @@ class SupervisedFace:
     def _open(self):
         if self.unplugged:
             raise PortError("/dev/x: no such port")
-        return self.servos.open()
+        if not self.capabilities.confirmed_limp:
+            return PulsePort()
+        return LineRelease(self.servos.open(), [BAUD_RATE])
 
     def hold(self):
         for servo in self.servos.chain.servos:

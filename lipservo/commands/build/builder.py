@@ -1,9 +1,9 @@
 """`jog`, `neutral`, `new-face`: a builder's first hour."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -29,8 +29,7 @@ def jog(
 
     _say_if_simulated(port, config)
     moved = move_to(config, port, {joint: deg}, hold_s)
-    RESULTS.print(f"{joint} stands at {moved.reached_deg[joint]:.1f} deg")
-    _finish(moved)
+    _finish(moved, [joint])
 
 
 def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
@@ -39,9 +38,7 @@ def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
 
     _say_if_simulated(port, config)
     moved = move_to(config, port, None, 0.5)
-    for name, angle_deg in moved.reached_deg.items():
-        RESULTS.print(f"{name} stands at {angle_deg:.1f} deg")
-    _finish(moved)
+    _finish(moved, moved.reached_deg)
 
 
 def new_face(
@@ -58,24 +55,25 @@ def new_face(
     With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
     """
     from calibration.capture.lerobot_ranges import by_id, read_ranges
+    from firmware_bridge.bus_kinds import AT_A_PORT, bus_kind
     from lipservo.runtime.servos.new_face import (
         FoundJoint,
         check_face_file,
         check_joint_name,
         face_yaml,
-        find_servos,
         nudge,
     )
     from lipservo.settings.settings import parse_face
 
     check_face_file(output)
+    tools = bus_kind(AT_A_PORT).workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
-    rate, found = find_servos(port, baud_rate)
+    rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
-    _clear_foreign(port, rate, found)
+    _clear_foreign(tools, port, rate, found)
     joints: list[FoundJoint] = []
     for servo_id, model in found.items():
-        tick = nudge(port, rate, servo_id, model)
+        tick = nudge(tools, port, rate, servo_id, model)
         known = recorded.get(servo_id)
         name = typer.prompt(
             f"id {servo_id} ({model}) moved by 3 degrees and back. Which joint",
@@ -96,11 +94,9 @@ def new_face(
     )
 
 
-def _clear_foreign(port: str, rate: int, found: Mapping[int, str]) -> None:
+def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -> None:
     """Ask before what another program has written into the servos is taken back."""
-    from lipservo.settings.foreign_settings import clear_foreign_settings, foreign_settings
-
-    foreign = foreign_settings(port, rate, found)
+    foreign = tools.foreign_settings(port, rate, found)
     if not foreign:
         return
     for servo_id, changes in foreign.items():
@@ -108,10 +104,13 @@ def _clear_foreign(port: str, rate: int, found: Mapping[int, str]) -> None:
     question = "Another program has set these up. Write what they should be"
     if not typer.confirm(question, default=True, err=True):
         raise UserError("nothing was written; servos set up like this cannot be moved here")
-    clear_foreign_settings(port, rate, found, foreign)
+    tools.clear_foreign_settings(port, rate, found, foreign)
 
 
-def _finish(moved: "Moved") -> None:
+def _finish(moved: "Moved", joints: Iterable[str]) -> None:
+    where = "stands at" if moved.is_measured else "was sent to"
+    for joint in joints:
+        RESULTS.print(f"{joint} {where} {moved.reached_deg[joint]:.1f} deg")
     status = exit_status(moved.report, None)
     if status:
         raise typer.Exit(status)
@@ -128,5 +127,5 @@ def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str]
 def _say_if_simulated(port: str | None, config: str) -> None:
     from lipservo.runtime.servos.assembly import load_settings
 
-    if port is None and load_settings(config)[0].bus.kind == "simulated":
+    if port is None and load_settings(config)[0].capabilities.in_memory:
         say_simulated()

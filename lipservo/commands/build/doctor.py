@@ -11,26 +11,18 @@ def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = Fal
 
     Exit status 1 when something is bad.
     """
-    from firmware_bridge.dynamixel.doctor import Severity, examine
-    from firmware_bridge.dynamixel.wire.line import Line
-    from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms, open_port
-    from lipservo.runtime.servos.assembly import load_settings, mounted_servos
+    from firmware_bridge.bus_kinds import Severity
+    from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
-    name = port_of(port, settings.bus.port)
-    transport = open_port(name, settings.bus.baud_rate)
-    try:
-        findings = []
-        for finding in examine(
-            Line(transport), mounted_servos(settings), settings.rate_hz, latency_timer_ms(name)
-        ):
-            findings.append(finding)
-            if not as_json:
-                mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]
-                remedy = f" -> {finding.remedy}" if finding.remedy else ""
-                RESULTS.print(f"{mark} {finding.what}{remedy}", soft_wrap=True, highlight=False)
-    finally:
-        transport.close()
+    settings = settings.at_port(port_of(port, settings.bus.port))
+    findings = []
+    for finding in settings.bus_kind.examine(settings.wiring):
+        findings.append(finding)
+        if not as_json:
+            mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]
+            remedy = f" -> {finding.remedy}" if finding.remedy else ""
+            RESULTS.print(f"{mark} {finding.what}{remedy}", soft_wrap=True, highlight=False)
     n_bad = sum(finding.severity is Severity.BAD for finding in findings)
     if as_json:
         listed = [

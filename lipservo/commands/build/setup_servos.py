@@ -1,9 +1,8 @@
 """`setup-servos`: what each servo keeps in its memory, as the face's YAML wants it."""
 
 import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,21 +12,22 @@ from lipservo.terminal.output import RESULTS, complain, print_json
 from lipsync.errors import UserError
 
 if TYPE_CHECKING:
-    from firmware_bridge.dynamixel.mounting import MountedServo
-    from firmware_bridge.dynamixel.provisioning import Plan
-    from firmware_bridge.dynamixel.wire.line import Line
     from firmware_bridge.stop_signals import DeferredSignals
 
 
 @dataclass(slots=True)
 class _Work:
-    """What is to be done and what of it is done; rows are (joint, register, found, wanted)."""
+    """What is to be done and what of it is done; rows are (joint, register, found, wanted).
 
+    tools: what the kind of bus sets servos up with (`BusKind.workshop`).
+    """
+
+    tools: Any
     port: str
     baud_rate: int
     dry_run: bool
     as_json: bool
-    plans: list["Plan"] = field(default_factory=list)
+    plans: list[Any] = field(default_factory=list)
     done: set[tuple[str, str]] = field(default_factory=set)
 
     def rows(self, *, done: bool) -> list[str]:
@@ -60,15 +60,17 @@ def setup_servos(
     without JOINTS it asks for one after another, with one joint it asks nothing.
     """
     from firmware_bridge.stop_signals import DeferredSignals, StopRequested
-    from lipservo.runtime.servos.assembly import load_settings, mounted_servos
+    from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
-    servos = {servo.joint.name: servo for servo in mounted_servos(settings)}
+    tools = settings.bus_kind.workshop()
+    servos = tools.servos_by_joint(settings.wiring)
     unknown = [name for name in joints or () if name not in servos]
     if unknown:
         raise UserError(f"no joint {unknown[0]!r} in this face; it has {', '.join(servos)}")
     asked = [servos[name] for name in joints or servos]
-    work = _Work(port_of(port, settings.bus.port), settings.bus.baud_rate, dry_run, as_json)
+    at, rate = port_of(port, settings.bus.port), getattr(settings.bus, "baud_rate", 0)
+    work = _Work(tools, at, rate, dry_run, as_json)
     status, error = 0, ""
     with DeferredSignals() as signals:
         try:
@@ -83,42 +85,32 @@ def setup_servos(
         raise typer.Exit(status)
 
 
-def _set_up(
-    work: _Work, servos: list["MountedServo"], signals: "DeferredSignals", *, ask: bool
-) -> None:
-    from firmware_bridge.dynamixel.provisioning import (
-        chain_is_complete,
-        find_servos,
-        plan_alone,
-        plan_chain,
-    )
-
-    with _line(work) as line:
-        found = find_servos(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
-        if chain_is_complete(servos, found):
-            work.plans = plan_chain(line, servos, found, work.baud_rate)
+def _set_up(work: _Work, servos: list[Any], signals: "DeferredSignals", *, ask: bool) -> None:
+    tools = work.tools
+    with tools.unhurried_line(work.port, work.baud_rate) as line:
+        found = tools.find_servos(line, [servo.joint.servo_id for servo in servos], work.baud_rate)
+        if tools.chain_is_complete(servos, found):
+            work.plans = tools.plan_chain(line, servos, found, work.baud_rate)
             for plan in work.plans:
                 _carry_out(work, line, plan, signals)
             return
         if not ask or sum(map(len, found.values())) > 1:
             missing = [each for each in servos if each.joint.servo_id not in found]
-            work.plans = [plan_alone(line, missing[0], found, work.baud_rate)]
+            work.plans = [tools.plan_alone(line, missing[0], found, work.baud_rate)]
             _carry_out(work, line, work.plans[0], signals)
             return
     for servo in servos:
         name = servo.joint.name
         question = f"Connect the servo of {name!r} alone, then press Enter"
         typer.prompt(question, "", show_default=False, err=True)
-        with _line(work) as line:
-            found = find_servos(line, [servo.joint.servo_id], work.baud_rate)
-            work.plans.append(plan_alone(line, servo, found, work.baud_rate))
+        with tools.unhurried_line(work.port, work.baud_rate) as line:
+            found = tools.find_servos(line, [servo.joint.servo_id], work.baud_rate)
+            work.plans.append(tools.plan_alone(line, servo, found, work.baud_rate))
             _carry_out(work, line, work.plans[-1], signals)
 
 
-def _carry_out(work: _Work, line: "Line", plan: "Plan", signals: "DeferredSignals") -> None:
+def _carry_out(work: _Work, line: Any, plan: Any, signals: "DeferredSignals") -> None:
     """Write one servo's changes, register by register; a signal waits for the register."""
-    from firmware_bridge.dynamixel.provisioning import set_up
-
     name = plan.servo.joint.name
     if work.dry_run:
         for each in plan.changes:
@@ -127,7 +119,7 @@ def _carry_out(work: _Work, line: "Line", plan: "Plan", signals: "DeferredSignal
             work.say(f"{name}: nothing to change")
         return
     line.baud_rate = plan.baud_rate
-    steps = set_up(line, plan.servo_id, plan.servo.model, plan.changes)
+    steps = work.tools.set_up(line, plan.servo_id, plan.servo.model, plan.changes)
     while True:
         with signals.finish_first():
             change = next(steps, None)
@@ -169,19 +161,3 @@ def _report(work: _Work, error: str) -> None:
         error += "; torque is off where anything was set"
     if error:
         complain(error)
-
-
-@contextlib.contextmanager
-def _line(work: _Work) -> Iterator["Line"]:
-    """A line that waits for late answers."""
-    from firmware_bridge.dynamixel.provisioning import UNHURRIED_S
-    from firmware_bridge.dynamixel.wire.line import Line
-    from firmware_bridge.dynamixel.wire.serial_transport import open_port
-
-    transport = open_port(work.port, work.baud_rate)
-    try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
-        yield line
-    finally:
-        transport.close()

@@ -3,20 +3,18 @@
 import signal
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from lipsync.errors import UserError
 
-if TYPE_CHECKING:
-    from firmware_bridge.simulator.chain import SimulatedChain
-    from firmware_bridge.simulator.faults import Fault
-
 #: Characters.
 _LONGEST_SCRIPT = 100_000
 #: A face of ten, as `face_sim`.
 _N_SERVOS = 10
+#: What is simulated without a face.
+_SIMULATED = "simulated"
 
 
 def sim_bus(
@@ -52,15 +50,29 @@ def sim_bus(
 
     Any program that speaks to Dynamixels can open the port: lipservo, dynamixel-sdk, others.
     """
-    from firmware_bridge.errors import PortError
+    from firmware_bridge.bus_kinds import bus_kind
+    from firmware_bridge.errors import BusError
     from firmware_bridge.process.operating_system import run_on_time
-    from firmware_bridge.simulator.ports import PtyHost
+    from lipservo.runtime.servos.assembly import load_settings
 
-    chain = _chain(config, servos, model, first_id, baud_rate, faults, chain_stops=chain_stops)
+    face = None if config is None else load_settings(config)[0]
+    simulator = (bus_kind(_SIMULATED) if face is None else face.bus_kind).simulator()
+    script = None if faults is None else _script(faults)
     try:
-        host = PtyHost(chain, link)
-    except PortError as error:
+        host = simulator.serve(
+            None if face is None else face.wiring,
+            link,
+            n_servos=servos,
+            model=model,
+            first_id=first_id,
+            baud_rate=baud_rate,
+            faults=script,
+            chain_stops=chain_stops,
+        )
+    except BusError as error:
         raise UserError(str(error)) from error
+    except ValueError as error:
+        raise UserError(f"--faults {faults}: {error}") from error
     stopped = False
 
     def stop(*_: object) -> None:
@@ -79,46 +91,8 @@ def sim_bus(
         host.close()
 
 
-def _chain(
-    config: str | None,
-    n_servos: int,
-    model: str,
-    first_id: int,
-    baud_rate: int | None,
-    faults: Path | None,
-    *,
-    chain_stops: bool,
-) -> "SimulatedChain":
-    from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
-    from firmware_bridge.simulator.chain import SimulatedChain, chain_for
-    from firmware_bridge.simulator.wire import WireRules
-    from lipservo.runtime.servos.assembly import load_settings, mounted_servos
-
-    if model not in servo_models():
-        raise UserError(f"model {model!r} is not known; use one of {', '.join(servo_models())}")
-    if baud_rate is not None and baud_rate not in baud_rates().values():
-        raise UserError(f"{baud_rate} baud is no rate of these servos")
-    if first_id + n_servos - 1 > 252:
-        raise UserError(f"ids {first_id}..{first_id + n_servos - 1}: a servo's id is at most 252")
-    rules = WireRules(chain_stops=chain_stops)
-    if config is not None:
-        face, _ = load_settings(config)
-        mounted = mounted_servos(face)
-        seed, script = _script(faults, len(mounted))
-        rate = baud_rate or face.bus.baud_rate
-        return chain_for(mounted, rate, faults=script, seed=seed, rules=rules)
-    seed, script = _script(faults, n_servos)
-    models = [servo_models()[model]] * n_servos
-    ids = range(first_id, first_id + n_servos)
-    return SimulatedChain(models, ids, baud_rate=baud_rate, faults=script, seed=seed, rules=rules)
-
-
-def _script(file: Path | None, n_servos: int) -> "tuple[int, tuple[Fault, ...]]":
-    """Seed and faults; none without a file."""
-    from firmware_bridge.simulator.fault_script import FaultScriptError, read_faults
-
-    if file is None:
-        return 0, ()
+def _script(file: Path) -> str:
+    """The text of a script of faults."""
     try:
         with file.open(encoding="utf-8") as opened:
             text = opened.read(_LONGEST_SCRIPT + 1)
@@ -128,7 +102,4 @@ def _script(file: Path | None, n_servos: int) -> "tuple[int, tuple[Fault, ...]]"
         raise UserError(f"--faults {file}: is not text in UTF-8") from error
     if len(text) > _LONGEST_SCRIPT:
         raise UserError(f"--faults {file}: is longer than any fault script, {_LONGEST_SCRIPT:,}")
-    try:
-        return read_faults(text, n_servos)
-    except FaultScriptError as error:
-        raise UserError(f"--faults {file}: {error}") from error
+    return text

@@ -108,11 +108,13 @@ def _pose(
     """Ask, let go, pose; at the end torque off is read back once more, whatever ends it."""
     from calibration.fit.guided import keep_poses
     from firmware_bridge.clock import Clock, MonotonicClock
+    from lipservo.calibrating.calibration_setup import check_places
     from lipservo.calibrating.hand_poses import HAND_POSES, Posing, pose_by_hand
     from lipservo.runtime.servos.assembly import bus_for, simulated_wire
     from lipservo.runtime.servos.limp_servos import LimpServos
     from lipservo.terminal.keys import PressedKeys
 
+    check_places(at.settings)
     names = at.servos.names
 
     def kept(made_deg: "Mapping[str, Array]") -> None:
@@ -121,7 +123,7 @@ def _pose(
 
     with ExitStack() as stack:
         clock: Clock = MonotonicClock()
-        if at.settings.bus.kind == "simulated":
+        if at.settings.capabilities.in_memory:
             say_simulated()
             simulated_bus, clock = simulated_wire(at.settings)
             bus: ServoBus = simulated_bus

@@ -104,14 +104,13 @@ def setup_at_port(
     setup: "CalibrationSetup", port: str | None, sim: str | None, config: str
 ) -> Iterator["CalibrationSetup"]:
     """The same with its servos at the port asked for, or at one made for `--sim pty`."""
-    from lipservo.runtime.servos.assembly import settings_at_port
     from lipservo.runtime.servos.sim_process import servo_port
 
     with servo_port(port, sim, config) as found:
         if found is None:
             yield setup
         else:
-            yield replace(setup, settings=settings_at_port(setup.settings, found))
+            yield replace(setup, settings=setup.settings.at_port(found))
 
 
 def mesh_options(

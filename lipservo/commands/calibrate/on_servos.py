@@ -206,7 +206,7 @@ def pose(
         RESULTS.print(f"pose {numbers[row]}: {told} deg", soft_wrap=True)
 
     with setup_at_port(setup, port, sim, config) as at:
-        if at.settings.bus.kind == "simulated":
+        if at.settings.capabilities.in_memory:
             say_simulated()
         stand_in_poses(at, chosen, arrived, lambda: read_line("Enter when it is recorded"))
 

@@ -169,15 +169,15 @@ def limp(
     Without --port and --config: all running faces. Works when whatever held the port is dead or
     hangs. Exit status 1 unless every servo has confirmed.
     """
-    rate, ids = None, []
+    settings = None
     if config is not None:
         from lipservo.runtime.servos.assembly import load_settings
 
         settings = load_settings(config)[0]
-        rate, ids = settings.bus.baud_rate, [joint.servo_id for joint in settings.joints()]
-        port = port or (settings.bus.port if settings.bus.kind == "dynamixel" else None)
+        port = port or settings.servo_port
         if port is None:
             raise UserError(f"{config}: names no port; add --port PORT")
+        settings = settings.at_port(port)
     if unless_held and port is not None and (held_by := holders_of(port)):
         _say(f"{port}: held by process {held_by[0]}, and left alone")
         return
@@ -186,7 +186,7 @@ def limp(
         faces = faces_at(port, faces)
     outcomes = stop_faces(faces, StopLevel.LIMP, _say)
     if port is not None:
-        outcomes.append(release(port, rate, ids, say=_say))
+        outcomes.append(release(port, settings, say=_say))
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
     _report(outcomes, "limp", as_json=as_json)
@@ -214,7 +214,8 @@ def _state(status: dict[str, Any]) -> str:
     report = status.get("stop_report")
     if status["state"] == "stopped" and report is not None:
         n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
-        limp = f"limp, confirmed by {n} servos" + (f", NOT by {left}" if left else "")
+        limp = report.get("released_words") or f"limp, confirmed by {n} servos"
+        limp += f", NOT by {left}" if left else ""
         return f"stopped by {status.get('stopped_by')}: {limp}; `lipservo start` drives it"
     if status.get("plugged") is False:
         return f"{status['state']}, but its port is gone: no servo can be reached"

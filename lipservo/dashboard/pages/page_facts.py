@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from calibration.joint_motion import CLOSE, DOWN, OPEN, UP, joint_motion, side_of, words
-from firmware_bridge.dynamixel.control_table import servo_models
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.settings.settings import FaceSettings, ServoSettings
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_OF
@@ -31,7 +30,6 @@ GROUPS: Final = {
     "spread": ("spread", "#1f5f99", "#ffffff", ("IY",)),
     "inside": ("made inside", "#dbe2e8", "#24313d", ("TH", "T", "K")),
 }
-_VOLT_UNIT: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,18 +135,15 @@ def page_facts(config: str | None) -> dict[str, object]:
 
 
 def servo_facts(servo: ServoSettings) -> dict[str, object]:
-    """Limits in joint degrees, and what its model bears: its factory limits."""
-    model = servo_models()[servo.model]
+    """Limits in joint degrees, and what its model bears, null where nobody says it."""
     return {
-        "id": servo.id,
-        "model": servo.model,
+        "id": servo.address,
+        "model": servo.make,
         "part": servo.part,
         "positive": servo.positive,
         "least_deg": servo.min_deg,
         "most_deg": servo.max_deg,
-        "hottest_degc": model.defaults["temperature_limit"],
-        "least_v": model.defaults["min_voltage_limit"] * _VOLT_UNIT,
-        "most_v": model.defaults["max_voltage_limit"] * _VOLT_UNIT,
+        **servo.bounds,
     }
 
 

@@ -2,7 +2,7 @@
 import { postJson } from "./calls.js";
 import { drawnDeg, face, facts, onDraw, onHello, onStatus, troubleOf } from "./link.js";
 import { place } from "./live/servo_bars.js";
-import { shown, spoken, whyStill } from "./words.js";
+import { shown, spoken, unread, whyStill } from "./words.js";
 
 const ARMED_MS = 3000; // as long as the face itself waits for the next word
 const EVERY_MS = 60;
@@ -157,8 +157,7 @@ class FaceJog extends HTMLElement {
       mark.hidden = at === null;
       // The thumb's middle runs from half its width to half its width before the end.
       if (at !== null) mark.style.left = `calc(8px + ${at} * (100% - 16px))`;
-      const unread = face.phase === "stopped" ? "limp" : "no answer";
-      const text = encoder === null ? unread : shown(encoder, 1, "°");
+      const text = encoder === null ? unread(face.status, face.phase === "stopped") : shown(encoder, 1, "°");
       if (output.textContent !== text) output.textContent = text;
       // A slider that nobody has touched since arming stays where its servo is.
       const isHeld = this.isArmed && this.touched.has(name);

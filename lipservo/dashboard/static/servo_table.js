@@ -7,7 +7,7 @@ const WARM_BELOW_DEGC = 10; // so near to its own limit a servo is marked
 const EVERY_MS = 500;
 const SURE_MS = 4000;
 const HEAVY = 0.8; // of its stall torque
-const WORDS = { limp: "limp", unconfirmed: "NOT confirmed limp", off: "switched off", waiting: "does not answer", cooling: "limp, resting", rebooting: "restarting", failed: "given up" };
+const WORDS = { limp: "limp", unconfirmed: "NOT confirmed limp", released: "let go, not confirmed", off: "switched off", waiting: "does not answer", cooling: "limp, resting", rebooting: "restarting", failed: "given up" };
 
 const numbers = [
   ["heat", "temperature"],
@@ -155,7 +155,7 @@ export function stateWords(one) {
   if (one.state === "limp") return [WORDS.limp, ""];
   if (one.state === "unconfirmed") return [WORDS.unconfirmed, "bad"];
   const isTold = one.n_unanswered !== null; // else the face has not spoken of its health yet
-  if (isTold && one.temperature_degc === null) return ["never answered", "bad"];
+  if (isTold && one.heard === false) return ["never answered", "bad"];
   if (one.state === "driven") return one.torque_on === false ? ["limp", ""] : ["driven", "good"];
   return [WORDS[one.state] ?? one.state, one.state === "failed" ? "bad" : "warn"];
 }

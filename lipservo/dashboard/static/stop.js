@@ -95,6 +95,9 @@ function advice() {
 export function confirmed({ report, atMs }) {
   if (isLimp({ report })) return ["good", `Stopped. ${capital(confirmedWords({ report, atMs }))}.`];
   const loose = looseWords(report);
+  if (isReleased({ report })) {
+    return ["warn", `Stopped. ${capital(report.released_words)}; no servo can confirm it. Keep your hands away.`];
+  }
   if (!loose) return ["warn", "Stopped. No servo has confirmed that it is limp: keep your hands away."];
   return ["bad", `Stopped, but NOT confirmed to be limp: ${loose}. Keep your hands away. ${SUPPLY} \`lipservo limp\`.`];
 }
@@ -112,6 +115,11 @@ export function confirmedWords({ report, atMs }) {
 export function isLimp(word) {
   if (word === null || Object.keys(word.report.unconfirmed ?? {}).length) return false;
   return Boolean(word.report.dry_run || word.report.confirmed?.length);
+}
+
+/** Whether all were let go, and some of them cannot confirm it. word: {report}, or null. Pure. */
+export function isReleased(word) {
+  return Boolean(word?.report.released?.length) && !Object.keys(word.report.unconfirmed ?? {}).length;
 }
 
 /** `jaw, neck yaw (does not answer)`: servos that did not confirm, each reason once. Pure. */

@@ -1,6 +1,6 @@
 // The head of the page: state in words, and a banner when something that matters is gone.
 import { face, frameAgeMs, OLD_MS, onStatus } from "./link.js";
-import { isLimp, kept } from "./stop.js";
+import { isLimp, isReleased, kept } from "./stop.js";
 import { isStopped, stateWords, statusWords } from "./words.js";
 
 const PERIOD_MS = 100;
@@ -75,13 +75,14 @@ export function headWords({ frame, ageMs, phase, status, word, lastState, refusa
   if (frame === null) return status === null ? ["…", ""] : withServos(statusWords(status), status);
   if (isOld) return ["no connection", "bad"];
   if (!frame.servosGone) {
-    return withServos(frame.state ? stateWords(frame.state) : statusWords(status), status);
+    return withServos(frame.state ? stateWords(frame.state, status?.capabilities) : statusWords(status), status);
   }
   return AT_END.includes(lastState) ? ["ended", "quiet"] : ["servo side gone", "bad"];
 }
 
 function stopWords(state, word) {
   if (word === null) return [`${state}, not confirmed`, "warn"];
+  if (!isLimp(word) && isReleased(word)) return [`${state}: ${word.report.released_words}`, "warn"];
   return isLimp(word) ? [`${state}: limp`, "quiet"] : [`${state}: NOT confirmed limp`, "bad"];
 }
 

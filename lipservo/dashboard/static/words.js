@@ -10,9 +10,13 @@ const STATES = {
   ended: ["ended", "quiet"],
 };
 
-/** [words, tone] of a face's state; tone: good, quiet, warn or bad. Pure. */
-export function stateWords(state) {
+/**
+ * [words, tone] of a face's state; tone: good, quiet, warn or bad. Pure.
+ * can: of its status; null: what its servos can report is not known yet.
+ */
+export function stateWords(state, can = null) {
   if (!state) return ["state unknown", "bad"];
+  if (state === "silent" && can?.confirmed_limp === false) return [`resting: ${can.released_words}`, "quiet"];
   return STATES[state] ?? [state, "warn"];
 }
 
@@ -20,7 +24,7 @@ export function stateWords(state) {
 export function statusWords(status) {
   if (status === null) return ["no answer", "bad"];
   if (status.stopped === "freeze") return STATES.frozen;
-  return stateWords(status.state);
+  return stateWords(status.state, status.capabilities);
 }
 
 /** Whether a person has stopped the face, and it waits for a start. status: may be null. Pure. */
@@ -36,6 +40,12 @@ export function whyStill(status) {
   return isStopped(status) ? STILL : null;
 }
 
+/** In place of a place that was not read; a dash where servos cannot say where they stand. Pure. */
+export function unread(status, isLimp) {
+  if (status?.capabilities?.place === false) return "–";
+  return isLimp ? "limp" : "no answer";
+}
+
 /**
  * What keeps a servo from being drawn as working; null: nothing. Pure.
  * status: may be null; encoderDeg: null: never read.
@@ -46,7 +56,8 @@ export function servoTrouble(status, name, encoderDeg) {
     return why === undefined ? null : `not confirmed to be limp: ${why}`;
   }
   const state = status?.servos?.[name];
-  if (encoderDeg === null || encoderDeg === undefined) return "does not answer";
+  const canSay = status?.capabilities?.place !== false;
+  if (canSay && (encoderDeg === null || encoderDeg === undefined)) return "does not answer";
   if (!state || state === "driven") return null;
   const line = (status.troubles ?? []).find((each) => each.startsWith(`${name}:`));
   return line ? line.slice(name.length + 1).trim() : state;

@@ -69,6 +69,8 @@ def face_life(
         path = asked.path or socket_path(name)
         listener = ControlSocket.bind(path, about, asked.commands, asked.describe, asked.watched_fd)
         stack.enter_context(listener)
+        for line in bridge.capabilities.warnings():
+            log(line)
         healths = health_log(name, port, lines, os.environ)
         if healths is not None:
             stack.enter_context(healths)

@@ -14,7 +14,6 @@ import numpy as np
 
 from firmware_bridge.bus import Feedback, ServoBus
 from firmware_bridge.clock import Clock
-from firmware_bridge.dynamixel.bus import budget
 from firmware_bridge.errors import BusError, PortError, PortGone
 from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
@@ -44,8 +43,7 @@ def held_rate_hz(settings: FaceSettings) -> float:
     """Fast enough for chirps where the bus can do it, else the face's own rate."""
     if settings.rate_hz >= _DRIVE_RATE_HZ:
         return settings.rate_hz
-    n_servos, baud_rate = len(settings.servos), settings.bus.baud_rate
-    fast = budget(n_servos, baud_rate, _TWICE * _DRIVE_RATE_HZ) is None
+    fast = settings.bus_kind.slowness(settings.wiring, _TWICE * _DRIVE_RATE_HZ) is None
     return _DRIVE_RATE_HZ if fast else settings.rate_hz
 
 
@@ -98,6 +96,11 @@ class HeldFace:
     def stands_deg(self) -> Array:
         """Where the posed joints stand, (n_joints,). Raises PortGone."""
         return self._stands_deg()[self._posed]
+
+    @property
+    def goal_deg(self) -> Array:
+        """Where the posed joints are held, (n_joints,); known where their places are not."""
+        return self._goal_deg[self._posed]
 
     @property
     def effort(self) -> Array:
@@ -184,7 +187,7 @@ class HeldFace:
             )
             self._ticks = self._life.ticks()
             self._life.start()
-            self._goal_deg = np.nan_to_num(self._bus.read().positions_deg)
+            self._goal_deg = self._bus.read().start_deg(self._bus.capabilities)
             if self._from_neutral:
                 self._move_all(np.zeros_like(self._goal_deg))
                 self._settle()
@@ -219,6 +222,9 @@ class HeldFace:
 
     def _settle(self) -> Array:
         """Until every encoder is still, for as long as any servo needs at most."""
+        if not self._bus.capabilities.place:
+            self.hold(_SETTLE_S)
+            return self.stands_deg
         until_s = self._clock.now() + _SETTLE_S
         before_deg = self._heard_deg()
         while self._clock.now() < until_s:

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from firmware_bridge.errors import BusError
 from firmware_bridge.process.control_client import RunningFace, ask, send_stop, stop_and_wait
@@ -23,6 +23,9 @@ from firmware_bridge.process.port_holders import (
 )
 from firmware_bridge.process.runtime_folder import knock
 from firmware_bridge.stopping import StopLevel, named_by_reason
+
+if TYPE_CHECKING:
+    from lipservo.settings.settings import FaceSettings
 
 #: Easing takes 2 s, a bridge that hangs in it is noticed and its servos let go in as much again.
 _END_S = 10.0
@@ -41,7 +44,8 @@ class Outcome:
     """What became of one face or port.
 
     problem: empty when all servos confirmed what was requested. waits: the face's process lives on,
-    limp, and can be started again.
+    limp, and can be started again. released: servos that were let go and cannot confirm it;
+    released_words: what is true of them.
     """
 
     name: str
@@ -51,6 +55,8 @@ class Outcome:
     unconfirmed: dict[str, str] = field(default_factory=dict)
     problem: str = ""
     waits: bool = False
+    released: list[str] = field(default_factory=list)
+    released_words: str = ""
 
     @property
     def is_confirmed(self) -> bool:
@@ -58,13 +64,19 @@ class Outcome:
         return not (self.problem or self.unconfirmed)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
+        """For JSON; what cannot confirm only where there is any."""
+        return {
+            name: value
+            for name, value in asdict(self).items()
+            if self.released or not name.startswith("released")
+        }
 
     def text(self, done: str) -> str:
         """In one line; `done`: what was asked, as in "limp"."""
         if self.problem:
             return f"{self.name}: {self.problem}"
+        if self.released and not self.unconfirmed:
+            return f"{self.name}: {self.released_words} ({len(self.released)} servos)"
         if not self.unconfirmed:
             by = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
             waits = "; it waits: `lipservo start`" if self.waits else ""
@@ -118,6 +130,8 @@ def _await_stop(
         outcome.confirmed = list(report.get("confirmed", ()))
         outcome.unconfirmed = dict(report.get("unconfirmed", {}))
         outcome.waits = bool(report.get("waits"))
+        outcome.released = list(report.get("released", ()))
+        outcome.released_words = str(report.get("released_words", ""))
     elif knock(face.path) == 0:
         troubles = "; ".join(_troubles_of(face))
         outcome.problem = f"will stop, but has not confirmed it within {_END_S:g} s" + (
@@ -146,27 +160,31 @@ def _troubles_of(face: RunningFace) -> list[str]:
         return []
 
 
-def release(port: str, rate: int | None = None, ids: Sequence[int] = (), *, say: Say) -> Outcome:
+def release(port: str, face: "FaceSettings | None" = None, *, say: Say) -> Outcome:
     """Torque off at a port, whoever of us holds it; verified by every servo that is there.
 
-    rate: the servos' baud rate; None: all usual ones are tried. ids: must confirm too.
+    face: whose servos must confirm too; None: of what is there nothing is known.
     """
     # Loaded only here: whoever stops a face that hears waits for none of it.
-    from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
-    from firmware_bridge.dynamixel.wire.serial_transport import open_port
+    from firmware_bridge.bus_kinds import AT_A_PORT, bus_kind
     from firmware_bridge.process.torque_release import release_port
 
     outcome = Outcome(port, port)
     _free(port, say)
-    rates = SCANNED_RATES if rate is None else (rate,)
+    wiring = None if face is None else face.wiring
+    kind = bus_kind(AT_A_PORT) if face is None else face.bus_kind
+    ids = [] if wiring is None else [joint.servo_id for joint in wiring.joints]
     try:
-        found = release_port(lambda each: open_port(port, each), rates, ids, timeout_s=_PORT_S)
+        found = release_port(kind.port_release(port, wiring), ids, timeout_s=_PORT_S)
     except BusError as error:
         outcome.problem = str(error)
         return outcome
     outcome.confirmed = [f"id {each}" for each in found.confirmed]
     outcome.unconfirmed = {f"id {each}": why for each, why in found.unconfirmed.items()}
-    if not (found.confirmed or found.unconfirmed):
+    if found.released and face is not None:
+        outcome.released = [f"id {each}" for each in found.released]
+        outcome.released_words = face.capabilities.released_words
+    if not (found.confirmed or found.unconfirmed or found.released):
         outcome.problem = "no servo answers there"
     return outcome
 
@@ -233,4 +251,6 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome, say: Sa
 def _take_over(outcome: Outcome, released: Outcome) -> None:
     outcome.confirmed += released.confirmed
     outcome.unconfirmed |= released.unconfirmed
+    outcome.released += released.released
+    outcome.released_words = outcome.released_words or released.released_words
     outcome.problem = outcome.problem or released.problem

@@ -7,16 +7,20 @@ import numpy as np
 
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.stopping import StopLevel, StopReport
-from lipservo.runtime.servos.assembly import bus_for, load_settings, settings_at_port
+from lipservo.runtime.servos.assembly import bus_for, load_settings
 from lipservo.runtime.servos.held_face import HeldFace
 from lipsync.errors import UserError
 
 
 @dataclass(frozen=True, slots=True)
 class Moved:
-    """Where every joint stood before it was let go, degrees, and what the servos said of that."""
+    """Where every joint stood before it was let go, degrees, and what the servos said of that.
+
+    reached_deg: where it was sent to, of servos that cannot say where they stand.
+    """
 
     reached_deg: dict[str, float]
+    is_measured: bool
     report: StopReport
 
 
@@ -29,7 +33,7 @@ def move_to(
     """
     settings, _ = load_settings(config)
     if port is not None:
-        settings = settings_at_port(settings, port)
+        settings = settings.at_port(port)
     joints = settings.joints()
     names = [joint.name for joint in joints]
     for name, angle_deg in (wanted_deg or {}).items():
@@ -47,11 +51,15 @@ def move_to(
             settings, bus, clock, joints=names, from_neutral=False, end=StopLevel.LIMP
         ) as face,
     ):
-        goal_deg = np.zeros(len(joints)) if wanted_deg is None else face.stands_deg
+        has_place = bus.capabilities.place
+        goal_deg = face.stands_deg if has_place else face.goal_deg
+        if wanted_deg is None:
+            goal_deg = np.zeros(len(joints))
         for name, angle_deg in (wanted_deg or {}).items():
             goal_deg[names.index(name)] = angle_deg
         face.lead(goal_deg)
         face.hold(hold_s)
-        reached_deg = face.stands_deg
+        reached_deg = face.stands_deg if has_place else face.goal_deg
     assert face.life.report is not None
-    return Moved(dict(zip(names, reached_deg.tolist(), strict=True)), face.life.report)
+    by_name = dict(zip(names, reached_deg.tolist(), strict=True))
+    return Moved(by_name, has_place, face.life.report)

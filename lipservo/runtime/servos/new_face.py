@@ -4,35 +4,19 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 
-from calibration.capture.lerobot_ranges import RecordedRange
+from calibration.capture.lerobot_ranges import TICKS_A_TURN, RecordedRange
+from firmware_bridge.bus_kinds import AT_A_PORT
 from firmware_bridge.clock import MonotonicClock
-from firmware_bridge.dynamixel.bus import DynamixelBus
-from firmware_bridge.dynamixel.control_table import (
-    CENTER_PULSE,
-    PULSES_PER_TURN,
-    model_by_number,
-    servo_models,
-)
-from firmware_bridge.dynamixel.mounting import MountedServo
-from firmware_bridge.dynamixel.provisioning import (
-    SCANNED_RATES,
-    UNHURRIED_S,
-    read_settings,
-    scan,
-)
-from firmware_bridge.dynamixel.wire.line import Line
-from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.gate.ramp import Ramp
-from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import StopLevel
-from lipservo.runtime.servos.assembly import port_opener
 from lipservo.runtime.servos.face_life import face_life
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.settings.sections import JOINT_NAME
@@ -45,25 +29,6 @@ _NUDGE_S = 0.25
 _NUDGE_RATE_HZ = 50.0
 #: Careful beginnings; the builder widens them.
 _LIMIT_DEG, _SPEED_DEG_S = 10.0, 200.0
-
-
-def find_servos(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
-    """The first rate at which anybody answers, and the model of every id there."""
-    transport = open_port(port, first_rate)
-    try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
-        scanned = scan(line, [first_rate, *SCANNED_RATES])
-        rate, found = next((each for each in scanned if each[1]), (0, {}))
-        if not found:
-            raise UserError(f"{port}: no servo answers at any rate; check power and cable")
-    finally:
-        transport.close()
-    models = {each: model_by_number(number) for each, number in sorted(found.items())}
-    unknown = [each for each, model in models.items() if model is None]
-    if unknown:
-        raise UserError(f"id {unknown[0]} is of unknown model {found[unknown[0]]}")
-    return rate, {each: model.name for each, model in models.items() if model is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,30 +60,24 @@ class FoundJoint:
                 f"range {least}..{most}; put the face into its neutral"
             )
         ends_deg = sorted(
-            round(self.sign * (tick - neutral_tick) * 360.0 / PULSES_PER_TURN, 2)
+            round(self.sign * (tick - neutral_tick) * 360.0 / TICKS_A_TURN, 2)
             for tick in (least, most)
         )
-        offset_deg = self.sign * (neutral_tick - CENTER_PULSE) * 360.0 / PULSES_PER_TURN
+        offset_deg = self.sign * (neutral_tick - TICKS_A_TURN // 2) * 360.0 / TICKS_A_TURN
         return replace(
             self, min_deg=ends_deg[0], max_deg=ends_deg[1], zero_offset_deg=round(offset_deg, 2)
         )
 
 
-def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
-    """Move one servo by 3 degrees and back, through the gate; limp afterwards. Where it stood."""
-    model = servo_models()[model_name]
-    transport = open_port(port, rate)
-    try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
-        place = read_settings(line, servo_id, model, ["present_position"])["present_position"]
-    finally:
-        transport.close()
-    here_deg = (place - CENTER_PULSE) * 360.0 / PULSES_PER_TURN
-    joint = Joint(f"id_{servo_id}", servo_id, -NUDGE_DEG - 1.0, NUDGE_DEG + 1.0, 60.0)
-    servo = MountedServo(joint, model, 1, here_deg)
+def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> int:
+    """Move one servo by 3 degrees and back, through the gate; limp afterwards. Where it stood.
+
+    tools: of its kind of bus (`BusKind.workshop`).
+    """
     channel, clock = MemoryTargetChannel(), MonotonicClock()
-    with DynamixelBus([servo], port_opener(port, rate)) as bus:
+    place: int
+    bus, joint, place = tools.lone_servo(port, rate, servo_id, model_name, NUDGE_DEG + 1.0)
+    with bus:
         bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
         with face_life("new-face", port, bridge, clock, quiet=True) as life:
             life.start()
@@ -168,7 +127,7 @@ def face_yaml(name: str, port: str, rate: int, joints: Sequence[FoundJoint]) -> 
     content = {
         "name": name.encode(errors="replace").decode(),
         "rate_hz": 30,
-        "bus": {"kind": "dynamixel", "port": port, "baud_rate": rate},
+        "bus": {"kind": AT_A_PORT, "port": port, "baud_rate": rate},
         "servos": {
             joint.name: {
                 "id": joint.servo_id,

@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from firmware_bridge.bus import SOFT_START_S
 from firmware_bridge.gate.joint_plan import JointPlan
 from firmware_bridge.loop.targets import TargetChannel
 from lipservo.runtime.servos.assembly import Face
@@ -281,13 +280,13 @@ def make_speech_side(
     synthesizer: Synthesizer,
     channel: TargetChannel,
     *,
-    has_soft_start: bool,
+    soft_start_s: float,
     is_watchable: bool = True,
     board: LiveBoard | None = None,
 ) -> SpeechSide:
     """Everything between an entered source and the targets of a face's servos.
 
-    has_soft_start: the servos are slow at first, so that nothing is said until they are not.
+    soft_start_s: the servos are slow for so long, and nothing is said until they are not.
     is_watchable: somebody may look on whose twin has eyes; where nobody can, a face that is only a
     mouth has no expression.
     """
@@ -312,6 +311,6 @@ def make_speech_side(
     motion = PerformedMotion(synthesizer, performed_in(source), lip_gap_of(face.model))
     options = SpeechOptions(source.latency_s, expression, lip_gap, mouth_plan(face))
     speech = Speech(spoken, played, motion, face.calibration, names, channel, options)
-    quiet_s = SOFT_START_S + _MARGIN_S if has_soft_start else 0.0
+    quiet_s = soft_start_s + _MARGIN_S if soft_start_s else 0.0
     own = OwnVoice(source, played, speech, rest, quiet_s=quiet_s)
     return SpeechSide(speech, own, mouth, rest, watched)

@@ -11,12 +11,12 @@ from calibration.simulated.servos import SimulatedServos
 from firmware_bridge.bus import Feedback
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.mounting import mounted_servos
 from firmware_bridge.gate.tracking import TrackingMonitor, TrackingRule
 from firmware_bridge.joints import Joint
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.faults import Fault
 from firmware_bridge.simulator.ports import MemoryTransport
-from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.settings.settings import load_shipped_face
 
 CLIP = DATA / "traces" / "clip.jsonl.gz"
@@ -45,7 +45,7 @@ def feedback(time_s, positions_deg, age_s=0.0):
 
 def speak(rate_hz=30.0, strength=1.0, faults=(), capped=True):
     """When each servo was found not to follow first, and why, by name; the clip from 2 s on."""
-    servos, clock = mounted_servos(FACE), ManualClock()
+    servos, clock = mounted_servos(FACE.wiring), ManualClock()
     chain = chain_for(servos, FACE.bus.baud_rate, faults=faults)
     if not capped:
         for simulated in chain.servos:

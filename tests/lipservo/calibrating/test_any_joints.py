@@ -7,7 +7,7 @@ from calibration.files.calibration_file import load_calibration
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.measured_calibration import calibrate_on_computed_skin
 from lipservo.cli import app
-from lipservo.runtime.servos.assembly import load_settings, settings_at_port
+from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipsync.animpho.units import load_face_with_animphos
 
@@ -66,7 +66,7 @@ def test_a_rehearsal_over_the_wire_takes_a_jaw_of_any_name_and_no_lips(tmp_path)
     settings, _ = load_settings(str(face))
     with simulated_port(["--config", str(face), "--on-time"]) as port:
         setup = CalibrationSetup(
-            settings_at_port(settings, port), load_face_with_animphos(None), n_poses=6, quiet=True,
+            settings.at_port(port), load_face_with_animphos(None), n_poses=6, quiet=True,
             lags=False, speed_deg_s=400.0, accept=True,
         )  # fmt: skip
         calibration = calibrate_on_computed_skin(setup).calibration

@@ -13,6 +13,7 @@ from calibration.calibration import CalibrationError
 from calibration.files.calibration_file import load_calibration, parse_calibration
 from calibration.files.calibration_text import calibration_text
 from calibration.mouth_servos import JointRange, MouthServos
+from firmware_bridge.dynamixel.mounting import mounted_servos
 from lipservo.calibrating.hand_poses import (
     CLOSED,
     HAND_POSES,
@@ -25,7 +26,6 @@ from lipservo.calibrating.hand_poses import (
     pose_lines,
     with_hand_poses,
 )
-from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.runtime.servos.limp_servos import LimpServos
 from lipservo.settings.settings import calibration_file, load_shipped_face
 
@@ -45,7 +45,7 @@ class Hands:
 @pytest.fixture
 def face():
     settings = load_shipped_face("face_four")
-    face = MemoryFace(servos=mounted_servos(settings))
+    face = MemoryFace(servos=mounted_servos(settings.wiring))
     face.limp = LimpServos(settings, face.bus, face.clock)
     face.mouth = MouthServos(
         tuple(JointRange(n, s.min_deg, s.max_deg) for n, s in settings.mouth_servos.items()),

@@ -10,16 +10,16 @@ from typer.testing import CliRunner
 
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.control_table import register
+from firmware_bridge.dynamixel.mounting import mounted_servos
 from firmware_bridge.dynamixel.provisioning import wanted_settings
 from firmware_bridge.dynamixel.wire.codec import FrameParser, Instruction
 from firmware_bridge.errors import PortGone
 from firmware_bridge.simulator.chain import SimulatedChain, chain_for
 from lipservo.cli import app
-from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.settings.settings import load_shipped_face
 
 BAUD_RATE = 1_000_000
-SERVOS = mounted_servos(load_shipped_face("face_four"))
+SERVOS = mounted_servos(load_shipped_face("face_four").wiring)
 NAMES = [servo.joint.name for servo in SERVOS]
 IDS = [servo.joint.servo_id for servo in SERVOS]
 TORQUE = register("torque_enable").address
@@ -33,7 +33,7 @@ class Bench:
         self.seed, self.disturbances = seed, disturbances
         self.before_write = lambda *_: None
         monkeypatch.setattr(
-            "firmware_bridge.dynamixel.wire.serial_transport.open_port", lambda *_: self.open()
+            "firmware_bridge.dynamixel.provisioning.open_port", lambda *_: self.open()
         )
 
     def open(self):

@@ -5,7 +5,7 @@ from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
-from lipservo.runtime.servos.assembly import assemble_face, make_bus
+from lipservo.runtime.servos.assembly import assemble_face, bus_for
 from lipservo.runtime.street import make_street_of
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
@@ -19,7 +19,7 @@ def test_a_label_file_drives_the_servos_in_time_without_any_sound():
     face, clock = assemble_face("face_sim", None), ManualClock()
     synthesizer = make_synthesizer(face.model, MotionOptions())
     phonemes = ScriptedPhonemes(events)
-    with make_bus(face, clock) as bus:
+    with bus_for(face.settings, clock) as bus:
         street = make_street_of(face, phonemes, SteadyClock(), bus, RATE_HZ, synthesizer)
         street.bridge.start()
         street.begin(clock.now())
@@ -52,7 +52,7 @@ def test_the_bridge_tells_the_speech_side_where_the_servos_stand():
     events = read_phonemes(CLIP_LABELS_PATH)
     face, clock = assemble_face("face_sim", None), ManualClock()
     synthesizer = make_synthesizer(face.model, MotionOptions())
-    with make_bus(face, clock) as bus:
+    with bus_for(face.settings, clock) as bus:
         street = make_street_of(
             face, ScriptedPhonemes(events), SteadyClock(), bus, RATE_HZ, synthesizer
         )

@@ -1,3 +1,5 @@
+import pickle
+
 import pytest
 import yaml
 from two_servo_face import FACE, load
@@ -29,6 +31,14 @@ def test_what_is_not_said_has_its_default(tmp_path):
 @pytest.mark.parametrize("name", shipped_faces())
 def test_every_shipped_face_loads(name):
     assert load_shipped_face(name).joints()
+
+
+@pytest.mark.parametrize("name", shipped_faces())
+def test_a_face_passes_between_processes(name):
+    """Its class is made for its kind of bus, and no module has it by name."""
+    face = load_shipped_face(name)
+
+    assert pickle.loads(pickle.dumps(face)) == face
 
 
 def test_the_simulated_face_is_a_mouth_of_ten_servos():

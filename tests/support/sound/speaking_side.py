@@ -40,7 +40,7 @@ class SpeakingSide:
             recognizer or Deaf(),
             synthesizer,
             self._channel,
-            has_soft_start=False,
+            soft_start_s=0.0,
         )
         self.delay = self.side.speech.delay
 

@@ -31,7 +31,7 @@ from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.measured_calibration import CalibrationResult, fit_capture, with_lags
 from lipservo.runtime.servos.assembly import simulated_wire
 from lipservo.runtime.servos.held_face import HeldFace
-from lipservo.settings.settings import FaceSettings, ServoSettings
+from lipservo.settings.settings import FaceSettings
 from lipservo_lab.bench.calibration.calibration_figures import PERSON_DEG, PERSON_JAW_DEG
 from lipservo_lab.bench.calibration.elastic_draws import N_SERVOS, draw_elastic_robot
 from lipservo_lab.bench.calibration.shown_motion import NAMES, played, shown, wanted_shapes
@@ -117,20 +117,19 @@ def way_figures(
 
 def _task(model: FaceWithAnimPhos, seed: int, n_servos: int) -> _Task:
     draw, servos = draw_elastic_robot(model.markers_mm(model.rest[None])[0], seed, n_servos)
-    settings = FaceSettings(
-        name=f"elastic {seed}",
-        rate_hz=30,
-        servos={
-            joint.name: ServoSettings(
-                id=11 + n,
-                model="XL330-M288",
-                positive=servos.positive[n],
-                min_deg=joint.min_deg,
-                max_deg=joint.max_deg,
-                max_speed_deg_s=400,
-            )
-            for n, joint in enumerate(servos.joints)
-        },
+    of_servos = {
+        joint.name: {
+            "id": 11 + n,
+            "model": "XL330-M288",
+            "positive": servos.positive[n],
+            "min_deg": joint.min_deg,
+            "max_deg": joint.max_deg,
+            "max_speed_deg_s": 400.0,
+        }
+        for n, joint in enumerate(servos.joints)
+    }
+    settings = FaceSettings.model_validate(
+        {"name": f"elastic {seed}", "rate_hz": 30.0, "servos": of_servos}
     )
     setup = CalibrationSetup(settings, model, quiet=True, speed_deg_s=_PORT_SPEED_DEG_S)
     return _Task(model, ElasticFace(draw), setup, seed)

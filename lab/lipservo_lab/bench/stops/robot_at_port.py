@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 
 import lipservo
 from firmware_bridge.dynamixel.control_table import PULSES_PER_TURN
-from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.dynamixel.mounting import MountedServo, mounted_servos
 from firmware_bridge.simulator.chain import SimulatedChain, chain_for
 from firmware_bridge.simulator.ports import PtyHost
-from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.settings.settings import load_shipped_face
 
 FACE: Final = "face_four"
@@ -200,7 +199,7 @@ def robot_at_port(face: str = FACE, session: Path | None = None) -> Iterator[Rob
 
     session: of another robot, beside which this one stands; None: its own.
     """
-    servos = mounted_servos(load_shipped_face(face))
+    servos = mounted_servos(load_shipped_face(face).wiring)
     with tempfile.TemporaryDirectory(prefix="lipservo-robot-") as name:
         folder = Path(name)
         (folder / "tmp").mkdir()

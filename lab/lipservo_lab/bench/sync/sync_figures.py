@@ -58,7 +58,7 @@ def drift_s(skew: float, duration_s: float, *, jitter_s: float = 0.005) -> float
     playout = Playout(loudspeaker)
     synthesizer = make_synthesizer(face.model, MotionOptions())
     side = make_speech_side(
-        face, playout, Deaf(), synthesizer, MemoryTargetChannel(), has_soft_start=False
+        face, playout, Deaf(), synthesizer, MemoryTargetChannel(), soft_start_s=0.0
     )
     now_s = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
     shown_s = np.empty(len(now_s))

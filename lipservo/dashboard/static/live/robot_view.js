@@ -2,7 +2,7 @@
 // Robot's left is the viewer's right. A servo that does not answer is hatched, never drawn as well.
 import { drawnDeg, face, facts, onDraw, onHello, troubleOf } from "../link.js";
 import { drawFigure, figure, HATCH } from "./robot_figure.js";
-import { shown, spoken } from "../words.js";
+import { shown, spoken, unread } from "../words.js";
 
 const SIDES = ["left", "right"];
 
@@ -100,7 +100,7 @@ function turn(one, name, encoder, why) {
   const share = encoder === null ? 0.5 : (encoder - least) / (most - least || 1);
   const turned = -90 + 180 * Math.min(1, Math.max(0, share));
   one.querySelector("line").setAttribute("transform", `rotate(${turned.toFixed(1)})`);
-  one.querySelector("b").textContent = encoder === null ? (why === null ? "limp" : "no answer") : shown(encoder, 1, "°");
+  one.querySelector("b").textContent = encoder === null ? unread(face.status, why === null) : shown(encoder, 1, "°");
   one.classList.toggle("unwell", why !== null);
 }
 

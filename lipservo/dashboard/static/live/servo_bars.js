@@ -1,6 +1,6 @@
 // Goal against encoder, one strip a servo: blue bar = where it is, orange tick = where it should be.
-import { drawnDeg, facts, onDraw, onHello, troubleOf } from "../link.js";
-import { shown, spoken } from "../words.js";
+import { drawnDeg, face, facts, onDraw, onHello, troubleOf } from "../link.js";
+import { shown, spoken, unread } from "../words.js";
 
 /** Where an angle lies on a strip from least to most, 0..1, kept inside. Pure. */
 export function place(deg, leastDeg, mostDeg) {
@@ -41,7 +41,7 @@ class FaceServoBars extends HTMLElement {
       const at = encoder === null ? zero : place(encoder, least, most);
       bar.style.transform = `translateX(${100 * Math.min(zero, at)}%) scaleX(${Math.abs(at - zero)})`;
       goal.style.left = `${100 * place(frame.goalsDeg[i], least, most)}%`;
-      const text = encoder === null ? (trouble === null ? "limp" : "no answer") : shown(encoder, 1, "°");
+      const text = encoder === null ? unread(face.status, trouble === null) : shown(encoder, 1, "°");
       if (value.textContent !== text) value.textContent = text;
       row.title = trouble === null ? "" : `${spoken(name)}: ${trouble}`;
     }

@@ -6,10 +6,9 @@ from lipservo.dashboard.pages.page_facts import RigServo, robot_rig
 from lipservo.settings.settings import ServoSettings, load_shipped_face, shipped_faces
 
 
-def servo(positive, part="mouth", servo_id=1):
+def servo(positive, part="mouth"):
     return ServoSettings(
-        id=servo_id, model="XL330-M288", positive=positive, part=part,
-        min_deg=-10, max_deg=10, max_speed_deg_s=100,
+        positive=positive, part=part, min_deg=-10, max_deg=10, max_speed_deg_s=100,
     )  # fmt: skip
 
 
@@ -64,12 +63,12 @@ def test_names_and_words_of_other_builders_are_understood():
 
 def test_between_a_left_and_a_right_lip_the_middle_one_is_a_dial():
     lips = ("lip_upper_left", "lip_upper_middle", "lip_upper_right")
-    rig = robot_rig({name: servo("raises", servo_id=n) for n, name in enumerate(lips)})
+    rig = robot_rig({name: servo("raises") for name in lips})
 
     assert [found.channel for found in rig.values()] == ["upper_lip", None, "upper_lip"]
 
 
 def test_of_two_servos_that_would_move_the_same_the_second_is_a_dial():
-    rig = robot_rig({"jaw": servo("opens"), "jaw_2": servo("opens", servo_id=2)})
+    rig = robot_rig({"jaw": servo("opens"), "jaw_2": servo("opens")})
 
     assert [found.channel for found in rig.values()] == ["jaw", None]

@@ -7,6 +7,13 @@ STOPPED = {"state": "stopped", "stopped": "soft", "can_start": True}
 UNPLUGGED = {"state": "driven", "plugged": False}
 DRIVEN = {"state": "driven", "stopped": None, "can_start": False}
 WORD = {"report": {"confirmed": ["jaw"], "unconfirmed": {}, "at_rest": False}, "atMs": None}
+RELEASED = {
+    "report": {
+        "confirmed": [], "unconfirmed": {}, "at_rest": True,
+        "released": ["jaw"], "released_words": "pulses off",
+    },
+    "atMs": None,
+}  # fmt: skip
 TORQUE = {"servosGone": False, "torqueOn": True, "state": "driven"}
 GONE = {"servosGone": True, "torqueOn": False, "state": None}
 
@@ -46,6 +53,7 @@ def test_what_the_page_shows(module_page, status, frame, age_ms, word, word_ms, 
         ({**STOPPED, "servos": {"jaw": "waiting"}}, TORQUE, "moving", None, ["driven", "good"]),
         (STOPPED, GONE, "stopped", WORD, ["stopped: limp", "quiet"]),
         (STOPPED, GONE, "stopped", None, ["stopped, not confirmed", "warn"]),
+        (STOPPED, GONE, "stopped", RELEASED, ["stopped: pulses off", "warn"]),
         (DRIVEN, GONE, "moving", None, ["servo side gone", "bad"]),
         (UNPLUGGED, TORQUE, "moving", None, ["port gone: look at the plug", "bad"]),
     ],

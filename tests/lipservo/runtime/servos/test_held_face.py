@@ -10,9 +10,9 @@ from dynamixel_chain import MemoryFace
 
 from calibration.fit.servo_response import identify
 from calibration.mouth_servos import JointRange
+from firmware_bridge.dynamixel.mounting import mounted_servos
 from firmware_bridge.errors import PortGone
 from firmware_bridge.simulator.faults import Fault
-from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.runtime.servos.held_face import HeldFace, held_rate_hz
 from lipservo.settings.settings import FaceSettings, load_shipped_face
@@ -25,7 +25,7 @@ def settings_of(name="face_four", **changes):
 
 
 def held(settings, **options):
-    face = MemoryFace(servos=mounted_servos(settings))
+    face = MemoryFace(servos=mounted_servos(settings.wiring))
     return face, HeldFace(settings, face.bus, face.clock, **options)
 
 
@@ -79,7 +79,7 @@ def test_a_servo_that_is_held_up_shows_in_what_it_reached():
 def test_a_servo_that_says_nothing_is_not_taken_for_one_that_stands():
     settings = settings_of("face_jaw")
     mute = Fault("answers_stop", at_s=(2.2,), lasts_s=1.0)
-    face = MemoryFace(servos=mounted_servos(settings), faults=(mute,))
+    face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(mute,))
     with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
         robot.hold(2.0 - face.clock.now())
         assert robot.move(np.array([15.0])) == pytest.approx(15.0, abs=1.0)
@@ -117,7 +117,7 @@ def test_a_question_is_asked_while_the_servos_are_held():
 def test_a_plug_that_is_pulled_ends_it():
     settings = settings_of()
     pulled = Fault("unplug", at_s=(2.0,), lasts_s=60.0)
-    face = MemoryFace(servos=mounted_servos(settings), faults=(pulled,))
+    face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(pulled,))
 
     def hold():
         with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
@@ -131,7 +131,7 @@ def test_a_plug_that_is_pulled_ends_it():
 def test_a_signal_after_a_pulled_plug_is_a_stop_that_nobody_confirmed():
     settings = settings_of()
     pulled = Fault("unplug", at_s=(2.0,), lasts_s=60.0)
-    face = MemoryFace(servos=mounted_servos(settings), faults=(pulled,))
+    face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(pulled,))
 
     def hold():
         with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
@@ -148,7 +148,7 @@ def test_a_signal_after_a_pulled_plug_is_a_stop_that_nobody_confirmed():
 def test_a_lost_sample_at_the_start_neither_moves_a_joint_nor_keeps_it_for_ever():
     settings = settings_of()
     lost = Fault("drop_reply", probability=0.2)
-    face = MemoryFace(servos=mounted_servos(settings), faults=(lost,))
+    face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(lost,))
     with face.bus, HeldFace(settings, face.bus, face.clock, from_neutral=False) as robot:
         assert np.abs(robot.stands_deg).max() < 1.0
         robot.lead(np.array([5.0, 0.0, 0.0, 0.0]))

@@ -5,17 +5,17 @@ import pytest
 from driven_robot import TORQUE_ON
 from dynamixel_chain import MemoryFace, enable_all
 
+from firmware_bridge.dynamixel.mounting import mounted_servos
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.errors import PortGone
 from firmware_bridge.simulator.faults import Fault
-from lipservo.runtime.servos.assembly import mounted_servos
 from lipservo.runtime.servos.limp_servos import LimpServos
 from lipservo.settings.settings import load_shipped_face
 
 
 def limp_face(name="face_four", **options):
     settings = load_shipped_face(name)
-    face = MemoryFace(servos=mounted_servos(settings), **options)
+    face = MemoryFace(servos=mounted_servos(settings.wiring), **options)
     return face, LimpServos(settings, face.bus, face.clock)
 
 

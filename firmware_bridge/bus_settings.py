@@ -1,0 +1,97 @@
+"""The parts of a face YAML that a bus reads: its own section, and a servo that hangs on it.
+
+Every kind of bus derives its own settings from these (`firmware_bridge.bus_kinds`).
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Self
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints, model_validator
+
+
+def within(low: float, high: float) -> AfterValidator:
+    """Accept numbers from `low` to `high`; one check, so that the message can name both ends."""
+
+    def check(value: float) -> float:
+        if not low <= value <= high:
+            raise ValueError(f"{value:g} is outside {low:g}..{high:g}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _check_sign(value: int) -> int:
+    if value not in (1, -1):
+        raise ValueError(f"{value} is neither 1 nor -1")
+    return value
+
+
+#: Half a turn to each side.
+Degrees = Annotated[float, within(-180.0, 180.0)]
+#: The fastest servo known here, XL330-M077-T, makes 383 rev/min without load at 5 V (its e-manual
+#: page). Slower than 1 deg/s no mouth speaks, and Ctrl-C would not bring it home.
+Speed = Annotated[float, within(1.0, 2298.0)]
+#: Top speed within 50 ms at least, or speech is lost; within a millisecond is no limit any more.
+Acceleration = Annotated[float, within(100.0, 2_000_000.0)]
+#: Not a Literal: that would take `true` for 1.
+Sign = Annotated[int, AfterValidator(_check_sign)]
+Text = Annotated[str, StringConstraints(min_length=1)]
+
+
+class Strict(BaseModel):
+    """No unknown key, no conversion between types, no change after reading."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class BusSettings(Strict):
+    """How the servos are reached. kind: a name of `firmware_bridge.bus_kinds`."""
+
+    kind: str = "simulated"
+    port: Text | None = None
+
+
+class BusServo(Strict):
+    """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.
+
+    `positive` says in a word what a positive angle does. The servo's own angle is
+    sign x (joint angle + zero_offset_deg).
+    """
+
+    #: The key that tells the servos of one bus apart.
+    address_key: ClassVar[str] = "id"
+
+    positive: Text
+    min_deg: Degrees
+    max_deg: Degrees
+    max_speed_deg_s: Speed
+    sign: Sign = 1
+    zero_offset_deg: Degrees = 0.0
+    max_acceleration_deg_s2: Acceleration | None = None
+
+    @property
+    def address(self) -> int:
+        """The value of `address_key`, by which the bus finds it."""
+        return int(getattr(self, self.address_key))
+
+    @property
+    def make(self) -> str | None:
+        """Its model, where the YAML says it."""
+        return getattr(self, "model", None)
+
+    @property
+    def bounds(self) -> Mapping[str, float | None]:
+        """What its model bears, None where nobody says it."""
+        return {"hottest_degc": None, "least_v": None, "most_v": None}
+
+    def strain(self, _effort: float) -> float:
+        """How much of the most that it may draw it draws at an effort; 0 where nobody knows."""
+        return 0.0
+
+    @model_validator(mode="after")
+    def _neutral_is_within_reach(self) -> Self:
+        if not self.min_deg <= 0.0 <= self.max_deg:
+            raise ValueError(
+                f"needs min_deg <= 0 <= max_deg, got {self.min_deg:g} and {self.max_deg:g}"
+            )
+        return self

@@ -1,0 +1,98 @@
+"""Dynamixel servos at a serial port, as one kind of bus."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Final
+
+from firmware_bridge.bus_kinds import BusKind, Finding, PortRelease, Wiring
+from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.dynamixel.control_table import CAPABILITIES
+from firmware_bridge.dynamixel.settings import DynamixelServo, DynamixelSettings
+
+if TYPE_CHECKING:
+    from firmware_bridge.bus import ServoBus
+    from firmware_bridge.bus_settings import BusSettings
+    from firmware_bridge.clock import Clock
+
+#: Without a tick for so many of them, or so long, servos stop by themselves.
+_WATCHDOG_TICKS: Final = 3.0
+_WATCHDOG_S: Final = 0.1
+
+
+class DynamixelKind(BusKind):
+    """See `BusKind`."""
+
+    name = "dynamixel"
+    settings = DynamixelSettings
+    servo = DynamixelServo
+    workshop_module = "firmware_bridge.dynamixel.provisioning"
+    simulator_module = "firmware_bridge.simulator.host"
+
+    def capabilities(self, _settings: "BusSettings") -> BusCapabilities:
+        """Everything that there is."""
+        return CAPABILITIES
+
+    def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - real servos have the clock of the computer
+        """By our own packets, or the vendor's library."""
+        from firmware_bridge.dynamixel.bus import DynamixelBus, slow_adapter
+        from firmware_bridge.dynamixel.mounting import mounted_servos
+        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter, latency_timer_ms
+
+        settings, port = wiring.settings, wiring.settings.port
+
+        def remark() -> str | None:
+            timer_ms = latency_timer_ms(port)
+            return slow_adapter(len(wiring.servos), settings.baud_rate, wiring.rate_hz, timer_ms)
+
+        bus = partial(
+            DynamixelBus,
+            mounted_servos(wiring),
+            watchdog_s=max(_WATCHDOG_TICKS / wiring.rate_hz, _WATCHDOG_S),
+            strict=strict,
+            adapter_remark=remark,
+        )
+        if settings.backend == "own":
+            return bus(SameAdapter(port, settings.baud_rate))
+        from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
+
+        return bus(lambda: SdkTransport(port, settings.baud_rate), make_line=SdkLine)
+
+    def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
+        """By the bytes of a tick."""
+        from firmware_bridge.dynamixel.bus import budget
+
+        return budget(len(wiring.servos), wiring.settings.baud_rate, rate_hz)
+
+    def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
+        """At the face's rate; where that is not known, at all usual ones."""
+        from firmware_bridge.dynamixel.provisioning import SCANNED_RATES
+        from firmware_bridge.dynamixel.torque import LineRelease
+        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
+
+        rates = SCANNED_RATES if wiring is None else (wiring.settings.baud_rate,)
+        opener = SameAdapter(port, rates[0])
+        return lambda: LineRelease(opener(), rates)
+
+    def examine(self, wiring: Wiring) -> Iterator[Finding]:
+        """Port, adapter, and every servo."""
+        from firmware_bridge.dynamixel.doctor import examine
+        from firmware_bridge.dynamixel.mounting import mounted_servos
+        from firmware_bridge.dynamixel.provisioning import unhurried_line
+        from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms
+
+        port = wiring.settings.port
+        with unhurried_line(port, wiring.settings.baud_rate) as line:
+            servos = mounted_servos(wiring)
+            yield from examine(line, servos, wiring.rate_hz, latency_timer_ms(port))
+
+    def memories(self, wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
+        """Of each servo its EEPROM."""
+        from firmware_bridge.dynamixel.mounting import mounted_servos, read_identities
+        from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
+
+        opener = SameAdapter(wiring.settings.port, wiring.settings.baud_rate)
+        said = read_identities(opener, mounted_servos(wiring))
+        return [None if each is None else each.eeprom for each in said]
+
+
+DYNAMIXEL: Final = DynamixelKind()

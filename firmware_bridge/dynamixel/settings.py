@@ -1,0 +1,121 @@
+"""What a face YAML says of Dynamixel servos and their port; simulated ones are said the same way.
+
+Loads the tables of the models, and nothing that speaks to a servo.
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Final, Literal, Self
+
+from pydantic import AfterValidator, model_validator
+
+from firmware_bridge.bus_settings import BusServo, BusSettings, Strict, within
+from firmware_bridge.dynamixel.control_table import ServoModel as ModelFacts
+from firmware_bridge.dynamixel.control_table import baud_rates, servo_models
+
+#: Of the registers of voltages.
+_VOLT_UNIT: Final = 0.1
+
+
+def _check_baud_rate(value: int) -> int:
+    known = sorted(baud_rates().values())
+    if value not in known:
+        raise ValueError(f"{value} is no rate of these servos; use one of {known}")
+    return value
+
+
+#: Ids a Dynamixel may have: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#id
+ServoId = Annotated[int, within(0, 252)]
+#: No servo moves even itself with less; no X servo takes more.
+Milliamperes = Annotated[float, within(10.0, 5_000.0)]
+BaudRate = Annotated[int, AfterValidator(_check_baud_rate)]
+ServoModel = Literal[
+    "XL330-M077",
+    "XL330-M288",
+    "XC330-M288",
+    "XC330-T288",
+    "XL430-W250",
+    "XM430-W210",
+    "XM430-W350",
+]
+
+
+class DynamixelSettings(BusSettings):
+    """`bus:` of a face whose servos are Dynamixels, at a serial port or simulated in memory.
+
+    backend: which code makes the packets.
+    """
+
+    baud_rate: BaudRate = 1_000_000
+    backend: Literal["own", "dynamixel-sdk"] = "own"
+
+    @model_validator(mode="after")
+    def _real_servos_have_a_port(self) -> Self:
+        if self.kind == "dynamixel" and self.port is None:
+            raise ValueError("needs `port:`, /dev/serial/by-id/... or /dev/ttyUSB0 for one")
+        return self
+
+
+class _Keys(Strict):
+    """What comes first in the entry of a servo."""
+
+    id: ServoId
+    model: ServoModel
+
+
+class DynamixelServo(BusServo, _Keys):
+    """A Dynamixel. max_current_ma: it never pulls harder; only models that measure current."""
+
+    max_current_ma: Milliamperes | None = None
+
+    @property
+    def facts(self) -> ModelFacts:
+        """What its model is and can do."""
+        return servo_models()[self.model]
+
+    @property
+    def bounds(self) -> Mapping[str, float | None]:
+        """The factory limits of its model."""
+        defaults = self.facts.defaults
+        return {
+            "hottest_degc": defaults["temperature_limit"],
+            "least_v": defaults["min_voltage_limit"] * _VOLT_UNIT,
+            "most_v": defaults["max_voltage_limit"] * _VOLT_UNIT,
+        }
+
+    def strain(self, effort: float) -> float:
+        """Of max_current_ma, where the model measures current."""
+        if self.max_current_ma is None or not self.facts.measures_current:
+            return 0.0
+        return effort * self.facts.stall_a * 1e3 / self.max_current_ma
+
+    @model_validator(mode="after")
+    def _the_servo_can_do_it(self) -> Self:
+        # Half a turn to each side is all that position control reaches (mode 3, one turn).
+        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
+            servo_deg = self.sign * (angle + self.zero_offset_deg)
+            if not -180.0 <= servo_deg < 180.0:
+                raise ValueError(
+                    f"{name} puts the servo at {servo_deg:g} deg; it reaches -180..180"
+                )
+        fastest = self.facts.no_load_deg_s
+        if self.max_speed_deg_s > fastest:
+            raise ValueError(
+                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than an {self.model} makes "
+                f"without load, {fastest:g}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _the_servo_can_limit_its_current(self) -> Self:
+        if self.max_current_ma is None:
+            return self
+        unit_ma = self.facts.current_unit_ma
+        if unit_ma is None:
+            raise ValueError(f"max_current_ma: an {self.model} does not measure current")
+        most_ma = self.facts.defaults["current_limit"] * unit_ma
+        if self.max_current_ma > most_ma:
+            raise ValueError(
+                f"max_current_ma {self.max_current_ma:g} is more than an {self.model} takes, "
+                f"{most_ma:g}"
+            )
+        return self

@@ -1,0 +1,45 @@
+"""What commands and pages say of servos that cannot confirm that they were let go."""
+
+from hobby_bus import PULSES, WORDS
+
+from lipservo.commands.run.stop import _state
+from lipservo.dashboard.servo_remedies import told_servos
+from lipservo.runtime.servos.letting_go import Outcome
+
+REPORT = {
+    "complete": True, "at_rest": True, "dry_run": False, "confirmed": [], "unconfirmed": {},
+    "released": ["jaw", "lip"], "released_words": WORDS,
+}  # fmt: skip
+STATUS = {
+    "state": "stopped", "stopped": "soft", "stopped_by": "stop (1, root)", "stop_report": REPORT,
+    "servos": {"jaw": "waiting", "lip": "waiting"}, "capabilities": PULSES.as_dict(),
+    "health": [{"name": name, "servo_id": 1, "state": "driven", "temperature_degc": None,
+                "load": None, "voltage_v": None, "torque_on": False} for name in ("jaw", "lip")],
+}  # fmt: skip
+
+
+def test_a_stop_says_the_words_of_the_bus():
+    outcome = Outcome("face", released=["jaw", "lip"], released_words=WORDS)
+
+    assert outcome.is_confirmed
+    assert outcome.text("at rest and limp") == f"face: {WORDS} (2 servos)"
+    assert outcome.as_dict()["released"] == ["jaw", "lip"]
+    assert "released" not in Outcome("face", confirmed=["jaw"]).as_dict()
+
+
+def test_status_says_them_too():
+    assert _state(STATUS) == f"stopped by stop (1, root): {WORDS}; `lipservo start` drives it"
+
+
+def test_the_page_calls_such_a_servo_neither_limp_nor_silent():
+    for one in told_servos(STATUS, is_fresh=True):
+        assert one["state"] == "released"
+        assert one["trouble"]["meaning"] == WORDS
+        assert one["heard"]
+        assert one["temperature_degc"] is None
+
+
+def test_a_servo_that_was_never_heard_is_told_from_one_that_measures_nothing():
+    measuring = {**STATUS, "capabilities": {"heat": True}}
+
+    assert [one["heard"] for one in told_servos(measuring, is_fresh=True)] == [False, False]

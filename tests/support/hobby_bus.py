@@ -1,0 +1,59 @@
+"""A bus as that of hobby servos is: pulses go out, and nothing comes back. Simulated in memory."""
+
+from typing import ClassVar
+
+from firmware_bridge.bus_kinds import BusKind
+from firmware_bridge.bus_settings import BusServo, BusSettings
+from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.simulator.bus import SimulatedBus
+
+WORDS = "pulses off; a digital servo may hold"
+PULSES = BusCapabilities(hold=True, pulse_rate_hz=50.0, released_words=WORDS)
+
+
+class PulsePort:
+    """A port that is told to let go, and has no way to answer."""
+
+    confirms = False
+
+    def __init__(self, there=()):
+        self.there, self.told, self.is_open = list(there), [], True
+
+    def tell_all(self, addresses):
+        self.told.append(list(addresses))
+
+    def ask(self, address):
+        raise AssertionError(f"{address} cannot be asked")
+
+    def find(self, addresses):
+        found = sorted({*self.there, *addresses})
+        self.tell_all(found)
+        return found
+
+    def close(self):
+        self.is_open = False
+
+
+class HobbySettings(BusSettings):
+    kind: str = "pulses"
+    address: int = 12
+
+
+class HobbyServo(BusServo):
+    address_key: ClassVar[str] = "channel"
+    channel: int
+
+
+class HobbyKind(BusKind):
+    name = "pulses"
+    settings = HobbySettings
+    servo = HobbyServo
+
+    def capabilities(self, _settings):
+        return PULSES
+
+    def open(self, wiring, clock, **_strict):
+        return SimulatedBus(wiring.joints, clock, capabilities=PULSES)
+
+
+PULSES_KIND = HobbyKind()
