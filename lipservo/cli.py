@@ -1,5 +1,6 @@
 """All commands of `lipservo`: where each is, and what the help says of it."""
 
+import os
 import sys
 from importlib.metadata import version
 from types import MappingProxyType
@@ -8,6 +9,8 @@ from typing import Annotated
 import typer
 
 from lipservo.commands.lazy_group import Command, LazyGroup
+from lipservo.terminal import logs
+from lipservo.terminal.output import LOG_JSON
 
 _RUN, _BUILD = "lipservo.commands.run", "lipservo.commands.build"
 _SPEAK, _ROBOT, _LINES = "Run a face", "Set up a robot", "Scripted lines"
@@ -94,8 +97,18 @@ def lipservo(
     show_version: Annotated[
         bool, typer.Option("--version", help="Print the version and leave.")
     ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Log in detail, and who logs.")
+    ] = False,
+    log_json: Annotated[
+        bool, typer.Option("--log-json", help="One JSON object a line on stderr; no live view.")
+    ] = False,
 ) -> None:
     """Live speech, in English, moves a physical mouth."""
+    for name, given in ((logs.VERBOSE, verbose), (LOG_JSON, log_json)):
+        if given:
+            os.environ[name] = "1"  # for the processes of a face, too
+    logs.set_up()
     if show_version:
         sys.stdout.write(f"lipservo {version('lipservo')}\n")
         raise typer.Exit

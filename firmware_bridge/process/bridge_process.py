@@ -1,7 +1,9 @@
 """The bridge process: owns the port, runs the loop on the grid, ends in a defined state."""
 
+import logging
 from collections.abc import Callable
 from functools import partial
+from typing import Final
 
 from firmware_bridge.bus import ServoBus, ServoHealth
 from firmware_bridge.clock import MonotonicClock
@@ -14,6 +16,8 @@ from firmware_bridge.process.lifeline import Lifeline
 from firmware_bridge.process.operating_system import run_on_time
 from firmware_bridge.stopping import ExitStatus, StopRequest
 
+_LOG: Final = logging.getLogger(__name__)
+
 
 def run_bridge(
     bus: ServoBus,
@@ -22,19 +26,18 @@ def run_bridge(
     control: ControlSocket,
     lifeline: Lifeline,
     stopped: StopRequest | None,
-    log: Callable[[str], None],
     on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None,
     on_tick: Callable[[TickReport], None] | None = None,
 ) -> int:
     """Arm and tick until told to stop, by a signal or the control socket; the exit status.
 
     `bus` is entered here. stopped: what a person had asked of the bridge that died before this one.
-    log: takes a line; on_health: every ten seconds; on_tick: what each tick did; all return
-    at once. Raises BusError when it cannot start.
+    on_health: every ten seconds; on_tick: what each tick did; both return at once. Raises BusError
+    when it cannot start.
     """
     if lifeline.closed:
         return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
-    links = LifeCycleLinks(control, lifeline, log, partial(face_status, bridge), on_health)
+    links = LifeCycleLinks(control, lifeline, partial(face_status, bridge), on_health)
     life = LifeCycle(bridge, MonotonicClock(), links, stopped=stopped)
     began = False
     try:
@@ -52,7 +55,7 @@ def run_bridge(
         if not bridge.failure:
             lifeline.not_started(" ".join(str(error).split()))
             raise
-        log(str(error))
+        _LOG.warning("%s", error)
         return ExitStatus.CRITICAL_SERVO_FAILED
     assert life.report is not None
     return ExitStatus.ENDED_WELL if life.report.complete else ExitStatus.UNCONFIRMED

@@ -267,6 +267,7 @@ _MOVED: Final = {
     },
 }
 _OF_DAEMON: Final = "`lipservo daemon --dashboard` and `lipservo dashboard` have it"
+OPTIONS_OF_THE_PROGRAM: Final = ("-v", "--verbose", "--log-json")
 #: Where that is now which was an option, by command.
 MOVED_OPTIONS: Final = {
     "run": {

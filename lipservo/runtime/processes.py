@@ -1,5 +1,6 @@
 """A face in three processes: one that owns the port, one that hears, one that watches over both."""
 
+import logging
 import os
 import socket
 import sys
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING, Final
 from firmware_bridge.loop.report import TickReport
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
-from firmware_bridge.process.log_lines import LogLines
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import StopRequest
 from lipservo.runtime.requested_face import RequestedFace
@@ -21,6 +21,7 @@ from lipservo.runtime.run_request import RunRequest, request_json
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
+from lipservo.terminal.logs import face_logs
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
@@ -28,6 +29,7 @@ from lipsync.output_file import check_output
 if TYPE_CHECKING:
     from firmware_bridge.process.supervisor import Supervisor
 
+_LOG: Final = logging.getLogger(__name__)
 #: The speech side says so often how it is.
 _STATUS_EVERY_S: Final = 0.5
 
@@ -74,8 +76,7 @@ def run_bridge_process(
     face = RequestedFace(request)
     settings = face.settings
     with ExitStack() as stack:
-        lines = stack.enter_context(LogLines(prefix="bridge: "))
-        say = no_log if request.quiet else lines
+        stack.enter_context(face_logs(settings.name, "bridge", quiet=request.quiet))
         end = stack.enter_context(socket.socket(fileno=handed.channel))
         shared = stack.enter_context(StatusBoard.adopt(handed.board))
         live = stack.enter_context(LiveBoard.adopt(handed.live))
@@ -99,15 +100,15 @@ def run_bridge_process(
             switched_off=switched_off,
         )
         for index, reason in given_up.items():
-            say(f"stays limp: {settings.joints()[index].name}: {reason}")
-        healths = health_log(settings.name, request.port, lines, os.environ)
+            _LOG.warning("stays limp: %s: %s", settings.joints()[index].name, reason)
+        healths = health_log(settings.name, request.port, os.environ)
         if healths is not None:
             stack.enter_context(healths)
         on_tick = servos = ServoBoard(live, bridge).tell
         if request.trace is not None:
             from lipservo.runtime.supervised_trace import SupervisedTrace
 
-            trace = stack.enter_context(SupervisedTrace(face, shared, live, lines))
+            trace = stack.enter_context(SupervisedTrace(face, shared, live))
 
             def on_tick(report: TickReport) -> None:
                 servos(report)
@@ -119,7 +120,6 @@ def run_bridge_process(
             control=listener,
             lifeline=handed.lifeline,
             stopped=stopped,
-            log=say,
             on_health=None if healths is None else healths.offer,
             on_tick=on_tick,
         )
@@ -145,7 +145,7 @@ def run_speech_process(
     model = requested.face.model
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
-        say = no_log if request.quiet else stack.enter_context(LogLines(prefix="speech: "))
+        stack.enter_context(face_logs(requested.settings.name, "speech", quiet=request.quiet))
         end = stack.enter_context(socket.socket(fileno=handed.channel))
         shared = stack.enter_context(StatusBoard.adopt(handed.board))
         live = stack.enter_context(LiveBoard.adopt(handed.live))
@@ -162,16 +162,16 @@ def run_speech_process(
             timer_s=time.perf_counter,
         )
         side = speech.side
-        avatars = entered_avatars(request.avatars, request.model, stack, say)
+        avatars = entered_avatars(request.avatars, request.model, stack)
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:
-            say(f"{source.name} goes on at {start_s:.1f} s")
+            _LOG.info("%s goes on at %.1f s", source.name, start_s)
         # What the robot says is on a timeline of its own, which begins anew with each process.
         side.begin(zero_s if request.voice is None else clock.now())
         handed.lifeline.began(zero_s)
         listener = None if agents is None else socket.socket(fileno=agents)
-        serving = voice_agents(listener, side, request.voice, model, handed.control_path, say)
+        serving = voice_agents(listener, side, request.voice, model, handed.control_path)
         url = stack.enter_context(serving)
         n_servo_ticks = 0
         settings: dict[str, float] = {}
@@ -191,8 +191,6 @@ def run_speech_process(
             if avatars is not None:
                 sound_s, _, frame = side.shown(time_s)
                 avatars.show(time_s, sound_s, frame)
-            for change in speech.recognizer.take_changes():
-                say(change)
             if time_s >= status_due_s:
                 status_due_s = time_s + _STATUS_EVERY_S
                 shared.write_speech(speech.status(settings, url))
@@ -233,8 +231,8 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     about = requested.about
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
-        say = no_log if request.quiet else stack.enter_context(LogLines())
-        say(str(request.motion))
+        stack.enter_context(face_logs(settings.name, "supervisor", quiet=request.quiet))
+        _LOG.info("%s", request.motion)
         board = stack.enter_context(StatusBoard.create())
         live = stack.enter_context(requested.live_board())
         path, commands = requested.control_path, requested.commands(board.add_settings)
@@ -245,12 +243,11 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             started_by_person=sys.stdin is not None and sys.stdin.isatty(),
             drives_after_power_cut=settings.start_after_power_cut,
             on_change=lambda stop: board.write_stopped(is_stopped=stop is not None),
-            say=say,
         )
         stack.callback(record.close)
         board.write_stopped(is_stopped=record.stopped is not None)
         if record.stopped is not None:
-            say(f"starts limp, and `lipservo start` drives it: {record.why}")
+            _LOG.warning("starts limp, and `lipservo start` drives it: %s", record.why)
         writer, reader = channel_pair()
         command = [sys.executable, "-m", "lipservo"]
         shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
@@ -277,17 +274,12 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             listener,
             lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
             servo_names=servo_names,
-            say=say,
-            notice=ServiceNotice(say),
+            notice=ServiceNotice(),
             record=record,
         )
         supervisor.run(signals)
         _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))
     return supervisor.exit_status
-
-
-def no_log(_line: str) -> None:
-    """What --quiet asks for."""
 
 
 def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:

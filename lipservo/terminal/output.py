@@ -2,6 +2,8 @@
 
 import contextlib
 import json
+import logging
+import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -13,6 +15,10 @@ if TYPE_CHECKING:
 
 #: What is done, how many, of how many.
 Advance = Callable[[str, int, int], None]
+#: Set by the option `--log-json` or by a service: what is said on stderr becomes log lines.
+LOG_JSON: Final = "LIPSERVO_LOG_JSON"
+MESSAGE_LOGGER: Final = "lipservo.messages"
+_LOG: Final = logging.getLogger(MESSAGE_LOGGER)
 #: What rich leaves out of a text.
 _CONTROLS: Final = dict.fromkeys(map(ord, "\a\b\v\f\r"))
 
@@ -26,9 +32,12 @@ class _LazyConsole:
 
     def print(self, *objects: object, **options: Any) -> None:
         """As `rich.console.Console.print`."""
-        is_line = len(objects) == 1 and type(objects[0]) is str and options.get("soft_wrap", False)
+        is_text = len(objects) == 1 and type(objects[0]) is str
+        is_line = is_text and options.get("soft_wrap", False)
         is_plain = not any(value for name, value in options.items() if name != "soft_wrap")
-        if self._made is None and is_line and is_plain:
+        if self._stderr and is_text and os.environ.get(LOG_JSON):
+            _LOG.info("%s", objects[0])
+        elif self._made is None and is_line and is_plain:
             stream = sys.stderr if self._stderr else sys.stdout
             stream.write(f"{objects[0]}\n".translate(_CONTROLS))
             stream.flush()
@@ -60,6 +69,9 @@ MESSAGES = cast("Console", _LazyConsole(stderr=True))
 
 def complain(text: str) -> None:
     """Why the program ends, on stderr; in vain where the terminal is gone."""
+    if os.environ.get(LOG_JSON):
+        _LOG.error("%s", text)
+        return
     with contextlib.suppress(OSError):
         sys.stderr.write("".join(f"lipservo: {line}\n" for line in text.splitlines()))
         sys.stderr.flush()
@@ -81,8 +93,6 @@ def say_simulated() -> None:
 
 def machine_class() -> str:
     """What kind of machine measured: processor architecture, cores, Python."""
-    import os
-
     return f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 

@@ -72,7 +72,7 @@ class SupervisedFace:
         self.bridge = SimulatedChild("bridge", self.clock, HeartbeatTimeouts(30.0, 1.0))
         self.speech = SimulatedChild("speech", self.clock, HeartbeatTimeouts(60.0, 3.0))
         self.control = ControlSocket.bind(path)
-        self.path, self.said = path, []
+        self.path = path
         self.unplugged = False
         self.supervisor = Supervisor(
             self.bridge,
@@ -82,8 +82,7 @@ class SupervisedFace:
                 self._open, [1, 2, 3], timeout_s=timeout_s, now_s=self.clock.now
             ),
             servo_names={1: "jaw", 2: "left", 3: "right"},
-            say=self.said.append,
-            notice=ServiceNotice(self.said.append, self.clock.now),
+            notice=ServiceNotice(self.clock.now),
             record=record,
         )
         self.n_signals = 0

@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
@@ -70,7 +71,6 @@ def align(
 
 def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) -> None:
     from lipservo.rendering.spoken_line import given_text
-    from lipservo.runtime.sound import warn
     from lipsync.audio.file import read_speech
     from lipsync.recognition.alignment import (
         DOUBTFUL_SCORE,
@@ -83,7 +83,7 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
 
     if output is not None:
         check_phone_file(output, inputs=[sound])
-    samples = read_speech(sound, warn)
+    samples = read_speech(sound)
     alignment = force_align(samples, given_text(text))
     score = goodness_of_pronunciation(samples, alignment.phones)
     if score < LEAST_SCORE:
@@ -137,27 +137,22 @@ def recognize(
     """
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
+    from lipservo.runtime.motion_options import make_recognizer
     from lipservo.runtime.run_request import DEFAULT_MICROPHONE
     from lipservo.runtime.settled_phonemes import settled_events
     from lipservo.runtime.sound import open_microphone
-    from lipservo.runtime.sound import warn as warn_of_sound
     from lipsync.audio.file import FileSource
 
     check_weights(weights)
     if output is not None:
         check_phone_file(output, inputs=[sound])
     source: AudioSource = (
-        open_microphone(mic or DEFAULT_MICROPHONE)
-        if sound is None
-        else FileSource(sound, warn=warn_of_sound)
+        open_microphone(mic or DEFAULT_MICROPHONE) if sound is None else FileSource(sound)
     )
+    recognizer = make_recognizer(engine, None if mic is None else time.perf_counter, weights)
     events = []
-
-    def warn(line: str) -> None:
-        MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
-
     try:
-        for event in settled_events(source, engine, weights, warn):
+        for event in settled_events(source, recognizer):
             if output is not None:
                 events.append(event)
             if as_json:

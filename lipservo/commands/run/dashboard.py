@@ -21,6 +21,7 @@ from lipservo.commands.options import (
 )
 from lipservo.commands.run.running import chosen_faces
 from lipservo.commands.run.voice_choice import access_file, text_of
+from lipservo.terminal.logs import face_logs
 from lipservo.terminal.output import MESSAGES
 from lipsync.errors import UserError, check_extra
 
@@ -69,7 +70,8 @@ def dashboard(
                 webbrowser.open(address_of(bound, None if code is None else code.code))
 
         link = FaceLink(found_face(face, control), given, control)
-        serve(bound, link, token, ready, model, code)
+        with face_logs(face or "", "dashboard", quiet=quiet):
+            serve(bound, link, token, ready, model, code)
 
 
 def check_dashboard() -> None:

@@ -60,7 +60,6 @@ from lipservo.runtime.run_request import (
     chosen_sound,
 )
 from lipservo.runtime.servos.assembly import load_settings
-from lipservo.runtime.servos.face_life import say
 from lipservo.runtime.servos.face_stopped import exit_status
 from lipservo.runtime.servos.sim_process import servo_port
 from lipservo.runtime.sound import entered_sound, open_sound
@@ -281,6 +280,6 @@ def finish(request: RunRequest, outcome: RunOutcome) -> None:
         print_summary(outcome.summary, RESULTS)
     exit_code = exit_status(outcome.report, outcome.signal_number)
     if not outcome.report.complete and request.quiet:
-        say(outcome.report.text())
+        MESSAGES.print(outcome.report.text(), soft_wrap=True)
     if exit_code:
         raise typer.Exit(exit_code)

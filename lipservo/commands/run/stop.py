@@ -17,6 +17,7 @@ from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import Control, FaceName, Json, Port
 from lipservo.commands.run.running import ask_faces, chosen_faces
 from lipservo.runtime.servos.letting_go import Outcome, faces_at, release, stop_faces
+from lipservo.terminal.logs import face_logs
 from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
 
@@ -85,7 +86,8 @@ def stop(
     faces = chosen_faces(face, control)
     if not faces:
         raise UserError("no face answers; is a face running? `lipservo limp --port PORT` lets go")
-    outcomes = stop_faces(faces, level, _say, end=end)
+    with face_logs(face or ""):
+        outcomes = stop_faces(faces, level, end=end)
     done = {
         StopLevel.SOFT: "at rest and limp",
         StopLevel.LIMP: "limp",
@@ -184,9 +186,10 @@ def limp(
     faces = running_faces()
     if port is not None:
         faces = faces_at(port, faces)
-    outcomes = stop_faces(faces, StopLevel.LIMP, _say)
-    if port is not None:
-        outcomes.append(release(port, rate, ids, say=_say))
+    with face_logs(""):
+        outcomes = stop_faces(faces, StopLevel.LIMP)
+        if port is not None:
+            outcomes.append(release(port, rate, ids))
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
     _report(outcomes, "limp", as_json=as_json)
