@@ -4,9 +4,5 @@
 here or on another computer.
 """
 
-import logging
-
 from lipservo_client import connect as connect
 from lipservo_client import connect_async as connect_async
-
-logging.getLogger(__name__).addHandler(logging.NullHandler())

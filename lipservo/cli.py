@@ -1,5 +1,6 @@
 """All commands of `lipservo`: where each is, and what the help says of it."""
 
+import logging
 import os
 import sys
 from importlib.metadata import version
@@ -8,9 +9,8 @@ from typing import Annotated
 
 import typer
 
+from firmware_bridge.process import logs
 from lipservo.commands.lazy_group import Command, LazyGroup
-from lipservo.terminal import logs
-from lipservo.terminal.output import LOG_JSON
 
 _RUN, _BUILD = "lipservo.commands.run", "lipservo.commands.build"
 _SPEAK, _ROBOT, _LINES = "Run a face", "Set up a robot", "Scripted lines"
@@ -105,10 +105,11 @@ def lipservo(
     ] = False,
 ) -> None:
     """Live speech, in English, moves a physical mouth."""
-    for name, given in ((logs.VERBOSE, verbose), (LOG_JSON, log_json)):
+    for name, given in ((logs.VERBOSE, verbose), (logs.LOG_JSON, log_json)):
         if given:
             os.environ[name] = "1"  # for the processes of a face, too
-    logs.set_up()
+    # What happens to the simulated servos of a bench is what it measures.
+    logs.set_up(logging.ERROR if context.invoked_subcommand == "bench" else logging.WARNING)
     if show_version:
         sys.stdout.write(f"lipservo {version('lipservo')}\n")
         raise typer.Exit

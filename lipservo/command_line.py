@@ -6,9 +6,9 @@ import sys
 import typer
 
 from firmware_bridge.errors import BusError
+from firmware_bridge.process import logs
 from firmware_bridge.process.runtime_folder import ControlError
 from lipservo.runtime.servos.face_stopped import FaceStopped
-from lipservo.terminal import logs
 from lipservo.terminal.output import complain
 from lipsync.errors import UserError
 

@@ -180,6 +180,7 @@ class LifeCycle:
         """Arm the face, or take over a stopped one. Raises what `Bridge.start` raises."""
         if self._stopped is None:
             self._bridge.start(self._may_continue)
+            _LOG.debug("torque is on")
         elif self._stopped.level is StopLevel.FREEZE:
             self._bridge.start_frozen()
         else:

@@ -35,7 +35,6 @@ _LONGEST: Final = 4_000
 _CONTROLS: Final = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 #: Of a traceback.
 _MOST_LINES: Final = 60
-_TRACEBACKS: Final = logging.Formatter()
 #: https://systemd.io/JOURNAL_NATIVE_PROTOCOL/, and how syslog counts levels.
 JOURNAL: Final = "/run/systemd/journal/socket"
 _PRIORITY: Final = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
@@ -219,7 +218,7 @@ class LogWriter(logging.Handler):
         """Write a record; in vain where the terminal is gone."""
         message, trace = one_line(record.getMessage()), list[str]()
         if record.exc_info:
-            trace = _TRACEBACKS.formatException(record.exc_info).splitlines()[-_MOST_LINES:]
+            trace = logging.Formatter().formatException(record.exc_info).splitlines()[-_MOST_LINES:]
         fields = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -232,19 +231,19 @@ class LogWriter(logging.Handler):
         with contextlib.suppress(OSError):
             if self._as_json:
                 write_stderr(json.dumps(fields))
-            elif not (_leads_to_journal() and _sent_to_journal(fields)):
+            elif not _sent_to_journal(fields):
                 start = self._start % record.__dict__
                 self._write("\n".join([start + message, *map(one_line, trace)]))
 
 
-def _leads_to_journal() -> bool:
-    """Whether systemd connected stderr to the journal: systemd.exec(5), `$JOURNAL_STREAM`."""
-    stderr = os.fstat(_STDERR)
-    return os.environ.get("JOURNAL_STREAM") == f"{stderr.st_dev}:{stderr.st_ino}"
-
-
 def _sent_to_journal(fields: Mapping[str, object]) -> bool:
-    """Send an entry; False where the journal is not to be reached."""
+    """Send an entry; False where stderr does not lead to the journal, or nothing reaches it.
+
+    systemd.exec(5) has `$JOURNAL_STREAM`.
+    """
+    stderr = os.fstat(_STDERR)
+    if os.environ.get("JOURNAL_STREAM") != f"{stderr.st_dev}:{stderr.st_ino}":
+        return False
     level = str(fields["level"]).upper()
     own = {"PRIORITY": _PRIORITY.get(level, 5), "SYSLOG_IDENTIFIER": "lipservo"}
     entry = b""

@@ -140,7 +140,11 @@ class HealthLog:
             try:
                 self._append(*offered)
             except OSError as error:
-                self._complain(error)
+                if not self._complained:
+                    self._complained = True
+                    why = error.strerror or error
+                    complaint = "the health log %s cannot be written: %s; the face goes on"
+                    _LOG.error(complaint, self._folder, why)
 
     def _append(self, wall_s: float, servos: Sequence[ServoHealth]) -> None:
         moment = datetime.fromtimestamp(wall_s, UTC)
@@ -151,14 +155,6 @@ class HealthLog:
         _LOG.debug("servos: %s", line.decode())
         append_line(path, line)
         self._number += 1
-
-    def _complain(self, error: OSError) -> None:
-        if not self._complained:
-            self._complained = True
-            why = error.strerror or str(error)
-            _LOG.error(
-                "the health log %s cannot be written: %s; the face goes on", self._folder, why
-            )
 
 
 def health_log(face: str, port: str | None, environment: Mapping[str, str]) -> HealthLog | None:

@@ -15,6 +15,7 @@ from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import face_status
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
+from firmware_bridge.process.logs import LOG_JSON
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.stopping import StopReport
 from lipservo.runtime.face_speech import FaceSpeech
@@ -27,7 +28,7 @@ from lipservo.runtime.status.live_board import ServoBoard
 from lipservo.runtime.status.street_tick import StreetTick, TickObserver
 from lipservo.runtime.street import Street
 from lipservo.runtime.summary import Summary, Tally
-from lipservo.terminal.output import LOG_JSON, MESSAGES, say_simulated
+from lipservo.terminal.output import MESSAGES, say_simulated
 from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Synthesizer
@@ -89,7 +90,7 @@ def run_face(
         if not request.quiet:
             if requested.settings.bus.kind == "simulated":
                 say_simulated()
-            MESSAGES.print(str(request.motion), soft_wrap=True)
+            MESSAGES.print(str(request.motion))
             MESSAGES.print(f"delay from sound to face: {delay}")
         tally = Tally(clock, street)
         with ExitStack() as stack:

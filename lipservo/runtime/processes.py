@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 from firmware_bridge.loop.report import TickReport
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
+from firmware_bridge.process.logs import face_logs
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import StopRequest
 from lipservo.runtime.requested_face import RequestedFace
@@ -21,7 +22,6 @@ from lipservo.runtime.run_request import RunRequest, request_json
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
-from lipservo.terminal.logs import face_logs
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
@@ -289,4 +289,4 @@ def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> 
         ended = {"exit_status": supervisor.exit_status, **report.as_dict()}
         print_json({**ended, "face_status": status.as_dict()})
     elif not request.quiet or report.unconfirmed:
-        MESSAGES.print(f"ended; {report.line()}", soft_wrap=True, highlight=False)
+        MESSAGES.print(f"ended; {report.line()}")

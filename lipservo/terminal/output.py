@@ -10,15 +10,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from firmware_bridge.process.logs import LOG_JSON
+
 if TYPE_CHECKING:
     from rich.console import Console
 
 #: What is done, how many, of how many.
 Advance = Callable[[str, int, int], None]
-#: Set by the option `--log-json` or by a service: what is said on stderr becomes log lines.
-LOG_JSON: Final = "LIPSERVO_LOG_JSON"
-MESSAGE_LOGGER: Final = "lipservo.messages"
-_LOG: Final = logging.getLogger(MESSAGE_LOGGER)
+#: With `--log-json` what is said on stderr are log lines, too.
+_LOG: Final = logging.getLogger("lipservo.messages")
+_LOG.setLevel(logging.INFO)
 #: What rich leaves out of a text.
 _CONTROLS: Final = dict.fromkeys(map(ord, "\a\b\v\f\r"))
 
@@ -31,11 +32,11 @@ class _LazyConsole:
         self._made: Console | None = None
 
     def print(self, *objects: object, **options: Any) -> None:
-        """As `rich.console.Console.print`."""
-        is_text = len(objects) == 1 and type(objects[0]) is str
-        is_line = is_text and options.get("soft_wrap", False)
+        """As `rich.console.Console.print`; the terminal breaks lines that are too long for it."""
+        is_line = len(objects) == 1 and type(objects[0]) is str
+        options = {"soft_wrap": is_line, **options}
         is_plain = not any(value for name, value in options.items() if name != "soft_wrap")
-        if self._stderr and is_text and os.environ.get(LOG_JSON):
+        if self._stderr and is_line and os.environ.get(LOG_JSON):
             _LOG.info("%s", objects[0])
         elif self._made is None and is_line and is_plain:
             stream = sys.stderr if self._stderr else sys.stdout
@@ -87,7 +88,6 @@ def say_simulated() -> None:
     MESSAGES.print(
         "SIMULATED: no real servo moves; --port, or `bus:` in the face's YAML, names real ones",
         style="bold yellow",
-        soft_wrap=True,
     )
 
 

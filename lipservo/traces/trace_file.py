@@ -153,17 +153,13 @@ def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
         "wanted_deg": _rounded(report.wanted_deg.tolist()),
         "sent_deg": _rounded(report.sent_deg.tolist()),
         "late": report.late,
-        "target_age_s": _finite(report.target_age_s),
+        # JSON knows no infinity: None before the first target.
+        "target_age_s": round(age_s, 6) if math.isfinite(age_s := report.target_age_s) else None,
         "stale": report.stale.name.lower(),
         "torque_on": report.torque_on,
         "range_hits": report.range_hits.nonzero()[0].tolist(),
         "rate_hits": report.rate_hits.nonzero()[0].tolist(),
     }
-
-
-def _finite(value: float) -> float | None:
-    """JSON knows no infinity: None before the first target."""
-    return round(value, 6) if math.isfinite(value) else None
 
 
 def _rounded(values: Sequence[float]) -> list[float]:

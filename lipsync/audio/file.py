@@ -163,13 +163,11 @@ def read_sound(path: str | PathLike[str], warn: Warn = log_warning) -> tuple[Sam
     return samples, sample_rate_hz
 
 
-def checked_rate_hz(path: str | PathLike[str]) -> int:
-    """A file's own sample rate, in hertz, after the checks of `FileSource`. Raises SoundError."""
-    return checked_sound(path)[0]
-
-
 def checked_sound(path: str | PathLike[str], warn: Warn = log_warning) -> tuple[int, float]:
-    """The same, and the length in seconds, to the nearest sample at 16 kHz."""
+    """A file's own sample rate, in hertz, and its length in seconds, to the nearest at 16 kHz.
+
+    After the checks of `FileSource`. Raises SoundError.
+    """
     path = Path(path)
     duration_s = _checked_duration_s(path, warn)
     with open_sound(path) as sound:

@@ -4,7 +4,6 @@ The endurance run in numbers, in one session or in several that go on from a fil
 """
 
 import json
-import logging
 import math
 import os
 import time
@@ -125,7 +124,6 @@ def endure(
             replugs=bridge.status.n_unplugged,
         )
 
-    logging.disable()  # the pulled plugs are the campaign's own
     with bus, LifeCycle(bridge, clock) as life:
         life.start()
         for time_s, late in life.ticks():
@@ -138,7 +136,6 @@ def endure(
             channel.publish(ServoTargets(time_s, wanted_deg(time_s, n_servos)))
             bridge.tick(time_s, late)
             n_done += 1
-    logging.disable(logging.NOTSET)
     return so_far()
 
 

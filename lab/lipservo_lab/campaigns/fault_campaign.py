@@ -1,6 +1,5 @@
 """Every kind of fault against the whole bridge, on a virtual clock, with an auditor on the wire."""
 
-import logging
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -204,7 +203,6 @@ def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
     bridge = Bridge(bus, joints, channel, settings)
     control = _Stop(case.stop, clock, auditor)
     error, recovered_s, unknown = "", math.nan, 0
-    logging.disable()  # its faults are the campaign's own
     try:
         with bus, LifeCycle(bridge, clock, LifeCycleLinks(control=control)) as life:
             life.start()
@@ -225,8 +223,6 @@ def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
                     unknown += reachable and servo.torque_on != belief
     except (BusError, ArithmeticError, LookupError, ValueError, TypeError) as problem:
         error = f"{type(problem).__name__}: {problem}"
-    finally:
-        logging.disable(logging.NOTSET)
     stiff = sum(s.torque_on for s in chain.servos if _reachable(s, servos))
     never = case.stop is not None or math.isnan(recovered_s)
     return Outcome(

@@ -95,10 +95,9 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
         MESSAGES.print(
             f"the text fits badly (score {score:.2f}, usual are {USUAL_SCORES}): words may be "
             "missing or too many, or the voice is hard to hear",
-            soft_wrap=True,
         )
     if alignment.guessed:
-        MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}", soft_wrap=True)
+        MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}")
     phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in alignment.phones)
     if output is not None:
         write_phone_file(output, {"words": alignment.words, "phones": phones})

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from firmware_bridge.process.logs import face_logs
 from lipservo.commands.options import (
     Control,
     DashboardListen,
@@ -21,7 +22,6 @@ from lipservo.commands.options import (
 )
 from lipservo.commands.run.running import chosen_faces
 from lipservo.commands.run.voice_choice import access_file, text_of
-from lipservo.terminal.logs import face_logs
 from lipservo.terminal.output import MESSAGES
 from lipsync.errors import UserError, check_extra
 
@@ -63,7 +63,7 @@ def dashboard(
         def ready() -> None:
             if not quiet:
                 line = f"dashboard: {address_of(bound, token)}"
-                MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+                MESSAGES.print(line)
             if open_page and _has_a_screen():
                 import webbrowser
 

@@ -46,7 +46,7 @@ def dashboard_beside(
     path = request.control or socket_path(load_settings(request.config)[0].name)
     with bound_dashboard(listen, token) as listener:
         if not request.quiet:
-            MESSAGES.print(f"dashboard: {address_of(listener, token)}", soft_wrap=True)
+            MESSAGES.print(f"dashboard: {address_of(listener, token)}")
         with dashboard_child(path, listener, file, model=request.model, open_page=open_page):
             yield
 

@@ -24,5 +24,4 @@ def devices(as_json: Json = False) -> None:
             mark = "*" if device.is_default else " "
             RESULTS.print(
                 f"{mark} {device.index:3d}  {device.name}, {device.sample_rate_hz} Hz",
-                soft_wrap=True,
             )

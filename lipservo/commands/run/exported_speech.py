@@ -151,7 +151,8 @@ def exported_text(
         values = viseme_weights(spoken.events(), times_s, load_face(model).tightest_s)
         names = OVR_NAMES
     track = WeightTrack(asked.file_format, asked.rate_hz, names, times_s, values)
-    text = _track_text(track, asked.ending)
+    write = live_link_csv if track.kind == "arkit" else track_csv
+    text = track_lines(track) if asked.ending == ".jsonl" else write(track)
     return text, {"duration_s": duration_s, "rate_hz": asked.rate_hz, "n_frames": len(times_s)}
 
 
@@ -160,9 +161,3 @@ def _cue_text(cues: Sequence[MouthCue], asked: Exported, duration_s: float) -> s
         return cues_tsv(cues)
     write = cues_json if asked.ending == ".json" else cues_xml
     return write(cues, str(asked.sound), duration_s)
-
-
-def _track_text(track: WeightTrack, ending: str) -> str:
-    if ending == ".jsonl":
-        return track_lines(track)
-    return live_link_csv(track) if track.kind == "arkit" else track_csv(track)

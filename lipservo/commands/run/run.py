@@ -280,6 +280,6 @@ def finish(request: RunRequest, outcome: RunOutcome) -> None:
         print_summary(outcome.summary, RESULTS)
     exit_code = exit_status(outcome.report, outcome.signal_number)
     if not outcome.report.complete and request.quiet:
-        MESSAGES.print(outcome.report.text(), soft_wrap=True)
+        MESSAGES.print(outcome.report.text())
     if exit_code:
         raise typer.Exit(exit_code)

@@ -1,25 +1,21 @@
 """The life cycle of one face as every command starts it."""
 
-import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import Bridge, face_status
 from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
 from firmware_bridge.process.commands import CommandQueue
 from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.health.health_log import health_log
 from lipservo.runtime.status.face_status import whole_status
-from lipservo.terminal.logs import face_logs
-
-_LOG: Final = logging.getLogger(__name__)
 
 
 def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
@@ -71,7 +67,6 @@ def face_life(
         path = asked.path or socket_path(name)
         listener = ControlSocket.bind(path, about, asked.commands, asked.describe, asked.watched_fd)
         stack.enter_context(listener)
-        _LOG.debug("%s answers at %s", name, path)
         healths = health_log(name, port, os.environ)
         if healths is not None:
             stack.enter_context(healths)

@@ -1,32 +1,31 @@
-"""Where log lines go: to people, to programs or to journald, by options of the whole program.
+"""Where the log lines of a process go: to people, to programs or to journald, as the user chose.
 
 Modules log by `logging.getLogger(__name__)`. docs/hardware.md, "What it logs", is for users,
-docs/decisions/0048-logging.md says why it is so.
+docs/decisions/0043-logging.md says why it is so.
 """
 
 import contextlib
 import logging
 import os
+import sys
 from collections.abc import Iterator
-from functools import partial
 from typing import Final
 
 from firmware_bridge.process.log_lines import LogLines, LogWriter, write_stderr
-from lipservo.terminal.output import LOG_JSON, MESSAGE_LOGGER, MESSAGES
 
-#: As `LOG_JSON`: set by an option or by a service, and inherited by the processes of a face.
+#: Set by options of the program or by a service; the processes of a face inherit them.
 VERBOSE: Final = "LIPSERVO_VERBOSE"
+LOG_JSON: Final = "LIPSERVO_LOG_JSON"
 #: Others keep to warnings, whatever is set here.
 _OURS: Final = ("calibration", "firmware_bridge", "lipservo", "lipservo_lab", "lipsync")
 #: Processes of one face that share a terminal name themselves in each line.
 _NAMED_SIDES: Final = ("bridge", "speech")
 
 
-def set_up() -> None:
-    """Log warnings to stderr, as the environment says; may be called again when it has changed."""
+def set_up(level: int = logging.WARNING) -> None:
+    """Log to stderr, as the environment says; may be called again when it has changed."""
     _replace_handler(_writer("", ""))
-    _show(logging.WARNING)
-    logging.getLogger(MESSAGE_LOGGER).setLevel(logging.INFO)
+    _show(level)
 
 
 @contextlib.contextmanager
@@ -53,9 +52,15 @@ def _show(level: int) -> None:
 def _writer(face: str, side: str) -> LogWriter:
     start = f"{side}: " if side in _NAMED_SIDES else ""
     start += "%(levelname)s %(name)s: " if os.environ.get(VERBOSE) else ""
-    # Of several processes that share a terminal none draws on it.
-    write = write_stderr if side else partial(MESSAGES.print, soft_wrap=True)
+    # A live view takes what is written to sys.stderr, and draws itself below. Of several processes
+    # that share a terminal none draws on it.
+    write = write_stderr if side else _print
     return LogWriter(face, side, start, write, as_json=bool(os.environ.get(LOG_JSON)))
+
+
+def _print(text: str) -> None:
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
 
 
 def _replace_handler(*handlers: logging.Handler) -> list[logging.Handler]:
