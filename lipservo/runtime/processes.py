@@ -22,7 +22,7 @@ from lipservo.runtime.run_request import RunRequest, request_json
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
-from lipservo.terminal.output import MESSAGES, print_json
+from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
@@ -288,5 +288,6 @@ def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> 
     if request.as_json:
         ended = {"exit_status": supervisor.exit_status, **report.as_dict()}
         print_json({**ended, "face_status": status.as_dict()})
-    elif not request.quiet or report.unconfirmed:
-        MESSAGES.print(f"ended; {report.line()}")
+    else:
+        level = logging.INFO if report.complete else logging.ERROR
+        _LOG.log(level, "ended; %s", report.line())

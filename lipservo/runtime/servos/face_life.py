@@ -57,7 +57,7 @@ def face_life(
     Raises ControlError where no socket can be made.
     """
     if isinstance(clock, ManualClock):
-        with face_logs(name, quiet=True), LifeCycle(bridge, clock) as life:
+        with LifeCycle(bridge, clock) as life:
             yield life
         return
     with ExitStack() as stack:

@@ -77,29 +77,15 @@ def test_help_names_the_options_and_a_quiet_run_stays_quiet(sound):
 
 def test_our_packages_are_silent_in_a_program_that_sets_up_no_logging():
     script = "import logging, {0}; logging.getLogger('{0}.x').error('not to be seen')"
-    for package in ("firmware_bridge", "lipsync", "lipservo"):
+    for package in ("firmware_bridge", "lipsync"):
         done = subprocess.run(
             [sys.executable, "-c", script.format(package)], capture_output=True, text=True
         )
         assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.fixture
-def root():
-    """The handlers of the tests themselves stay."""
-    logger = logging.getLogger()
-    before, levels = logger.handlers[:], {each: logging.getLogger(each).level for each in OURS}
-    yield logger
-    logger.handlers[:] = before
-    for name, level in levels.items():
-        logging.getLogger(name).setLevel(level)
-
-
-OURS = ("calibration", "firmware_bridge", "lipservo", "lipservo_lab", "lipsync")
-
-
-def test_other_peoples_loggers_keep_to_warnings_and_their_handlers_stay(root):
-    foreign = logging.NullHandler()
+def test_other_peoples_loggers_keep_to_warnings_and_their_handlers_stay():
+    root, foreign = logging.getLogger(), logging.NullHandler()
     root.addHandler(foreign)
     logs.set_up()
     logs.set_up()
@@ -114,6 +100,17 @@ def test_other_peoples_loggers_keep_to_warnings_and_their_handlers_stay(root):
         assert not logging.getLogger("lipsync.audio").isEnabledFor(logging.WARNING)
         assert logging.getLogger("lipsync.audio").isEnabledFor(logging.ERROR)
     assert len(root.handlers) == n_handlers
+    root.removeHandler(foreign)
+
+
+def test_a_replay_says_nothing_of_the_life_of_its_servos_and_all_of_what_went_wrong(sound):
+    whole = sound.read_bytes()
+    sound.write_bytes(whole[: len(whole) * 3 // 4])
+    done = run("replay", sound, "--quiet")
+
+    assert done.returncode == 0
+    (line,) = done.stderr.splitlines()
+    assert "cut short: its header promises 0.50 s, the file holds 0.37 s" in line
 
 
 @pytest.fixture
