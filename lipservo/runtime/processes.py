@@ -265,12 +265,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             Child(
                 "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)
             ),
-            Child(
-                "speech",
-                speech,
-                {**of_speech, **ours},
-                HeartbeatTimeouts(60.0, 3.0),
-            ),
+            Child("speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0)),
             listener,
             lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
             servo_names=servo_names,

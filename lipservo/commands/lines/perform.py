@@ -30,22 +30,13 @@ from lipservo.commands.options import (
     TokenFile,
     Trace,
 )
-from lipservo.commands.run.dashboard_beside import (
-    check_page_options,
-    dashboard_beside,
-    with_sounds,
-)
+from lipservo.commands.run.dashboard_beside import check_page_options, dashboard_beside, with_sounds
 from lipservo.commands.run.run import ANY_PORT, avatars_of, finish, motion_of
 from lipservo.commands.run.say import told_through
 from lipservo.commands.run.voice_choice import access_file, with_access
 from lipservo.runtime.face_runtime import run_face
 from lipservo.runtime.motion_options import ChosenMotion, MotionOptions
-from lipservo.runtime.run_request import (
-    DEFAULT_OUTPUT,
-    SILENCE,
-    RunRequest,
-    VoiceOptions,
-)
+from lipservo.runtime.run_request import DEFAULT_OUTPUT, SILENCE, RunRequest, VoiceOptions
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.servos.sim_process import servo_port
 from lipservo.runtime.sound import SpeechQueue, entered_sound, spoken_chunks

@@ -55,8 +55,7 @@ def align(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
     text: Annotated[str, typer.Argument(help="What is said, or a text file that holds it.")],
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Write X.TextGrid or X.json."),
+        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -94,7 +93,7 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
     if score < DOUBTFUL_SCORE:
         MESSAGES.print(
             f"the text fits badly (score {score:.2f}, usual are {USUAL_SCORES}): words may be "
-            "missing or too many, or the voice is hard to hear",
+            "missing or too many, or the voice is hard to hear"
         )
     if alignment.guessed:
         MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}")
@@ -123,8 +122,7 @@ def recognize(
         typer.Option(metavar="[DEVICE]", help="Listen to a microphone.", show_default=False),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end."),
+        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end.")
     ] = None,
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,

@@ -35,11 +35,7 @@ from lipservo.commands.options import (
     Trace,
     Wav,
 )
-from lipservo.commands.run.dashboard_beside import (
-    check_page_options,
-    dashboard_beside,
-    with_sounds,
-)
+from lipservo.commands.run.dashboard_beside import check_page_options, dashboard_beside, with_sounds
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.voice_choice import (
     access_file,
@@ -232,10 +228,7 @@ def run_once(
     sim: as typed; with `pty` the servos are simulated behind a port made for the occasion.
     listener: where voice agents connect; endless: the face goes on when the sound is over.
     """
-    with (
-        servo_port(request.port, sim, request.config) as at_port,
-        entered_sound(request) as source,
-    ):
+    with servo_port(request.port, sim, request.config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)
         outcome = run_face(
             request,
