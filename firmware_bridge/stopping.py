@@ -1,5 +1,6 @@
 """How a person stops, starts and jogs a face; what its servos reported at the end; exit status."""
 
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
@@ -66,6 +67,11 @@ class StopReport:
     def complete(self) -> bool:
         """Whether every servo confirmed that can; the others were let go."""
         return not self.unconfirmed
+
+    @property
+    def log_level(self) -> int:
+        """How serious the report is, as `logging` counts: a warning unless it is complete."""
+        return logging.INFO if self.complete else logging.WARNING
 
     def text(self) -> str:
         """For a person: one line, or one more for each servo that did not confirm."""

@@ -18,7 +18,8 @@ def main() -> None:
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         # Nothing moves yet and nothing is open: leave at once, without a traceback of imports.
         signal.signal(signal.SIGINT, _leave)
-    if sys.argv[1:2] and (sys.argv[1] in _KEEP_UP or sys.argv[1:3] == ["lines", "recognize"]):
+    words = [each for each in sys.argv[1:] if not each.startswith("-")]
+    if words[:1] and (words[0] in _KEEP_UP or words[:2] == ["lines", "recognize"]):
         for name in _BLAS_THREADS:  # read when NumPy is loaded
             os.environ.setdefault(name, "1")
     from lipservo import command_line

@@ -1,5 +1,7 @@
 """All commands of `lipservo`: where each is, and what the help says of it."""
 
+import logging
+import os
 import sys
 from importlib.metadata import version
 from types import MappingProxyType
@@ -7,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from firmware_bridge.process import logs
 from lipservo.commands.lazy_group import Command, LazyGroup
 
 _RUN, _BUILD = "lipservo.commands.run", "lipservo.commands.build"
@@ -94,8 +97,19 @@ def lipservo(
     show_version: Annotated[
         bool, typer.Option("--version", help="Print the version and leave.")
     ] = False,
+    verbose: Annotated[
+        bool, typer.Option("--verbose", "-v", help="Log in detail, and who logs.")
+    ] = False,
+    log_json: Annotated[
+        bool, typer.Option("--log-json", help="One JSON object a line on stderr; no live view.")
+    ] = False,
 ) -> None:
     """Live speech, in English, moves a physical mouth."""
+    for name, given in ((logs.VERBOSE, verbose), (logs.LOG_JSON, log_json)):
+        if given:
+            os.environ[name] = "1"  # for the processes of a face, too
+    # What happens to the simulated servos of a bench is what it measures.
+    logs.set_up(logging.ERROR if context.invoked_subcommand == "bench" else logging.WARNING)
     if show_version:
         sys.stdout.write(f"lipservo {version('lipservo')}\n")
         raise typer.Exit

@@ -6,6 +6,7 @@ import sys
 import typer
 
 from firmware_bridge.errors import BusError
+from firmware_bridge.process import logs
 from firmware_bridge.process.runtime_folder import ControlError
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.terminal.output import complain
@@ -29,6 +30,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             # Names of files need not be UTF-8, and neither need a terminal be.
             stream.reconfigure(errors="backslashreplace")
+    logs.set_up()
     arguments = _with_default_microphone(sys.argv[1:] or ["--help"])
     try:
         status = _run(arguments)
@@ -71,11 +73,13 @@ def _run(arguments: list[str]) -> int:
 
 def _moved_option(error: typer.TyperException) -> str | None:
     """Where an option is now that a command had once."""
-    from lipservo.commands.options import MOVED_OPTIONS
+    from lipservo.commands.options import MOVED_OPTIONS, OPTIONS_OF_THE_PROGRAM
 
     name = getattr(error, "option_name", "")
     command = getattr(getattr(error, "ctx", None), "info_name", "") or ""
     where = MOVED_OPTIONS.get(command, {}).get(name)
+    if name in OPTIONS_OF_THE_PROGRAM:
+        where = f"goes before the command: `lipservo {name} {command}`"
     return None if where is None else f"{name}: {where}"
 
 

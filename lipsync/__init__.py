@@ -2,3 +2,7 @@
 
 The first half of the street. Knows no servo and reads no YAML.
 """
+
+import logging
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())

@@ -1,3 +1,4 @@
+import logging
 import os
 import signal
 from pathlib import Path
@@ -5,6 +6,8 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from places import short_folder
+
+from firmware_bridge.process.log_lines import LogLines, LogWriter
 
 # Before NumPy is loaded, here and in whatever the tests start: threads of BLAS that share a small
 # product wait for each other while other tests run, for a hundred times its time.
@@ -23,6 +26,17 @@ for variable in ("RUNTIME_DIRECTORY", "LIPSERVO_RUNTIME"):
 signal.signal(signal.SIGINT, signal.default_int_handler)
 for number in (signal.SIGHUP, signal.SIGQUIT):
     signal.signal(number, signal.SIG_DFL)
+
+
+@pytest.fixture(autouse=True)
+def _no_settings_of_logging():
+    """A command that runs in this process sets them for its own."""
+    yield
+    root = logging.getLogger()
+    for handler in [each for each in root.handlers if isinstance(each, (LogLines, LogWriter))]:
+        root.removeHandler(handler)
+    for name in ("calibration", "firmware_bridge", "lipservo", "lipservo_lab", "lipsync"):
+        logging.getLogger(name).setLevel(logging.NOTSET)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """From the first torque to the last: start, ticks, stops from wherever they come, and the end."""
 
 import contextlib
+import logging
 import signal
 import threading
 import time
@@ -65,10 +66,6 @@ class Heartbeat(Protocol):
         """A person switched a servo off, or on again."""
 
 
-def _no_log(_line: str) -> None:
-    """Nobody reads it."""
-
-
 def _no_record(_stop: StopRequest | None) -> None:
     """A face that ends with its stop needs none."""
 
@@ -77,19 +74,19 @@ def _no_record(_stop: StopRequest | None) -> None:
 class LifeCycleLinks:
     """All of them optional.
 
-    status: what the control socket answers. log: one line of what happened; on_health: every 10 s;
-    on_stopped: a person's stop and who requested it, for what must outlive this process, or None
-    once a person has started the face again. All three must return at once.
+    status: what the control socket answers. on_health: every 10 s; on_stopped: a person's stop and
+    who requested it, for what must outlive this process, or None once a person has started the face
+    again. Both must return at once.
     """
 
     control: Control | None = None
     lifeline: Heartbeat | None = None
-    log: Callable[[str], None] = _no_log
     status: Callable[[], Mapping[str, object]] = dict
     on_health: Callable[[tuple[ServoHealth, ...]], None] | None = None
     on_stopped: Callable[[StopRequest | None], None] = _no_record
 
 
+_LOG: Final = logging.getLogger(__name__)
 #: The end after a second signal or an error: whoever has not confirmed by then is reported.
 _LAST_TRIES_S: Final = 0.5
 #: A trouble is told when it has lasted so long; a servo that misses one answer is none.
@@ -145,7 +142,6 @@ class LifeCycle:
         self._grid = ticks(clock, bridge.rate_hz)
         self._control = links.control
         self._lifeline = links.lifeline
-        self._log = links.log
         self._status = links.status
         self._on_health = links.on_health
         self._on_stopped = links.on_stopped
@@ -184,6 +180,7 @@ class LifeCycle:
         """Arm the face, or take over a stopped one. Raises what `Bridge.start` raises."""
         if self._stopped is None:
             self._bridge.start(self._may_continue)
+            _LOG.debug("torque is on")
         elif self._stopped.level is StopLevel.FREEZE:
             self._bridge.start_frozen()
         else:
@@ -225,7 +222,7 @@ class LifeCycle:
             # With a servo unconfirmed, whoever asked is told by the supervisor, which goes on.
             if self._control is not None and (self.report.complete or self._lifeline is None):
                 self._control.report_end({"waits": self._is_kept, **self.report.as_dict()})
-            self._log(self.report.text())
+            _LOG.log(self.report.log_level, "%s", self.report.text())
             restore_handlers(self._previous_handlers)
         if error is not None and not self.report.complete:
             error.add_note(self.report.text())
@@ -240,7 +237,7 @@ class LifeCycle:
         if self._bridge.state is FaceState.STOPPED:
             return  # never started: nothing was switched on
         if self._bridge.state is FaceState.FROZEN:
-            self._log("frozen: held until the next stop")  # a program's end undoes no person's stop
+            _LOG.info("frozen: held until the next stop")  # a program's end undoes no person's stop
         elif self._asked is None:
             self.stop()
         self._bounded = True
@@ -254,7 +251,7 @@ class LifeCycle:
         until_s, n_signals = self._clock.now() + _LAST_TRIES_S, self._n_signals
         if n_signals > 1 and not self._bridge.plugged:
             until_s += PORT_WAIT_S
-            self._log(
+            _LOG.warning(
                 "the port is gone: once it is back, the servos are let go; "
                 "one more signal leaves them as they are"
             )
@@ -290,7 +287,7 @@ class LifeCycle:
             self._lifeline.beat()
         if self._n_signals and not self._by_signal:
             self._by_signal = True
-            self._log(f"stopping: {signal.Signals(self.signal_number or 0).name}")
+            _LOG.info("stopping: %s", signal.Signals(self.signal_number or 0).name)
             self.stop()
         is_stopped_now = self._poll_control()
         self._obey_orders(time_s, is_stopped_now=is_stopped_now)
@@ -302,7 +299,7 @@ class LifeCycle:
             self._remarks_due_s = time_s + _REMARKS_EVERY_S
             for remark in self._bridge.remarks()[self._n_remarks :]:
                 self._n_remarks += 1
-                self._log(remark)
+                _LOG.warning("%s", remark)
 
     def _poll_control(self) -> bool:
         """Act on a stop that has come, and only then answer; whether one came."""
@@ -329,7 +326,7 @@ class LifeCycle:
             self._stopped = request
             self._stop(request.level)
         self._on_stopped(self._stopped)
-        self._log(f"stop requested: {request.level.value}, by {request.requested_by}")
+        _LOG.info("stop requested: %s, by %s", request.level.value, request.requested_by)
 
     @property
     def _may_wait(self) -> bool:
@@ -348,7 +345,8 @@ class LifeCycle:
         self._stop_report, self._at_s = self._bridge.stop_report(), round(time.time(), 3)
         if self._control is not None:
             self._control.report_end({"waits": True, **self._stop_report.as_dict()})
-        self._log(f"{self._stop_report.text()}; it waits: `lipservo start` starts it again")
+        waits = "it waits: `lipservo start` starts it again"
+        _LOG.log(self._stop_report.log_level, "%s; %s", self._stop_report.text(), waits)
         self._bridge.await_start()
 
     def _described(self) -> dict[str, object]:
@@ -389,11 +387,12 @@ class LifeCycle:
         for order in () if self._control is None else self._control.take_orders():
             if isinstance(order, StartFace):
                 why_not = "a stop came with it" if is_stopped_now else self._obey_start()
-                self._log(f"start requested by {order.requested_by}: {why_not or 'driven again'}")
+                then = why_not or "driven again"
+                _LOG.info("start requested by %s: %s", order.requested_by, then)
                 continue
             why_not = self._bridge.obey(order, time_s)
             if isinstance(order, ServoOrder):
-                self._log(f"{order}: {why_not or f'asked by {order.requested_by}'}")
+                _LOG.info("%s: %s", order, why_not or f"asked by {order.requested_by}")
                 if not why_not and self._lifeline is not None and order.switch in _KEPT:
                     index = self._bridge.names.index(order.name)
                     self._lifeline.switched(index, on=order.switch is ServoSwitch.ON)
@@ -414,7 +413,7 @@ class LifeCycle:
             return False
         if self._give_up_s is None:
             self._give_up_s = time_s + PORT_WAIT_S
-            self._log(
+            _LOG.warning(
                 "the port is gone: once it is back, the servos are let go; "
                 "two more signals leave them as they are"
             )
@@ -425,7 +424,10 @@ class LifeCycle:
         bridge = self._bridge
         if bridge.plugged is not self._was_plugged:
             self._was_plugged = bridge.plugged
-            self._log("the port is back" if bridge.plugged else "the port of the servos is gone")
+            if bridge.plugged:
+                _LOG.info("the port is back")
+            else:
+                _LOG.warning("the port of the servos is gone")
         if len(bridge.given_up) != self._n_given_up:
             for index, why in list(bridge.given_up.items())[self._n_given_up :]:
                 if self._lifeline is not None:
@@ -439,6 +441,8 @@ class LifeCycle:
             return
         self._trouble_since_s = None
         troubles = bridge.troubles
-        if troubles or self._told_trouble:
-            self._log("; ".join(troubles) or "every servo is driven again")
+        if troubles:
+            _LOG.warning("%s", "; ".join(troubles))
+        elif self._told_trouble:
+            _LOG.info("every servo is driven again")
         self._told_trouble = bool(troubles)

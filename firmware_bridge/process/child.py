@@ -1,15 +1,17 @@
 """A process that a supervisor watches: started, hung and killed, ended, started again."""
 
 import contextlib
+import logging
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final
 
 from firmware_bridge.process.lifeline import LifelineWatch, Message, lifeline_pair
 
+_LOG: Final = logging.getLogger(__name__)
 #: A watcher that did not look for so long was stopped itself: nobody counts as hung.
 _BLIND_S: Final = 0.5
 
@@ -98,6 +100,7 @@ class Child:
             )
         finally:
             end.close()
+        _LOG.debug("%s started: %s", self.name, [*command, *arguments])
         self._pidfd = os.pidfd_open(self._process.pid)
         self._silence.begin(now_s)
 
@@ -145,41 +148,6 @@ _RESTART_S, _LONGEST_RESTART_S = 0.2, 5.0
 _WELL_S: Final = 10.0
 
 
-class WatchedChild(Protocol):
-    """What a supervisor needs of a process: `firmware_bridge.process.child.Child`."""
-
-    name: str
-
-    @property
-    def pid(self) -> int | None:
-        """Its number; None while there is no process."""
-
-    @property
-    def has_beaten(self) -> bool:
-        """Whether the newest process has given a heartbeat."""
-
-    def filenos(self) -> list[int]:
-        """What becomes readable when it says something or ends."""
-
-    def start(self, arguments: list[str], now_s: float) -> None:
-        """Run it with these further arguments."""
-
-    def read(self) -> list[Message]:
-        """What it said since the last call."""
-
-    def hung_at_s(self, now_s: float) -> float:
-        """When it has to be taken for hung."""
-
-    def ended(self) -> int | None:
-        """Its exit status, once; negative for a signal."""
-
-    def send(self, number: signal.Signals) -> None:
-        """A signal, if it runs."""
-
-    def end(self, timeout_s: float) -> None:
-        """Ask it to end, wait for it, and kill it when it does not."""
-
-
 class RestartDelay:
     """How long to wait before a process is started again: twice as long each time it fails."""
 
@@ -194,13 +162,12 @@ class RestartDelay:
 
 
 class RestartedChild:
-    """Decides by deadlines only; times are monotonic seconds. say: one line for the log."""
+    """Decides by deadlines only; times are monotonic seconds."""
 
-    def __init__(self, child: WatchedChild, say: Callable[[str], None]) -> None:
+    def __init__(self, child: Child) -> None:
         self.child = child
         self.due_s = 0.0  # when it may start again
         self.is_killed = False
-        self._say = say
         self._delay = RestartDelay()
         self._started_s = 0.0
 
@@ -214,11 +181,7 @@ class RestartedChild:
         self.child.start(arguments, now_s)
         self.is_killed = False
         self._started_s = now_s
-        self._say(f"{self.child.name} runs as process {self.child.pid}")
-
-    def read(self) -> list[Message]:
-        """What it said since the last call."""
-        return self.child.read()
+        _LOG.info("%s runs as process %s", self.child.name, self.child.pid)
 
     def kill_if_hung(self, now_s: float) -> None:
         """Kill it when it has given no heartbeat for too long."""
@@ -229,13 +192,13 @@ class RestartedChild:
         """Kill it, once."""
         if not self.is_killed:
             self.is_killed = True
-            self._say(f"{self.child.name} {why}; it is killed")
+            _LOG.warning("%s %s; it is killed", self.child.name, why)
             self.child.send(signal.SIGKILL)
 
     def note_end(self, status: int, now_s: float) -> None:
         """It ended with this status: note when it may start again."""
         how = f"signal {-status}" if status < 0 else f"status {status}"
-        self._say(f"{self.child.name} died ({how})")
+        _LOG.warning("%s died (%s)", self.child.name, how)
         self.due_s = now_s + self._delay.after(now_s - self._started_s)
 
     def next_s(self, now_s: float) -> float:

@@ -1,17 +1,22 @@
-"""Lines for a log, written by a thread of their own: a terminal that stands still stops nobody.
+"""Log records as lines, written by a thread of their own: a terminal that hangs stops nobody.
 
-What says the same again and again, and what says too much, does not fill a disk either.
+What is logged again and again, and what is logged too fast, does not fill a disk either.
 """
 
 import contextlib
+import json
+import logging
 import os
+import re
+import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime
 from typing import Final, Self
 
-#: Lines that may wait: some minutes of a face in trouble.
+#: Records that may wait: some minutes of a face in trouble.
 _MOST_WAITING: Final = 1_000
 #: A line that comes again within so long is counted; the count is written afterwards.
 _SAME_S: Final = 10.0
@@ -22,34 +27,50 @@ _MOST_SAME: Final = 64
 #: Lines that may come at once, and a second in the long run.
 _MOST_AT_ONCE: Final = 200.0
 _MOST_PER_S: Final = 10.0
+#: The end of a process waits so long for a terminal that stands still.
+_LAST_WRITES_S: Final = 0.5
+#: Of one line; a name and a reason for every servo of a long chain.
+_LONGEST: Final = 4_000
+#: What moves a terminal's cursor, changes its colours or turns the writing round.
+_CONTROLS: Final = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+#: Of a traceback.
+_MOST_LINES: Final = 60
+#: https://systemd.io/JOURNAL_NATIVE_PROTOCOL/, and how syslog counts levels.
+JOURNAL: Final = "/run/systemd/journal/socket"
+_PRIORITY: Final = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}
 _STDERR: Final = 2
 
 
-class LogLines:
-    """Call it with a line; it returns at once. Use it as a context manager.
+def one_line(text: str) -> str:
+    """Return a text as one bounded line of a log.
+
+    Line breaks become spaces. Control characters, which may come from a file's name or another
+    computer, are escaped.
+    """
+    bounded = text if len(text) <= _LONGEST else f"{text[:_LONGEST]} ..."
+    line = " ".join(bounded.splitlines())
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode(), line)
+
+
+class LogLines(logging.Handler):
+    """Hands records to another handler, each as one line; returns at once. A context manager.
 
     What finds no room is dropped and counted, and the count is written a second later. A line that
     is repeated is written once, and then every ten seconds with how often it came.
+
+    The lock guards a few operations in memory: nothing is formatted or written under it.
     """
 
     def __init__(
-        self,
-        fd: int = _STDERR,
-        prefix: str = "",
-        write: Callable[[str], None] | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        self, target: logging.Handler, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """prefix: what every line begins with, such as the name of the process.
-
-        write: takes each line in place of `fd`, where something else draws on the terminal, too.
-        """
-        self._fd = fd
-        self._prefix = prefix
-        self._write_line = write or self._write
+        """target: its `emit` is called in the thread, and may wait as long as it likes."""
+        super().__init__()
+        self._target = target
         self._clock = clock
-        self._waiting: deque[str] = deque()
+        self._waiting: deque[logging.LogRecord] = deque()
         # Of each line that was written lately: until when it is only counted, and its count.
-        self._same: dict[str, tuple[float, int]] = {}
+        self._same: dict[str, tuple[float, int, logging.LogRecord]] = {}
         self._tokens, self._tokens_s = _MOST_AT_ONCE, clock()
         self._is_new = threading.Condition()
         # Lines that found no room, and until when they are only counted.
@@ -57,38 +78,49 @@ class LogLines:
         self._busy = False
         threading.Thread(target=self._write_all, name="log", daemon=True).start()
 
-    def __call__(self, line: str) -> None:
-        """One line for the log; line breaks in it become spaces."""
-        line = " ".join(line.splitlines())
+    def handle(self, record: logging.LogRecord) -> bool:
+        """Take a record, without the lock of handlers, which may be held for a whole write."""
+        self.emit(record)
+        return True
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Queue a record; what its arguments hold may change afterwards."""
+        try:
+            text = record.getMessage()
+        except Exception:  # a mistake in a message must not reach who stops a face
+            text = str(record.msg)
+        line = one_line(text)
         with self._is_new:
             now_s = self._clock()
-            self._tell_counts(now_s)
+            self._queue_counts(now_s)
             if line in self._same:
-                until_s, n = self._same[line]
-                self._same[line] = until_s, n + 1
+                until_s, n, first = self._same[line]
+                self._same[line] = until_s, n + 1, first
             elif len(self._waiting) >= _MOST_WAITING or not self._has_token(now_s):
                 self._lost_until_s = self._lost_until_s if self._n_lost else now_s + _LOST_S
                 self._n_lost += 1
             else:
+                record = _changed(record, msg=line)
                 if len(self._same) < _MOST_SAME:
-                    self._same[line] = now_s + _SAME_S, 0
-                self._waiting.append(line)
+                    self._same[line] = now_s + _SAME_S, 0, record
+                self._waiting.append(record)
             self._is_new.notify()
 
-    def close(self, timeout_s: float = 0.5) -> None:
+    def close(self, timeout_s: float = 0.0) -> None:
         """Wait until all is written, and no longer than `timeout_s`."""
         give_up_s = time.monotonic() + timeout_s
         with self._is_new:
-            self._tell_counts(float("inf"))
+            self._queue_counts(float("inf"))
             self._is_new.notify_all()
             while (self._waiting or self._busy) and (left_s := give_up_s - time.monotonic()) > 0.0:
                 self._is_new.wait(left_s)
+        super().close()
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *exc: object) -> None:
-        self.close()
+        self.close(_LAST_WRITES_S)
 
     def _write_all(self) -> None:
         while True:
@@ -97,10 +129,11 @@ class LogLines:
                 self._is_new.notify_all()
                 while not self._waiting:
                     self._is_new.wait(self._until_counts_s())
-                    self._tell_counts(self._clock())
-                line = self._waiting.popleft()
+                    self._queue_counts(self._clock())
+                record = self._waiting.popleft()
                 self._busy = True
-            self._write_line(f"{self._prefix}{line}")
+            with contextlib.suppress(Exception):  # one line is lost; the next may be written
+                self._target.emit(record)
 
     def _has_token(self, now_s: float) -> bool:
         """Whether one more line may be written now; then it counts as written."""
@@ -113,26 +146,113 @@ class LogLines:
 
     def _until_counts_s(self) -> float | None:
         """How long until a count is to be written; None: there is none."""
-        due_s = [until_s for until_s, n in self._same.values() if n]
+        due_s = [until_s for until_s, n, _ in self._same.values() if n]
         due_s += [self._lost_until_s] if self._n_lost else []
         return max(0.0, min(due_s) - self._clock()) if due_s else None
 
-    def _tell_counts(self, now_s: float) -> None:
+    def _queue_counts(self, now_s: float) -> None:
         """Of lines whose time is over: write how often they came again, or forget them."""
         if self._n_lost and now_s >= self._lost_until_s:
-            self._waiting.append(f"({self._n_lost} lines were lost: too many at once)")
+            text = f"({self._n_lost} lines were lost: too many at once)"
+            level = {"levelno": logging.WARNING, "levelname": "WARNING"}
+            self._waiting.append(logging.makeLogRecord({"name": __name__, "msg": text, **level}))
             self._n_lost = 0
-        for line, (until_s, n) in list(self._same.items()):
+        for line, (until_s, n, record) in list(self._same.items()):
             if now_s < until_s:
                 continue
             del self._same[line]
             if n:
-                self._same[line] = until_s + _SAME_S, 0
-                self._waiting.append(f"{line} (and {n} times more)")
+                self._same[line] = until_s + _SAME_S, 0, record
+                text = f"{line} (and {n} times more)"
+                self._waiting.append(_changed(record, msg=text, created=time.time()))
 
-    def _write(self, line: str) -> None:
-        data = f"{line}\n".encode("utf-8", "replace")
-        # Not through sys.stderr: its lock, held by a thread that waits, would stop the exit.
+
+def _changed(record: logging.LogRecord, **fields: object) -> logging.LogRecord:
+    return logging.makeLogRecord({**record.__dict__, "args": None, **fields})
+
+
+def write_stderr(text: str) -> None:
+    """Write lines. Not through sys.stderr: its lock, held by one that waits, stops the exit."""
+    data = f"{text}\n".encode("utf-8", "backslashreplace")
+    while data:
+        data = data[os.write(_STDERR, data) :]
+
+
+class LogWriter(logging.Handler):
+    """Writes records: to journald with its fields where stderr leads there, otherwise as lines.
+
+    Parameters
+    ----------
+    face, side
+        Whose process logs, and which of its processes that is; empty: of no face, of a single one.
+    start
+        Of each line, as a format of `logging`.
+    write
+        Takes lines for people.
+    as_json
+        Write one JSON object a line to stderr.
+
+    """
+
+    def __init__(
+        self,
+        face: str = "",
+        side: str = "",
+        start: str = "",
+        write: Callable[[str], None] = write_stderr,
+        *,
+        as_json: bool = False,
+    ) -> None:
+        super().__init__()
+        self._about = {"face": face or None, "side": side or None}
+        self._start = start
+        self._write = write
+        self._as_json = as_json
+
+    def handle(self, record: logging.LogRecord) -> bool:
+        """Write a record without the lock of handlers: one that hangs holds up no other thread."""
+        self.emit(record)
+        return True
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record; in vain where the terminal is gone."""
+        message, trace = one_line(record.getMessage()), list[str]()
+        if record.exc_info:
+            trace = logging.Formatter().formatException(record.exc_info).splitlines()[-_MOST_LINES:]
+        fields = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": message,
+            **self._about,
+            "process": record.process,
+            "exception": "\n".join(map(one_line, trace)) or None,
+        }
         with contextlib.suppress(OSError):
-            while data:
-                data = data[os.write(self._fd, data) :]
+            if self._as_json:
+                write_stderr(json.dumps(fields))
+            elif not _sent_to_journal(fields):
+                start = self._start % record.__dict__
+                self._write("\n".join([start + message, *map(one_line, trace)]))
+
+
+def _sent_to_journal(fields: Mapping[str, object]) -> bool:
+    """Send an entry; False where stderr does not lead to the journal, or nothing reaches it.
+
+    systemd.exec(5) has `$JOURNAL_STREAM`.
+    """
+    stderr = os.fstat(_STDERR)
+    if os.environ.get("JOURNAL_STREAM") != f"{stderr.st_dev}:{stderr.st_ino}":
+        return False
+    level = str(fields["level"]).upper()
+    own = {"PRIORITY": _PRIORITY.get(level, 5), "SYSLOG_IDENTIFIER": "lipservo"}
+    entry = b""
+    for name, value in {**fields, **own}.items():
+        data = str(value or "").encode("utf-8", "replace")
+        entry += b"%s\n%s%s\n" % (name.upper().encode(), len(data).to_bytes(8, "little"), data)
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as journal:
+            journal.sendto(entry, JOURNAL)
+    except OSError:
+        return False
+    return True

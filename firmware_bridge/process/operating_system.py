@@ -3,6 +3,7 @@
 import contextlib
 import ctypes
 import gc
+import logging
 import os
 import signal
 import socket
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Final
 
+_LOG: Final = logging.getLogger(__name__)
 #: linux/prctl.h: the signal that a process gets when its parent dies.
 _PR_SET_PDEATHSIG: Final = 1
 #: Above everything ordinary, below the kernel's own threads. Ours.
@@ -62,13 +64,10 @@ _ALIVE_S: Final = 1.0
 class ServiceNotice:
     """Says READY=1 once and WATCHDOG=1 every second; nothing when systemd did not start us.
 
-    A socket that is no longer there is said once and otherwise ignored.
+    A socket that is no longer there is logged once and otherwise ignored.
     """
 
-    def __init__(
-        self, say: Callable[[str], None], now_s: Callable[[], float] = time.monotonic
-    ) -> None:
-        self._say = say
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         self._now_s = now_s
         self._address = os.environ.get("NOTIFY_SOCKET", "")
         self._ready = False
@@ -102,4 +101,4 @@ class ServiceNotice:
         except (OSError, ValueError) as error:
             if not self._has_warned:
                 self._has_warned = True
-                self._say(f"systemd is not told: NOTIFY_SOCKET={self._address}: {error}")
+                _LOG.warning("systemd is not told: NOTIFY_SOCKET=%s: %s", self._address, error)

@@ -7,6 +7,7 @@ which its record tells by another boot of the computer, starts limp as well.
 
 import contextlib
 import json
+import logging
 import os
 import threading
 import time
@@ -16,6 +17,7 @@ from typing import Any, Final
 
 from firmware_bridge.stopping import StopLevel, StopRequest
 
+_LOG: Final = logging.getLogger(__name__)
 _BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 _CUT_OFF: Final = (
     "the power was cut in the run before this one, and a stop may have been lost; "
@@ -40,7 +42,6 @@ class StopRecord:
         started_by_person: bool = False,
         drives_after_power_cut: bool = False,
         on_change: Callable[[StopRequest | None], None] = lambda _stop: None,
-        say: Callable[[str], None] = lambda _line: None,
     ) -> None:
         """Read what an earlier process has left, and note that one runs.
 
@@ -50,12 +51,10 @@ class StopRecord:
         started_by_person : whether this very start is a person's, so that no earlier stop holds.
         drives_after_power_cut : whether a run that was cut off is driven again by itself.
         on_change : receives every stop, and None when a person has started the face again.
-        say : takes one line for the log; called in a thread.
 
         """
         self._path = path
         self._on_change = on_change
-        self._say = say
         self._boot = _boot_id()
         self.stopped: StopRequest | None = None
         self.why = ""
@@ -126,9 +125,8 @@ class StopRecord:
             try:
                 _write(self._path, json.dumps(state))
             except OSError as error:
-                self._say(
-                    f"{self._path}: a stop cannot be kept for a restart: {error.strerror or error}"
-                )
+                why = error.strerror or error
+                _LOG.warning("%s: a stop cannot be kept for a restart: %s", self._path, why)
             with self._is_due:
                 self._is_written = state is self._state
                 self._is_due.notify_all()

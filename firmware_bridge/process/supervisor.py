@@ -9,6 +9,7 @@ request, a signal, a deadline. A stop by a person is kept here, so that it outli
     A signal, or a stop that ends the process: over, in place of STOPPED.
 """
 
+import logging
 import select
 import signal
 import time
@@ -18,7 +19,7 @@ from enum import Enum
 from typing import Final
 
 from firmware_bridge.capabilities import BusCapabilities
-from firmware_bridge.process.child import RestartedChild, WatchedChild
+from firmware_bridge.process.child import Child, RestartedChild
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import (
     Began,
@@ -47,6 +48,7 @@ from firmware_bridge.stopping import (
     let_go_report,
 )
 
+_LOG: Final = logging.getLogger(__name__)
 #: Easing to neutral takes two seconds at most, limp a few packets more.
 _END_S: Final = 5.0
 #: How long any end waits for servos that are silent.
@@ -89,12 +91,11 @@ class Supervisor:
 
     def __init__(
         self,
-        bridge: WatchedChild,
-        speech: WatchedChild,
+        bridge: Child,
+        speech: Child,
         control: ControlSocket,
         servos: SupervisedServos,
         *,
-        say: Callable[[str], None],
         notice: ServiceNotice,
         record: StopRecord | None = None,
     ) -> None:
@@ -103,15 +104,13 @@ class Supervisor:
         Parameters
         ----------
         control : served here while no bridge serves it.
-        say : takes one line for the log.
         record : keeps what must outlive this process, and may hold a stop from before it.
 
         """
-        self._bridge, self._speech = RestartedChild(bridge, say), RestartedChild(speech, say)
+        self._bridge, self._speech = RestartedChild(bridge), RestartedChild(speech)
         self._control = control
         self._servos = servos
         self._servo_names = dict(servos.names)
-        self._say = say
         self._notice = notice
         self._phase = _Phase.WAITING
         self._ran_well = False
@@ -211,7 +210,7 @@ class Supervisor:
         return [*self._bridge.child.filenos(), *self._speech.child.filenos(), *control]
 
     def _read_messages(self) -> None:
-        for message in self._bridge.read():
+        for message in self._bridge.child.read():
             match message:
                 case Stopped(level, ends, requested_by):
                     self._hold_stop(StopRequest(level, requested_by, ends))
@@ -233,7 +232,7 @@ class Supervisor:
                     self._notice.ready()
                 case _:
                     pass
-        for message in self._speech.read():
+        for message in self._speech.child.read():
             if isinstance(message, Began):
                 self._zero_s = message.zero_s
 
@@ -262,7 +261,7 @@ class Supervisor:
         if self._signal_s is None:
             self._signal_s = now_s
         level = StopLevel.SOFT if n_signals == 1 else StopLevel.LIMP
-        self._say(f"stop requested: {level.value}, by {name}")
+        _LOG.info("stop requested: %s, by %s", level.value, name)
         self._ends = True
         if not (self._is_ending and level is StopLevel.SOFT):
             # A service manager's end is no person's stop: nothing of it outlives this process.
@@ -296,7 +295,7 @@ class Supervisor:
             if self._level is StopLevel.FREEZE and self._phase is _Phase.RELEASING:
                 self._drop_release()
         by = request.requested_by
-        self._say(f"stop requested: {request.level.value}, by {by}; no bridge runs")
+        _LOG.info("stop requested: %s, by %s; no bridge runs", request.level.value, by)
 
     def _stopped_again(self) -> None:
         """A limp face is stopped: what its servos confirmed is still so, or it ends."""
@@ -327,9 +326,10 @@ class Supervisor:
     def _obey_start(self, order: StartFace, now_s: float, *, is_stopped_now: bool) -> None:
         """Through the ordinary start of a bridge, with all its checks."""
         if is_stopped_now or not self._is_kept:
-            self._say(f"start requested by {order.requested_by}: not obeyed, a stop came with it")
+            why_not = "not obeyed, a stop came with it"
+            _LOG.info("start requested by %s: %s", order.requested_by, why_not)
             return
-        self._say(f"start requested by {order.requested_by}")
+        _LOG.info("start requested by %s", order.requested_by)
         self._stop, self._stop_report, self._start_error = None, None, ""
         self._comes_back = True
         self._failed.clear()
@@ -427,7 +427,7 @@ class Supervisor:
         elif self._release.port_error:
             if self._release.port_error != self._port_error:
                 self._port_error = self._release.port_error
-                self._say(f"torque cannot be switched off yet: {self._port_error}")
+                _LOG.warning("torque cannot be switched off yet: %s", self._port_error)
             if now_s >= self._give_up_s():
                 why = dict.fromkeys(self._servo_names.values(), self._port_error)
                 failed = max(self._last_status, 1)
@@ -454,7 +454,7 @@ class Supervisor:
         if not self._is_ending and self._last_status != ExitStatus.UNCONFIRMED:
             status = self._last_status
         report = let_go_report(self._servos.can, let_go, unconfirmed)
-        self._say(report.line())
+        _LOG.log(report.log_level, "%s", report.line())
         if self._is_ending or not self._may_restart():
             self._conclude(report, status)
 
@@ -469,7 +469,8 @@ class Supervisor:
         self._last_status = 0
         self._release_again_s = float("inf") if report.complete else self._now_s + _RELEASE_AGAIN_S
         self._control.report_end({"waits": True, **report.as_dict()})
-        self._say(f"{report.text()}; the face waits: `lipservo start` starts it again")
+        waits = "the face waits: `lipservo start` starts it again"
+        _LOG.log(report.log_level, "%s; %s", report.text(), waits)
         self._notice.ready()  # a service that came up stopped is up
 
     def _finish(self, report: StopReport, status: int) -> None:

@@ -53,6 +53,7 @@ _MOST_PHONEMES: Final = 256
 #: Events that the kernel may hold for a client that does not read; by itself it takes megabytes.
 _KERNEL_BYTES: Final = 1 << 16
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
+_LOG: Final = logging.getLogger(__name__)
 #: The library's own words are for its developers, and would name what a client asked for.
 _SILENT: Final = logging.Logger("websockets of agents", logging.CRITICAL + 1)
 
@@ -94,12 +95,11 @@ class AgentServer:
         settings: AgentSettings | None = None,
         say: Speak | None = None,
         play: Speak | None = None,
-        log: Callable[[str], None] = lambda _: None,
     ) -> None:
         """listener: from `bind_listener`; closed in the end. control_path: of the face's socket.
 
         delay_ms: how much later than its sound reaches us a face is shown, now. say: a text; play:
-        a sound file; None: there is none. log: takes lines; called in the server's thread.
+        a sound file; None: there is none.
         """
         self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
         self._listener = listener
@@ -107,7 +107,6 @@ class AgentServer:
         self._playout = playout
         self._delay_ms = delay_ms
         self._settings = settings or AgentSettings()
-        self._log = log
         self._turns = Turns(playout, self._settings)
         # In the order in which they came.
         self._clients: dict[ServerConnection, None] = {}
@@ -152,7 +151,7 @@ class AgentServer:
         try:
             asyncio.run(self._serve())
         except Exception as error:
-            self._log(f"voice agents: the server has ended: {type(error).__name__}: {error}")
+            _LOG.error("voice agents: the server has ended: %s: %s", type(error).__name__, error)
         finally:
             self._started.set()
             self._listener.close()
@@ -172,7 +171,7 @@ class AgentServer:
             close_timeout=_CLOSING_S,
             logger=_SILENT,
         )
-        self._log(f"voice agents: {self._url}")
+        _LOG.info("voice agents: %s", self._url)
         self._started.set()
         telling = self._loop.create_task(self._tell())
         await self._stopping.wait()
@@ -239,7 +238,8 @@ class AgentServer:
                 await session.hear(message)
             except Exception as error:
                 # A fault of ours: the client is told, and the others go on.
-                self._log(f"voice agents: a message failed: {type(error).__name__}: {error}")
+                kind = type(error).__name__
+                _LOG.error("voice agents: a message failed: %s: %s", kind, error)
                 outbox.error("internal", "the message failed; see the face's log")
             await asyncio.sleep(rate.wait_s(time.monotonic()))
 
@@ -269,7 +269,7 @@ class AgentServer:
                 self._tell_once(now_s, positions=is_due)
             except Exception as error:
                 # A fault of ours: nobody may be left waiting for the end of a stream.
-                self._log(f"voice agents: telling failed: {type(error).__name__}: {error}")
+                _LOG.error("voice agents: telling failed: %s: %s", type(error).__name__, error)
                 await asyncio.sleep(_CLOSING_S)
             await asyncio.sleep(_POLL_S)
 

@@ -241,7 +241,8 @@ async def stop_answer(
             with connection:
                 answer = await _received(connection, answer_by_s if first is None else report_by_s)
                 first = first or answer
-                if first is not None and not (wait_s and _has_an_end(first)):
+                # A face that freezes goes on, held; one that refuses goes on as before.
+                if first and not (wait_s and first.get("accepted") in ("soft", "limp")):
                     return first, None
                 report = await _received(connection, report_by_s) if answer else None
             if first is not None and report is not None:
@@ -257,11 +258,6 @@ async def stop_answer(
                 raise TimeoutError("no answer")
             return first, None
         await asyncio.sleep(_RETRY_S)
-
-
-def _has_an_end(answer: Answer) -> bool:
-    """A face that freezes goes on, held; one that refuses goes on as before."""
-    return answer.get("accepted") in ("soft", "limp")
 
 
 async def _received(connection: socket.socket, by_s: float) -> Answer | None:

@@ -174,7 +174,7 @@ def next_picture(feed: CameraFeed, clock: Clock) -> Picture:
 
 def say(line: str) -> None:
     """A line for a person, on stderr."""
-    MESSAGES.print(line, soft_wrap=True, highlight=False)
+    MESSAGES.print(line)
 
 
 def _eye_distance_mm(setup: CalibrationSetup, mesh: MeshOptions) -> float:

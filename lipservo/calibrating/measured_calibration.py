@@ -271,7 +271,7 @@ def strained_servo(setup: CalibrationSetup, effort: Array) -> str | None:
 
 
 def _say(line: str) -> None:
-    MESSAGES.print(line, soft_wrap=True, highlight=False)
+    MESSAGES.print(line)
 
 
 def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
@@ -327,7 +327,5 @@ def _drawn_robot(setup: CalibrationSetup, seed: int, family: RobotFamily | None)
         MESSAGES.print(
             f"what moves at {', '.join(guessed)} is guessed: neither the name nor the word of "
             "`positive` in the face's YAML says it",
-            soft_wrap=True,
-            highlight=False,
         )
     return robot

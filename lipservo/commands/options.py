@@ -64,8 +64,7 @@ Control = Annotated[
 # ---- what it hears ----
 
 Wav = Annotated[
-    Path | None,
-    typer.Option(help="Sound file: WAV, FLAC, OGG, any rate.", show_default=False),
+    Path | None, typer.Option(help="Sound file: WAV, FLAC, OGG, any rate.", show_default=False)
 ]
 Mic = Annotated[
     str | None,
@@ -114,8 +113,7 @@ TokenFile = Annotated[
 OpenToThisComputer = Annotated[
     bool,
     typer.Option(
-        "--open-to-this-computer",
-        help="Any user of this computer may connect without the token.",
+        "--open-to-this-computer", help="Any user of this computer may connect without the token."
     ),
 ]
 Sounds = Annotated[
@@ -267,6 +265,7 @@ _MOVED: Final = {
     },
 }
 _OF_DAEMON: Final = "`lipservo daemon --dashboard` and `lipservo dashboard` have it"
+OPTIONS_OF_THE_PROGRAM: Final = ("-v", "--verbose", "--log-json")
 #: Where that is now which was an option, by command.
 MOVED_OPTIONS: Final = {
     "run": {

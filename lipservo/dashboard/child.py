@@ -4,13 +4,14 @@ The face waits for nothing of it: one thread looks after it, and whatever become
 """
 
 import contextlib
+import logging
 import os
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 from urllib.parse import urlencode
@@ -18,6 +19,7 @@ from urllib.parse import urlencode
 from lipservo.agents.listener import bind_listener, url_of
 from lipsync.errors import UserError
 
+_LOG: Final = logging.getLogger(__name__)
 HOST: Final = "127.0.0.1"
 FIRST_PORT: Final = 8080
 _TRIES: Final = 20
@@ -57,15 +59,14 @@ def dashboard_child(
     control_path: Path,
     listener: socket.socket,
     token_file: str | None = None,
-    say: Callable[[str], None] = lambda _line: None,
     *,
     model: Path | None = None,
     open_page: bool = False,
 ) -> Iterator[None]:
     """Serve the face at `control_path` in a browser, until the block ends.
 
-    listener: from `bound_dashboard`; stays the caller's and must outlive the block. say: takes
-    lines; called in a thread. model: that the face runs with. token_file: as `VoiceOptions`.
+    listener: from `bound_dashboard`; stays the caller's and must outlive the block. model: that the
+    face runs with. token_file: as `VoiceOptions`.
     """
     arguments = ["--control", str(control_path), "--listener", str(listener.fileno()), "--quiet"]
     arguments += ["--parent", str(os.getpid())]
@@ -94,7 +95,7 @@ def dashboard_child(
                     process_group=0,
                 )
             except OSError as error:
-                say(f"dashboard: cannot be started: {error.strerror}")
+                _LOG.warning("dashboard: cannot be started: %s", error.strerror)
                 over.wait(wait_s)
                 wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
                 continue
@@ -108,7 +109,7 @@ def dashboard_child(
             if time.monotonic() - began_s > _WELL_S:
                 wait_s = _RESTART_S
             status = process.returncode
-            say(f"dashboard: ended ({status}); it is started again in {wait_s:g} s")
+            _LOG.warning("dashboard: ended (%s); it is started again in %g s", status, wait_s)
             over.wait(wait_s)
             wait_s = min(2.0 * wait_s, _LONGEST_RESTART_S)
 

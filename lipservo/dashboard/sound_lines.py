@@ -111,13 +111,13 @@ class SoundLines:
 
 def check_sound(path: Path, name: str) -> None:
     """Raise FaceError for what is neither a sound nor a performance. name: of it, for people."""
-    from lipsync.audio.file import checked_rate_hz
+    from lipsync.audio.file import checked_sound
 
     try:
         if path.suffix.lower() == PERFORMANCE_SUFFIX:
             read_performance(path)  # whether it is for this face, the face says that plays it
         else:
-            checked_rate_hz(path)
+            checked_sound(path)
     except UserError as error:
         why = str(error).replace(str(path), name).replace(path.name, name)
         raise FaceError("not_sound", " ".join(why.split())) from error

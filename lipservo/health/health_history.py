@@ -3,7 +3,7 @@
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import date
 from itertools import combinations
@@ -209,7 +209,7 @@ def _summarize(day: date, column: _Column) -> ServoDay:
         n_readings=int(on.sum()),
         temperature_degc=_of(np.median, warm[on]),
         hottest_degc=_of(np.max, warm),
-        latest_degc=next(_backwards(warm), math.nan),
+        latest_degc=next((float(each) for each in warm[::-1] if math.isfinite(each)), math.nan),
         load=_of(np.median, values["load"][on]),
         current_ma=_of(np.median, values["current_ma"][on]),
         least_v=_of(np.min, values["voltage_v"]),
@@ -223,10 +223,6 @@ def _of(function: Callable[[Array], np.float64], values: Array) -> float:
     """NaN where nothing was heard."""
     heard = values[np.isfinite(values)]
     return float(function(heard)) if len(heard) else math.nan
-
-
-def _backwards(values: Array) -> Iterator[float]:
-    return (float(value) for value in values[::-1] if math.isfinite(value))
 
 
 def findings(servos: Mapping[str, Sequence[ServoDay]]) -> list[str]:
@@ -272,7 +268,8 @@ def _troubles(name: str, days: Sequence[ServoDay]) -> list[str]:
             f"{name} was restarted {reboots} times in its last {len(newest)} days: "
             "something in it or its supply is failing"
         )
-    silence = [_per_hour(day) for day in days if day.n_readings >= _FEWEST_READINGS]
+    heard = [day for day in days if day.n_readings >= _FEWEST_READINGS]
+    silence = [day.n_unanswered / (day.n_readings * _PERIOD_HOURS) for day in heard]
     if len(silence) > 1:
         before = float(np.median(silence[:-1]))
         if silence[-1] >= max(_MANY_PER_HOUR, _TIMES_BEFORE * before):
@@ -335,10 +332,6 @@ def _shared_warmth(servos: Mapping[str, Sequence[ServoDay]]) -> dict[date, float
             if day.n_readings >= _FEWEST_READINGS and math.isfinite(day.temperature_degc):
                 by_day.setdefault(day.day, []).append(day.temperature_degc)
     return {day: float(np.median(list_)) for day, list_ in by_day.items()}
-
-
-def _per_hour(day: ServoDay) -> float:
-    return day.n_unanswered / (day.n_readings * _PERIOD_HOURS)
 
 
 def _ago(days: int) -> str:

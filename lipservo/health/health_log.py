@@ -7,6 +7,7 @@ folder is that of the user's or the service's state, where a person's stop is ke
 
 import errno
 import json
+import logging
 import math
 import os
 import queue
@@ -17,9 +18,11 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Final
 
 from firmware_bridge.bus import ServoHealth
 
+_LOG: Final = logging.getLogger(__name__)
 #: What the shipped unit gives the service (`StateDirectory=lipservo`); readable for all.
 SERVICE_STATE = Path("/var/lib/lipservo")
 #: A month run through for 20 hours a day: ten servos make about 5 MB a day (`LifeCycle` reads
@@ -100,12 +103,9 @@ def _own_state(environment: Mapping[str, str]) -> Path | None:
 class HealthLog:
     """Appends readings to the files of one face."""
 
-    def __init__(
-        self, folder: Path, say: Callable[[str], None], wall_s: Callable[[], float] = time.time
-    ) -> None:
-        """say: gets a line, once, when nothing can be written. wall_s: seconds since 1970."""
+    def __init__(self, folder: Path, wall_s: Callable[[], float] = time.time) -> None:
+        """wall_s: seconds since 1970."""
         self._folder = folder
-        self._say = say
         self._wall_s = wall_s
         self._number = 0
         self._complained = False
@@ -140,38 +140,36 @@ class HealthLog:
             try:
                 self._append(*offered)
             except OSError as error:
-                self._complain(error)
+                if not self._complained:
+                    self._complained = True
+                    why = error.strerror or error
+                    complaint = "the health log %s cannot be written: %s; the face goes on"
+                    _LOG.error(complaint, self._folder, why)
 
     def _append(self, wall_s: float, servos: Sequence[ServoHealth]) -> None:
         moment = datetime.fromtimestamp(wall_s, UTC)
         path = self._folder / f"{moment:%Y-%m-%d}.jsonl"
         self._folder.mkdir(parents=True, exist_ok=True)
         prune(self._folder, keep=path.name)
-        append_line(path, json_line(moment, self._number, servos))
+        line = json_line(moment, self._number, servos)
+        _LOG.debug("servos: %s", line.decode())
+        append_line(path, line)
         self._number += 1
 
-    def _complain(self, error: OSError) -> None:
-        if not self._complained:
-            self._complained = True
-            why = error.strerror or str(error)
-            self._say(f"the health log {self._folder} cannot be written: {why}; the face goes on")
 
-
-def health_log(
-    face: str, port: str | None, say: Callable[[str], None], environment: Mapping[str, str]
-) -> HealthLog | None:
+def health_log(face: str, port: str | None, environment: Mapping[str, str]) -> HealthLog | None:
     """The log of a face by name whose servos are at `port`; None for servos in memory.
 
     Those never age, never warm up differently and are run in every rehearsal: their readings would
-    say nothing and push out real ones. `say` hears when there is no place for a log.
+    say nothing and push out real ones.
     """
     if port is None:
         return None
     folder = log_folder(face, port, environment)
     if folder is None:
-        say("no health log: set HOME, XDG_STATE_HOME or LIPSERVO_STATE")
+        _LOG.error("no health log: set HOME, XDG_STATE_HOME or LIPSERVO_STATE")
         return None
-    return HealthLog(folder, say)
+    return HealthLog(folder)
 
 
 def json_line(moment: datetime, number: int, servos: Sequence[ServoHealth]) -> bytes:

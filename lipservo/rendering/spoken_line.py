@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from lipservo.runtime.motion_options import make_recognizer
 from lipservo.runtime.settled_phonemes import settled_events
-from lipsync.audio.file import FileSource, read_speech
+from lipsync.audio.file import FileSource, ignore, read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
 from lipsync.offline.line_methods import Line
@@ -44,7 +45,7 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
     Raises SoundError, LabelError, AlignmentError, PronunciationError, and LineError for a sound
     longer than `LONGEST_LINE_S` and for labels of another sound.
     """
-    duration_s = FileSource(sound).duration_s
+    duration_s = FileSource(sound, warn=ignore).duration_s
     if duration_s > LONGEST_LINE_S:
         raise LineError(
             f"{sound}: {duration_s:.0f} s long; a line is at most {LONGEST_LINE_S:.0f} s, cut it "
@@ -72,7 +73,9 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
         if score < DOUBTFUL_SCORE:
             notes.append(f"the text fits badly (score {score:.2f})")
     else:
-        events = tuple(settled_events(FileSource(sound), "network", warn=notes.append))
+        recognizer = make_recognizer("network")
+        events = tuple(settled_events(FileSource(sound, warn=ignore), recognizer))
+        notes += recognizer.reasons
     phones = joined_phones(events, duration_s)
     if all(event.phoneme == SILENCE for event in phones):
         notes.append("nobody speaks: the mouth stays at rest")

@@ -1,8 +1,9 @@
 """Every frame that the face shows, sent on to screen avatars while it is shown."""
 
+import logging
 import math
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from lipsync.export.arkit import ARKIT_NAMES, MOUTH_NAMES, ArkitMap, lip_measure
 from lipsync.export.weight_track import live_link_packet, vmc_packets
 from lipsync.face.frame import Frame
 
+_LOG = logging.getLogger(__name__)
 #: The name under which Unreal Engine lists the face.
 SUBJECT = "lipservo"
 #: What avatars are drawn at.
@@ -106,9 +108,9 @@ def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator
 
 
 def entered_avatars(
-    targets: AvatarTargets, model: Path | None, stack: ExitStack, log: Callable[[str], None]
+    targets: AvatarTargets, model: Path | None, stack: ExitStack
 ) -> AvatarStream | None:
-    """The stream, entered; None for no targets, or where there is no way to them, which is said.
+    """The stream, entered; None for no targets, or where there is no way to them: that is logged.
 
     For a process that speaks on without them. Raises ModelError and MeasureError.
     """
@@ -117,7 +119,7 @@ def entered_avatars(
     try:
         return stack.enter_context(avatar_stream(targets, model))
     except AvatarError as error:
-        log(f"avatars are not sent to: {error}")
+        _LOG.warning("avatars are not sent to: %s", error)
         return None
 
 

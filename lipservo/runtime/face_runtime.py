@@ -1,6 +1,7 @@
 """A face at work in one process, on whatever clock it is given, from beginning to end."""
 
 import math
+import os
 import signal
 import socket
 import threading
@@ -14,14 +15,13 @@ from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import face_status
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
-from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.process.logs import LOG_JSON
 from firmware_bridge.stopping import StopReport
 from lipservo.runtime.face_speech import FaceSpeech
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest
 from lipservo.runtime.servos.assembly import bridge_for, bus_for, check_servos
 from lipservo.runtime.servos.face_life import ControlOptions, face_life
-from lipservo.runtime.sound import warn
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import ServoBoard
 from lipservo.runtime.status.street_tick import StreetTick, TickObserver
@@ -89,7 +89,7 @@ def run_face(
         if not request.quiet:
             if bus.capabilities.in_memory:
                 say_simulated()
-            MESSAGES.print(str(request.motion), soft_wrap=True)
+            MESSAGES.print(str(request.motion))
             MESSAGES.print(f"delay from sound to face: {delay}")
         tally = Tally(clock, street)
         with ExitStack() as stack:
@@ -116,7 +116,6 @@ def run_face(
                     request.voice,
                     requested.face.model,
                     requested.control_path,
-                    run.log,
                 )
                 run.serve(stack.enter_context(serving))
             life.start()
@@ -128,8 +127,6 @@ def run_face(
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
         status = run.status()
     took_s = time.perf_counter() - began_s
-    for line in speech.recognizer.take_changes():
-        MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
     assert life.report is not None
     summary = tally.summary(status, heard_s, took_s)
     return RunOutcome(summary, status, life.report, life.signal_number)
@@ -194,11 +191,6 @@ class _Run:
         """Voice agents are waited for there."""
         self._listens_on = url
 
-    def log(self, line: str) -> None:
-        """A line for people, unless --quiet."""
-        if not self._requested.request.quiet:
-            MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
-
     def status(self) -> Status:
         """The whole face, now."""
         return self._whole({**face_status(self._street.bridge), **self._requested.about})
@@ -214,15 +206,14 @@ class _Run:
         """Who watches: settings, trace, avatars, and the view when somebody looks at a terminal."""
         request, face = self._requested.request, self._requested.face
         is_live = not isinstance(self._clock, ManualClock)
-        log = stack.enter_context(LogLines(write=self.log)) if is_live else None
-        observers: list[TickObserver] = [_Attendant(self, servos, log)]
+        observers: list[TickObserver] = [self, *([servos] if is_live else [])]
         if request.trace is not None:
             from lipservo.traces.trace_file import BackgroundTrace, TraceFile
 
             file = TraceFile(request.trace, self._requested.trace_header(self.status()))
             # Where nobody waits for a tick, none may be dropped.
             if is_live:
-                observers.append(stack.enter_context(BackgroundTrace(file, warn)))
+                observers.append(stack.enter_context(BackgroundTrace(file)))
             else:
                 observers.append(stack.enter_context(file))
         if request.avatars.is_any:
@@ -230,38 +221,17 @@ class _Run:
 
             watching = avatar_stream(request.avatars, request.model)
             observers.append(stack.enter_context(watching))
-        if live:
+        if live and not os.environ.get(LOG_JSON):
             from lipservo.terminal.view import TerminalView
 
             view = TerminalView(MESSAGES, self.status, face.joints, face.model)
             observers.append(stack.enter_context(view))
         return observers
 
-    def apply_settings(self) -> None:
-        """Hand what somebody has set to the speech side."""
+    def observe(self, _tick: StreetTick) -> None:
+        """Between two ticks: hand what was set to the speech side."""
         if changes := self.commands.take_changes():
             self._street.side.change(changes)
-
-    def take_changes(self) -> list[str]:
-        """A line for each recogniser that has taken over."""
-        return self._speech.recognizer.take_changes()
-
-
-class _Attendant:
-    """Between two ticks: what was set, what whoever watches sees, who listens now."""
-
-    def __init__(self, run: _Run, servos: ServoBoard, log: Callable[[str], None] | None) -> None:
-        """log: None where nobody looks."""
-        self._run, self._servos, self._log = run, servos, log
-
-    def observe(self, tick: StreetTick) -> None:
-        """See one tick."""
-        self._run.apply_settings()
-        if self._log is None:
-            return
-        self._servos.tell(tick.report)
-        for line in self._run.take_changes():
-            self._log(line)
 
 
 @contextmanager

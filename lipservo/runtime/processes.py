@@ -1,5 +1,6 @@
 """A face in three processes: one that owns the port, one that hears, one that watches over both."""
 
+import logging
 import os
 import socket
 import sys
@@ -15,7 +16,7 @@ from firmware_bridge.errors import BusError
 from firmware_bridge.loop.report import TickReport
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.lifeline import Lifeline
-from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.process.logs import face_logs
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import ExitStatus, StopRequest
 from lipservo.runtime.requested_face import RequestedFace
@@ -23,7 +24,7 @@ from lipservo.runtime.run_request import RunRequest, request_json
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
-from lipservo.terminal.output import MESSAGES, print_json
+from lipservo.terminal.output import print_json
 from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from firmware_bridge.loop.life_cycle import LifeCycle
     from firmware_bridge.process.supervisor import Supervisor
 
+_LOG: Final = logging.getLogger(__name__)
 #: The speech side says so often how it is.
 _STATUS_EVERY_S: Final = 0.5
 
@@ -79,8 +81,7 @@ def run_bridge_process(
     face = RequestedFace(request)
     settings = face.settings
     with ExitStack() as stack:
-        lines = stack.enter_context(LogLines(prefix="bridge: "))
-        say = no_log if request.quiet else lines
+        stack.enter_context(face_logs(settings.name, "bridge", quiet=request.quiet))
         end = stack.enter_context(socket.socket(fileno=handed.channel))
         shared = stack.enter_context(StatusBoard.adopt(handed.board))
         live = stack.enter_context(LiveBoard.adopt(handed.live))
@@ -104,15 +105,17 @@ def run_bridge_process(
             switched_off=switched_off,
         )
         for index, reason in given_up.items():
-            say(f"stays {bridge.capabilities.released_words}: {bridge.names[index]}: {reason}")
-        healths = health_log(settings.name, request.port, lines, os.environ)
+            _LOG.warning(
+                "stays %s: %s: %s", bridge.capabilities.released_words, bridge.names[index], reason
+            )
+        healths = health_log(settings.name, request.port, os.environ)
         if healths is not None:
             stack.enter_context(healths)
         on_tick = servos = ServoBoard(live, bridge).tell
         if request.trace is not None:
             from lipservo.runtime.supervised_trace import SupervisedTrace
 
-            trace = stack.enter_context(SupervisedTrace(face, shared, live, lines))
+            trace = stack.enter_context(SupervisedTrace(face, shared, live))
 
             def on_tick(report: TickReport) -> None:
                 servos(report)
@@ -121,9 +124,7 @@ def run_bridge_process(
         if handed.lifeline.closed:
             return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
         on_health = None if healths is None else healths.offer
-        links = LifeCycleLinks(
-            listener, handed.lifeline, say, partial(face_status, bridge), on_health
-        )
+        links = LifeCycleLinks(listener, handed.lifeline, partial(face_status, bridge), on_health)
         life = LifeCycle(bridge, MonotonicClock(), links, stopped=stopped)
         try:
             with bus, life:
@@ -132,7 +133,7 @@ def run_bridge_process(
             if not bridge.failure:
                 handed.lifeline.not_started(" ".join(str(error).split()))
                 raise
-            say(str(error))
+            _LOG.warning("%s", error)
             return ExitStatus.CRITICAL_SERVO_FAILED
     assert life.report is not None
     return ExitStatus.ENDED_WELL if life.report.complete else ExitStatus.UNCONFIRMED
@@ -177,7 +178,7 @@ def run_speech_process(
     model = requested.face.model
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
-        say = no_log if request.quiet else stack.enter_context(LogLines(prefix="speech: "))
+        stack.enter_context(face_logs(requested.settings.name, "speech", quiet=request.quiet))
         end = stack.enter_context(socket.socket(fileno=handed.channel))
         shared = stack.enter_context(StatusBoard.adopt(handed.board))
         live = stack.enter_context(LiveBoard.adopt(handed.live))
@@ -194,16 +195,16 @@ def run_speech_process(
             timer_s=time.perf_counter,
         )
         side = speech.side
-        avatars = entered_avatars(request.avatars, request.model, stack, say)
+        avatars = entered_avatars(request.avatars, request.model, stack)
         if zero_s is None or not start_s:
             zero_s = clock.now()
         else:
-            say(f"{source.name} goes on at {start_s:.1f} s")
+            _LOG.info("%s goes on at %.1f s", source.name, start_s)
         # What the robot says is on a timeline of its own, which begins anew with each process.
         side.begin(zero_s if request.voice is None else clock.now())
         handed.lifeline.began(zero_s)
         listener = None if agents is None else socket.socket(fileno=agents)
-        serving = voice_agents(listener, side, request.voice, model, handed.control_path, say)
+        serving = voice_agents(listener, side, request.voice, model, handed.control_path)
         url = stack.enter_context(serving)
         n_servo_ticks = 0
         settings: dict[str, float] = {}
@@ -223,8 +224,6 @@ def run_speech_process(
             if avatars is not None:
                 sound_s, _, frame = side.shown(time_s)
                 avatars.show(time_s, sound_s, frame)
-            for change in speech.recognizer.take_changes():
-                say(change)
             if time_s >= status_due_s:
                 status_due_s = time_s + _STATUS_EVERY_S
                 shared.write_speech(speech.status(settings, url))
@@ -265,10 +264,10 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     about, can = requested.about, settings.capabilities
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
-        say = no_log if request.quiet else stack.enter_context(LogLines())
-        say(str(request.motion))
+        stack.enter_context(face_logs(settings.name, "supervisor", quiet=request.quiet))
+        _LOG.info("%s", request.motion)
         for line in can.warnings():
-            say(line)
+            _LOG.warning("%s", line)
         board = stack.enter_context(StatusBoard.create())
         live = stack.enter_context(requested.live_board())
         path, commands = requested.control_path, requested.commands(board.add_settings)
@@ -279,12 +278,13 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             started_by_person=sys.stdin is not None and sys.stdin.isatty(),
             drives_after_power_cut=settings.start_after_power_cut,
             on_change=lambda stop: board.write_stopped(is_stopped=stop is not None),
-            say=say,
         )
         stack.callback(record.close)
         board.write_stopped(is_stopped=record.stopped is not None)
         if record.stopped is not None:
-            say(f"starts {can.released_words}, and `lipservo start` drives it: {record.why}")
+            _LOG.warning(
+                "starts %s, and `lipservo start` drives it: %s", can.released_words, record.why
+            )
         writer, reader = channel_pair()
         command = [sys.executable, "-m", "lipservo"]
         shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
@@ -302,29 +302,19 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             Child(
                 "bridge", bridge, {**of_bridge, **ours}, HeartbeatTimeouts(start_s=30.0, run_s=1.0)
             ),
-            Child(
-                "speech",
-                speech,
-                {**of_speech, **ours},
-                HeartbeatTimeouts(60.0, 3.0),
-            ),
+            Child("speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0)),
             listener,
             SupervisedServos(
                 servo_names,
                 lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
                 can,
             ),
-            say=say,
-            notice=ServiceNotice(say),
+            notice=ServiceNotice(),
             record=record,
         )
         supervisor.run(signals)
         _tell_end(request, supervisor, whole_status({**about, "state": "ended"}, board.speech()))
     return supervisor.exit_status
-
-
-def no_log(_line: str) -> None:
-    """What --quiet asks for."""
 
 
 def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> None:
@@ -333,5 +323,6 @@ def _tell_end(request: RunRequest, supervisor: "Supervisor", status: Status) -> 
     if request.as_json:
         ended = {"exit_status": supervisor.exit_status, **report.as_dict()}
         print_json({**ended, "face_status": status.as_dict()})
-    elif not request.quiet or report.unconfirmed:
-        MESSAGES.print(f"ended; {report.line()}", soft_wrap=True, highlight=False)
+    else:
+        level = logging.INFO if report.complete else logging.ERROR
+        _LOG.log(level, "ended; %s", report.line())

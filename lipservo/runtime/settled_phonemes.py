@@ -2,15 +2,13 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 
-from lipservo.runtime.motion_options import make_recognizer
-from lipservo.settings.motion_names import Engine
 from lipsync.audio.source import AudioSource, SilenceAfter
 from lipsync.audio_block import BLOCK_S
 from lipsync.phonemes import PhonemeEvent
-from lipsync.recognition.network import DEFAULT_WEIGHTS
+from lipsync.recognition.fallback import FallbackRecognizer
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 from lipsync.timeline import PhonemeTimeline
 
@@ -18,21 +16,13 @@ from lipsync.timeline import PhonemeTimeline
 _ASK_EVERY_S = 0.02
 
 
-def settled_events(
-    source: AudioSource,
-    engine: Engine,
-    weights: str = DEFAULT_WEIGHTS,
-    warn: Callable[[str], None] = lambda _line: None,
-) -> Iterator[PhonemeEvent]:
+def settled_events(source: AudioSource, recognizer: FallbackRecognizer) -> Iterator[PhonemeEvent]:
     """Every phoneme of the source with its start and end, as soon as its end is settled.
 
-    `warn` gets a line whenever another recogniser takes over. A file is recognised as fast as
-    the computer can, and to its end; a microphone until nobody asks any more.
+    A file is recognised as fast as the computer can, and to its end; a microphone until nobody asks
+    any more: its recogniser needs a clock.
     """
     length_s = source.duration_s
-    recognizer = make_recognizer(
-        engine, None if length_s is not None else time.perf_counter, weights
-    )
     sound = source if length_s is None else SilenceAfter(source)
     ahead, stream = SoundAhead(sound, recognizer), RecognizerStream(recognizer)
     end_s = math.inf if length_s is None else length_s
@@ -44,8 +34,6 @@ def settled_events(
             if length_s is None:
                 heard_s = step.blocks[-1].end_s if step.blocks else 0.0
                 time.sleep(0.0 if step.blocks else _ASK_EVERY_S)
-            for change in recognizer.take_changes():
-                warn(change)
             for update in step.updates:
                 timeline.apply(update)
             for event in _settled(timeline, told_until_s, end_s):

@@ -1,5 +1,6 @@
 """The sound of a face: what it hears, and what it says besides the streams of its agents."""
 
+import logging
 import threading
 from collections import deque
 from collections.abc import Generator, Iterator
@@ -20,7 +21,6 @@ from lipservo.runtime.run_request import (
     VoiceOptions,
 )
 from lipservo.runtime.servos.assembly import load_settings
-from lipservo.terminal.output import MESSAGES
 from lipsync.audio.file import FileSource, checked_sound, sound_chunks
 from lipsync.audio.playout import ListenedMicrophone, Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
@@ -30,6 +30,8 @@ from lipsync.phonemes import PhonemeEvent
 
 if TYPE_CHECKING:
     from lipsync.text_to_speech.synthesis import SynthesizedSpeech
+
+_LOG: Final = logging.getLogger(__name__)
 
 
 def open_sound(sound: Sound, start_s: float = 0.0) -> AudioSource:
@@ -55,13 +57,8 @@ def open_microphone(device: str) -> AudioSource:
     return MicrophoneSource(None if device == DEFAULT_MICROPHONE else device)
 
 
-def warn(line: str) -> None:
-    """One line on stderr about a sound that is used all the same."""
-    MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
-
-
 def _file(path: Path, start_s: float) -> AudioSource:
-    return SilenceAfter(FileSource(path, start_s=start_s, warn=warn), start_s)
+    return SilenceAfter(FileSource(path, start_s=start_s), start_s)
 
 
 #: Texts, sounds and performances that are said or wait, together.
@@ -131,7 +128,7 @@ def spoken_file(
 
     phonemes: a file of what is said when. Raises SoundError, LabelError.
     """
-    rate_hz, duration_s = checked_sound(path, warn)
+    rate_hz, duration_s = checked_sound(path)
     known = () if phonemes is None else known_from(phonemes, start_s)
     stream = PlayoutStream(path.name, rate_hz, playout.output_rate_hz, known)
     return spoken_chunks(sound_chunks(path, start_s), stream), max(0.0, duration_s - start_s)
@@ -233,10 +230,10 @@ class SpeechQueue:
         try:
             stream = next(spoken.pieces, None)
         except UserError as error:
-            warn(f"{error}; what came before it is said")
+            _LOG.error("%s; what came before it is said", error)
             return False
         except Exception as error:  # of one of them; the others are said
-            warn(f"{type(error).__name__}: {error}; what came before it is said")
+            _LOG.error("%s: %s; what came before it is said", type(error).__name__, error)
             return False
         if stream is not None and stream is not spoken.streams[-1]:
             spoken.streams.append(stream)

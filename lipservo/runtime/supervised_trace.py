@@ -4,8 +4,8 @@ What was sent it knows; what was shown it reads on the live board, where the pro
 writes it a hundred times a second.
 """
 
+import logging
 import threading
-from collections.abc import Callable
 from typing import Final, Self
 
 import numpy as np
@@ -20,6 +20,7 @@ from lipservo.traces.trace_file import BackgroundTrace, TraceFile
 from lipsync.errors import UserError
 from lipsync.face.frame import Frame
 
+_LOG: Final = logging.getLogger(__name__)
 #: How often the thread that opens the file asks whether the speech side has said how it is.
 _EVERY_S: Final = 0.05
 _END_S: Final = 2.0
@@ -28,18 +29,11 @@ _END_S: Final = 2.0
 class SupervisedTrace:
     """`observe` every tick of the bridge; ticks before the speech side is there are not traced."""
 
-    def __init__(
-        self,
-        requested: RequestedFace,
-        notes: StatusBoard,
-        live: LiveBoard,
-        say: Callable[[str], None],
-    ) -> None:
-        """notes: where the speech side says how it is. say: takes a line where none is written."""
+    def __init__(self, requested: RequestedFace, notes: StatusBoard, live: LiveBoard) -> None:
+        """notes: where the speech side says how it is."""
         self._requested = requested
         self._notes = notes
         self._live = live
-        self._say = say
         self._closed = threading.Event()
         self._trace: BackgroundTrace | None = None
         self._opener = threading.Thread(target=self._open, name="trace of a daemon", daemon=True)
@@ -82,6 +76,6 @@ class SupervisedTrace:
         try:
             file = TraceFile(path, self._requested.trace_header(status))
         except UserError as error:
-            self._say(str(error))
+            _LOG.error("%s", error)
             return
-        self._trace = BackgroundTrace(file, self._say)
+        self._trace = BackgroundTrace(file)

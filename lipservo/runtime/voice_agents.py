@@ -1,6 +1,7 @@
 """Voice agents at a face: where they are waited for, and what they may ask."""
 
-from collections.abc import Callable, Iterator, Mapping
+import logging
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +16,6 @@ from lipservo.runtime.sound import (
     spoken_chunks,
     spoken_file,
     spoken_text,
-    warn,
 )
 from lipservo.runtime.speech.performed_line import performed_line
 from lipsync.audio.playout import Playout
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     import socket
 
     from lipservo.runtime.speech.speech_side import SpeechSide
+
+_LOG = logging.getLogger(__name__)
 
 
 def bound_listener(listen: str | None, token_file: str | None) -> "socket.socket | None":
@@ -53,7 +55,6 @@ def voice_agents(
     options: VoiceOptions | None,
     model: FaceModel,
     control_path: Path,
-    log: Callable[[str], None],
 ) -> Iterator[str | None]:
     """Serve voice agents at a listener that is bound; the address. None: nobody is waited for.
 
@@ -70,7 +71,7 @@ def voice_agents(
         token = read_token(options.token_file)
     except UserError as error:
         # It was there when the face was started: this process is a later one, and the face goes on.
-        log(f"voice agents: none are served: {error}")
+        _LOG.warning("voice agents: none are served: %s", error)
         yield None
         return
     voice, delay = side.voice, side.speech.delay
@@ -87,7 +88,6 @@ def voice_agents(
         ),
         say=spoken.say,
         play=spoken.play if options.sounds is not None else None,
-        log=log,
     ) as server:
         voice.phonemes = server.phonemes
         try:
@@ -125,7 +125,7 @@ class _Spoken:
         if path.suffix.lower() == SUFFIX:
             performance = read_performance(path)
             performance.check_face(self._model, str(path))
-            line = performed_line(performance, path, warn)
+            line = performed_line(performance, path)
             spoken = spoken_chunks(line.chunks(), line.stream(self._playout))
             duration_s = performance.duration_s
         else:

@@ -2,17 +2,24 @@
 
 import contextlib
 import json
+import logging
+import os
 import platform
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, cast
 
+from firmware_bridge.process.logs import LOG_JSON
+
 if TYPE_CHECKING:
     from rich.console import Console
 
 #: What is done, how many, of how many.
 Advance = Callable[[str, int, int], None]
+#: With `--log-json` what is said on stderr are log lines, too.
+_LOG: Final = logging.getLogger("lipservo.messages")
+_LOG.setLevel(logging.INFO)
 #: What rich leaves out of a text.
 _CONTROLS: Final = dict.fromkeys(map(ord, "\a\b\v\f\r"))
 
@@ -25,10 +32,13 @@ class _LazyConsole:
         self._made: Console | None = None
 
     def print(self, *objects: object, **options: Any) -> None:
-        """As `rich.console.Console.print`."""
-        is_line = len(objects) == 1 and type(objects[0]) is str and options.get("soft_wrap", False)
+        """As `rich.console.Console.print`; the terminal breaks lines that are too long for it."""
+        is_line = len(objects) == 1 and type(objects[0]) is str
+        options = {"soft_wrap": is_line, **options}
         is_plain = not any(value for name, value in options.items() if name != "soft_wrap")
-        if self._made is None and is_line and is_plain:
+        if self._stderr and is_line and os.environ.get(LOG_JSON):
+            _LOG.info("%s", objects[0])
+        elif self._made is None and is_line and is_plain:
             stream = sys.stderr if self._stderr else sys.stdout
             stream.write(f"{objects[0]}\n".translate(_CONTROLS))
             stream.flush()
@@ -60,6 +70,9 @@ MESSAGES = cast("Console", _LazyConsole(stderr=True))
 
 def complain(text: str) -> None:
     """Why the program ends, on stderr; in vain where the terminal is gone."""
+    if os.environ.get(LOG_JSON):
+        _LOG.error("%s", text)
+        return
     with contextlib.suppress(OSError):
         sys.stderr.write("".join(f"lipservo: {line}\n" for line in text.splitlines()))
         sys.stderr.flush()
@@ -75,14 +88,11 @@ def say_simulated() -> None:
     MESSAGES.print(
         "SIMULATED: no real servo moves; --port, or `bus:` in the face's YAML, names real ones",
         style="bold yellow",
-        soft_wrap=True,
     )
 
 
 def machine_class() -> str:
     """What kind of machine measured: processor architecture, cores, Python."""
-    import os
-
     return f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
 
 

@@ -7,16 +7,17 @@ cut short, plain or `.gz`.
 
 import gzip
 import json
+import logging
 import math
 import queue
 import threading
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -25,6 +26,7 @@ from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.output_file import OutputError, check_output, written_whole
 
+_LOG: Final = logging.getLogger(__name__)
 TRACE_VERSION = 1
 #: The first key of every trace.
 _MARK = "lipservo_trace"
@@ -104,10 +106,9 @@ class BackgroundTrace:
     When the disk is a minute behind, ticks are dropped and the last line says how many.
     """
 
-    def __init__(self, file: TraceFile, say: Callable[[str], None]) -> None:
-        """say: gets a line, once, when it breaks off; the error is raised at the end."""
+    def __init__(self, file: TraceFile) -> None:
+        """When it breaks off, that is logged, and raised at the end."""
         self._file = file
-        self._say = say
         self._queue: queue.Queue[StreetTick | None] = queue.Queue(_QUEUE_LENGTH)
         self._error: TraceError | None = None
         self._dropped = 0
@@ -138,7 +139,7 @@ class BackgroundTrace:
                     self._file.observe(tick)
             except TraceError as error:  # a full disk must not stop the face
                 self._error = error
-                self._say(f"{error}; the face goes on")
+                _LOG.error("%s; the face goes on", error)
 
 
 def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
@@ -152,17 +153,13 @@ def _record_of(number: int, tick: StreetTick) -> dict[str, object]:
         "wanted_deg": _rounded(report.wanted_deg.tolist()),
         "sent_deg": _rounded(report.sent_deg.tolist()),
         "late": report.late,
-        "target_age_s": _finite(report.target_age_s),
+        # JSON knows no infinity: None before the first target.
+        "target_age_s": round(age_s, 6) if math.isfinite(age_s := report.target_age_s) else None,
         "stale": report.stale.name.lower(),
         "torque_on": report.torque_on,
         "range_hits": report.range_hits.nonzero()[0].tolist(),
         "rate_hits": report.rate_hits.nonzero()[0].tolist(),
     }
-
-
-def _finite(value: float) -> float | None:
-    """JSON knows no infinity: None before the first target."""
-    return round(value, 6) if math.isfinite(value) else None
 
 
 def _rounded(values: Sequence[float]) -> list[float]:

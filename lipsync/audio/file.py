@@ -10,14 +10,17 @@ and a file of up to a minute, which most are, is refused before it plays if anyt
 Opening and checking the header decodes no sound: its time does not depend on the file's length.
 """
 
+import logging
 import math
 import os
 import re
 import stat
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from itertools import islice
 from os import PathLike
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import soundfile
@@ -27,6 +30,7 @@ from numpy.typing import NDArray
 from lipsync.audio.source import BLOCK_SAMPLES, BlockCutter, SoundError
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
 
+_LOG: Final = logging.getLogger(__name__)
 #: A telephone has 8 kHz, a studio 192; below 4 kHz there is no speech left to recognise.
 SLOWEST_RATE_HZ, FASTEST_RATE_HZ = 4_000, 192_000
 #: More than any recorder writes; a header that says more is damaged.
@@ -135,14 +139,20 @@ _RUN_IN_S = 0.25
 
 
 def ignore(_line: str) -> None:
-    """For whoever need not know."""
+    """Take a warning that another reader of the same file passes on."""
 
 
-def read_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[Samples, int]:
+@lru_cache(maxsize=256)
+def log_warning(line: str) -> None:
+    """Log a warning about a file: once, although most files are opened more than once."""
+    _LOG.warning("%s", line)
+
+
+def read_sound(path: str | PathLike[str], warn: Warn = log_warning) -> tuple[Samples, int]:
     """The whole file as samples (n,) float32 mono in [-1, 1], and its own sample rate in hertz.
 
-    `warn` is told in one line that the file is shorter than its header says. Raises SoundError for
-    what `FileSource` refuses, here wherever in the file it is.
+    `warn` gets one line where the file is shorter than its header says. Raises SoundError for what
+    `FileSource` refuses, here wherever in the file it is.
     """
     path = Path(path)
     with open_sound(path) as sound:
@@ -153,13 +163,11 @@ def read_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[Samples,
     return samples, sample_rate_hz
 
 
-def checked_rate_hz(path: str | PathLike[str], warn: Warn = ignore) -> int:
-    """A file's own sample rate, in hertz, after the checks of `FileSource`. Raises SoundError."""
-    return checked_sound(path, warn)[0]
+def checked_sound(path: str | PathLike[str], warn: Warn = log_warning) -> tuple[int, float]:
+    """A file's own sample rate, in hertz, and its length in seconds, to the nearest at 16 kHz.
 
-
-def checked_sound(path: str | PathLike[str], warn: Warn = ignore) -> tuple[int, float]:
-    """The same, and the length in seconds, to the nearest sample at 16 kHz."""
+    After the checks of `FileSource`. Raises SoundError.
+    """
     path = Path(path)
     duration_s = _checked_duration_s(path, warn)
     with open_sound(path) as sound:
@@ -190,14 +198,14 @@ class FileSource:
     is_live = False
 
     def __init__(
-        self, path: str | PathLike[str], *, start_s: float = 0.0, warn: Warn = ignore
+        self, path: str | PathLike[str], *, start_s: float = 0.0, warn: Warn = log_warning
     ) -> None:
         """Begin at the block that holds sound time `start_s`; times stay those of the file.
 
         The samples are those of a source that began at 0 (to rounding, where it is resampled); what
         lies before is passed over without decoding, but for Ogg and MP3, which have to be decoded.
-        warn: is told in one line that the file is shorter than its header says, now, and what was
-        wrong with the sound that was played, when the source is left.
+        warn: gets a line where the file is shorter than its header says, now, and what was wrong
+        with the sound that was played, when the source is left.
         """
         self._path = Path(path)
         self._warn = warn
@@ -411,7 +419,7 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
         )
 
 
-def read_speech(path: Path, warn: Warn = ignore) -> NDArray[np.float32]:
+def read_speech(path: Path, warn: Warn = log_warning) -> NDArray[np.float32]:
     """The file as samples (n,) float32 mono in [-1, 1] at 16 kHz; else as `read_sound`."""
     samples, rate_hz = read_sound(path, warn)
     if rate_hz == SAMPLE_RATE_HZ:

@@ -7,10 +7,12 @@ levels are tried again beside the one in use (`Trial`), and take over in a pause
 a closed mouth, cannot fail. Why so: docs/decisions/0038.
 """
 
+import logging
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 from lipsync.arrays import Array
 from lipsync.audio_block import BLOCK_S, AudioBlock
@@ -25,6 +27,7 @@ from lipsync.recognition.ladder_level import (
     fed,
 )
 
+_LOG: Final = logging.getLogger(__name__)
 #: Sound that a level has heard before it takes over: the level of the voice and the noise floor are
 #: known after it, and every filter is full.
 WARM_UP_S = 3.0
@@ -38,8 +41,6 @@ _FIRST_WAIT_S = 2.0
 _LONGEST_WAIT_BUSY_S, _LONGEST_WAIT_S = 8.0, 300.0
 #: A level that was kept so long was rightly taken.
 _KEPT_S = 30.0
-#: Changes that wait to be logged; of more the oldest are dropped.
-_MOST_CHANGES = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +67,6 @@ class FallbackRecognizer:
     ) -> None:
         self._latency_s = latency_s
         self._timer_s = timer_s
-        self._changes: deque[str] = deque(maxlen=_MOST_CHANGES)
         self._levels: list[LadderLevel] = []
         # Why each level cannot be used, or was left last.
         self._why_not: list[str | None] = []
@@ -99,10 +99,6 @@ class FallbackRecognizer:
         """Why each better level is not in use, the best first; empty while the best is."""
         better = zip(self._levels, self._why_not[: self._current], strict=False)
         return tuple(f"{level.name}: {reason}" for level, reason in better)
-
-    def take_changes(self) -> list[str]:
-        """What changed since the last call: a line each, in order."""
-        return [self._changes.popleft() for _ in range(len(self._changes))]
 
     @property
     def hears(self) -> Hearing | None:
@@ -176,7 +172,7 @@ class FallbackRecognizer:
         self._levels.append(LadderLevel(level.name, recognizer))
         self._why_not.append(reason)
         if reason is not None:
-            self._changes.append(f"recogniser {level.name} cannot be used: {reason}")
+            _LOG.warning("recogniser %s cannot be used: %s", level.name, reason)
 
     def _forget(self) -> None:
         self._current = self._usable[0]
@@ -249,7 +245,7 @@ class FallbackRecognizer:
             except Exception as error:  # as in feed
                 reason = _in_words(error)
         name, why = self._levels[left].name, self._why_not[left]
-        self._changes.append(f"recogniser {name} left: {why}; {self.level} takes over")
+        _LOG.warning("recogniser %s left: %s; %s takes over", name, why, self.level)
         if self._timer_s is not None:
             now_s = self._timer_s()
             if left == self._usable[0]:
@@ -299,7 +295,7 @@ class FallbackRecognizer:
         away_s = now_s - self._best_left_s
         is_best = self._current == self._usable[0]
         after = f" after {away_s:.1f} s" if is_best else ""
-        self._changes.append(f"recogniser {level.name} is back{after}")
+        _LOG.info("recogniser %s is back%s", level.name, after)
 
 
 def _in_words(error: Exception) -> str:

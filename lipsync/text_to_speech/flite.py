@@ -13,7 +13,6 @@ from types import MappingProxyType
 
 import numpy as np
 import soundfile
-from numpy.typing import NDArray
 
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.text_to_speech.synthesis import (
@@ -85,7 +84,8 @@ class Flite:
             raise UnspeakableTextError(
                 f"{written[:40]!r} holds nothing that flite can speak; write English words"
             )
-        return SynthesizedSpeech(_within_one(samples), sample_rate_hz, phoneme_events(timed), ())
+        events = phoneme_events(timed)
+        return SynthesizedSpeech(np.clip(samples, -1.0, 1.0), sample_rate_hz, events, ())
 
     def _check_voice(self, voice: Voice) -> None:
         if voice.language != _LANGUAGE:
@@ -137,7 +137,3 @@ def segments(printed: str, duration_s: float) -> list[TimedPhones]:
     if duration_s > start_s:
         found.append(TimedPhones((SILENCE,), start_s, duration_s))
     return found
-
-
-def _within_one(samples: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.clip(samples, -1.0, 1.0)

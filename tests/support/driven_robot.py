@@ -2,6 +2,7 @@
 
 import numpy as np
 from dynamixel_chain import MemoryFace
+from logged import logged
 
 from firmware_bridge.loop.bridge import Bridge, face_status
 from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
@@ -80,7 +81,6 @@ class Robot:
         links = LifeCycleLinks(
             control=self.control,
             lifeline=self.told,
-            log=self.note,
             status=lambda: {"state": self.bridge.state.value},
         )
         self.life = LifeCycle(self.bridge, self.face.clock, links, waits=waits)
@@ -105,7 +105,7 @@ class Robot:
     def live(self, until_s, at=None):
         """From start to end; `at`: what happens at a moment, by its time."""
         at = dict(at or {})
-        with self.face.bus, self.life as life:
+        with logged("firmware_bridge", self.note), self.face.bus, self.life as life:
             life.start()
             for time_s, late in life.ticks():
                 for moment_s in [m for m in at if m <= time_s]:

@@ -75,7 +75,7 @@ class SupervisedFace:
         self.bridge = SimulatedChild("bridge", self.clock, HeartbeatTimeouts(30.0, 1.0))
         self.speech = SimulatedChild("speech", self.clock, HeartbeatTimeouts(60.0, 3.0))
         self.control = ControlSocket.bind(path)
-        self.path, self.said = path, []
+        self.path = path
         self.unplugged, self.capabilities = False, capabilities
         self.supervisor = Supervisor(
             self.bridge,
@@ -88,8 +88,7 @@ class SupervisedFace:
                 ),
                 capabilities,
             ),
-            say=self.said.append,
-            notice=ServiceNotice(self.said.append, self.clock.now),
+            notice=ServiceNotice(self.clock.now),
             record=record,
         )
         self.n_signals = 0

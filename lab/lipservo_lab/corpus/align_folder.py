@@ -60,5 +60,4 @@ def align_folder(
     good = len(aligned) - len(failed) - len(unsaid)
     RESULTS.print(
         f"{output}: {good} of {len(aligned)} utterances aligned, {tight} of them at the second try",
-        soft_wrap=True,
     )

@@ -90,7 +90,6 @@ def new_face(
     write_whole(output, text)
     RESULTS.print(
         f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`",
-        soft_wrap=True,
     )
 
 
@@ -100,7 +99,7 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
     if not foreign:
         return
     for servo_id, changes in foreign.items():
-        MESSAGES.print(f"id {servo_id}: {'; '.join(map(str, changes))}", soft_wrap=True)
+        MESSAGES.print(f"id {servo_id}: {'; '.join(map(str, changes))}")
     question = "Another program has set these up. Write what they should be"
     if not typer.confirm(question, default=True, err=True):
         raise UserError("nothing was written; servos set up like this cannot be moved here")

@@ -22,7 +22,7 @@ def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = Fal
         if not as_json:
             mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]
             remedy = f" -> {finding.remedy}" if finding.remedy else ""
-            RESULTS.print(f"{mark} {finding.what}{remedy}", soft_wrap=True, highlight=False)
+            RESULTS.print(f"{mark} {finding.what}{remedy}")
     n_bad = sum(finding.severity is Severity.BAD for finding in findings)
     if as_json:
         listed = [

@@ -42,7 +42,7 @@ class _Work:
     def say(self, line: str) -> None:
         """A result for people."""
         if not self.as_json:
-            RESULTS.print(line, soft_wrap=True, highlight=False)
+            RESULTS.print(line)
 
 
 def setup_servos(

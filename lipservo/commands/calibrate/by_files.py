@@ -72,7 +72,7 @@ def plan(
         capture = read_capture(refine, markers, names, axes=axes)
         checked = check_capture(capture, setup.model, positive, accept=accept)
         for line in checked.warnings:
-            MESSAGES.print(line, soft_wrap=True, highlight=False)
+            MESSAGES.print(line)
         further = procedure.speech_plan(checked.capture, max(1, procedure.n_of_speech))
         made = joined(read_plan(refine, names), further)
         then = f"--plan {file} --markers {markers} -o FILE"
@@ -83,7 +83,6 @@ def plan(
     RESULTS.print(
         f"{file}: {len(made)} poses. Reach each from the side it names (`lipservo calibrate pose "
         f"{file}` does), record the markers, then `lipservo calibrate fit {then}`",
-        soft_wrap=True,
     )
 
 
@@ -197,7 +196,7 @@ def grade(
     read = reader_of(markers, setup, mesh_options(landmarker, eye_distance_mm))
     found, warnings = grade_by_files(setup, before, plan, markers, axes=axes, read=read)
     for line in () if as_json else warnings:
-        MESSAGES.print(line, soft_wrap=True, highlight=False)
+        MESSAGES.print(line)
     bad = too_bad(found)
     if bad is not None and not accept:
         raise UserError(
@@ -212,5 +211,5 @@ def grade(
         )
         return
     for line in report_lines(found, str(file), None, with_servos=False):
-        RESULTS.print(line, soft_wrap=True, highlight=False)
+        RESULTS.print(line)
     RESULTS.print(coverage_table(found))

@@ -97,7 +97,7 @@ def by_hand(
         )
     else:
         for line in pose_lines(before, after):
-            RESULTS.print(line, soft_wrap=True, highlight=False)
+            RESULTS.print(line)
     if session.report is not None and not session.report.complete:
         raise typer.Exit(ExitStatus.UNCONFIRMED)
 
@@ -164,7 +164,7 @@ def _let_go_again(session: _Session, servos: "LimpServos", signals: "DeferredSig
 
 def _tell(report: StopReport | None) -> None:
     if report is not None:
-        MESSAGES.print(f"{report.line()}; it stays off", soft_wrap=True, highlight=False)
+        MESSAGES.print(f"{report.line()}; it stays off")
 
 
 def _kept(setup: "CalibrationSetup", keep: Path | None) -> "Mapping[str, Array]":

@@ -200,7 +200,7 @@ def finish(
         from lipservo.calibrating.shown_calibration import draw_coverage
 
         drawn = draw_coverage(plots, setup.model, calibration, fit)
-        MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
+        MESSAGES.print(f"drawn: {drawn}")
     then = None
     if check_plan is not None:
         from lipservo.calibrating.plan_poses import write_check_poses
@@ -229,16 +229,15 @@ def finish(
         print_json(told)
         return
     for line in (*result.warnings, *kept):
-        MESSAGES.print(line, soft_wrap=True, highlight=False)
+        MESSAGES.print(line)
     for line in report_lines(calibration, str(output), fit):
-        RESULTS.print(line, soft_wrap=True, highlight=False)
+        RESULTS.print(line)
     if jaw_r is not None:
         RESULTS.print(f"the jaw goes with the speaker's: correlation {jaw_r:.2f}")
     if then is not None:
-        RESULTS.print(then, soft_wrap=True, highlight=False)
+        RESULTS.print(then)
     if setup.settings.calibration != output.name:
         RESULTS.print(
             f"to use it, write `calibration: {output.name}` into the face's YAML, and keep both "
             "files in one folder",
-            soft_wrap=True,
         )

@@ -203,7 +203,7 @@ def pose(
     def arrived(row: int, reached_deg: "Array") -> None:
         stands = zip(chosen.servo_names, reached_deg, chosen.goals_deg[row], strict=True)
         told = ", ".join(f"{name} {deg:.1f} of {goal:.1f}" for name, deg, goal in stands)
-        RESULTS.print(f"pose {numbers[row]}: {told} deg", soft_wrap=True)
+        RESULTS.print(f"pose {numbers[row]}: {told} deg")
 
     with setup_at_port(setup, port, sim, config) as at:
         if at.settings.capabilities.in_memory:
@@ -246,4 +246,4 @@ def lags(
         print_json({"calibration": str(file), "servos": following_values(found)})
         return
     for line in following_lines(found):
-        RESULTS.print(line, soft_wrap=True, highlight=False)
+        RESULTS.print(line)

@@ -79,7 +79,7 @@ def show(
 
         check_folder(plots, [PICTURE])
         drawn = draw_reach(plots, calibration)
-        MESSAGES.print(f"drawn: {drawn}", soft_wrap=True, highlight=False)
+        MESSAGES.print(f"drawn: {drawn}")
     if as_json:
         print_json({"calibration": str(file), **shown_values(calibration, rules)})
         return
@@ -87,4 +87,4 @@ def show(
     if calibration.coverage:
         RESULTS.print(coverage_table(calibration))
     for line in shown_lines(calibration, str(file), rules):
-        RESULTS.print(line, soft_wrap=True, highlight=False)
+        RESULTS.print(line)

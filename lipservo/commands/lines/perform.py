@@ -30,25 +30,16 @@ from lipservo.commands.options import (
     TokenFile,
     Trace,
 )
-from lipservo.commands.run.dashboard_beside import (
-    check_page_options,
-    dashboard_beside,
-    with_sounds,
-)
+from lipservo.commands.run.dashboard_beside import check_page_options, dashboard_beside, with_sounds
 from lipservo.commands.run.run import ANY_PORT, avatars_of, finish, motion_of
 from lipservo.commands.run.say import told_through
 from lipservo.commands.run.voice_choice import access_file, with_access
 from lipservo.runtime.face_runtime import run_face
 from lipservo.runtime.motion_options import ChosenMotion, MotionOptions
-from lipservo.runtime.run_request import (
-    DEFAULT_OUTPUT,
-    SILENCE,
-    RunRequest,
-    VoiceOptions,
-)
+from lipservo.runtime.run_request import DEFAULT_OUTPUT, SILENCE, RunRequest, VoiceOptions
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.servos.sim_process import servo_port
-from lipservo.runtime.sound import SpeechQueue, entered_sound, spoken_chunks, warn
+from lipservo.runtime.sound import SpeechQueue, entered_sound, spoken_chunks
 from lipservo.runtime.speech.performed_line import performed_line
 from lipservo.terminal.output import MESSAGES, print_json
 from lipsync.audio.playout import Playout
@@ -105,7 +96,7 @@ def perform(
     performed = read_performance(performance)
     face = assemble_face(config, model)
     performed.check_face(face.model, str(performance))
-    line = performed_line(performed, performance, warn)
+    line = performed_line(performed, performance)
     voice = VoiceOptions(None if mute else output or DEFAULT_OUTPUT)
     if dashboard:
         token_file = access_file(token_file, open_to_this_computer=open_to_this_computer)

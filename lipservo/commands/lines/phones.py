@@ -2,6 +2,7 @@
 
 import json
 import sys
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated
@@ -54,8 +55,7 @@ def align(
     sound: Annotated[Path, typer.Argument(help="Sound file.")],
     text: Annotated[str, typer.Argument(help="What is said, or a text file that holds it.")],
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Write X.TextGrid or X.json."),
+        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -70,7 +70,6 @@ def align(
 
 def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) -> None:
     from lipservo.rendering.spoken_line import given_text
-    from lipservo.runtime.sound import warn
     from lipsync.audio.file import read_speech
     from lipsync.recognition.alignment import (
         DOUBTFUL_SCORE,
@@ -83,7 +82,7 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
 
     if output is not None:
         check_phone_file(output, inputs=[sound])
-    samples = read_speech(sound, warn)
+    samples = read_speech(sound)
     alignment = force_align(samples, given_text(text))
     score = goodness_of_pronunciation(samples, alignment.phones)
     if score < LEAST_SCORE:
@@ -94,11 +93,10 @@ def _align_one(sound: Path, text: str, output: Path | None, *, as_json: bool) ->
     if score < DOUBTFUL_SCORE:
         MESSAGES.print(
             f"the text fits badly (score {score:.2f}, usual are {USUAL_SCORES}): words may be "
-            "missing or too many, or the voice is hard to hear",
-            soft_wrap=True,
+            "missing or too many, or the voice is hard to hear"
         )
     if alignment.guessed:
-        MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}", soft_wrap=True)
+        MESSAGES.print(f"pronunciation guessed: {', '.join(alignment.guessed)}")
     phones = tuple((e.phoneme, e.start_s, e.end_s or e.start_s) for e in alignment.phones)
     if output is not None:
         write_phone_file(output, {"words": alignment.words, "phones": phones})
@@ -124,8 +122,7 @@ def recognize(
         typer.Option(metavar="[DEVICE]", help="Listen to a microphone.", show_default=False),
     ] = None,
     output: Annotated[
-        Path | None,
-        typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end."),
+        Path | None, typer.Option("--output", "-o", help="Write X.TextGrid or X.json at the end.")
     ] = None,
     engine: EngineChoice = "network",
     weights: WeightsChoice = DEFAULT_WEIGHTS,
@@ -137,27 +134,22 @@ def recognize(
     """
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
+    from lipservo.runtime.motion_options import make_recognizer
     from lipservo.runtime.run_request import DEFAULT_MICROPHONE
     from lipservo.runtime.settled_phonemes import settled_events
     from lipservo.runtime.sound import open_microphone
-    from lipservo.runtime.sound import warn as warn_of_sound
     from lipsync.audio.file import FileSource
 
     check_weights(weights)
     if output is not None:
         check_phone_file(output, inputs=[sound])
     source: AudioSource = (
-        open_microphone(mic or DEFAULT_MICROPHONE)
-        if sound is None
-        else FileSource(sound, warn=warn_of_sound)
+        open_microphone(mic or DEFAULT_MICROPHONE) if sound is None else FileSource(sound)
     )
+    recognizer = make_recognizer(engine, None if mic is None else time.perf_counter, weights)
     events = []
-
-    def warn(line: str) -> None:
-        MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
-
     try:
-        for event in settled_events(source, engine, weights, warn):
+        for event in settled_events(source, recognizer):
             if output is not None:
                 events.append(event)
             if as_json:

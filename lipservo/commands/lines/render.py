@@ -95,7 +95,7 @@ def _render_one(
         audio, Script(phones, None if text is None else given_text(text)), output, how
     )
     for note in done.notes:
-        MESSAGES.print(f"{audio}: {note}", soft_wrap=True)
+        MESSAGES.print(f"{audio}: {note}")
     if as_json:
         print_json(
             {
@@ -111,5 +111,4 @@ def _render_one(
     RESULTS.print(
         f"{output}: {done.duration_s:.1f} s, {done.n_phonemes} phonemes, {how.method}, rendered in "
         f"{done.seconds:.2f} s",
-        soft_wrap=True,
     )

@@ -71,10 +71,9 @@ def calibrate_audio(
         f"{speaker.lasting_name}, heard by {microphone.name}: {found.n_found} of "
         f"{found.n_played} clicks\nsound leaves it {late}, give or take "
         f"{1e3 * found.spread_s:.1f}; it says {claimed_ms:.0f} ms after it was handed over",
-        soft_wrap=True,
     )
     if path is not None:
-        RESULTS.print(f"written into {path}", soft_wrap=True)
+        RESULTS.print(f"written into {path}")
         return
     lines = offset_lines(speaker.lasting_name, offset_ms).rstrip()
-    MESSAGES.print(f"not written; in a face's YAML it is\n{lines}", soft_wrap=True)
+    MESSAGES.print(f"not written; in a face's YAML it is\n{lines}")

@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from firmware_bridge.process.logs import face_logs
 from lipservo.commands.options import (
     Control,
     DashboardListen,
@@ -62,14 +63,15 @@ def dashboard(
         def ready() -> None:
             if not quiet:
                 line = f"dashboard: {address_of(bound, token)}"
-                MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
+                MESSAGES.print(line)
             if open_page and _has_a_screen():
                 import webbrowser
 
                 webbrowser.open(address_of(bound, None if code is None else code.code))
 
         link = FaceLink(found_face(face, control), given, control)
-        serve(bound, link, token, ready, model, code)
+        with face_logs(face or "", "dashboard", quiet=quiet):
+            serve(bound, link, token, ready, model, code)
 
 
 def check_dashboard() -> None:

@@ -44,14 +44,10 @@ def dashboard_beside(
     file = None if token_file is None else str(token_file)
     token = read_token(file)
     path = request.control or socket_path(load_settings(request.config)[0].name)
-
-    def say(line: str) -> None:
-        if not request.quiet:
-            MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
-
     with bound_dashboard(listen, token) as listener:
-        say(f"dashboard: {address_of(listener, token)}")
-        with dashboard_child(path, listener, file, say, model=request.model, open_page=open_page):
+        if not request.quiet:
+            MESSAGES.print(f"dashboard: {address_of(listener, token)}")
+        with dashboard_child(path, listener, file, model=request.model, open_page=open_page):
             yield
 
 

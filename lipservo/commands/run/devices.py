@@ -22,7 +22,4 @@ def devices(as_json: Json = False) -> None:
         RESULTS.print(f"{word}s")
         for device in found:
             mark = "*" if device.is_default else " "
-            RESULTS.print(
-                f"{mark} {device.index:3d}  {device.name}, {device.sample_rate_hz} Hz",
-                soft_wrap=True,
-            )
+            RESULTS.print(f"{mark} {device.index:3d}  {device.name}, {device.sample_rate_hz} Hz")

@@ -88,7 +88,7 @@ def export(
     if as_json:
         print_json({"output": str(output), "format": chosen, **about})
     else:
-        MESSAGES.print(f"{output}: done", soft_wrap=True)
+        MESSAGES.print(f"{output}: done")
 
 
 def _format(output: Path, given: Format | None) -> Format:

@@ -19,10 +19,8 @@ from lipservo.runtime.run_request import Sound
 from lipservo.runtime.servos.assembly import assemble_face, load_settings
 from lipservo.runtime.settled_phonemes import settled_events
 from lipservo.runtime.sound import open_sound
-from lipservo.runtime.sound import warn as warn_of_sound
 from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech
-from lipservo.terminal.output import MESSAGES
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
@@ -77,14 +75,14 @@ class SpokenSound:
     @property
     def duration_s(self) -> float:
         """How long the sound is. Raises SoundError."""
-        return FileSource(self.path, warn=warn_of_sound).duration_s
+        return FileSource(self.path).duration_s
 
     def events(self) -> list[PhonemeEvent]:
         """The phonemes in order. Raises LabelError for a script, SoundError for a sound."""
         if self.script is not None:
             return list(read_phonemes(self.script))
-        source = FileSource(self.path)
-        return list(settled_events(source, self.motion.engine, self.motion.weights, _log))
+        recognizer = make_recognizer(self.motion.engine, None, self.motion.weights)
+        return list(settled_events(FileSource(self.path), recognizer))
 
     def frames(self, times_s: Sequence[float] | Array) -> list[Frame]:
         """The faces of ascending sound times, as the robot shows them."""
@@ -109,8 +107,6 @@ class SpokenSound:
                     n += 1
                     speech.advance(n * PUBLISH_PERIOD_S)
                 found.append(speech.shown_at(float(time_s))[1])
-        for change in recognizer.take_changes():
-            _log(change)
         return found
 
 
@@ -122,10 +118,6 @@ def spoken_sound(
     return SpokenSound(
         sound, script, motion_options(chosen, settings.motion, folder), config, model
     )
-
-
-def _log(line: str) -> None:
-    MESSAGES.print(line, soft_wrap=True, markup=False, highlight=False)
 
 
 def motion_shapes(spoken: SpokenSound) -> list[MouthCue]:
@@ -159,7 +151,8 @@ def exported_text(
         values = viseme_weights(spoken.events(), times_s, load_face(model).tightest_s)
         names = OVR_NAMES
     track = WeightTrack(asked.file_format, asked.rate_hz, names, times_s, values)
-    text = _track_text(track, asked.ending)
+    write = live_link_csv if track.kind == "arkit" else track_csv
+    text = track_lines(track) if asked.ending == ".jsonl" else write(track)
     return text, {"duration_s": duration_s, "rate_hz": asked.rate_hz, "n_frames": len(times_s)}
 
 
@@ -168,9 +161,3 @@ def _cue_text(cues: Sequence[MouthCue], asked: Exported, duration_s: float) -> s
         return cues_tsv(cues)
     write = cues_json if asked.ending == ".json" else cues_xml
     return write(cues, str(asked.sound), duration_s)
-
-
-def _track_text(track: WeightTrack, ending: str) -> str:
-    if ending == ".jsonl":
-        return track_lines(track)
-    return live_link_csv(track) if track.kind == "arkit" else track_csv(track)

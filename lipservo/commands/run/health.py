@@ -57,8 +57,6 @@ def health(
         RESULTS.print(
             f"nothing logged yet in {places_searched(os.environ)}: servos at a port are, every ten "
             "seconds while they run",
-            soft_wrap=True,
-            highlight=False,
         )
     for name, history in histories.items():
         _print(name, history)
@@ -66,7 +64,7 @@ def health(
 
 def _print(name: str, history: History) -> None:
     for line in history.bad_files:
-        MESSAGES.print(line, soft_wrap=True, markup=False)
+        MESSAGES.print(line)
     if history.n_bad_lines:
         MESSAGES.print(f"{name}: {history.n_bad_lines} unreadable lines were left out")
     if not history.n_readings:

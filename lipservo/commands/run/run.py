@@ -35,11 +35,7 @@ from lipservo.commands.options import (
     Trace,
     Wav,
 )
-from lipservo.commands.run.dashboard_beside import (
-    check_page_options,
-    dashboard_beside,
-    with_sounds,
-)
+from lipservo.commands.run.dashboard_beside import check_page_options, dashboard_beside, with_sounds
 from lipservo.commands.run.motion_choice import takes_motion
 from lipservo.commands.run.voice_choice import (
     access_file,
@@ -60,7 +56,6 @@ from lipservo.runtime.run_request import (
     chosen_sound,
 )
 from lipservo.runtime.servos.assembly import load_settings
-from lipservo.runtime.servos.face_life import say
 from lipservo.runtime.servos.face_stopped import exit_status
 from lipservo.runtime.servos.sim_process import servo_port
 from lipservo.runtime.sound import entered_sound, open_sound
@@ -233,10 +228,7 @@ def run_once(
     sim: as typed; with `pty` the servos are simulated behind a port made for the occasion.
     listener: where voice agents connect; endless: the face goes on when the sound is over.
     """
-    with (
-        servo_port(request.port, sim, request.config) as at_port,
-        entered_sound(request) as source,
-    ):
+    with servo_port(request.port, sim, request.config) as at_port, entered_sound(request) as source:
         request = replace(request, port=at_port)
         outcome = run_face(
             request,
@@ -281,6 +273,6 @@ def finish(request: RunRequest, outcome: RunOutcome) -> None:
         print_summary(outcome.summary, RESULTS)
     exit_code = exit_status(outcome.report, outcome.signal_number)
     if not outcome.report.complete and request.quiet:
-        say(outcome.report.text())
+        MESSAGES.print(outcome.report.text())
     if exit_code:
         raise typer.Exit(exit_code)

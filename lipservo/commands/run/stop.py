@@ -12,6 +12,7 @@ from typing import Annotated, Any, Final
 import typer
 
 from firmware_bridge.process.control_client import RunningFace, ask, running_faces, start_face
+from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.port_holders import holders_of
 from firmware_bridge.stopping import StopLevel
 from lipservo.commands.options import Control, FaceName, Json, Port
@@ -85,7 +86,8 @@ def stop(
     faces = chosen_faces(face, control)
     if not faces:
         raise UserError("no face answers; is a face running? `lipservo limp --port PORT` lets go")
-    outcomes = stop_faces(faces, level, _say, end=end)
+    with face_logs(face or ""):
+        outcomes = stop_faces(faces, level, end=end)
     done = {
         StopLevel.SOFT: "at rest and limp",
         StopLevel.LIMP: "limp",
@@ -136,14 +138,12 @@ def status(face: FaceName = None, control: Control = None, as_json: Json = False
         print_json({"faces": found})
         return
     if not found:
-        _say("no face runs")
+        sys.stderr.write("no face runs\n")
     for each in found:
         port = each.get("port") or "simulated servos"
         line = f"{each['name']}  process {each['pid']}  {port}  {_state(each)}"
         sys.stdout.write(f"{line}\n")
-        for line in (_motion(each), *each.get("troubles", ())):
-            if not line:
-                continue
+        for line in filter(None, (_motion(each), *each.get("troubles", ()))):
             sys.stdout.write(f"  {line}\n")
 
 
@@ -179,21 +179,18 @@ def limp(
             raise UserError(f"{config}: names no port; add --port PORT")
         settings = settings.at_port(port)
     if unless_held and port is not None and (held_by := holders_of(port)):
-        _say(f"{port}: held by process {held_by[0]}, and left alone")
+        sys.stderr.write(f"{port}: held by process {held_by[0]}, and left alone\n")
         return
     faces = running_faces()
     if port is not None:
         faces = faces_at(port, faces)
-    outcomes = stop_faces(faces, StopLevel.LIMP, _say)
-    if port is not None:
-        outcomes.append(release(port, settings, say=_say))
+    with face_logs(""):
+        outcomes = stop_faces(faces, StopLevel.LIMP)
+        if port is not None:
+            outcomes.append(release(port, settings))
     if not outcomes:
         raise UserError("no face runs; give --port PORT to let go of the servos there")
     _report(outcomes, "limp", as_json=as_json)
-
-
-def _say(line: str) -> None:
-    sys.stderr.write(f"{line}\n")
 
 
 def _status_of(face: RunningFace) -> dict[str, Any]:

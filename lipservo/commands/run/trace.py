@@ -79,7 +79,7 @@ def diff(
 
             draw_difference(plot, first, second, laid)
     except UserError as error:
-        MESSAGES.print(f"lipservo: {error}", soft_wrap=True, markup=False, highlight=False)
+        MESSAGES.print(f"lipservo: {error}")
         raise typer.Exit(_INCOMPARABLE) from error
     found = compare(first, second, laid, margin_mm=tolerance.mm)
     beyond = excesses(first.servos, found, tolerance)
@@ -133,7 +133,7 @@ def _print(
     first: Trace, second: Trace, found: Difference, beyond: Sequence[str], notes: Sequence[str]
 ) -> None:
     for note in notes:
-        MESSAGES.print(note, soft_wrap=True, markup=False, highlight=False)
+        MESSAGES.print(note)
     start_s, end_s = found.overlap_s
     lag = "nothing moves" if found.lag_s is None else f"{1e3 * found.lag_s:+.1f} ms"
     shift_s = max(found.closure_shifts_s, key=abs, default=0.0)
@@ -146,7 +146,6 @@ def _print(
         f"most; lost {_moments(found.lost_closures_s)}; new {_moments(found.new_closures_s)}",
         markup=False,
         highlight=False,
-        soft_wrap=True,
     )
     RESULTS.print(_servo_table(first, found))
     if found.worst:

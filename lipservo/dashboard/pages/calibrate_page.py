@@ -42,7 +42,7 @@ def calibrate_page(config: str | None, told: Told | None, trouble: str | None) -
     if told is not None:
         with grid("two-columns"):
             with card("Joints", "error on motion left out of the fit"):
-                html(_joint_bars(told["servos"]))
+                html("".join(_joint_bar(*each) for each in told["servos"].items()))
             with card("Mouth shapes", "how much of each is within reach", "coverage"):
                 html(_shape_bars(told))
     with card("A new calibration", "in a terminal at the face's computer; stop the face first"):
@@ -77,10 +77,6 @@ def _summary(errors: Told) -> str:
         f"<small>{hint}</small></div>"
         for word, hint, value in facts
     )
-
-
-def _joint_bars(servos: Mapping[str, Told]) -> str:
-    return "".join(_joint_bar(name, values) for name, values in servos.items())
 
 
 def _joint_bar(name: str, values: Told) -> str:

@@ -1,22 +1,25 @@
 """The life cycle of one face as every command starts it."""
 
+import logging
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from typing import Final
 
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import Bridge, face_status
 from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
 from firmware_bridge.process.commands import CommandQueue
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.health.health_log import health_log
 from lipservo.runtime.status.face_status import whole_status
-from lipservo.terminal.output import MESSAGES
+
+_LOG: Final = logging.getLogger(__name__)
 
 
 def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
@@ -62,31 +65,20 @@ def face_life(
             yield life
         return
     with ExitStack() as stack:
-        lines = stack.enter_context(LogLines(write=say))
-        log = _nowhere if quiet else lines
+        stack.enter_context(face_logs(name, quiet=quiet))
         asked = ControlOptions() if control is None else control
         about = {**asked.about, "name": name, "port": port}
         path = asked.path or socket_path(name)
         listener = ControlSocket.bind(path, about, asked.commands, asked.describe, asked.watched_fd)
         stack.enter_context(listener)
         for line in bridge.capabilities.warnings():
-            log(line)
-        healths = health_log(name, port, lines, os.environ)
+            _LOG.warning("%s", line)
+        healths = health_log(name, port, os.environ)
         if healths is not None:
             stack.enter_context(healths)
         links = LifeCycleLinks(
             control=listener,
-            log=log,
             status=partial(face_status, bridge),
             on_health=None if healths is None else healths.offer,
         )
         yield stack.enter_context(LifeCycle(bridge, clock, links, waits=asked.waits))
-
-
-def say(line: str) -> None:
-    """Print one line for people on stderr."""
-    MESSAGES.print(line, soft_wrap=True)
-
-
-def _nowhere(_line: str) -> None:
-    """What --quiet asks for."""

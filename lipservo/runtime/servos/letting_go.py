@@ -1,14 +1,15 @@
 """Ending a face from outside: asked if it hears, by force if it does not, and who confirmed it."""
 
 import contextlib
+import logging
 import os
 import signal
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from firmware_bridge.errors import BusError
 from firmware_bridge.process.control_client import RunningFace, ask, send_stop, stop_and_wait
@@ -35,8 +36,7 @@ _PORT_S = 2.0
 _POLITE_S = 2.0
 _LOOK_S = 0.05
 _ANSWER_S = 1.0
-
-Say = Callable[[str], None]
+_LOG: Final = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -86,7 +86,7 @@ class Outcome:
 
 
 def stop_faces(
-    faces: Sequence[RunningFace], level: StopLevel, say: Say, *, end: bool = False
+    faces: Sequence[RunningFace], level: StopLevel, *, end: bool = False
 ) -> list[Outcome]:
     """Stop faces and wait for the end of each; one that hangs is let go by force, never frozen.
 
@@ -101,14 +101,14 @@ def stop_faces(
             sent.append(None)  # what is wrong is found when it is waited for
     with ThreadPoolExecutor(max(1, len(faces)), thread_name_prefix="stop") as pool:
         waiting = [
-            pool.submit(_await_stop, face, level, say, client, end=end)
+            pool.submit(_await_stop, face, level, client, end=end)
             for face, client in zip(faces, sent, strict=True)
         ]
         return [each.result() for each in waiting]
 
 
 def _await_stop(
-    face: RunningFace, level: StopLevel, say: Say, sent: socket.socket | None, *, end: bool
+    face: RunningFace, level: StopLevel, sent: socket.socket | None, *, end: bool
 ) -> Outcome:
     outcome = Outcome(face.name, pid=face.pid)
     # Only a port that its processes hold open is ever opened here, never one out of an answer.
@@ -116,7 +116,7 @@ def _await_stop(
     try:
         answer, report = stop_and_wait(face.path, level, _END_S, end=end, sent=sent)
     except TimeoutError:
-        return _end_by_force(face, level, outcome, say)
+        return _end_by_force(face, level, outcome)
     except PermissionError:
         outcome.problem = "we may not stop it; join the group of its socket, or use sudo"
         return outcome
@@ -138,9 +138,9 @@ def _await_stop(
             f": {troubles}" if troubles else ""
         )
     elif held:
-        say(f"{face.name} has gone without a word; its port is opened")
+        _LOG.warning("%s has gone without a word; its port is opened", face.name)
         for port in held:
-            _take_over(outcome, release(port, say=say))
+            _take_over(outcome, release(port))
     else:
         port = outcome.port or "PORT"
         outcome.problem = f"has gone without a word; `lipservo limp --port {port}`"
@@ -160,7 +160,7 @@ def _troubles_of(face: RunningFace) -> list[str]:
         return []
 
 
-def release(port: str, face: "FaceSettings | None" = None, *, say: Say) -> Outcome:
+def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
     """Torque off at a port, whoever of us holds it; verified by every servo that is there.
 
     face: whose servos must confirm too; None: of what is there nothing is known.
@@ -170,7 +170,7 @@ def release(port: str, face: "FaceSettings | None" = None, *, say: Say) -> Outco
     from firmware_bridge.process.torque_release import release_port
 
     outcome = Outcome(port, port)
-    _free(port, say)
+    _free(port)
     wiring = None if face is None else face.wiring
     kind = bus_kind(AT_A_PORT) if face is None else face.bus_kind
     ids = [] if wiring is None else [joint.servo_id for joint in wiring.joints]
@@ -206,7 +206,7 @@ def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
         return [face for face, there in zip(faces, pool.map(is_there, faces), strict=True) if there]
 
 
-def _free(port: str, say: Say) -> None:
+def _free(port: str) -> None:
     """End the processes of ours that hold a port: asked twice, which means limp, then killed.
 
     With a supervisor, which would start its bridge again, that is ended; never any other parent.
@@ -215,7 +215,7 @@ def _free(port: str, say: Say) -> None:
     pids = list(dict.fromkeys(supervisor_of(pid) or pid for pid in holders))
     if not pids:
         return
-    say(f"process {', '.join(str(pid) for pid in pids)} holds {port} and is ended")
+    _LOG.warning("process %s holds %s and is ended", ", ".join(map(str, pids)), port)
     for _ in range(2):
         for pid in pids:
             with contextlib.suppress(ProcessLookupError):
@@ -225,11 +225,11 @@ def _free(port: str, say: Say) -> None:
     while holders_of(port) and time.monotonic() < give_up_s:
         time.sleep(_LOOK_S)
     if any(is_ours(pid) for pid in holders_of(port)):
-        say("it does not hear and is killed")
+        _LOG.warning("it does not hear and is killed")
         end_hung(with_children(pids))
 
 
-def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome, say: Say) -> Outcome:
+def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outcome:
     if level is StopLevel.FREEZE:
         outcome.problem = "hangs: does not answer, and was not frozen; `lipservo stop --limp`"
         return outcome
@@ -238,13 +238,13 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome, say: Sa
         outcome.problem = "hangs: does not answer, and is not ours to end; use sudo"
         return outcome
     ports = {port for pid in pids for port in ports_held_by(pid)}
-    say(f"{face.name} hangs: it does not answer; processes {pids} are killed")
+    _LOG.warning("%s hangs: it does not answer; processes %s are killed", face.name, pids)
     left = end_hung(pids)
     if left:
         outcome.problem = f"processes {left} cannot be killed; switch the servos' power off"
     for port in sorted(ports):
         outcome.port = port
-        _take_over(outcome, release(port, say=say))
+        _take_over(outcome, release(port))
     return outcome
 
 

@@ -73,7 +73,7 @@ class ServoLayers:
         """
         wanted_deg = self._neutral_deg.copy()
         owners = np.full(len(self.servo_names), int(Layer.NEUTRAL))
-        for claim in sorted(claims, key=_rank):
+        for claim in sorted(claims, key=lambda claim: claim.layer):
             wanted_deg[claim.servos] = claim.positions_deg
             owners[claim.servos] = int(claim.layer)
         changed = (owners != self._owners) & (self._owners >= 0)
@@ -88,7 +88,3 @@ class ServoLayers:
             wanted_deg = np.where(under_way, handed_deg, wanted_deg)
         self._shown_deg = wanted_deg
         return wanted_deg
-
-
-def _rank(claim: Claim) -> int:
-    return claim.layer

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio.file import Warn, checked_sound, sound_chunks
+from lipsync.audio.file import checked_sound, log_warning, sound_chunks
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.source import SoundError
@@ -64,11 +64,11 @@ class PerformedLine:
         yield np.zeros(n_left, np.float32)
 
 
-def performed_line(performance: Performance, path: Path, warn: Warn) -> PerformedLine:
+def performed_line(performance: Performance, path: Path) -> PerformedLine:
     """The line of the performance that was read from `path`.
 
-    warn: as `checked_sound` has it. Raises PerformanceError where the sound is missing, another
-    one, damaged within its first minute, or not as long as the faces.
+    Raises PerformanceError where the sound is missing, another one, damaged within its first
+    minute, or not as long as the faces.
     """
     sound = performance.sound
 
@@ -84,7 +84,9 @@ def performed_line(performance: Performance, path: Path, warn: Warn) -> Performe
 
     with sound_file(sound, path) as file:
         try:
-            rate_hz, sound_s = checked_sound(file, lambda line: warn(_with_names(line, file)))
+            rate_hz, sound_s = checked_sound(
+                file, lambda line: log_warning(_with_names(line, file))
+            )
         except SoundError as error:
             raise PerformanceError(_with_names(str(error), file)) from error
     if abs(performance.duration_s - sound_s) > _MOST_APART_S:

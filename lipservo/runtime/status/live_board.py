@@ -13,7 +13,7 @@ import struct
 import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, Self
+from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 
@@ -22,6 +22,9 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import FaceState, TickReport
 from firmware_bridge.loop.servo_supervision import SILENT_S
 from lipsync.face.frame import NO_EXPRESSION, Expression
+
+if TYPE_CHECKING:
+    from lipservo.runtime.status.street_tick import StreetTick
 
 Record = np.void
 
@@ -237,6 +240,10 @@ class ServoBoard:
         self._bridge = bridge
         self._never = np.full(len(bridge.names), np.nan)
         self._numbers = {state: FACE_STATES.index(state.value) for state in FaceState}
+
+    def observe(self, tick: "StreetTick") -> None:
+        """See one tick of the street."""
+        self.tell(tick.report)
 
     def tell(self, report: TickReport) -> None:
         """One tick."""

@@ -1,5 +1,6 @@
 """Heartbeats, what must not be lost with them, and logs that stop nobody."""
 
+import logging
 import os
 import time
 
@@ -15,7 +16,7 @@ from firmware_bridge.process.lifeline import (
     Switched,
     lifeline_pair,
 )
-from firmware_bridge.process.log_lines import LogLines
+from firmware_bridge.process.log_lines import LogLines, LogWriter
 from firmware_bridge.stopping import StopLevel
 
 TIMEOUT_S = 60.0
@@ -99,19 +100,29 @@ def test_what_no_lifeline_says_is_left_out(messages):
     watch.close()
 
 
+def line_of(text):
+    return logging.makeLogRecord({"msg": text})
+
+
+def write_all(descriptor, text):
+    data = text.encode()
+    while data:
+        data = data[os.write(descriptor, data) :]
+
+
 def test_a_log_that_nobody_reads_stops_nobody_and_says_what_was_lost():
     """As Ctrl-S in a terminal, or a full pipe."""
     reading, writing = os.pipe()
-    log = LogLines(writing, "face: ")
+    log = LogLines(LogWriter(start="face: ", write=lambda text: write_all(writing, f"{text}\n")))
     for n in range(20_000):  # far more than a pipe and the queue hold
-        log(f"line {n} of a log\nthat nobody reads")
+        log.handle(line_of(f"line {n} of a log\nthat nobody reads"))
     began_s = time.monotonic()
     log.close(timeout_s=0.0)
     read = b""
     while b"were lost" not in read:
         assert time.monotonic() - began_s < TIMEOUT_S
         read += os.read(reading, 65_536)
-        log("more")
+        log.handle(line_of("more"))
 
     assert read.startswith(b"face: ")
     assert b"line 0 of a log that nobody reads\n" in read[:100]

@@ -6,6 +6,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from logged import logged
 from places import short_folder
 from typer.testing import CliRunner
 
@@ -175,7 +176,7 @@ class _Faulty(EnergyRecognizer):
 
 
 @pytest.mark.parametrize("clock", [ManualClock(), MonotonicClock()])
-def test_a_recogniser_that_is_left_is_one_line_and_a_trouble(capsys, monkeypatch, clock):
+def test_a_recogniser_that_is_left_is_one_line_and_a_trouble(monkeypatch, clock):
     monkeypatch.setattr(
         "lipservo.runtime.face_speech.make_recognizer",
         lambda _engine, timer_s, *_: FallbackRecognizer(
@@ -184,12 +185,10 @@ def test_a_recogniser_that_is_left_is_one_line_and_a_trouble(capsys, monkeypatch
             timer_s,
         ),
     )
-    with _ShortSilence() as source:
+    with _ShortSilence() as source, logged("lipsync.recognition") as lines:
         outcome = run_face(RunRequest("face_jaw", SILENCE, MotionOptions()), source, clock)
 
     why = "FloatingPointError: a fault"
-    said = " ".join(capsys.readouterr().err.split())
-    assert said.count("recogniser network left") == 1
-    assert f"recogniser network left: {why}; energy takes over" in said
+    assert lines == [f"recogniser network left: {why}; energy takes over"]
     assert outcome.status.troubles == (f"recogniser energy in use: network: {why}",)
     assert (outcome.status.recognizer, outcome.status.fallback_level) == ("energy", 1)

@@ -43,10 +43,10 @@ def wait_for(condition):
         time.sleep(0.02)
 
 
-def test_it_comes_with_the_face_comes_again_and_goes_with_it(program):
-    control, said = short_folder() / "tom.sock", []
+def test_it_comes_with_the_face_comes_again_and_goes_with_it(program, caplog):
+    control = short_folder() / "tom.sock"
     with bound_dashboard("127.0.0.1:0", None) as listener:
-        with dashboard_child(control, listener, "token.txt", said.append, open_page=True):
+        with dashboard_child(control, listener, "token.txt", open_page=True):
             time.sleep(0.5)
             assert starts(program) == []  # nobody listens yet
             control.touch()
@@ -61,7 +61,7 @@ def test_it_comes_with_the_face_comes_again_and_goes_with_it(program):
             kill(pid)
             wait_for(lambda: len(starts(program)) == 2)
             assert "--open" not in starts(program)[1]
-            assert len(said) == 1
+            assert len(caplog.messages) == 1
             last = starts(program)[1].split()[0]
             assert is_alive(last)
         wait_for(lambda: not is_alive(last))
@@ -76,16 +76,13 @@ def test_without_a_token_it_is_open_to_this_computer_because_its_face_is(program
         assert "--token-file" not in starts(program)[0]
 
 
-def test_one_that_cannot_be_started_disturbs_nobody(monkeypatch):
+def test_one_that_cannot_be_started_disturbs_nobody(monkeypatch, caplog):
     monkeypatch.setattr(sys, "executable", "/no/such/program")
-    control, said = short_folder() / "tom.sock", []
+    control = short_folder() / "tom.sock"
     control.touch()
-    with (
-        bound_dashboard("127.0.0.1:0", None) as listener,
-        dashboard_child(control, listener, say=said.append),
-    ):
-        wait_for(lambda: said)
-    assert "cannot be started" in said[0]
+    with bound_dashboard("127.0.0.1:0", None) as listener, dashboard_child(control, listener):
+        wait_for(lambda: caplog.messages)
+    assert "cannot be started" in caplog.messages[0]
 
 
 def kill(pid):

@@ -7,6 +7,7 @@ import threading
 from datetime import timedelta
 
 import pytest
+from logged import logged as logged_lines
 from logged_servos import NOON, servo
 
 from lipservo.health.health_history import read_history
@@ -21,13 +22,16 @@ from lipservo.health.health_log import (
 
 
 def logged(folder, readings, moments=(NOON,)):
-    """Write up to eight readings, one at each of `moments` in turn; what the log said."""
-    said, times = [], [moment.timestamp() for moment in moments]
+    """Write up to eight readings, one at each of `moments` in turn; what was logged."""
+    times = [moment.timestamp() for moment in moments]
     turn = iter(range(len(readings)))
-    with HealthLog(folder, said.append, lambda: times[next(turn) % len(times)]) as log:
+    with (
+        logged_lines("lipservo.health") as lines,
+        HealthLog(folder, lambda: times[next(turn) % len(times)]) as log,
+    ):
         for reading in readings:
             log.offer(reading)
-    return said
+    return lines
 
 
 def lines(path):
@@ -58,7 +62,7 @@ def test_offers_return_at_once_while_the_disk_hangs_and_few_wait(tmp_path, monke
         return real(descriptor, data)
 
     monkeypatch.setattr(os, "write", write)
-    with HealthLog(tmp_path, lambda _: None, lambda: NOON.timestamp()) as log:
+    with HealthLog(tmp_path, lambda: NOON.timestamp()) as log:
         for _ in range(1_000):
             log.offer((servo(),))  # would hang here
         answers.set()
@@ -133,8 +137,8 @@ def test_a_clock_that_is_wrong_for_a_while_costs_no_other_day(tmp_path):
     ]  # fmt: skip
 
 
-def test_only_servos_at_a_port_are_logged_and_simulated_ones_apart(tmp_path):
-    assert health_log("mouth", None, print, {"HOME": str(tmp_path)}) is None
+def test_only_servos_at_a_port_are_logged_and_simulated_ones_apart(tmp_path, caplog):
+    assert health_log("mouth", None, {"HOME": str(tmp_path)}) is None
     home = {"HOME": "/home/ada"}
     folder = log_folder("My Face, 2", "/dev/ttyUSB0", home)
     assert str(folder) == "/home/ada/.local/state/lipservo/health/my-face-2"
@@ -145,6 +149,5 @@ def test_only_servos_at_a_port_are_logged_and_simulated_ones_apart(tmp_path):
     os.close(guest)
     folder = log_folder("a", "/dev/ttyUSB0", {"LIPSERVO_STATE": "/var/lib/lipservo", **home})
     assert str(folder) == "/var/lib/lipservo/health/a"
-    said = []
-    assert health_log("a", "/dev/ttyUSB0", said.append, {}) is None
-    assert "LIPSERVO_STATE" in said[0]
+    assert health_log("a", "/dev/ttyUSB0", {}) is None
+    assert "LIPSERVO_STATE" in caplog.messages[0]

@@ -160,17 +160,17 @@ def test_nobody_is_waited_for_where_a_face_listens_nowhere():
     assert bound_listener("none", None) is None
 
 
-def test_a_speech_process_that_finds_no_token_any_more_serves_none_and_goes_on(tmp_path):
+def test_a_speech_process_that_finds_no_token_any_more_serves_none_and_goes_on(tmp_path, caplog):
     """The folder of a login is gone once its user has logged out; the face goes on."""
-    lines, side = [], SimpleNamespace(voice=object(), speech=SimpleNamespace(delay=None))
+    side = SimpleNamespace(voice=object(), speech=SimpleNamespace(delay=None))
     options = VoiceOptions(token_file=str(tmp_path / "gone"))
     with (
         bound_listener("127.0.0.1:0", None) as listener,
-        voice_agents(listener, side, options, None, tmp_path, lines.append) as url,
+        voice_agents(listener, side, options, None, tmp_path) as url,
     ):
         assert url is None
-    assert len(lines) == 1
-    assert "none are served" in lines[0]
+    (line,) = caplog.messages
+    assert "none are served" in line
 
 
 def test_a_second_face_takes_another_port():

@@ -8,6 +8,7 @@ import threading
 import numpy as np
 import pytest
 import soundfile
+from logged import logged
 
 from lipservo.traces.trace_file import BackgroundTrace, TraceError
 
@@ -37,16 +38,12 @@ class FullDisk:
 
 
 def test_a_trace_that_breaks_off_is_one_line_at_once_and_an_error_at_the_end():
-    said, is_said = [], threading.Event()
-
-    def say(line):
-        said.append(line)
-        is_said.set()
-
-    trace = BackgroundTrace(FullDisk(), say)
-    for _ in range(3):
-        trace.observe("a tick")
-    assert is_said.wait(PATIENCE_S)
-    with pytest.raises(TraceError), trace:
-        pass
-    assert said == ["trace: the trace broke off: No space left on device; the face goes on"]
+    is_logged = threading.Event()
+    with logged("lipservo.traces", lambda _line: is_logged.set()) as lines:
+        trace = BackgroundTrace(FullDisk())
+        for _ in range(3):
+            trace.observe("a tick")
+        assert is_logged.wait(PATIENCE_S)
+        with pytest.raises(TraceError), trace:
+            pass
+    assert lines == ["trace: the trace broke off: No space left on device; the face goes on"]

@@ -26,7 +26,7 @@ from lipservo.runtime.speech.performed_line import performed_line
 from lipsync.offline.performance import read_performance
 path, message = Path(sys.argv[1]), ""
 try:
-    line = performed_line(read_performance(path), path, print)
+    line = performed_line(read_performance(path), path)
     n_samples = sum(len(chunk) for chunk in line.chunks())
 except ValueError as error:
     message = str(error)

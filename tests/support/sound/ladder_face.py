@@ -6,6 +6,8 @@ Sound comes by it, work takes it as much as a script says, and other programs ma
 import math
 from itertools import pairwise
 
+from logged import logged
+
 from lipsync.audio_block import BLOCK_S, AudioBlock
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
@@ -13,6 +15,7 @@ from lipsync.recognition.network_recognizer import NetworkRecognizer
 from lipsync.recognition.streaming import RecognizerStream
 from lipsync.timeline import PhonemeTimeline
 
+FALLBACK = "lipsync.recognition.fallback"
 LATENCY_S = 0.095
 #: What a second of sound takes of a core here (docs/benchmarks.md).
 USUAL = 0.05
@@ -83,16 +86,16 @@ class Face:
             self.networks.append(make(computer, weights))
             return self.networks[-1]
 
-        self.recognizer = FallbackRecognizer(
-            [FallbackLevel("network", network), FallbackLevel("energy", EnergyRecognizer)],
-            LATENCY_S,
-            timer_s=lambda: computer.now_s,
-        )
+        with logged(FALLBACK) as self.changes:
+            self.recognizer = FallbackRecognizer(
+                [FallbackLevel("network", network), FallbackLevel("energy", EnergyRecognizer)],
+                LATENCY_S,
+                timer_s=lambda: computer.now_s,
+            )
         self.stream = RecognizerStream(self.recognizer)
         self.timeline = PhonemeTimeline(horizon_s=math.inf)
         self.n_handed = round(start_s / BLOCK_S)
         self.levels = []  # (time, level) at each tick
-        self.changes = []
         self.updates = []
 
     def live_until(self, time_s, on_tick=lambda: None):
@@ -100,12 +103,12 @@ class Face:
         while self.computer.now_s < time_s:
             n_due = math.floor((self.computer.now_s - self.start_s) / BLOCK_S + 1e-6)
             n_due += round(self.start_s / BLOCK_S)
-            step = self.stream.feed([self.block(n) for n in range(self.n_handed, n_due)])
+            with logged(FALLBACK, self.changes.append):
+                step = self.stream.feed([self.block(n) for n in range(self.n_handed, n_due)])
             self.n_handed = n_due
             for update in step.updates:
                 self.timeline.apply(update)
             self.updates += step.updates
-            self.changes += self.recognizer.take_changes()
             self.levels.append((self.computer.now_s, self.recognizer.level))
             on_tick()
             tick = max(tick + 1, math.floor(self.computer.now_s / BLOCK_S) + 1)

@@ -7,6 +7,7 @@ import itertools
 import json
 import tracemalloc
 
+from logged import logged
 from voice_agents.served_face import (
     PATIENCE_S,
     RATE_HZ,
@@ -106,7 +107,10 @@ def survive(rng, n_messages, n_at_once=4):
     Raises AssertionError where the face is not as before: it speaks when asked, and then is silent.
     """
     settings = AgentSettings(messages_per_s=1e9, when_busy=rng.choice(["refuse", "queue"]))
-    with ServedFace(settings, sound=ForgottenSound, say=lambda text: {"n": len(text)}) as face:
+    with (
+        logged("lipservo.agents") as lines,
+        ServedFace(settings, sound=ForgottenSound, say=lambda text: {"n": len(text)}) as face,
+    ):
 
         async def storm(n):
             each = n // n_at_once
@@ -128,6 +132,6 @@ def survive(rng, n_messages, n_at_once=4):
             tracemalloc.stop()
         finished = asyncio.run(asyncio.wait_for(_say_something(face), PATIENCE_S))
         assert finished["n_played"] == round(0.1 * RATE_HZ)
-        failed = [line for line in face.said if "failed" in line or "ended" in line]
+        failed = [line for line in lines if "failed" in line or "ended" in line]
         assert failed == []
     return min(after - before for before, after in itertools.pairwise(used))

@@ -74,7 +74,6 @@ class ServedFace:
         self.settings = settings or AgentSettings(position_s=0.02)
         self.sound = sound() if sound is not None else None
         self.playout = Playout(self.sound)
-        self.said = []
         self.reported = []
         self.commands = CommandQueue({"strength": Setting(1.0, 0.0, 2.0)})
         self.stops = []
@@ -90,7 +89,6 @@ class ServedFace:
             control_path=self.path,
             delay_ms=lambda: DELAY_MS,
             settings=self.settings,
-            log=self.said.append,
             **given,
         )
         self.url = self.server.status()["url"]

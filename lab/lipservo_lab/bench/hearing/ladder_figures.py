@@ -26,6 +26,7 @@ import soundfile
 from numpy.typing import NDArray
 
 from firmware_bridge.process.control_client import ask
+from lipservo.runtime.motion_options import make_recognizer
 from lipservo.runtime.settled_phonemes import settled_events
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource, read_speech
@@ -237,7 +238,7 @@ def _speech(path: Path, seconds: float) -> tuple[Path, NDArray[np.bool_]]:
     """The bundled clip again and again, and for each 10 ms of one turn whether somebody speaks."""
     with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
         samples = read_speech(clip)
-        events = list(settled_events(FileSource(clip), "network"))
+        events = list(settled_events(FileSource(clip), make_recognizer("network")))
     n_turn = -(-(len(samples) + round(_PAUSE_S * SAMPLE_RATE_HZ)) // 160)
     turn = np.zeros(n_turn * 160, np.float32)
     turn[: len(samples)] = samples

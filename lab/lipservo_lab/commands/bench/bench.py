@@ -32,6 +32,7 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
+    from lipservo.runtime.motion_options import make_recognizer
     from lipservo.runtime.settled_phonemes import settled_events
     from lipservo_lab.bench import speed_figures as measure
     from lipservo_lab.learning.motion.trained_model import load_trained_model
@@ -51,7 +52,7 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
     ):
         steps = progress.add_task("synthesis", total=4)
         figures |= measure.synthesis_times_ms(
-            model.animphos, [list(settled_events(FileSource(clip), "network"))]
+            model.animphos, [list(settled_events(FileSource(clip), make_recognizer("network")))]
         )
         progress.advance(steps)
         known = [] if corpora is None else [corpora / name for name in _REPLAYED]

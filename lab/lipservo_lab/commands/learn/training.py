@@ -152,14 +152,12 @@ def train(
         f"{len(model.training_sentences)} sentences, {model.animphos.mean_successors:.2f} "
         f"successors on average (the paper: 3.45), {model.provenance['variance_held']:.1%} of "
         "the variance held",
-        soft_wrap=True,
     )
     for name, face_map in maps.items():
         x, y, z = face_map.scale
         RESULTS.print(
             f"{name}: turned by {face_map.angle_deg:.1f} degrees, motion times {x:.2f} in width, "
             f"{y:.2f} in height, {z:.2f} in depth",
-            soft_wrap=True,
         )
 
 
@@ -234,7 +232,6 @@ def train_expression(
         return
     RESULTS.print(
         f"{output}: learned from {figures['recordings']} recordings, {figures['minutes']} minutes",
-        soft_wrap=True,
     )
     if figures["held_out"] is None:
         RESULTS.print("fewer than four recordings held out: nothing measured", soft_wrap=True)
@@ -336,5 +333,4 @@ def train_offline(
         f"{output}: {figures['states']} states and {figures['units']} units of "
         f"{figures['sentences']} sentences, {output.stat().st_size / 1e6:.1f} MB, in "
         f"{seconds:.0f} s",
-        soft_wrap=True,
     )
