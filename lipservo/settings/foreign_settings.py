@@ -28,8 +28,7 @@ def foreign_settings(port: str, rate: int, found: Mapping[int, str]) -> dict[int
     """
     transport = open_port(port, rate)
     try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
+        line = Line(transport, extra_wait_s=UNHURRIED_S)
         held = {
             servo_id: read_settings(line, servo_id, servo_models()[name], _PLAIN)
             for servo_id, name in found.items()
@@ -55,8 +54,7 @@ def clear_foreign_settings(
             )
     transport = open_port(port, rate)
     try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
+        line = Line(transport, extra_wait_s=UNHURRIED_S)
         for servo_id, changes in foreign.items():
             for _ in set_up(line, servo_id, servo_models()[found[servo_id]], changes):
                 pass  # each is read back

@@ -12,6 +12,7 @@ def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = Fal
     Exit status 1 when something is bad.
     """
     from firmware_bridge.dynamixel.doctor import Severity, examine
+    from firmware_bridge.dynamixel.provisioning import UNHURRIED_S
     from firmware_bridge.dynamixel.wire.line import Line
     from firmware_bridge.dynamixel.wire.serial_transport import latency_timer_ms, open_port
     from lipservo.runtime.servos.assembly import load_settings, mounted_servos
@@ -21,9 +22,9 @@ def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = Fal
     transport = open_port(name, settings.bus.baud_rate)
     try:
         findings = []
-        for finding in examine(
-            Line(transport), mounted_servos(settings), settings.rate_hz, latency_timer_ms(name)
-        ):
+        line = Line(transport, extra_wait_s=UNHURRIED_S)
+        servos, timer_ms = mounted_servos(settings), latency_timer_ms(name)
+        for finding in examine(line, servos, settings.rate_hz, timer_ms):
             findings.append(finding)
             if not as_json:
                 mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]

@@ -180,8 +180,6 @@ def _line(work: _Work) -> Iterator["Line"]:
 
     transport = open_port(work.port, work.baud_rate)
     try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
-        yield line
+        yield Line(transport, extra_wait_s=UNHURRIED_S)
     finally:
         transport.close()

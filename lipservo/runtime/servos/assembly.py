@@ -227,8 +227,3 @@ def check_servos(face: Face) -> None:
         memories = servo_memories(face.settings)
         if memories:
             check_servo_memories(face.calibration, memories)
-
-
-def make_bus(face: Face, clock: Clock) -> ServoBus:
-    """The bus that the face's YAML asks for; use it as a context manager."""
-    return bus_for(face.settings, clock)

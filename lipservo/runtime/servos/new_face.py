@@ -51,8 +51,7 @@ def find_servos(port: str, first_rate: int) -> tuple[int, dict[int, str]]:
     """The first rate at which anybody answers, and the model of every id there."""
     transport = open_port(port, first_rate)
     try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
+        line = Line(transport, extra_wait_s=UNHURRIED_S)
         scanned = scan(line, [first_rate, *SCANNED_RATES])
         rate, found = next((each for each in scanned if each[1]), (0, {}))
         if not found:
@@ -109,8 +108,7 @@ def nudge(port: str, rate: int, servo_id: int, model_name: str) -> int:
     model = servo_models()[model_name]
     transport = open_port(port, rate)
     try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
+        line = Line(transport, extra_wait_s=UNHURRIED_S)
         place = read_settings(line, servo_id, model, ["present_position"])["present_position"]
     finally:
         transport.close()

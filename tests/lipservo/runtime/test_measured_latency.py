@@ -8,7 +8,7 @@ import pytest
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.loop.bridge import face_status
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
-from lipservo.runtime.servos.assembly import assemble_face, make_bus
+from lipservo.runtime.servos.assembly import assemble_face, bus_for
 from lipservo.runtime.status.face_status import whole_status
 from lipservo.runtime.street import make_street
 from lipservo.runtime.summary import Tally
@@ -55,7 +55,7 @@ class Stalling(EnergyRecognizer):
 def measured(source_of, recognizer_of):
     """The summary of six seconds."""
     face, clock = assemble_face("face_sim", None), ManualClock()
-    with make_bus(face, clock) as bus, source_of(clock) as source:
+    with bus_for(face.settings, clock) as bus, source_of(clock) as source:
         synthesizer = make_synthesizer(face.model, MotionOptions())
         street = make_street(face, source, bus, RATE_HZ, recognizer_of(clock), synthesizer)
         tally = Tally(clock, street)

@@ -11,8 +11,8 @@ from lipservo_lab.evaluation.expression.expression_figures import (
     gaze_shifts,
     shown,
 )
-from lipservo_lab.evaluation.expression.synthetic_prosody import synthetic_voice
 from scipy import stats
+from synthetic_prosody import synthetic_voice
 
 from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
 from lipsync.expression.gaze import STRAIGHT_AHEAD, Gaze, listening_habit, talking_habit

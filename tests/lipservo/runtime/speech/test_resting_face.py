@@ -6,7 +6,7 @@ from lipservo_lab.bench.sync.speaking_robot import Deaf
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.loop.report import FaceState
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
-from lipservo.runtime.servos.assembly import assemble_face, make_bus
+from lipservo.runtime.servos.assembly import assemble_face, bus_for
 from lipservo.runtime.street import make_street
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
@@ -34,7 +34,7 @@ def test_servos_are_let_go_in_a_long_silence_and_driven_again_for_a_word():
     stream.push(np.full(round(0.9 * 16_000), 0.1, np.float32))
     stream.end()
     states, sent_deg, torque = [], [], []
-    with make_bus(face, clock) as bus:
+    with bus_for(face.settings, clock) as bus:
         synthesizer = make_synthesizer(face.model, MotionOptions())
         street = make_street(face, playout, bus, RATE_HZ, Deaf(), synthesizer)
         street.bridge.start()

@@ -11,14 +11,14 @@ from speaking_status import SPEECH
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.loop.bridge import face_status
 from firmware_bridge.loop.targets import MemoryTargetChannel
-from lipservo.runtime.servos.assembly import assemble_face, bridge_for, make_bus
+from lipservo.runtime.servos.assembly import assemble_face, bridge_for, bus_for
 from lipservo.runtime.status.face_status import SpeechStatus, Status, whole_status
 
 
 @pytest.fixture(scope="module")
 def of_bridge():
     face = assemble_face("face_jaw", None)
-    with make_bus(face, ManualClock()) as bus:
+    with bus_for(face.settings, ManualClock()) as bus:
         return face_status(bridge_for(face.settings, bus, MemoryTargetChannel(), rate_hz=30.0))
 
 
