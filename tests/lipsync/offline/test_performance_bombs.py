@@ -131,6 +131,7 @@ def test_nesting(rewritten):
     assert "damaged" in refused(rewritten(about=as_bytes(len(text), [text])))
 
 
+@pytest.mark.slow
 def test_sound_of_zeros(rewritten, tmp_path):
     n_bytes = 119_000_000
     digest = hashlib.sha256(bytes(n_bytes)).hexdigest()
@@ -142,6 +143,7 @@ def test_sound_of_zeros(rewritten, tmp_path):
     assert "unpacked, at most" in refused(path)
 
 
+@pytest.mark.slow
 def test_ten_minutes_are_played_without_being_held(tmp_path):
     """Not refused: it is as long as a performance may be."""
     rate_hz, duration_s = 48_000, 600

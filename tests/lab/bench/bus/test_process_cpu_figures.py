@@ -85,6 +85,7 @@ def test_every_loop_that_is_compared_can_be_made():
                 assert isinstance(make_client(kind, port, 1_000_000, 2), SdkClient)
 
 
+@pytest.mark.slow
 def test_the_figures_of_processes_have_the_names_that_are_promised(monkeypatch):
     for name in ("_SETTLES_S", "_COUNTED_S", "_FULL_STRENGTH_S"):
         monkeypatch.setattr(measured_process, name, 0.3)
