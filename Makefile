@@ -14,7 +14,7 @@ run: $(VENV)/.installed
 	$(BIN)/lipservo run --config face_head --dashboard --open
 
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --durations 15
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder --durations 15
 
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py

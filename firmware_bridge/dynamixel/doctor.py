@@ -11,7 +11,6 @@ from firmware_bridge.dynamixel.control_table import model_name
 from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.provisioning import (
     SCANNED_RATES,
-    UNHURRIED_S,
     differences,
     duplicates,
     read_settings,
@@ -74,10 +73,10 @@ def examine(
 ) -> Iterator[Finding]:
     """Findings in the order they are made; nothing is written to any servo.
 
-    latency_timer_ms: what the adapter's driver declares; None: it does not tell, so it is measured.
+    line: one that waits for late answers, by `UNHURRIED_S`. latency_timer_ms: what the adapter's
+    driver declares; None: it does not tell, so it is measured.
     """
     wanted_rate = line.baud_rate
-    line.extra_wait_s = UNHURRIED_S
     ids = [servo.joint.servo_id for servo in servos]
     at_rate: dict[int, tuple[int, int]] = {}
     for rate, found in scan(line, [wanted_rate, *SCANNED_RATES]):

@@ -56,9 +56,7 @@ def unhurried_line(port: str, baud_rate: int) -> Iterator[Line]:
     """An open port that is waited for longer than a loop could. Raises PortError."""
     transport = open_port(port, baud_rate)
     try:
-        line = Line(transport)
-        line.extra_wait_s = UNHURRIED_S
-        yield line
+        yield Line(transport, extra_wait_s=UNHURRIED_S)
     finally:
         transport.close()
 

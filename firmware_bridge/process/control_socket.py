@@ -14,6 +14,7 @@ import select
 import socket
 import struct
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Final, Self
@@ -44,12 +45,12 @@ _STOPS: Final = {
 }
 
 
+@dataclass(eq=False, slots=True)
 class _Client:
     """A connection; waits_for_end: it requested a stop and is sent the report of the end."""
 
-    def __init__(self, end: socket.socket) -> None:
-        self.end = end
-        self.waits_for_end = False
+    end: socket.socket
+    waits_for_end: bool = False
 
     def send(self, answer: Mapping[str, object]) -> None:
         """Without waiting: a client that does not read gets nothing."""

@@ -185,12 +185,12 @@ class FaultInjector:
     def _begin(self, servo: SimulatedServo, fault: Fault, now_s: float) -> None:
         motors, i, kind = self._motors, servo.index, fault.kind
         if kind == "silence":
-            servo.deaf_until_s = now_s + fault.lasts_s if fault.lasts_s else math.inf
+            servo.ignore_until(now_s + fault.lasts_s if fault.lasts_s else math.inf)
         elif kind == "reboot":
             servo.reboot(now_s)
         elif kind == "brown_out":
             servo.reboot(now_s)
-            servo.deaf_until_s = now_s + max(0.5, fault.lasts_s)
+            servo.ignore_until(now_s + max(0.5, fault.lasts_s))
         elif kind == "overload":
             motors.load[i] = fault.amount or 0.9
         elif kind in ("jam", "load"):

@@ -154,6 +154,10 @@ class SimulatedServo:
         self.power_up(now_s)
         self.deaf_until_s = now_s + BOOT_S
 
+    def ignore_until(self, time_s: float) -> None:
+        """Receive nothing before `time_s`; infinity: nothing any more."""
+        self.deaf_until_s = time_s
+
     def start_up(self, now_s: float) -> None:
         """Once booted: torque, if the start-up configuration wants it."""
         if self.deaf_until_s <= now_s:

@@ -10,7 +10,6 @@ import logging
 import socket
 import threading
 import time
-from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from http import HTTPStatus
@@ -49,7 +48,6 @@ _MOST_SOCKETS: Final = 64
 #: Clients without a token, or beyond the number that settings allow, which may stop the face; the
 #: oldest makes room.
 _MOST_STOPPERS: Final = 8
-_MOST_PHONEMES: Final = 256
 #: Events that the kernel may hold for a client that does not read; by itself it takes megabytes.
 _KERNEL_BYTES: Final = 1 << 16
 _GOING_AWAY, _POLICY_VIOLATION = 1001, 1008
@@ -79,11 +77,7 @@ class _BoundedConnection(ServerConnection):
 
 
 class AgentServer:
-    """Serves voice agents while it is entered; see the module.
-
-    phonemes: the live loop appends what was recognised, (phoneme, start_s, end_s) on the playout's
-    timeline; whoever speaks is told.
-    """
+    """Serves voice agents while it is entered; see the module."""
 
     def __init__(
         self,
@@ -101,7 +95,6 @@ class AgentServer:
         delay_ms: how much later than its sound reaches us a face is shown, now. say: a text; play:
         a sound file; None: there is none.
         """
-        self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
         self._listener = listener
         self._url = url_of(listener)
         self._playout = playout
@@ -275,8 +268,8 @@ class AgentServer:
 
     def _tell_once(self, now_s: float, *, positions: bool) -> None:
         self._turns.take_events(now_s)
-        while self.phonemes:
-            self._turns.tell_phoneme(*self.phonemes.popleft())
+        while self._playout.phonemes:
+            self._turns.tell_phoneme(*self._playout.phonemes.popleft())
         if positions:
             self._turns.end_stalled(now_s)
             self._turns.tell_positions()

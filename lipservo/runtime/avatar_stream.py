@@ -32,22 +32,26 @@ class AvatarStream:
     handed to the system is counted.
     """
 
-    def __init__(self, arkit: ArkitMap, rest: Array) -> None:
-        """rest: (n_components,), the closed mouth that is sent at the end."""
+    def __init__(
+        self,
+        arkit: ArkitMap,
+        rest: Array,
+        osc: socket.socket | None,
+        live_link: socket.socket | None,
+    ) -> None:
+        """rest: (n_components,), the closed mouth that is sent at the end.
+
+        osc, live_link: connected, non-blocking UDP sockets; None: nothing is sent there.
+        """
         self._arkit = arkit
         self._rest = rest
-        self._osc: socket.socket | None = None
-        self._live_link: socket.socket | None = None
+        self._osc, self._live_link = osc, live_link
         self._due_s = -math.inf
         self._sound_s = 0.0
         self._said: set[str] = set(_MOUTH)
         #: Datagrams that were handed to the system, and those that it did not take.
         self.n_sent = 0
         self.n_failed = 0
-
-    def send_to(self, osc: socket.socket | None, live_link: socket.socket | None) -> None:
-        """The connected, non-blocking UDP sockets to send to."""
-        self._osc, self._live_link = osc, live_link
 
     def observe(self, tick: StreetTick) -> None:
         """Send what a tick showed, if the last frame is long enough ago."""
@@ -97,10 +101,9 @@ def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator
     that cannot be sent to, ModelError and MeasureError.
     """
     face = load_face_with_animphos(model)
-    stream = AvatarStream(ArkitMap(lip_measures(face)), face.rest)
     osc_at, live_link_at = targets.addresses()
     with _sender(osc_at) as osc, _sender(live_link_at) as live_link:
-        stream.send_to(osc, live_link)
+        stream = AvatarStream(ArkitMap(lip_measures(face)), face.rest, osc, live_link)
         try:
             yield stream
         finally:

@@ -2,14 +2,11 @@
 
 import math
 import os
-import signal
 import socket
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
-from types import FrameType
 
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import face_status
@@ -232,22 +229,3 @@ class _Run:
         """Between two ticks: hand what was set to the speech side."""
         if changes := self.commands.take_changes():
             self._street.side.change(changes)
-
-
-@contextmanager
-def stopped_by_signals() -> Iterator[threading.Event]:
-    """An event that SIGINT and SIGTERM set: for work that moves nothing and has a result to keep.
-
-    A handler that only sets an event cannot leave anything half done, wherever it strikes.
-    """
-    stop = threading.Event()
-
-    def ask_to_stop(_number: int, _frame: FrameType | None) -> None:
-        stop.set()
-
-    previous = {n: signal.signal(n, ask_to_stop) for n in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)

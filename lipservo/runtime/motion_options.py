@@ -8,6 +8,7 @@ from firmware_bridge.process.commands import Setting
 from lipservo.settings.motion_names import (
     DEFAULT_ENGINE,
     DEFAULT_STRATEGY,
+    ENGINES,
     ONLY_UNITS,
     SMOOTHEST,
     STRATEGIES,
@@ -47,6 +48,8 @@ _ENERGY_LATENCY_S = 0.05
 #: (docs/benchmarks.md, From microphone to bus).
 LOW_LATENCY_S = 0.045
 LOW_LATENCY_LOOKAHEAD_S = 0.05
+#: No head of the network waits longer.
+LONGEST_LATENCY_S = 1.0
 #: What may change while a face runs, with the most it may be. The look-ahead is part of the delay
 #: from sound to face, which is declared at the start and stays.
 _LIVE_SETTINGS = {"strength": STRONGEST, "smoothness": SMOOTHEST, "unit_share": ONLY_UNITS}
@@ -71,9 +74,14 @@ class MotionOptions:
 
     def __post_init__(self) -> None:
         check_weights(self.weights)
-        known = STRATEGIES
-        if self.strategy not in known:
-            raise StyleError(f"unknown strategy {self.strategy!r}; known here: {', '.join(known)}")
+        for name, known in (("strategy", STRATEGIES), ("engine", ENGINES)):
+            if (value := getattr(self, name)) not in known:
+                raise StyleError(f"unknown {name} {value!r}; known here: {', '.join(known)}")
+        if not 0.0 < self.recognizer_latency_s <= LONGEST_LATENCY_S:
+            raise StyleError(
+                f"recognizer_latency_s is {self.recognizer_latency_s}; "
+                f"allowed: 0 to {LONGEST_LATENCY_S}"
+            )
 
     @property
     def style_settings(self) -> dict[str, float]:

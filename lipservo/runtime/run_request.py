@@ -7,16 +7,21 @@ argument of JSON: an option cannot fall out on the way.
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from pydantic import TypeAdapter, ValidationError, with_config
 
 from lipservo.runtime.motion_options import MotionOptions
+from lipservo.settings.sections import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 from lipsync.errors import UserError, shown
 from lipsync.export.weight_track import LIVE_LINK_PORT, VMC_PORT
 
 #: The microphone that the system prefers.
 DEFAULT_MICROPHONE = "default"
+
+
+class RequestError(UserError):
+    """A request that contradicts itself, or a text that is none: one line, where and what."""
 
 
 @with_config(extra="forbid")
@@ -25,7 +30,7 @@ class Sound:
     """Which sound a face is to hear, or to say.
 
     name: a file's path, a microphone by number or name, or the text. language: of the text.
-    phonemes: a file of what is said when; without one it is recognised.
+    phonemes: a file of what is said when; without one it is recognised. Raises RequestError.
     """
 
     kind: Literal["clip", "file", "microphone", "silence", "text"]
@@ -33,18 +38,17 @@ class Sound:
     language: str = ""
     phonemes: str = ""
 
+    def __post_init__(self) -> None:
+        if self.phonemes and self.kind != "file":
+            raise RequestError("--phonemes goes with --wav")
+        if self.language and self.kind != "text":
+            raise RequestError("--language goes with a text")
+
 
 #: The bundled clip.
 CLIP = Sound("clip")
 #: Nothing, without end.
 SILENCE = Sound("silence")
-
-
-def chosen_sound(wav: Path | None, mic: str | None, otherwise: Sound) -> Sound:
-    """The file or the microphone, of which at most one is given; with neither, `otherwise`."""
-    if mic is not None:
-        return Sound("microphone", mic)
-    return otherwise if wav is None else Sound("file", str(wav))
 
 
 #: Where a daemon waits for voice agents.
@@ -142,7 +146,8 @@ class RunRequest:
     ticks a second; None: the face's. trace: the file that every tick is written to. control: where
     the control socket is made; None: in the runtime folder. as_json: results are printed as JSON.
     quiet: nothing is printed for people. dry_run: servos are read and never moved. voice: of a
-    robot that speaks; None: it only listens. avatars: to whom the face is sent besides.
+    robot that speaks; None: it only listens. avatars: to whom the face is sent besides. Raises
+    RequestError.
     """
 
     config: str
@@ -159,15 +164,20 @@ class RunRequest:
     voice: VoiceOptions | None = None
     avatars: AvatarTargets = field(default_factory=AvatarTargets)
 
+    def __post_init__(self) -> None:
+        if self.rate_hz is not None and not LOWEST_RATE_HZ <= self.rate_hz <= HIGHEST_RATE_HZ:
+            raise RequestError(
+                f"--rate-hz {self.rate_hz:g}: a face makes {LOWEST_RATE_HZ:g} to "
+                f"{HIGHEST_RATE_HZ:g} ticks a second"
+            )
+        if self.voice is None and (self.sound.kind == "text" or self.sound.phonemes):
+            raise RequestError(f"{self.sound.name}: a text, or a file of phonemes, needs a voice")
+
 
 def about_run(request: RunRequest) -> dict[str, object]:
     """What a face says of its request in every answer."""
     sounds = None if request.voice is None else request.voice.sounds
     return {"config": request.config, "sounds": sounds}
-
-
-class RequestError(UserError):
-    """A text that is no whole request: one line, where and what is wrong."""
 
 
 def request_json(request: RunRequest) -> str:
@@ -176,12 +186,33 @@ def request_json(request: RunRequest) -> str:
 
 
 def request_of_json(text: str) -> RunRequest:
-    """What `request_json` wrote. Raises RequestError for anything else."""
+    """What `request_json` wrote. Raises RequestError for anything else, and for a missing field."""
     try:
-        return TypeAdapter(RunRequest).validate_python(json.loads(text))
+        value = json.loads(text)
+        request = TypeAdapter(RunRequest).validate_python(value)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(["request", *map(str, first["loc"])])
-        raise RequestError(f"{where}: {first['msg']}, not {shown(first['input'])}") from error
+        ours = first.get("ctx", {}).get("error")
+        why = (
+            ours if isinstance(ours, UserError) else f"{first['msg']}, not {shown(first['input'])}"
+        )
+        raise RequestError(f"{where}: {why}") from error
     except (ValueError, RecursionError) as error:
         raise RequestError(f"request: not JSON: {error}") from error
+    _check_unchanged(value, json.loads(request_json(request)), "request")
+    return request
+
+
+_KINDS: Final = {str: "text", bool: "true or false", float: "a number"}
+
+
+def _check_unchanged(given: Any, read: Any, where: str) -> None:
+    """Nothing was filled in, and nothing converted but a whole number. Raises RequestError."""
+    if isinstance(read, dict):
+        for name, value in read.items():
+            if name not in given:
+                raise RequestError(f"{where}.{name}: is missing")
+            _check_unchanged(given[name], value, f"{where}.{name}")
+    elif type(given) is not type(read) and (type(given), type(read)) != (int, float):
+        raise RequestError(f"{where}: {shown(given)} is not {_KINDS[type(read)]}")

@@ -7,14 +7,12 @@ from firmware_bridge.bus import ServoBus
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.runtime.servos.assembly import Face, bridge_for
-from lipservo.runtime.speech.speech import Speech, SpeechOptions
-from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side, mouth_plan
+from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side
 from lipservo.runtime.status.street_tick import StreetTick
 from lipsync.arrays import Array
-from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame, Synthesizer
-from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeSource
+from lipsync.phonemes import SILENCE, LiveRecognizer
 
 
 class Street:
@@ -70,20 +68,3 @@ def make_street(
     )
     bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz)
     return Street(side, bridge, face.model.rest)
-
-
-def make_street_of(
-    face: Face,
-    phonemes: PhonemeSource,
-    clock: PlaybackClock,
-    bus: ServoBus,
-    rate_hz: float,
-    synthesizer: Synthesizer,
-) -> Street:
-    """Everything between any source of phonemes and an entered bus."""
-    channel = MemoryTargetChannel()
-    names = list(face.settings.servos)
-    options = SpeechOptions(plan=mouth_plan(face))
-    speech = Speech(phonemes, clock, synthesizer, face.calibration, names, channel, options)
-    bridge = bridge_for(face.settings, bus, channel, rate_hz=rate_hz)
-    return Street(SpeechSide(speech, rest=face.model.rest), bridge, face.model.rest)

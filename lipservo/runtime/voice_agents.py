@@ -88,8 +88,7 @@ def voice_agents(
         ),
         say=spoken.say,
         play=spoken.play if options.sounds is not None else None,
-    ) as server:
-        voice.phonemes = server.phonemes
+    ):
         try:
             yield url
         finally:

@@ -34,7 +34,8 @@ Seconds = Annotated[float, within(0.0, 3_600.0)]
 Factor = Annotated[float, within(-1000.0, 1000.0)]
 #: 30 Hz is video's pace. Twenty servos at 1 Mbaud can be written and read 187 times a second with
 #: a millisecond for USB (bytes on the wire, fast sync read), ten 298 times; nothing needs more.
-RateHz = Annotated[float, within(30.0, 200.0)]
+LOWEST_RATE_HZ, HIGHEST_RATE_HZ = 30.0, 200.0
+RateHz = Annotated[float, within(LOWEST_RATE_HZ, HIGHEST_RATE_HZ)]
 #: One word in every file, table and command: no spaces, dots or capitals to get wrong.
 JOINT_NAME = r"^[a-z][a-z0-9_]*$"
 JointName = Annotated[str, StringConstraints(pattern=JOINT_NAME)]

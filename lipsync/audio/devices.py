@@ -229,14 +229,14 @@ class DeviceWatch:
     """Keeps one stream open.
 
     `open_stream` finds the device by the names that there are now and starts a stream of it; it
-    raises SoundError where that cannot be done. The stream's callback writes the
-    monotonic time of each of its calls into `called_s`.
+    raises SoundError where that cannot be done. The stream's callback reports each
+    of its calls to `note_call`.
     """
 
     def __init__(self, open_stream: Callable[[], OpenStream], clock: Callable[[], float]) -> None:
         self._open_stream = open_stream
         self._clock = clock
-        self._opened_s = self._tried_s = self.called_s = clock()
+        self._opened_s = self._tried_s = self._called_s = clock()
         self._stream: OpenStream | None = None
         self._ending = threading.Event()
         self._thread: threading.Thread | None = None
@@ -276,6 +276,10 @@ class DeviceWatch:
             self._thread = None
         self._close()
 
+    def note_call(self, now_s: float) -> None:
+        """The stream's callback was called at monotonic `now_s`. Any thread; never waits."""
+        self._called_s = now_s
+
     def look(self) -> None:
         """Notice a loss; open what is lost, when the last try is long enough ago."""
         now_s = self._clock()
@@ -290,12 +294,12 @@ class DeviceWatch:
 
     def _has_stopped(self, stream: OpenStream, now_s: float) -> bool:
         is_settled = now_s - self._opened_s > SETTLING_S
-        return not stream.active or (is_settled and now_s - self.called_s > SILENT_S)
+        return not stream.active or (is_settled and now_s - self._called_s > SILENT_S)
 
     def _start(self) -> None:
         self._tried_s = self._clock()
         stream = self._open_stream()
-        self._opened_s = self.called_s = self._clock()
+        self._opened_s = self._called_s = self._clock()
         self._stream = stream
 
     def _close(self) -> None:

@@ -335,7 +335,7 @@ class LoudspeakerOutput:
         taken_s = self._ring.take_into(frames) / self.rate_hz
         if status.output_underflow:
             self._n_device_underruns += 1
-        self.watch.called_s = called_s
+        self.watch.note_call(called_s)
         ahead_s = self._ahead_of(stream_s, timing.outputBufferDacTime)
         leaves_s = called_s + ahead_s + self.output_offset_ms / 1e3
         ends_s = leaves_s + len(frames) / self.rate_hz

@@ -4,6 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, Protocol
 
 import numpy as np
@@ -134,25 +135,24 @@ class MicrophoneSource:
     def _open(self) -> OpenStream:
         self._device = find_device(self._wanted, "input")
         rate_hz, n_channels = self._rate_and_channels()
-        capture = _Capture(rate_hz, self._clock, self.watch)
+        make_stream = partial(
+            self._sounddevice.InputStream,
+            device=self._device.index,
+            samplerate=rate_hz,
+            channels=n_channels,
+            blocksize=round(BLOCK_S * rate_hz),
+            dtype="float32",
+            latency="low",
+        )
         try:
-            stream: OpenStream = self._sounddevice.InputStream(
-                device=self._device.index,
-                samplerate=rate_hz,
-                channels=n_channels,
-                blocksize=round(BLOCK_S * rate_hz),
-                dtype="float32",
-                latency="low",
-                callback=capture.hear,
-            )
-            capture.stream = stream
+            capture = _Capture(make_stream, rate_hz, self._clock, self.watch)
             self._captures.append(capture)
-            start_stream(stream)
+            start_stream(capture.stream)
         except self._sounddevice.PortAudioError as error:
             raise SoundError(
                 f"microphone {self.name!r} cannot be opened ({error}); close what else uses it"
             ) from error
-        return stream
+        return capture.stream
 
     def _rate_and_channels(self) -> tuple[int, int]:
         """16 kHz mono if the device can, else its own rate and as few channels as it allows."""
@@ -175,7 +175,7 @@ class MicrophoneSource:
         if capture.begins_s is None:
             if self.n_losses:  # the device was away
                 self._be_silent(arrival.called_s - len(arrival.samples) / capture.rate_hz)
-            capture.begins_s = self._n_pushed / SAMPLE_RATE_HZ
+            capture.begin(self._n_pushed / SAMPLE_RATE_HZ)
         n_missing = arrival.first_sample - capture.n_taken
         if n_missing:
             lost = capture.convert(np.zeros(n_missing, dtype=np.float32))
@@ -183,7 +183,7 @@ class MicrophoneSource:
             self._push(lost)
         self._push(capture.convert(arrival.samples))
         self._until_s = arrival.called_s
-        sound_s = capture.begins_s + arrival.first_sample / capture.rate_hz
+        sound_s = capture.sound_s(arrival.first_sample)
         self._captured = (arrival.captured_s, sound_s)
 
     def _end(self, capture: "_Capture") -> None:
@@ -219,9 +219,14 @@ class _Arrival:
 class _Capture:
     """One opening of the device: its callback queues, `MicrophoneSource.blocks` takes."""
 
-    stream: OpenStream
-
-    def __init__(self, rate_hz: int, clock: Callable[[], float], watch: DeviceWatch) -> None:
+    def __init__(
+        self,
+        make_stream: Callable[..., OpenStream],
+        rate_hz: int,
+        clock: Callable[[], float],
+        watch: DeviceWatch,
+    ) -> None:
+        """make_stream: makes the stream, which is not started, with this `callback`."""
         self.rate_hz = rate_hz
         self.arrived: deque[_Arrival] = deque(maxlen=round(QUEUE_S / BLOCK_S))
         #: The reader's: sound time of the first sample, and samples taken so far.
@@ -239,6 +244,16 @@ class _Capture:
                 rate_hz, SAMPLE_RATE_HZ, 1, dtype="float32", quality=RESAMPLING
             )
         )
+        self.stream = make_stream(callback=self.hear)
+
+    def begin(self, sound_s: float) -> None:
+        """The reader's: the first sample lies at this sound time."""
+        self.begins_s = sound_s
+
+    def sound_s(self, sample: int) -> float:
+        """The sound time of a sample, by its number, once it has begun."""
+        assert self.begins_s is not None
+        return self.begins_s + sample / self.rate_hz
 
     def hear(self, frames: Samples, n_frames: int, timing: "_Timing", status: "_Status") -> None:
         """PortAudio's thread: note what was lost before these frames (n, channels), queue a copy.
@@ -257,7 +272,7 @@ class _Capture:
         self.arrived.append(_Arrival(self._n_heard, samples, called_s - age_s, called_s))
         self._n_heard += n_frames
         self._next_adc_s = adc_s + length_s
-        self._watch.called_s = called_s
+        self._watch.note_call(called_s)
 
     def convert(self, samples: Samples) -> Samples:
         """The next samples, at 16 kHz; some are held back until more has come."""

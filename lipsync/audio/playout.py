@@ -12,7 +12,7 @@ mouth shows its own words, never those of the person it talks to, nor its own ec
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -36,6 +36,8 @@ Samples = NDArray[np.float32]
 _MOST_REQUESTS: Final = 64
 #: Events that wait to be told; the oldest are dropped beyond it.
 _MOST_EVENTS: Final = 1024
+#: Phonemes that wait to be told; nobody is told those of a minute ago.
+_MOST_PHONEMES: Final = 256
 #: A stream begins, and goes on after it ran dry, when so much of it waits: senders keep the pace of
 #: speech in pieces of 20 to 40 ms, and a resampler holds 20 ms back.
 _WAITING_S: Final = 0.05
@@ -106,8 +108,6 @@ class Playout:
         self._quiet_from_s = 0.0
         n_played = BLOCK_SAMPLES if loudspeaker is None else loudspeaker.rate_hz // 100
         self._played_silence: Samples = np.zeros(n_played, dtype=np.float32)
-        #: Hears what is said, also where its phonemes are known and the recogniser hears nothing.
-        self.on_said: Callable[[AudioBlock], None] | None = None
         #: Any thread appends.
         self.requests: deque[PlayoutRequest] = deque(maxlen=_MOST_REQUESTS)
         #: Who will request more; until they are gone the playout is not over. For any thread.
@@ -121,6 +121,8 @@ class Playout:
         self._known = KnownPhonemes()
         self._n_blocks = 0
         self._n_underruns = 0
+        #: (phoneme, start_s, end_s) on the timeline, each when it begins to be heard: as `events`.
+        self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
         self._position_s = 0.0
         self._quiet_s = 0.0
         #: Silence that was written before the timeline began.
@@ -246,6 +248,13 @@ class Playout:
 
     def blocks(self, until_s: float) -> list[AudioBlock]:
         """Commit the timeline until then; the new blocks as the recogniser is to hear them."""
+        return [block for block, _ in self.commit(until_s)]
+
+    def commit(self, until_s: float) -> list[tuple[AudioBlock, AudioBlock]]:
+        """Commit the timeline until then; each new block for the recogniser, and as it is spoken.
+
+        The two differ where phonemes are known: the recogniser gets silence there.
+        """
         return list(self._commit(int(samples_before(max(0.0, until_s))) // BLOCK_SAMPLES))
 
     def known_phonemes(self, from_s: float) -> list[KnownStretch]:
@@ -258,16 +267,14 @@ class Playout:
     def __exit__(self, *exc: object) -> None:
         """Nothing to give back; the loudspeaker is whoever's opened it."""
 
-    def _commit(self, n_until: int) -> Iterator[AudioBlock]:
+    def _commit(self, n_until: int) -> Iterator[tuple[AudioBlock, AudioBlock]]:
         while self._n_blocks < n_until:
             start_s = self.committed_s
             self._n_blocks += 1
-            heard, played, said = self._next(start_s)
+            heard, played, spoken = self._next(start_s)
             if self.loudspeaker is not None:
                 self.loudspeaker.write(played)
-            if self.on_said is not None:
-                self.on_said(AudioBlock(said, start_s))
-            yield AudioBlock(heard, start_s)
+            yield AudioBlock(heard, start_s), AudioBlock(spoken, start_s)
 
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
         """10 ms for the recogniser, for the loudspeaker, and for whoever hears how it is said."""

@@ -1,10 +1,17 @@
-"""The live methods: whatever moves the mouth, and the finishing step that all of them share.
+"""The live methods: the expectation that moves the mouth, and the finishing step of all of them.
+
+Frame-synchronous: a phoneme moves the mouth from its onset, before its end is known, and what the
+recogniser takes back changes only what has not been shown. Faces are decided on a grid of 10 ms,
+each from what is known at its own time; between two of them the motion is a cubic, continuous in
+position and speed whatever arrives.
 
 The finishing step mixes AnimPhos in, scales by the strength, rests in pauses and closes the lips
 for P B M F V, in this order, in one frame. Live motion, the paper's method and scripted lines pass
 it alike.
 """
 
+import math
+from collections import deque
 from collections.abc import Callable, Mapping, Set
 from dataclasses import dataclass, replace
 from typing import Final, Protocol
@@ -14,7 +21,7 @@ import numpy as np
 from lipsync.animpho.units import AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.errors import UserError
-from lipsync.expectation.context import PhonemeTrack, context_at
+from lipsync.expectation.context import PhonemeTrack, context_at, track_of
 from lipsync.expectation.expectation import Expectation
 from lipsync.face.frame import FaceWindow, Frame
 from lipsync.face.model import FaceModel
@@ -28,10 +35,19 @@ from lipsync.motion.closures import (
     lip_gap_of,
     planned,
 )
-from lipsync.motion.expected_motion import USED_LOOKAHEAD_S, ExpectedMotion
-from lipsync.motion.tick_plan import AT_REST, TICK_S, Amount, EasedSetting, TickPlan, planned_rest
+from lipsync.motion.tick_plan import (
+    AT_REST,
+    TICK_S,
+    Amount,
+    EasedSetting,
+    TickPlan,
+    is_reached,
+    planned_rest,
+    tick_of,
+)
 from lipsync.motion.unit_motion import UnitMotion
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
+from lipsync.timeline import PhonemeTimeline
 
 #: Their names on the command line and in results: the expectation, and AnimPhos near it.
 LIVE_STRATEGY = "expected"
@@ -78,6 +94,160 @@ class Style:
             value = getattr(self, name)
             if not 0.0 <= value <= most:
                 raise StyleError(f"{name} is {value}; allowed: 0 to {most}")
+
+
+#: More look-ahead than this is allowed but not used: the model has learned no more.
+USED_LOOKAHEAD_S = 0.2
+#: Averages over what is not known move too little. A share of the last frame's step (25 Hz, as in
+#: the recordings) is extrapolated; chosen on inner splits (docs/motion.md).
+LEAD = 0.1
+_LEAD_TICKS = 4
+#: The recordings' 25 frames a second know of nothing quicker than 80 ms; a context does, it changes
+#: from one tick to the next. So what is expected is averaged over so many ticks before and after,
+#: as far as the look-ahead reaches.
+_AVERAGED_TICKS = 1
+#: A look-ahead of whole ticks is a quotient of floats.
+_ROUNDING_TICKS = 1e-6
+#: The slowest that smoothness can make the mouth: its time constant, s.
+_SLOWEST_S = 0.04
+
+
+@dataclass(frozen=True, slots=True)
+class _Tick:
+    """Motion from one grid point to the next: a cubic. Speeds are per tick.
+
+    rest: how far a pause has brought the mouth to rest.
+    """
+
+    start: Array
+    start_speed: Array
+    end: Array
+    end_speed: Array
+    rest: Amount
+
+    def at(self, u: float) -> Array:
+        """The face (n_components,) at share u of the tick."""
+        face = (1.0 + 2.0 * u) * (1.0 - u) ** 2 * self.start + u**2 * (3.0 - 2.0 * u) * self.end
+        face += u * (1.0 - u) ** 2 * self.start_speed + u**2 * (u - 1.0) * self.end_speed
+        return face
+
+
+class ExpectedMotion:
+    """The learned expectation over a revisable stream of phonemes, and nothing around it."""
+
+    def __init__(
+        self, expectation: Expectation, rest: Array, *, lookahead_s: float, smoothness: float
+    ) -> None:
+        """rest: (n_components,), the closed mouth; smoothness: from 0 to 1, as in `Style`."""
+        self._expectation = expectation
+        self._rest = rest
+        self._lookahead_s = lookahead_s
+        self.known_s = min(lookahead_s, USED_LOOKAHEAD_S)
+        n_ahead = min(_AVERAGED_TICKS, int(self.known_s / TICK_S + _ROUNDING_TICKS))
+        self._ahead_s = n_ahead * TICK_S
+        self._weights = _bell(2 * n_ahead + 1)
+        self._smoothness = EasedSetting(smoothness, 1.0)
+        self.reset()
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its frame is asked for."""
+        return self._lookahead_s
+
+    @property
+    def track(self) -> PhonemeTrack:
+        """The phonemes as they are believed now, end to end."""
+        return self._track
+
+    def reset(self) -> None:
+        """Forget everything; the mouth is closed and the stream begins anew at sound time 0."""
+        rest, still = self._rest, np.zeros_like(self._rest)
+        self._timeline = PhonemeTimeline()
+        self._track = track_of(())
+        self._wanted = rest
+        self._expectations = deque([rest] * _LEAD_TICKS, maxlen=_LEAD_TICKS)
+        self._newest = deque([rest] * len(self._weights), maxlen=len(self._weights))
+        self._ticks = TickPlan(_Tick(rest, still, rest, still, AT_REST))
+        self._smoothness.settle()
+        self._newest_start_s = -math.inf
+        self.phonemes_planned = 0
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Take a revision of the phonemes; what has been shown stays as it is."""
+        self._timeline.apply(update)
+        self._track = track_of(self._timeline.events)
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at sound time `time_s`; the same time gives the same frame.
+
+        Times may step back by half a second, not more.
+        """
+        tick = self._ticks.at(time_s, self._decide)
+        if tick is None:
+            return Frame(time_s, self._rest)
+        share = time_s / TICK_S - tick_of(time_s) + 1.0
+        return Frame(time_s, tick.at(min(1.0, max(0.0, share))))
+
+    def faces_after(self, frame: Frame, times_s: Array) -> Array:
+        """The faces (k, n_components) expected at later sound times (k,); decides nothing."""
+        until_s = frame.time_s + self.known_s
+        found = [context_at(self._track, time_s, until_s) for time_s in times_s.tolist()]
+        phonemes = np.array([phonemes for phonemes, _ in found])
+        known_s = np.maximum(until_s - times_s, 0.0)
+        return self._expectation.faces(phonemes, np.array([times for _, times in found]), known_s)
+
+    def adjust_smoothness(self, smoothness: float) -> None:
+        """Go over to another smoothness, 0 to 1, from the newest tick on."""
+        self._smoothness.change(self._ticks.decided_until_s, smoothness)
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""
+        return self._timeline.event_at(time_s)
+
+    def _decide(self, time_s: float, last: _Tick) -> _Tick:
+        """The motion of the tick that ends at `time_s`, from what is known then."""
+        begin_s = time_s - TICK_S
+        context = context_at(self._track, time_s, time_s + self.known_s)
+        rest = planned_rest(last.rest, *context, begin_s, self.known_s)
+        at_rest = is_reached(rest, begin_s)
+        self._newest.append(self._expected(time_s, at_rest=at_rest))
+        wanted = self._extrapolated(self._weights @ np.array(self._newest))
+        slowness_s = self._smoothness.at(time_s) * _SLOWEST_S
+        keep = math.exp(-TICK_S / slowness_s) if slowness_s else 0.0
+        self._wanted = keep * self._wanted + (1.0 - keep) * wanted
+        # Half of the way a chord would go: a sudden turn then overshoots by a few percent only.
+        end_speed = (self._wanted - last.start) / 2.0
+        return _Tick(last.end, last.end_speed, self._wanted, end_speed, rest)
+
+    def _expected(self, time_s: float, *, at_rest: bool) -> Array:
+        """What the mouth should look like a little later, while somebody speaks.
+
+        From a mouth at rest the motion sets out from rest itself, not from the mean of silences.
+        """
+        if at_rest:
+            return self._rest
+        known_s = self.known_s - self._ahead_s
+        later_s = time_s + self._ahead_s
+        phonemes, times_s = context_at(self._track, later_s, later_s + known_s)
+        self._count(later_s - times_s[2])
+        return self._expectation.at(phonemes, times_s, known_s)
+
+    def _extrapolated(self, expectation: Array) -> Array:
+        """The expectation, and a little more of where it is going."""
+        before = self._expectations[0]
+        self._expectations.append(expectation)
+        return expectation + LEAD * (expectation - before)
+
+    def _count(self, start_s: float) -> None:
+        if start_s > self._newest_start_s:
+            self._newest_start_s = start_s
+            self.phonemes_planned += 1
+
+
+def _bell(n: int) -> Array:
+    """Weights (n,) of a mean, largest in the middle (Hann's window)."""
+    weights = np.sin(np.pi * np.arange(1, n + 1) / (n + 1)) ** 2
+    return np.asarray(weights / weights.sum())
 
 
 class TrackedSynthesizer(Protocol):

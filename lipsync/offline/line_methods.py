@@ -17,9 +17,10 @@ from lipsync.expectation.context import PhonemeTrack, contexts, track_of
 from lipsync.expectation.expectation import Expectation
 from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
-from lipsync.motion.expected_motion import LEAD, USED_LOOKAHEAD_S
 from lipsync.motion.live_synthesizer import (
+    LEAD,
     LONGEST_LOOKAHEAD_S,
+    USED_LOOKAHEAD_S,
     FinishedSynthesizer,
     LiveSynthesizer,
     Style,

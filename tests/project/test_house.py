@@ -62,13 +62,13 @@ def test_documenting_costs_nothing():
 def test_no_class_has_its_other_half_in_a_neighbour_file(tree):
     found = mixin_bases(tree)
 
-    assert len(found) <= house_table()["held_unfinished"]["mixin_bases"], found
+    assert len(found) <= house_table()["unfinished"]["mixin_bases"], found
 
 
 def test_objects_are_whole_when_made(tree):
     found = late_attributes(tree)
 
-    assert len(found) <= house_table()["held_unfinished"]["late_attributes"], found
+    assert len(found) <= house_table()["unfinished"]["late_attributes"], found
 
 
 def test_what_is_unfinished_is_found(tmp_path):

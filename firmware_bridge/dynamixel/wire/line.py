@@ -176,14 +176,18 @@ class Line:
     """
 
     def __init__(
-        self, transport: Transport, return_delay_s: float = FACTORY_RETURN_DELAY_S
+        self,
+        transport: Transport,
+        return_delay_s: float = FACTORY_RETURN_DELAY_S,
+        *,
+        extra_wait_s: float = 0.0,
     ) -> None:
         """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
         self.transport = transport
         self.return_delay_s = return_delay_s
         self.byte_s = BITS_PER_BYTE / transport.baud_rate
         self.latency = LearntLatency()
-        self.extra_wait_s = 0.0
+        self.extra_wait_s = extra_wait_s
         self.echoes = False
         self.n_bad = 0
         self.heard_noise = False

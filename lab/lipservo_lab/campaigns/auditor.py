@@ -15,6 +15,7 @@ from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, Frame, FrameParser, Instruction
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.motors import POSITION_LOOP_PER_S
+from firmware_bridge.stopping import StopLevel
 
 _GOAL, _TORQUE = register("goal_position").address, register("torque_enable").address
 _GOAL_BYTES, _TORQUE_BYTES = struct.pack("<H", _GOAL), struct.pack("<H", _TORQUE)
@@ -70,8 +71,8 @@ class Auditor:
         self._held = np.zeros(len(servos), dtype=np.bool_)  # torque was on at the step before
         self._before_s = 0.0
         self._creep = _CREEP_DEG_S * per_deg
-        self.stopped_s: float | None = None
-        self.frozen = False
+        self._stopped_s: float | None = None
+        self._frozen = False
         self.moved_frozen = 0
         self.goals = self.goals_outside = self.steps_too_long = 0
         self.too_fast = self.moved_outside = self.armed_wrongly = self.armed_late = 0
@@ -81,6 +82,15 @@ class Auditor:
         """Follow the shafts of this chain, and look into its servos when torque comes on."""
         self._chain = chain
         chain.motion = self._see_motion
+
+    def note_stop(self, time_s: float, level: StopLevel) -> None:
+        """A person stopped the face then; a frozen one must not move until it is let go."""
+        self._stopped_s = time_s
+        self._frozen = level is StopLevel.FREEZE
+
+    def let_go(self) -> None:
+        """A frozen face is let go now, and may move."""
+        self._frozen = False
 
     def see(self, time_s: float, data: bytes) -> None:
         """Look at one write of the computer."""
@@ -136,7 +146,7 @@ class Auditor:
         return bool(abs(goal - self._chain.motors.position[index]) <= _PLACE_PULSES)
 
     def _see_torque(self, servo_id: int, time_s: float) -> None:
-        if self.stopped_s is not None and time_s > self.stopped_s:
+        if self._stopped_s is not None and time_s > self._stopped_s:
             self.armed_late += 1
         index = self._index(servo_id)
         if index is None or self._chain is None:
@@ -177,7 +187,7 @@ class Auditor:
         fast = moved / self._speed
         self.fastest = max(self.fastest, float(fast.max()))
         self.too_fast += int((fast > _SPEED_MARGIN).sum())
-        if self.frozen and self.stopped_s is not None and time_s > self.stopped_s + _BRAKES_S:
+        if self._frozen and self._stopped_s is not None and time_s > self._stopped_s + _BRAKES_S:
             self.moved_frozen += int((moved > self._creep).sum())
         outwards = (position > self._high + _MARGIN_PULSES) & (speed > 1.0)
         outwards |= (position < self._low - _MARGIN_PULSES) & (speed < -1.0)

@@ -156,18 +156,20 @@ class _Stop:
 
     def __init__(self, level: StopLevel | None, clock: ManualClock, auditor: Auditor) -> None:
         self._level, self._clock, self._auditor = level, clock, auditor
+        self._is_frozen = False
 
     def poll(self) -> StopRequest | None:
         """The stop, at its moment."""
         now_s = self._clock.now()
-        if self._auditor.frozen and now_s >= END_S:
-            self._auditor.frozen = False
+        if self._is_frozen and now_s >= END_S:
+            self._is_frozen = False
+            self._auditor.let_go()
             return StopRequest(StopLevel.SOFT)  # a frozen face ends only when a person says so
         if self._level is None or now_s < STOP_S:
             return None
         level, self._level = self._level, None
-        self._auditor.stopped_s = now_s
-        self._auditor.frozen = level is StopLevel.FREEZE
+        self._is_frozen = level is StopLevel.FREEZE
+        self._auditor.note_stop(now_s, level)
         return StopRequest(level)
 
     def answer(self, status: Callable[[], Mapping[str, object]]) -> None:

@@ -53,7 +53,6 @@ from lipservo.runtime.run_request import (
     RunRequest,
     Sound,
     VoiceOptions,
-    chosen_sound,
 )
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.runtime.servos.face_stopped import exit_status
@@ -248,7 +247,9 @@ def _sound(
         raise typer.BadParameter("give --wav or --mic, not both")
     if phonemes is not None and wav is None:
         raise typer.BadParameter("--phonemes goes with --wav")
-    return replace(chosen_sound(wav, mic, otherwise), phonemes=str(phonemes or ""))
+    if mic is not None:
+        return Sound("microphone", mic)
+    return otherwise if wav is None else Sound("file", str(wav), phonemes=str(phonemes or ""))
 
 
 def motion_of(chosen: ChosenMotion, config: str) -> MotionOptions:

@@ -23,12 +23,6 @@ _MOST_APART_S: Final = 0.1
 Samples = NDArray[np.float32]
 
 
-class PerformedStream(PlayoutStream):
-    """A stream that brings its motion with it."""
-
-    motion: StoredMotion
-
-
 @dataclass(frozen=True, slots=True)
 class PerformedLine:
     """A line with `EASING_S` of silence before its sound and after its faces.
@@ -44,12 +38,9 @@ class PerformedLine:
     phonemes: tuple[PhonemeEvent, ...]
     motion: StoredMotion
 
-    def stream(self, playout: Playout) -> PerformedStream:
+    def stream(self, playout: Playout) -> "PerformedStream":
         """An empty stream for the playout, that is to be given the chunks."""
-        rates_hz = self.sample_rate_hz, playout.output_rate_hz
-        stream = PerformedStream(self.name, *rates_hz, self.phonemes)
-        stream.motion = self.motion
-        return stream
+        return PerformedStream(self, playout.output_rate_hz)
 
     def chunks(self) -> Iterator[Samples]:
         """Silence, the sound, a second at a time at most, and silence.
@@ -62,6 +53,15 @@ class PerformedLine:
             yield chunk[:n_left]
             n_left -= min(n_left, len(chunk))
         yield np.zeros(n_left, np.float32)
+
+
+class PerformedStream(PlayoutStream):
+    """A stream that brings its motion with it."""
+
+    def __init__(self, line: PerformedLine, output_rate_hz: int) -> None:
+        """output_rate_hz: the loudspeaker's, a multiple of 100. Raises ValueError for a rate."""
+        super().__init__(line.name, line.sample_rate_hz, output_rate_hz, line.phonemes)
+        self.motion = line.motion
 
 
 def performed_line(performance: Performance, path: Path) -> PerformedLine:

@@ -3,10 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Final, Protocol
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Final
 
 from lipsync.arrays import Array
 from lipsync.audio.playout import Playout
@@ -22,23 +19,17 @@ from lipsync.phonemes import (
     ServoListener,
 )
 from lipsync.prosody.voice_frame import SILENT_VOICE, VoiceFrame
+from lipsync.prosody.voice_tracker import VoiceTracker
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 
 #: Ten seconds: more than any delay from sound to face.
 _N_KEPT: Final = 1_000
 
 
-class VoiceListener(Protocol):
-    """Who tells how something is said: `lipsync.prosody.voice_tracker.VoiceTracker`."""
-
-    def feed(self, samples: NDArray[np.float32]) -> VoiceFrame:
-        """Hear the next 10 ms."""
-
-
 class HeardVoice:
     """Keeps the voice frames of the last seconds."""
 
-    def __init__(self, listener: VoiceListener) -> None:
+    def __init__(self, listener: VoiceTracker) -> None:
         self._listener = listener
         self._kept: list[tuple[int, VoiceFrame]] = [(-1, SILENT_VOICE)] * _N_KEPT
 
@@ -69,6 +60,7 @@ class RecognizedPhonemes:
         self._voice = voice
         self._source = source
         self._recognizer = recognizer
+        self._listener = recognizer if isinstance(recognizer, Listener) else None
         self._sound = SoundAhead(source, recognizer)
         self._recognition = RecognizerStream(recognizer)
         self._heard_until_s = 0.0
@@ -86,7 +78,7 @@ class RecognizedPhonemes:
     @property
     def hears(self) -> Hearing | None:
         """What is believed about the sound; None where the recogniser does not say."""
-        return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
+        return None if self._listener is None else self._listener.hears
 
     def note_servo_speeds(self, sound_s: float, speeds_deg_s: Array) -> None:
         """The robot's servos turned so fast; only a device can hear them, a file cannot."""
@@ -114,9 +106,14 @@ _AHEAD_S = 1.0
 class SpokenPhonemes:
     """A `PhonemeSource` of a playout: a recogniser, and what the streams bring with them."""
 
-    def __init__(self, playout: Playout, recognizer: LiveRecognizer) -> None:
+    def __init__(
+        self, playout: Playout, recognizer: LiveRecognizer, voice: HeardVoice | None = None
+    ) -> None:
+        """voice: hears what is spoken, also where its phonemes are known."""
+        self._voice = voice
         self._playout = playout
         self._recognizer = recognizer
+        self._listener = recognizer if isinstance(recognizer, Listener) else None
         self._recognition = RecognizerStream(recognizer)
 
     @property
@@ -132,11 +129,15 @@ class SpokenPhonemes:
     @property
     def hears(self) -> Hearing | None:
         """What is believed about the sound; None where the recogniser does not say."""
-        return self._recognizer.hears if isinstance(self._recognizer, Listener) else None
+        return None if self._listener is None else self._listener.hears
 
     def updates(self, until_s: float) -> list[PhonemeUpdate]:
         """Commit the sound that is due at sound time `until_s`; what became known by it."""
-        step = self._recognition.feed(self._playout.blocks(until_s))
+        blocks = self._playout.commit(until_s)
+        if self._voice is not None:
+            for _, spoken in blocks:
+                self._voice.hear(spoken)
+        step = self._recognition.feed([heard for heard, _ in blocks])
         return [
             with_known(update, self._playout.known_phonemes(update.replace_from_s))
             for update in step.updates

@@ -210,6 +210,7 @@ class Speech:
         """
         options = options or SpeechOptions()
         self._phonemes = phonemes
+        self._listener = phonemes if isinstance(phonemes, Listener) else None
         self._clock = clock
         self._synthesizer = synthesizer
         self._calibration = calibration
@@ -254,7 +255,7 @@ class Speech:
     @property
     def hears(self) -> Hearing | None:
         """What is believed about the sound that was settled last; None: nobody listens."""
-        return self._phonemes.hears if isinstance(self._phonemes, Listener) else None
+        return None if self._listener is None else self._listener.hears
 
     @property
     def calibration(self) -> Calibration:

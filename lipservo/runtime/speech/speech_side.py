@@ -1,7 +1,6 @@
 """Sound to targets: the speech side of a face, with its own voice where it has one."""
 
 import math
-from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -73,8 +72,6 @@ _STALE_S: Final = 0.15
 #: Its clock runs on a little until it stands still, too. The mouth opens again once lips and sound
 #: are as near as that, which nobody notices.
 _MET_S: Final = 0.03
-#: Phonemes that wait to be told; nobody is told those of a minute ago.
-_MOST_PHONEMES: Final = 256
 
 
 class OwnVoice:
@@ -101,9 +98,6 @@ class OwnVoice:
         self._said_s = -1.0
         self._told_position_s, self._moved_s = -math.inf, -math.inf
         self._is_standing = False
-        #: (phoneme, start_s, end_s) on the timeline, each when it begins to be heard; one other
-        #: thread takes, and may put a deque of its own here before it begins.
-        self.phonemes: deque[tuple[str, float, float]] = deque(maxlen=_MOST_PHONEMES)
         clock.lead_s = speech.delay.total_s
 
     def begin(self) -> None:
@@ -121,7 +115,7 @@ class OwnVoice:
         if event is not None and event.start_s > self._said_s:
             self._said_s = event.start_s
             end_s = event.start_s if event.end_s is None else event.end_s
-            self.phonemes.append((event.phoneme, event.start_s, end_s))
+            self.playout.phonemes.append((event.phoneme, event.start_s, end_s))
 
     def fall_silent(self) -> None:
         """The face is stopped: what was not heard never will be."""
@@ -305,8 +299,7 @@ def make_speech_side(
         clock = clock_for(source)
         speech = Speech(heard, clock, synthesizer, face.calibration, names, channel, options)
         return SpeechSide(speech, None, mouth, rest, watched)
-    spoken = SpokenPhonemes(source, recognizer)
-    source.on_said = None if voice is None else voice.hear
+    spoken = SpokenPhonemes(source, recognizer, voice)
     played = OwnPlaybackClock()
     motion = PerformedMotion(synthesizer, performed_in(source), lip_gap_of(face.model))
     options = SpeechOptions(source.latency_s, expression, lip_gap, mouth_plan(face))

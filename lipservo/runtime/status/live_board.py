@@ -81,7 +81,10 @@ class BoardLayout:
 
 
 class _Ring:
-    """Records of one writer, the newest `_N_SLOTS` of them."""
+    """Records of one writer, the newest `_N_SLOTS` of them.
+
+    fields: of the record in the making, by name; what is not given stays as in the one before.
+    """
 
     def __init__(self, memory: mmap.mmap, offset: int, kind: np.dtype[Any]) -> None:
         self._memory = memory
@@ -89,13 +92,18 @@ class _Ring:
         self._kind = kind
         self._slot_bytes = _HEAD.size + kind.itemsize
         self._n_written = 0
+        self._record = np.zeros((), kind)
+        self.fields = {name: self._record[name] for name in kind.names or ()}
 
     @property
     def size(self) -> int:
         """Bytes that the ring takes."""
         return self._slot_bytes * _N_SLOTS
 
-    def write(self, raw: bytes) -> None:
+    def write(self, values: Mapping[str, object]) -> None:
+        for name, value in values.items():
+            self.fields[name][...] = value
+        raw = self._record.tobytes()
         self._n_written += 1
         start = self._offset + self._n_written % _N_SLOTS * self._slot_bytes
         self._memory[start + _HEAD.size : start + self._slot_bytes] = raw
@@ -121,20 +129,6 @@ class _Ring:
         return [(_HEAD.unpack_from(self._memory, start)[0], start) for start in starts]
 
 
-class _NextRecord:
-    """A record in the making; what is not given stays as in the one before. fields: by name."""
-
-    def __init__(self, kind: np.dtype[Any]) -> None:
-        self._record = np.zeros((), kind)
-        self.fields = {name: self._record[name] for name in kind.names or ()}
-
-    def with_values(self, values: Mapping[str, object]) -> bytes:
-        """The bytes of the record with these values."""
-        for name, value in values.items():
-            self.fields[name][...] = value
-        return self._record.tobytes()
-
-
 class LiveBoard:
     """Both rings. Make it with `create`, hand its `fileno` to a child, which does `adopt`."""
 
@@ -151,8 +145,6 @@ class LiveBoard:
         self._servos = _Ring(self._memory, _ABOUT_BYTES, self.layout.servo_type())
         after = _ABOUT_BYTES + self._servos.size
         self._speech = _Ring(self._memory, after, self.layout.speech_type())
-        self._servo_record = _NextRecord(self.layout.servo_type())
-        self._speech_record = _NextRecord(self.layout.speech_type())
         if writable:
             self._servos.continue_numbers()
             self._speech.continue_numbers()
@@ -189,13 +181,13 @@ class LiveBoard:
 
     def write_servos(self, **values: object) -> None:
         """One tick of the servo side; `BoardLayout.servo_type` has the names."""
-        self._servos.write(self._servo_record.with_values(values))
+        self._servos.write(values)
 
     def write_speech(self, peaks: Sequence[float] = (), **values: object) -> None:
         """One tick of the speech side; `BoardLayout.speech_type` has the names. peaks: 0 to 1."""
         newest = [round(255 * min(1.0, max(0.0, p))) for p in peaks[-MOST_PEAKS:]]
-        self._speech_record.fields["peaks"][: len(newest)] = newest
-        self._speech.write(self._speech_record.with_values({**values, "n_peaks": len(newest)}))
+        self._speech.fields["peaks"][: len(newest)] = newest
+        self._speech.write({**values, "n_peaks": len(newest)})
 
     def servos_since(self, number: int) -> list[tuple[int, Record]]:
         """(number, record) of every tick of the servo side after `number`, oldest first."""

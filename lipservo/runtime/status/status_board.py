@@ -84,13 +84,9 @@ class StatusBoard:
         """The descriptor that a child inherits."""
         return self._fd
 
-    def write_settings(self, values: Mapping[str, float]) -> None:
-        """From now on these are wanted."""
-        self._settings.write(values)
-
     def add_settings(self, changed: Mapping[str, float]) -> None:
         """From now on these are wanted too."""
-        self.write_settings({**self.settings(), **changed})
+        self._settings.write({**self.settings(), **changed})
 
     def settings(self) -> dict[str, float]:
         """What was wanted last, by name; {} where nobody has set anything."""

@@ -132,6 +132,7 @@ def test_plan_then_markers_then_calibration_by_files_alone(tmp_path):
     assert np.median([calibration.positions_deg(c)[0] for c in wide]) > 4.0
 
 
+@pytest.mark.slow
 def test_practice_on_a_simulated_robot_tells_errors_play_and_lags(tmp_path):
     out, keep = tmp_path / "c.yaml", tmp_path / "poses.jsonl"
     done = command(

@@ -72,6 +72,7 @@ def test_with_noise_the_learnt_face_is_nearer_to_the_truth_than_the_tracker(capt
     assert face.backlash_deg[0] == pytest.approx(DRAW.backlash_deg[0], abs=0.25)
 
 
+@pytest.mark.slow
 def test_lost_points_hardly_matter(capture):
     lost_mm = capture.markers_mm.copy()
     lost_mm[np.random.default_rng(1).random((60, 47)) < 0.1] = np.nan
@@ -226,6 +227,7 @@ def test_fit_and_held_out_frames_are_of_different_animphos():
     assert len(fitted) + len(held_out) == 5 * len(MODEL.animphos)
 
 
+@pytest.mark.slow
 def test_the_same_capture_gives_the_same_file(fit, capture):
     again = fit_measured(MODEL, capture, MOUTH, date="2026-11-21")
     assert calibration_text(again.calibration) == calibration_text(fit.calibration)

@@ -11,7 +11,7 @@ from firmware_bridge.clock import ManualClock
 from firmware_bridge.dynamixel.bus import cycle_s, slow_adapter
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
-from firmware_bridge.dynamixel.provisioning import shares_id
+from firmware_bridge.dynamixel.provisioning import UNHURRIED_S, shares_id
 from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.simulator.chain import SimulatedChain
 from firmware_bridge.simulator.ports import MemoryTransport
@@ -21,7 +21,7 @@ def examined(face, rate_hz=30.0, latency_timer_ms=1, seed=0, **disturbances):
     port = DisturbedTransport(
         face.chain, face.clock, random.Random(seed), Disturbance(**disturbances)
     )
-    line = Line(port, return_delay_s=0.0)
+    line = Line(port, return_delay_s=0.0, extra_wait_s=UNHURRIED_S)
     found = list(examine(line, face.servos, rate_hz, latency_timer_ms))
     # These faces have no current limits, which is another finding.
     told = [f for f in found if "max_current_ma" not in f.what]

@@ -11,6 +11,7 @@ from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.doctor import Severity, examine
 from firmware_bridge.dynamixel.mounting import read_identities
 from firmware_bridge.dynamixel.provisioning import (
+    UNHURRIED_S,
     Difference,
     differences,
     read_settings,
@@ -96,7 +97,7 @@ def test_the_scan_finds_servos_at_any_rate():
 
 
 def examined(face, rate_hz=30.0, latency_timer_ms=1, servos=None):
-    line = Line(face.open())
+    line = Line(face.open(), extra_wait_s=UNHURRIED_S)
     found = list(examine(line, servos or face.servos, rate_hz, latency_timer_ms))
     return {severity: [f.what for f in found if f.severity is severity] for severity in Severity}
 
@@ -113,7 +114,8 @@ def test_servos_that_nothing_bounds_are_named_with_a_value_to_write():
     bounded, other = mounted(2)
     unable = mounted(3, "XL430-W250")[2]
     servos = [replace(bounded, max_current_ma=300.0), other, unable]
-    found = list(examine(Line(MemoryFace(servos=servos).open()), servos, 30.0, 1))
+    line = Line(MemoryFace(servos=servos).open(), extra_wait_s=UNHURRIED_S)
+    found = list(examine(line, servos, 30.0, 1))
 
     (finding,) = [each for each in found if each.severity is Severity.WARNING]
     assert finding.what == "without max_current_ma these pull as hard as they can: joint_2"

@@ -12,7 +12,7 @@ from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings, FaceState
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
-from firmware_bridge.stopping import ArmJog, JogTo
+from firmware_bridge.stopping import ArmJog, JogTo, StopLevel
 
 #: The fastest that a jogged joint may be told to go, in a tick.
 STEP_DEG = 30.0 / RATE_HZ + 1e-9
@@ -246,9 +246,8 @@ def test_no_sequence_of_words_moves_a_servo_too_far_too_fast_or_when_it_must_be_
     def look():
         off_s.append((robot.face.clock.now(), frozenset(is_off)))
         jogged.append((robot.face.clock.now(), robot.bridge.jogged))
-        if robot.face.clock.now() > 4.0 and auditor.stopped_s is None:
-            auditor.stopped_s = 4.0
-            auditor.frozen = end == "freeze"
+        if robot.face.clock.now() > 4.0:
+            auditor.note_stop(4.0, StopLevel(end))
 
     at = {}
     for n, (moment_s, word) in enumerate(said):

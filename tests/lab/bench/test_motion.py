@@ -51,6 +51,7 @@ def bench(*arguments: object) -> dict:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_without_a_model_every_method_is_cross_validated(folder):
     result = bench("--corpus", folder)
     assert result["default_strategy"] == LIVE_STRATEGY
@@ -97,6 +98,7 @@ def test_the_costs_of_table_3_add_up_and_equation_6_follows_from_them(folder, mo
     assert lines["blending_ms"][LIVE_STRATEGY] is None
 
 
+@pytest.mark.slow
 def test_self_correction_is_measured_and_everything_is_printed(folder, model, tmp_path):
     """A folder with minimal pairs: two sentences that differ in their first phoneme alone."""
     long = tmp_path / "long"
@@ -198,6 +200,7 @@ def test_recognized_phonemes_are_those_of_the_live_recogniser(folder, model):
     assert row["sentences"] == 6
 
 
+@pytest.mark.slow
 def test_pictures_are_drawn(folder, model, tmp_path):
     pytest.importorskip("matplotlib", reason="the extra `plots` is not installed")
     drawn = ("--corpus", folder, "--model", model, "--plots", tmp_path / "p")

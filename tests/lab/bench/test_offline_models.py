@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from small_corpus import write_corpus
 from typer.testing import CliRunner
 
@@ -15,6 +16,7 @@ def invoke(*arguments):
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_the_methods_of_render_are_scored_with_a_model_of_the_same_sentences(tmp_path):
     corpus, face = write_corpus(tmp_path / "corpus", 8), tmp_path / "face.npz"
     invoke(

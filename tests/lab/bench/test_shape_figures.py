@@ -2,6 +2,7 @@
 
 import json
 
+import pytest
 from lipservo_lab.bench.shape_figures import closing_figures
 from speech import CLIP_LABELS_PATH, CLIP_PATH
 from typer.testing import CliRunner
@@ -30,6 +31,7 @@ def test_a_mouth_that_never_closes_has_no_times():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_command_compares_the_bundled_clip_and_draws_it(tmp_path):
     picture = tmp_path / "shapes.png"
     arguments = ["bench", "shapes", CLIP_PATH, CLIP_LABELS_PATH, "--picture", picture, "--json"]

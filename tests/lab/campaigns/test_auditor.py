@@ -10,6 +10,7 @@ from lipservo_lab.campaigns.auditor import Auditor
 from firmware_bridge.dynamixel.control_table import register
 from firmware_bridge.dynamixel.wire.codec import Instruction, packet
 from firmware_bridge.simulator.chain import chain_for
+from firmware_bridge.stopping import StopLevel
 
 PERIOD_S = 1.0 / 30.0
 
@@ -87,7 +88,7 @@ def test_a_pushed_shaft_that_comes_back_by_itself_is_not_the_programs_doing(audi
 
 def test_a_frozen_shaft_may_brake_and_then_not_move(audited):
     auditor = armed(audited, profile_velocity=25)
-    auditor.stopped_s, auditor.frozen = audited.now_s, True
+    auditor.note_stop(audited.now_s, StopLevel.FREEZE)
 
     audited.write("goal_position", audited.servo["present_position"] + 400)
     audited.wait(0.2)
@@ -99,7 +100,7 @@ def test_a_frozen_shaft_may_brake_and_then_not_move(audited):
 
 def test_torque_without_a_watchdog_or_after_a_stop_is_counted(audited):
     audited.write("bus_watchdog", 0)
-    audited.auditor.stopped_s = -1.0
+    audited.auditor.note_stop(-1.0, StopLevel.LIMP)
 
     audited.write("torque_enable", 1)
 

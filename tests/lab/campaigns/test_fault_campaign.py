@@ -64,6 +64,7 @@ def endured(n_cycles):
     return result
 
 
+@pytest.mark.slow
 def test_two_thousand_cycles_leave_nothing_open_and_send_nothing_wrong():
     endured(2_000)
 

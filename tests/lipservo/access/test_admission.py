@@ -1,6 +1,7 @@
 """Who may connect: what one policy admits and refuses, with a token and without."""
 
 import re
+from itertools import product
 
 import pytest
 from hypothesis import given
@@ -63,7 +64,23 @@ def test_with_a_token_any_name_will_do():
     assert status(request(host="robot.local", authorization=f"Bearer {TOKEN}")) is None
 
 
-@pytest.mark.parametrize("token", [None, TOKEN])
+OF_OTHER_PAGES = [
+    FOREIGN,
+    {"origin": "http://evil.example"},
+    {"origin": "null"},
+    {"origin": ""},
+    {"origin": "http://127.0.0.1:9999"},
+    {"origin": "http://localhost:3000"},
+    {"origin": "http://[::1]:8080"},
+    {"origin": "https://localhost:8080"},
+    {"origin": f"http://{HOST}.evil.example"},
+    {"sec-fetch-site": "cross-site"},
+    {"sec-fetch-site": "same-site"},
+    {"origin": "http://[", "sec-fetch-site": "same-origin"},
+    {"origin": f"file://{HOST}"},
+]
+
+
 @pytest.mark.parametrize(
     "about",
     [
@@ -81,30 +98,12 @@ def test_with_a_token_any_name_will_do():
     ],
     ids=lambda about: about["path"] + (" socket" if about.get("is_socket") else ""),
 )
-@pytest.mark.parametrize(
-    "headers",
-    [
-        FOREIGN,
-        {"origin": "http://evil.example"},
-        {"origin": "null"},
-        {"origin": ""},
-        {"origin": "http://127.0.0.1:9999"},
-        {"origin": "http://localhost:3000"},
-        {"origin": "http://[::1]:8080"},
-        {"origin": "https://localhost:8080"},
-        {"origin": f"http://{HOST}.evil.example"},
-        {"sec-fetch-site": "cross-site"},
-        {"sec-fetch-site": "same-site"},
-        {"origin": "http://[", "sec-fetch-site": "same-origin"},
-        {"origin": f"file://{HOST}"},
-    ],
-    ids=str,
-)
-def test_scripts_of_other_pages_are_refused_everywhere(headers, about, token):
+def test_scripts_of_other_pages_are_refused_everywhere(about):
     """Those of other ports of this computer too, and whatever they know."""
-    given = {**headers, "authorization": f"Bearer {TOKEN}"}
-    assert status(with_headers(given, **about), token) == 403
-    assert status(with_headers(given, **about), token, is_stop=True) == 403
+    for headers, token in product(OF_OTHER_PAGES, (None, TOKEN)):
+        given = {**headers, "authorization": f"Bearer {TOKEN}"}
+        assert status(with_headers(given, **about), token) == 403, (headers, token)
+        assert status(with_headers(given, **about), token, is_stop=True) == 403, (headers, token)
 
 
 @pytest.mark.parametrize("headers", [OF_ITS_PAGE, {}, {"sec-fetch-site": "none"}], ids=str)
@@ -148,22 +147,13 @@ WITHOUT = [
 ]
 
 
-@pytest.mark.parametrize("peer", [HERE, "::1", "::ffff:127.0.0.1", ELSEWHERE, ""])
-@pytest.mark.parametrize("is_socket", [False, True])
 @pytest.mark.parametrize("given", WITHOUT, ids=str)
-def test_without_the_token_nothing_is_admitted_on_this_computer_or_elsewhere(
-    given, is_socket, peer
-):
-    for path in (
-        "/",
-        "/api/status",
-        "/metrics",
-        "/static/frame.js",
-        "/stream",
-        "/control",
-        "/docs",
-    ):
-        assert status(request(path, is_socket=is_socket, peer=peer, **given)) == 401
+def test_without_the_token_nothing_is_admitted_on_this_computer_or_elsewhere(given):
+    peers = (HERE, "::1", "::ffff:127.0.0.1", ELSEWHERE, "")
+    paths = ("/", "/api/status", "/metrics", "/static/frame.js", "/stream", "/control", "/docs")
+    for peer, is_socket, path in product(peers, (False, True), paths):
+        asked = request(path, is_socket=is_socket, peer=peer, **given)
+        assert status(asked) == 401, asked
 
 
 @pytest.mark.parametrize("given", WITHOUT, ids=str)

@@ -239,7 +239,7 @@ def test_phonemes_are_told_in_the_time_of_their_stream(face):
             face.hold()
             start_s = face.playout.position_s + 0.1
             in_stream_s = face.playout.stream_at(start_s)[1]
-            face.server.phonemes.append(("AA", start_s, start_s + 0.08))
+            face.playout.phonemes.append(("AA", start_s, start_s + 0.08))
             phoneme = await agent.next("phoneme")
             face.go_on()
             return started, phoneme, in_stream_s

@@ -60,6 +60,7 @@ def test_a_person_can_pose_any_face(tmp_path, joints):
     assert load_calibration(out).origin.method == "guided"
 
 
+@pytest.mark.slow
 def test_a_rehearsal_over_the_wire_takes_a_jaw_of_any_name_and_no_lips(tmp_path):
     """As `measure --sim pty`, but by servos that answer in time on a machine however busy."""
     face = face_of(tmp_path, ONE)

@@ -77,6 +77,7 @@ class OtherProgram(threading.Thread):
                 writer.writerow([stands["pose"], name, *place])
 
 
+@pytest.mark.slow
 def test_servos_are_moved_and_another_program_records_the_markers(port, tmp_path):
     markers, out = tmp_path / "markers.csv", tmp_path / "jaw.yaml"
     other = OtherProgram(markers)

@@ -12,12 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import soundfile
+from in_process import lipservo
 from small_corpus import write_corpus
 
 CLIP = Path(str(resources.files("lipservo.clips") / "welcome.flac"))
 
 
-def lipservo(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
+def new_process(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "lipservo", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
 
@@ -47,8 +48,8 @@ def test_replay_prints_one_json_object_with_the_figures():
 
 
 def test_two_replays_leave_identical_traces(tmp_path):
-    for name in ("a", "b"):
-        assert lipservo("replay", CLIP, "-q", "--trace", tmp_path / name).returncode == 0
+    for name, play in (("a", lipservo), ("b", new_process)):
+        assert play("replay", CLIP, "-q", "--trace", tmp_path / name).returncode == 0
     assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
 
 
@@ -66,7 +67,7 @@ def test_the_trace_tells_every_tick_and_the_mouth_opens_and_ends_closed(tmp_path
 
 
 def test_run_plays_a_file_in_real_time_and_prints_a_table(short_clip):
-    done = lipservo("run", "--wav", short_clip)
+    done = new_process("run", "--wav", short_clip)
     assert done.returncode == 0, done.stderr
     assert "frames sent" in done.stdout
     assert "delay from sound to face" in done.stderr
@@ -237,7 +238,7 @@ def test_train_names_the_bad_file_and_goes_on_with_skip_bad(tmp_path):
 def test_without_portaudio_the_microphone_names_the_debian_package(tmp_path):
     """A sounddevice module that fails as the real one does without its library."""
     (tmp_path / "sounddevice.py").write_text("raise OSError('PortAudio library not found')\n")
-    done = lipservo("run", "--mic", env={**os.environ, "PYTHONPATH": str(tmp_path)})
+    done = new_process("run", "--mic", env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert done.returncode == 1
     assert "libportaudio2" in done.stderr
     assert "Traceback" not in done.stderr

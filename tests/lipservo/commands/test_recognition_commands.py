@@ -2,13 +2,13 @@
 
 import json
 import os
-import subprocess
 import sys
 from itertools import pairwise
 
 import numpy as np
 import pytest
 import soundfile
+from in_process import lipservo
 from places import ROOT
 from speech import CLIP_PATH
 
@@ -21,11 +21,6 @@ from lipsync.textgrid import read_tier
 
 TWIN = ROOT / "benchmarks" / "recognizer_held_out.npz"
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()
-
-
-def lipservo(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "lipservo", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
 def test_recognize_tells_the_whole_sound_once_in_order(tmp_path):
@@ -132,6 +127,7 @@ def test_align_refuses_a_text_that_was_not_said(tmp_path):
     assert not grid.exists()
 
 
+@pytest.mark.slow
 def test_align_doubts_a_text_with_a_part_that_was_not_said():
     less = CLIP_TEXT.replace("maple, fever, five", "")
     assert less != CLIP_TEXT
@@ -191,6 +187,7 @@ def test_bench_recognition_prints_every_figure_and_counts_failures(corpus):
     assert noisy["viseme_all"] < figures["viseme_all"]
 
 
+@pytest.mark.slow
 def test_speakers_that_trained_nothing_are_heard(corpus_dir):
     """Two women and two men, through the twin of the shipped weights that never heard them."""
     done = lipservo(
@@ -240,6 +237,7 @@ def test_replay_names_the_recogniser_that_listened(engine):
     assert json.loads(done.stdout)["recognizer"] == engine
 
 
+@pytest.mark.slow
 def test_a_run_log_becomes_a_picture(tmp_path):
     log = tmp_path / "log.jsonl"
     log.write_text(
@@ -254,22 +252,9 @@ def test_a_run_log_becomes_a_picture(tmp_path):
     assert "every line must hold a step and a loss" in done.stderr
 
 
-WITHOUT_POCKETSPHINX = """
-import sys
-sys.modules["pocketsphinx"] = None
-sys.argv[0] = "lipservo"
-from lipservo.__main__ import main
-main()
-"""
-
-
-def without_pocketsphinx(*arguments):
-    command = [sys.executable, "-c", WITHOUT_POCKETSPHINX, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300)
-
-
-def test_a_face_hears_where_pocketsphinx_is_not_installed():
-    done = without_pocketsphinx("replay", CLIP_PATH, "--json")
+def test_a_face_hears_where_pocketsphinx_is_not_installed(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pocketsphinx", None)
+    done = lipservo("replay", CLIP_PATH, "--json")
     assert done.returncode == 0, done.stderr
     summary = json.loads(done.stdout)
     assert (summary["recognizer"], summary["fallback_level"]) == ("network", 0)
@@ -285,7 +270,8 @@ def test_a_face_hears_where_pocketsphinx_is_not_installed():
 )
 def test_what_needs_pocketsphinx_says_so_in_one_line(arguments, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    done = without_pocketsphinx(*arguments)
+    monkeypatch.setitem(sys.modules, "pocketsphinx", None)
+    done = lipservo(*arguments)
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert "needs pocketsphinx, which is not installed: `pip install 'lipservo[align]'`" in line

@@ -1,6 +1,7 @@
 """The request that goes whole to the processes of a face: nothing falls out, nothing slips in."""
 
 import json
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -40,12 +41,9 @@ motions = st.builds(
     strategy=st.sampled_from(STRATEGIES),
     style=styles,
 )
-sounds = st.builds(
-    Sound,
-    st.sampled_from(["clip", "file", "microphone", "silence", "text"]),
-    names,
-    language=st.just("") | names,
-    phonemes=st.just("") | names,
+heard_sounds = st.builds(Sound, st.sampled_from(["clip", "file", "microphone", "silence"]), names)
+spoken_sounds = st.builds(Sound, st.just("text"), names, language=st.just("") | names) | st.builds(
+    Sound, st.just("file"), names, phonemes=st.just("") | names
 )
 voices = st.builds(
     VoiceOptions,
@@ -55,9 +53,11 @@ voices = st.builds(
 )
 addresses = st.sampled_from(["127.0.0.1", "avatar.local:39539"])
 requests = st.builds(
-    RunRequest,
+    lambda sound_and_voice, **rest: RunRequest(
+        sound=sound_and_voice[0], voice=sound_and_voice[1], **rest
+    ),
+    st.tuples(heard_sounds, st.none() | voices) | st.tuples(spoken_sounds, voices),
     config=names,
-    sound=sounds,
     motion=motions,
     model=st.none() | paths,
     port=st.none() | names,
@@ -67,7 +67,6 @@ requests = st.builds(
     as_json=st.booleans(),
     quiet=st.booleans(),
     dry_run=st.booleans(),
-    voice=st.none() | voices,
     avatars=st.builds(AvatarTargets, st.none() | addresses, st.none() | addresses),
 )
 WHOLE = json.loads(request_json(RunRequest("face_sim", CLIP)))
@@ -82,17 +81,43 @@ def test_what_is_written_for_another_process_is_read_as_it_was(request):
     assert "\n" not in text
 
 
+@pytest.mark.parametrize("name", [field.name for field in fields(RunRequest)])
+def test_a_request_without_a_field_is_refused(name):
+    part = {key: value for key, value in WHOLE.items() if key != name}
+    why = "Field required" if name in ("config", "sound") else "is missing"
+
+    with pytest.raises(RequestError, match=rf"^request\.{name}: {why}"):
+        request_of_json(json.dumps(part))
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"volume": 1}, "request.volume: Unexpected"),
         ({"rate_hz": "fast"}, "request.rate_hz: Input should be a valid number"),
+        ({"rate_hz": "30"}, "request.rate_hz: '30' is not a number"),
+        ({"rate_hz": True}, "request: --rate-hz 1: a face makes 30 to 200 ticks a second"),
+        ({"rate_hz": float("nan")}, "request: --rate-hz nan: a face makes 30 to 200 ticks"),
         ({"quiet": 3}, "request.quiet: Input should be a valid boolean"),
+        ({"quiet": 1}, "request.quiet: 1 is not true or false"),
+        ({"quiet": "yes"}, "request.quiet: 'yes' is not true or false"),
         ({"config": None}, "request.config: Input should be a valid string, not None"),
         ({"model": 3}, "request.model: Input is not a valid path"),
         ({"sound": {"name": "a.wav"}}, "request.sound.kind: Field required"),
         ({"sound": {**WHOLE["sound"], "kind": "noise"}}, "request.sound.kind: Input should be "),
+        (
+            {"sound": {**WHOLE["sound"], "phonemes": "a"}},
+            "request.sound: --phonemes goes with --wav",
+        ),
+        ({"sound": {**WHOLE["sound"], "kind": "text", "name": "Hi"}}, "request: Hi: a text, or"),
         ({"voice": {"volume": 1}}, "request.voice.volume: Unexpected"),
+        ({"voice": {"output": None, "sounds": None}}, "request.voice.token_file: is missing"),
+        ({"motion": {**WHOLE["motion"], "style": {}}}, "request.motion.style.lookahead_s: is miss"),
+        ({"motion": {**WHOLE["motion"], "engine": "ears"}}, "request.motion.engine: Input should"),
+        (
+            {"motion": {**WHOLE["motion"], "recognizer_latency_s": 60.0}},
+            "request.motion: recognizer_latency_s is 60.0; allowed: 0 to 1.0",
+        ),
     ],
 )
 def test_a_wrong_field_is_refused_in_one_line_that_names_it(change, said):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from lipservo_lab.evaluation.expression.expression_figures import cues_of, shown
-from lipservo_lab.evaluation.expression.synthetic_prosody import synthetic_voice
+from synthetic_prosody import synthetic_voice
 
 from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
 from lipsync.expression.live_expression import LiveExpression

@@ -11,8 +11,8 @@ from lipservo_lab.evaluation.expression.expression_figures import (
     gaze_shifts,
     shown,
 )
-from lipservo_lab.evaluation.expression.synthetic_prosody import synthetic_voice
 from scipy import stats
+from synthetic_prosody import synthetic_voice
 
 from lipsync.expression.cue import CUE_PERIOD_S, ExpressionCue
 from lipsync.expression.gaze import STRAIGHT_AHEAD, Gaze, listening_habit, talking_habit
@@ -48,6 +48,7 @@ def rate(track):
     return blinks_per_min(track.column("lid_left"), np.ones_like(track.is_speaking))
 
 
+@pytest.mark.slow
 def test_blinks_a_minute_lie_within_the_ranges_of_people(talking, dialogue, listening, idle):
     assert rate(talking) == pytest.approx(24.0, abs=3.0)  # Doughty: 10.5 to 32.5
     assert rate(dialogue) == pytest.approx(24.0, abs=3.0)

@@ -5,7 +5,7 @@ import pytest
 from spoken_phonemes import spoken
 
 from lipsync.expectation.expectation import constant_expectation
-from lipsync.motion.expected_motion import LEAD, ExpectedMotion
+from lipsync.motion.live_synthesizer import LEAD, ExpectedMotion
 from lipsync.phonemes import PHONEMES, PhonemeUpdate
 
 SAID = spoken(("AA", 0.5), ("IY", 0.5))

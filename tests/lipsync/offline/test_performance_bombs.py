@@ -1,7 +1,7 @@
 """Performances made to fill the memory of the face that reads them: refused in one line, by size.
 
-Each is read in a process of its own, whose peak of memory is what the system says of it: VmHWM,
-because `getrusage` counts what the parent had when it forked.
+They are read in a process of their own, whose peak of memory is what the system says of it: VmHWM,
+which begins anew with each file, because `getrusage` counts what the parent had when it forked.
 """
 
 import hashlib
@@ -24,23 +24,38 @@ import json, sys
 from pathlib import Path
 from lipservo.runtime.speech.performed_line import performed_line
 from lipsync.offline.performance import read_performance
-path, message = Path(sys.argv[1]), ""
-try:
-    line = performed_line(read_performance(path), path)
-    n_samples = sum(len(chunk) for chunk in line.chunks())
-except ValueError as error:
-    message = str(error)
-status = Path("/proc/self/status").read_text()
-peak_mb = int(status.split("VmHWM:")[1].split()[0]) / 1024
-print(json.dumps([message, peak_mb]))
+for name in sys.stdin:
+    path, message = Path(json.loads(name)), ""
+    Path("/proc/self/clear_refs").write_text("5")
+    try:
+        line = performed_line(read_performance(path), path)
+        n_samples = sum(len(chunk) for chunk in line.chunks())
+    except ValueError as error:
+        message = str(error)
+    except BaseException as error:
+        message = f"fault: {error!r}"
+    status = Path("/proc/self/status").read_text()
+    peak_mb = int(status.split("VmHWM:")[1].split()[0]) / 1024
+    print(json.dumps([message, peak_mb]), flush=True)
 """
+READERS = []
+
+
+@pytest.fixture(scope="module", autouse=True)
+def reader():
+    with subprocess.Popen(
+        [sys.executable, "-c", READ], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        READERS.append(process)
+        yield
+        process.stdin.close()
 
 
 def read(path):
     """What was said of the file, and the peak of memory in MB."""
-    done = subprocess.run([sys.executable, "-c", READ, path], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    message, peak_mb = json.loads(done.stdout.splitlines()[-1])
+    READERS[-1].stdin.write(json.dumps(str(path)) + "\n")
+    READERS[-1].stdin.flush()
+    message, peak_mb = json.loads(READERS[-1].stdout.readline())
     return message, peak_mb
 
 
@@ -131,6 +146,7 @@ def test_nesting(rewritten):
     assert "damaged" in refused(rewritten(about=as_bytes(len(text), [text])))
 
 
+@pytest.mark.slow
 def test_sound_of_zeros(rewritten, tmp_path):
     n_bytes = 119_000_000
     digest = hashlib.sha256(bytes(n_bytes)).hexdigest()
@@ -142,6 +158,7 @@ def test_sound_of_zeros(rewritten, tmp_path):
     assert "unpacked, at most" in refused(path)
 
 
+@pytest.mark.slow
 def test_ten_minutes_are_played_without_being_held(tmp_path):
     """Not refused: it is as long as a performance may be."""
     rate_hz, duration_s = 48_000, 600

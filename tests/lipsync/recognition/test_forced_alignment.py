@@ -118,6 +118,7 @@ def small_corpus(folder, clip):
     return read_transcribed(folder)
 
 
+@pytest.mark.slow
 def test_a_corpus_is_aligned_once_and_failures_are_kept(clip, aligned, tmp_path):
     utterances = small_corpus(tmp_path / "corpus", clip)
     path = tmp_path / "alignments.jsonl"
@@ -146,6 +147,7 @@ class Killed(BaseException):
     """As if the process had ended here."""
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_leaves_no_file_of_that_name_and_is_taken_up(clip, tmp_path):
     utterances = small_corpus(tmp_path / "corpus", clip)
     path = tmp_path / "alignments.jsonl"

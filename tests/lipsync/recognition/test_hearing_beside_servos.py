@@ -31,6 +31,7 @@ def test_servos_that_stand_still_change_nothing(clip):
     assert np.array_equal(label_frames(recognizer(), clip, still)[0].labels, alone)
 
 
+@pytest.mark.slow
 def test_a_robot_that_listened_to_its_servos_hears_a_voice_beside_them(clip):
     ears = recognizer()
     rng = np.random.default_rng(4)

@@ -267,6 +267,7 @@ def test_whatever_the_computer_does_nothing_final_changes_and_time_goes_on(loads
     assert final_s > computer.now_s - LATENCY_S - 0.45
 
 
+@pytest.mark.slow
 def test_at_a_change_the_mouth_moves_no_faster_than_in_speech(clip, weights):
     """Steps of the lips in 10 ms; levels are left in the middle of words."""
     model = load_trained_model()

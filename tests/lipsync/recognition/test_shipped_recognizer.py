@@ -89,6 +89,7 @@ def test_it_hears_most_visemes_that_a_synthetic_voice_spoke(weights, clip):
     assert viseme_accuracy(phoneme_frames(heard.events, n_frames), truth) > 0.65
 
 
+@pytest.mark.slow
 def test_a_voice_30_db_lower_is_heard_nearly_as_well(weights, clip):
     n_frames = len(clip) // 160
     truth = phoneme_frames(read_phonemes(CLIP_LABELS_PATH), n_frames)

@@ -41,12 +41,10 @@ class AnswerLost(Exception):  # noqa: N818 - no mistake of anybody: the computer
 
 
 class ServoClient(Protocol):
-    """Moves and watches servos 1..n. goals: position registers, one a servo."""
+    """Moves and watches servos 1..n."""
 
-    goals: Sequence[int]
-
-    def work(self) -> object:
-        """One round; raises AnswerLost."""
+    def work(self, goals: Sequence[int]) -> object:
+        """One round; goals: position registers, one a servo. Raises AnswerLost."""
 
 
 class SdkClient:
@@ -66,7 +64,6 @@ class SdkClient:
 
         self._success = sdk.COMM_SUCCESS
         self._ids = range(1, n_servos + 1)
-        self.goals: Sequence[int] = [2048] * n_servos
         self._handler = _waiting_port(sdk, port) if in_kernel else sdk.PortHandler(port)
         self._handler.openPort()
         self._handler.setBaudRate(baud_rate)
@@ -84,9 +81,9 @@ class SdkClient:
         )
         self._turn = 0
 
-    def work(self) -> list[list[int]]:
+    def work(self, goals: Sequence[int]) -> list[list[int]]:
         """Currents, positions, then voltages and temperatures of all, or what was read in turn."""
-        for servo_id, goal in zip(self._ids, self.goals, strict=True):
+        for servo_id, goal in zip(self._ids, goals, strict=True):
             self._write.changeParam(servo_id, list(goal.to_bytes(4, "little")))
         self._write.txPacket()
         try:
@@ -136,15 +133,14 @@ class RustypotClient:
         import rustypot
 
         self._ids = list(range(1, n_servos + 1))
-        self.goals: Sequence[int] = [2048] * n_servos
         self._bus = rustypot.Xl330PyController(port, baud_rate, 0.1)
         self._bus.set_fast_sync_read(True)
         self._in_turn = health == "in_turn"
         self._turn = 0
 
-    def work(self) -> list[list[int]]:
+    def work(self, goals: Sequence[int]) -> list[list[int]]:
         """As that of `SdkClient`."""
-        self._bus.sync_write_raw_goal_position(self._ids, list(self.goals))
+        self._bus.sync_write_raw_goal_position(self._ids, list(goals))
         motion = self._read(self._ids, _MOTION, _MOTION_SIZE, _MOTION_TYPE)
         found = [motion["current"].tolist(), motion["position"].tolist()]
         if self._in_turn:
@@ -234,6 +230,7 @@ def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count:
     gc.freeze()
     with socket.socket(fileno=targets) as end, mmap.mmap(count, 0) as counted:
         ready.register(end, select.POLLIN)
+        goals = [_CENTER] * n_servos
         n, n_lost, due_s = 0, 0, time.monotonic()
         while True:
             left_s = due_s - time.monotonic()
@@ -244,12 +241,12 @@ def run(client: ServoClient, n_servos: int, rate_hz: float, targets: int, count:
                 raw = end.recv(_LONGEST)
                 if not raw:
                     return n_lost
-                client.goals = [
+                goals = [
                     _CENTER + round(deg * _PULSES_PER_DEG)
                     for deg in angles.unpack_from(raw, _HEAD_BYTES)
                 ]
             try:
-                client.work()
+                client.work(goals)
             except AnswerLost:
                 n_lost += 1
             n += 1

@@ -165,12 +165,13 @@ class OthersTick:
 
     def __init__(self, client: ServoClient) -> None:
         self._client = client
+        self._goals: list[int] = []
 
     def prepare(self, n: int) -> None:
         """Twenty registers."""
         pulses = 2048 + moving_deg(n) * (4096 / 360)
-        self._client.goals = pulses.astype(np.int64).tolist()
+        self._goals = pulses.astype(np.int64).tolist()
 
     def work(self) -> object:
         """The round."""
-        return self._client.work()
+        return self._client.work(self._goals)

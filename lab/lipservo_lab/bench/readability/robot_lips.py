@@ -16,10 +16,19 @@ from scipy.interpolate import CubicSpline
 from calibration.grade import CLOSED_GAP_MM
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.loop.life_cycle import LifeCycle
+from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.calibrating.calibration_setup import CalibrationSetup
 from lipservo.calibrating.measured_calibration import fit_simulated_face
-from lipservo.runtime.servos.assembly import Face, assemble_face, mouth_rules, simulated_wire
-from lipservo.runtime.street import make_street_of
+from lipservo.runtime.servos.assembly import (
+    Face,
+    assemble_face,
+    bridge_for,
+    mouth_rules,
+    simulated_wire,
+)
+from lipservo.runtime.speech.speech import Speech, SpeechOptions
+from lipservo.runtime.speech.speech_side import SpeechSide, mouth_plan
+from lipservo.runtime.street import Street
 from lipservo_lab.evaluation.readability.readers import Motions
 from lipsync.animpho.units import FaceWithAnimPhos
 from lipsync.arrays import Array
@@ -151,14 +160,13 @@ def _programme(robot: Face, faces: Motions, rate_hz: float) -> _Programme:
 def _played(robot: Face, programme: _Programme, progress: Progress) -> tuple[Array, Array]:
     """Sound times (n,), ascending, and what the mouth's encoders said then, (n, n_servos)."""
     bus, clock = simulated_wire(robot.settings)
-    street = make_street_of(
-        robot,
-        ScriptedPhonemes(()),
-        SteadyClock(),
-        bus,
-        1.0 / TICK_S,
-        PlayedMotion(programme.times_s, programme.faces, robot.model),
-    )
+    motion = PlayedMotion(programme.times_s, programme.faces, robot.model)
+    names, channel = list(robot.settings.servos), MemoryTargetChannel()
+    phonemes, sound = ScriptedPhonemes(()), SteadyClock()
+    options = SpeechOptions(plan=mouth_plan(robot))
+    speech = Speech(phonemes, sound, motion, robot.calibration, names, channel, options)
+    bridge = bridge_for(robot.settings, bus, channel, rate_hz=1.0 / TICK_S)
+    street = Street(SpeechSide(speech, rest=robot.model.rest), bridge, robot.model.rest)
     mouth = street.speech.mouth
     sound_s: list[float] = []
     encoders_deg: list[Array] = []

@@ -342,7 +342,7 @@ def _wait_for_moment(
         robot.chain.unplug()
         robot.look(0.3)
     elif case.moment is Moment.DEAF:
-        robot.chain.servos[0].deaf_until_s = float("inf")
+        robot.chain.servos[0].ignore_until(float("inf"))
         robot.look(0.1)
 
 

@@ -26,6 +26,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
 from functools import partial
 from types import FrameType
 from typing import Any
@@ -47,16 +48,17 @@ _WRITE, _SYNC_WRITE = 0x03, 0x83
 _TORQUE_ENABLE = b"\x40\x00"
 
 
+@dataclass(eq=False, slots=True, kw_only=True)
 class Walk:
-    """The functions that one stop passes in one process: (file, function), in turn.
+    """The functions that one stop passes in one process.
 
-    at_owner: of the process that owns the control socket, where sending is answering.
+    calls: (file, function), in turn. at_owner: of the process that owns the control socket, where
+    sending is answering.
     """
 
-    def __init__(self, *, at_owner: bool = False) -> None:
-        self.calls: list[tuple[str, str]] = []
-        self.at_owner = at_owner
-        self.is_over = False
+    calls: list[tuple[str, str]] = field(default_factory=list)
+    at_owner: bool = False
+    is_over: bool = False
 
 
 class StopTracer:
@@ -80,6 +82,10 @@ class StopTracer:
             "walk", default=None
         )
         self.is_on = False
+
+    def look(self, flag: str) -> None:
+        """Be on as long as this file is there."""
+        self.is_on = os.path.exists(flag)
 
     def profile(self, frame: FrameType, event: str, arg: Any) -> None:
         """For `sys.setprofile` and `threading.setprofile`."""
@@ -205,7 +211,7 @@ def install(folder: str, root: str) -> None:
 
     def watch() -> None:
         while True:
-            tracer.is_on = os.path.exists(os.path.join(folder, FLAG))
+            tracer.look(os.path.join(folder, FLAG))
             time.sleep(_LOOK_S)
 
     socket.socket.recv = recv  # type: ignore[method-assign, assignment]

@@ -133,7 +133,7 @@ def _begin(trouble: Trouble, face: RunningFace, undo: ExitStack) -> None:
             robot.look(2.0)
         case Trouble.OTHER_DEAF:
             servo = face.others[0].robot.chain.servos[0]
-            servo.deaf_until_s = float("inf")
+            servo.ignore_until(float("inf"))
             robot.look(0.3)
         case Trouble.OTHER_UNPLUGGED:
             face.others[0].robot.chain.unplug()

@@ -240,20 +240,20 @@ def endurance(
     Ctrl-C ends it with the figures so far; with --resume the same command goes on from there.
     Exit status 1 when anything happened that must not.
     """
-    from lipservo.runtime.face_runtime import stopped_by_signals
+    from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.campaigns.endurance import endurance_figures, what_went_wrong
 
     began_s = time.perf_counter()
     with (
         Progress(console=MESSAGES, transient=True, disable=quiet) as progress,
-        stopped_by_signals() as stop,
+        SignalCounter() as signals,
     ):
         steps = progress.add_task("endurance", total=cycles)
 
         def advance(n_done: int) -> None:
             progress.update(steps, completed=n_done)
 
-        figures = endurance_figures(cycles, advance, stop.is_set, resume)
+        figures = endurance_figures(cycles, advance, lambda: signals.count > 0, resume)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
     wrong = what_went_wrong(figures)
     for line in wrong:

@@ -264,21 +264,23 @@ def ladder(
     On a whole `lipservo run` in real time; and how soon loudness takes over from a recogniser that
     takes ten times as long as its sound.
     """
-    from lipservo.runtime.face_runtime import stopped_by_signals
+    from firmware_bridge.stop_signals import SignalCounter
     from lipservo_lab.bench.hearing.ladder_figures import ladder_figures
 
     began_s = time.perf_counter()
     with (
         tempfile.TemporaryDirectory(prefix="ladder-") as folder,
         Progress(console=MESSAGES, transient=True, disable=quiet or as_json) as progress,
-        stopped_by_signals() as stop,
+        SignalCounter() as signals,
     ):
         steps = progress.add_task("listening", total=None)
 
         def advance(done_s: float, whole_s: float) -> None:
             progress.update(steps, completed=done_s, total=whole_s)
 
-        figures = ladder_figures(minutes, programs, Path(folder), advance, stop.is_set)
+        figures = ladder_figures(
+            minutes, programs, Path(folder), advance, lambda: signals.count > 0
+        )
     result = {
         **figures,
         "minutes": minutes,

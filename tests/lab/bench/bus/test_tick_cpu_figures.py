@@ -78,6 +78,7 @@ def test_the_others_decode_every_servo(places, told):
     assert found <= places
 
 
+@pytest.mark.slow
 def test_the_figures_of_a_tick_have_the_names_that_are_promised(monkeypatch):
     monkeypatch.setattr(tick_cpu_figures, "_WARM_UP_BLOCKS", 1)
     monkeypatch.setattr(tick_cpu_figures, "_BLOCKS", 2)

@@ -17,6 +17,7 @@ def drawn(seed, n_servos):
     return ElasticFace(draw), servos
 
 
+@pytest.mark.slow
 def test_a_healthy_robot_of_ten_weak_servos_is_refused_before_none():
     face, servos = drawn(104, 10)
     told = refusals(MODEL, face, servos, 104)

@@ -1,6 +1,7 @@
 """Nearest poses of a true robot, beside SciPy's bounded least squares."""
 
 import numpy as np
+import pytest
 from lipservo_lab.bench.calibration.elastic_draws import draw_elastic_robot
 from lipservo_lab.bench.calibration.shown_motion import NAMES, converged_poses_deg, wanted_shapes
 from scipy.optimize import least_squares
@@ -11,6 +12,7 @@ from calibration.simulated.elastic_robot import ElasticFace
 from lipsync.animpho.units import load_face_with_animphos
 
 
+@pytest.mark.slow
 def test_no_pose_that_scipy_finds_is_nearer_where_lips_stop_each_other():
     """Seed 106: from neutral, plain Gauss-Newton ends 0.8 mm of lips away from the nearest."""
     model = load_face_with_animphos()

@@ -35,6 +35,7 @@ def test_a_page_is_ready_when_it_says_so():
         assert page_ready_s(f"{dashboard.address}/docs", 1, text) > 0.0
 
 
+@pytest.mark.slow
 def test_five_hundred_plays_at_once_are_eight_and_cost_two_threads():
     figures = play_figures(2.0)
     assert figures["play_accepted"] == 8

@@ -38,6 +38,7 @@ def test_the_level_alone_hears_openings_and_no_closure(tmp_path):
     assert figures["opening_recall"] > 0.5
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_figures_of_the_languages_asked_for():
     done = CliRunner().invoke(app, ["bench", "languages", "--languages", "es", "--json", "-q"])
     assert done.exit_code == 0, done.output

@@ -36,6 +36,7 @@ def models(corpus):
     return OfflineModels(lambda face: train_offline(corpus, face, recipe))
 
 
+@pytest.mark.slow
 def test_all_pictures_are_drawn(tmp_path, corpus, model, models):
     methods = [
         all_methods()[REFERENCE],

@@ -11,8 +11,8 @@ from lipservo_lab.evaluation.expression.expression_figures import (
     lag_ms,
     shown,
 )
-from lipservo_lab.evaluation.expression.synthetic_prosody import synthetic_voice
 from sklearn.cross_decomposition import CCA
+from synthetic_prosody import synthetic_voice
 
 from lipsync.expression.cue import CUE_PERIOD_S
 from lipsync.expression.live_expression import LiveExpression

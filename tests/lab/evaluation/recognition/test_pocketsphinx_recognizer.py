@@ -179,6 +179,7 @@ def test_steady_noise_is_silence_after_a_second_and_a_half(level_db):
     assert phonemes_of(u for u in updates if u.replace_from_s > 1.5) == {SILENCE}
 
 
+@pytest.mark.slow
 def test_talk_without_a_pause_is_cut_after_15_s_and_goes_on(clip):
     """A stretch of the clip with no pause, again and again: more than two utterances' worth."""
     talk = np.tile(clip[int(4.85 * RATE_HZ) : int(5.35 * RATE_HZ)], 64)

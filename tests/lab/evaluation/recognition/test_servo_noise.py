@@ -21,6 +21,7 @@ def test_it_is_as_loud_as_the_servos_are_fast():
     assert np.corrcoef(np.sqrt(fastest), level)[0, 1] > 0.7
 
 
+@pytest.mark.slow
 def test_the_same_robot_moves_otherwise_and_another_sounds_otherwise():
     def spectrum(seed, robot):
         sound, _ = servo_noise(np.random.default_rng(seed), 20 * RATE_HZ, robot)

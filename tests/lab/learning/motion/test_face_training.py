@@ -30,6 +30,7 @@ def corpus(tmp_path_factory) -> Corpus:
     return read_grid(write_corpus(tmp_path_factory.mktemp("corpus") / "c", 12))
 
 
+@pytest.mark.slow
 def test_training_twice_gives_the_same_model(corpus, tmp_path):
     for name in ("a.npz", "b.npz"):
         save_model(train(corpus, seed=3), tmp_path / name)

@@ -118,6 +118,7 @@ def test_a_line_becomes_a_performance(made, tmp_path, method):
     assert np.ptp(found.coefficients[:, 0]) > 1.0
 
 
+@pytest.mark.slow
 def test_a_folder_on_all_cores_is_the_same_as_one_by_one(made, tmp_path):
     lines = tmp_path / "lines"
     lines.mkdir()

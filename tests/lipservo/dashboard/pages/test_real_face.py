@@ -37,6 +37,7 @@ def origin(page):
     return re.match(r"https?://[^/]+", page.url)[0]
 
 
+@pytest.mark.slow
 def test_it_is_moved_within_its_limits_and_stopped_to_the_confirmed_end(page):
     page.locator("face-jog .switch").click()
     page.locator("face-jog .switch", has_text="Armed").wait_for()

@@ -96,6 +96,7 @@ def shown(page, given):
     return page.evaluate("({...twin.pose, gapMm: twin.gapMm})")
 
 
+@pytest.mark.slow
 def test_the_head_is_drawn_and_nothing_is_asked_of_anybody_else(opened, address):
     page, asked = opened
 

@@ -39,6 +39,7 @@ def frames(address, n, headers):
     return asyncio.run(read())
 
 
+@pytest.mark.slow
 def test_a_face_is_seen_stopped_and_goes_on_without_its_page(daemon):
     wait_for(lambda: "dashboard: http://" in log(daemon))
     printed = re.search(r"dashboard: (http://\S+)", log(daemon))[1]

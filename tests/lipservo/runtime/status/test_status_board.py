@@ -13,7 +13,7 @@ from lipservo.runtime.status.status_board import StatusBoard
 def test_what_one_process_writes_the_other_reads():
     with StatusBoard.create() as ours, StatusBoard.adopt(os.dup(ours.fileno())) as theirs:
         assert (theirs.settings(), theirs.speech()) == ({}, None)
-        ours.write_settings({"strength": 0.5, "smoothness": 0.25})
+        ours.add_settings({"strength": 0.5, "smoothness": 0.25})
         theirs.write_speech(SPEECH)
 
         assert theirs.settings() == {"strength": 0.5, "smoothness": 0.25}
@@ -23,7 +23,7 @@ def test_what_one_process_writes_the_other_reads():
 
 def test_whoever_comes_later_finds_what_was_set():
     with StatusBoard.create() as ours:
-        ours.write_settings({"strength": 0.5})
+        ours.add_settings({"strength": 0.5})
         with StatusBoard.adopt(os.dup(ours.fileno())) as late:
             assert late.settings() == {"strength": 0.5}
 
@@ -32,9 +32,9 @@ def test_whoever_comes_later_finds_what_was_set():
 def test_a_note_that_is_half_written_is_not_believed(place, value):
     """Another process may look at any moment of a writing, and a killed writer leaves a part."""
     with StatusBoard.create() as ours, StatusBoard.adopt(os.dup(ours.fileno())) as theirs:
-        ours.write_settings({"strength": 0.5})
+        ours.add_settings({"strength": 0.5})
         before = theirs.settings()
-        ours.write_settings({"strength": 0.25})
+        ours.add_settings({"strength": 0.25})
         with mmap.mmap(ours.fileno(), 200) as memory:
             memory[place] = value
         after = theirs.settings()
@@ -45,6 +45,6 @@ def test_a_note_that_is_half_written_is_not_believed(place, value):
 
 def test_a_note_that_is_too_long_leaves_the_last_one():
     with StatusBoard.create() as board:
-        board.write_settings({"strength": 0.5})
-        board.write_settings({"x" * 20_000: 1.0})
+        board.add_settings({"strength": 0.5})
+        board.add_settings({"x" * 20_000: 1.0})
         assert board.settings() == {"strength": 0.5}
