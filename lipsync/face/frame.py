@@ -49,7 +49,7 @@ class FaceWindow:
     """A frame and the faces that are expected after it, so that joints may start in time.
 
     times_s: (k,), seconds after the frame, ascending from 0. faces: (k, n_components), the first
-    is the frame's. closed: (k,), whether the lips must touch each other, or the teeth, by then.
+    is the frame's. closed: (k,), whether lips must touch each other, or the teeth, by then.
     shut: (n_components,), the frame with its lips brought together, as the next P would have it.
     """
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lipsync.arrays import Array
 from lipsync.expectation.context import PhonemeTrack
@@ -21,6 +22,8 @@ from lipsync.phonemes import PHONEMES
 #: Lips pressed together show this gap, mm. The bar is 1.0; the rest leaves room for the sampling
 #: of a face between two ticks. Closer costs accuracy (docs/motion.md).
 BILABIAL_GAP_MM = 0.7
+#: Closer lips touch, in the recordings and where closures are counted.
+TOUCHING_MM = 1.0
 #: What no change of the gap can be told from, as a share of its variance: keeps the inverse finite.
 _RIDGE = 1e-6
 #: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.
@@ -39,9 +42,11 @@ class LipGap:
     per_face: Array
     response: Array
 
-    def widths_mm(self, faces: Array) -> Array:
-        """How far the lips of faces (n, n_components) are apart, (n,)."""
-        return np.asarray(np.linalg.norm(self.at_mean_mm + faces @ self.per_face, axis=1))
+    def begin_to_touch(self, faces: Array) -> NDArray[np.bool_]:
+        """Which of the faces (n, n_components) of a motion are the first with lips that touch."""
+        widths_mm = np.linalg.norm(self.at_mean_mm + faces @ self.per_face, axis=1)
+        touch = widths_mm <= TOUCHING_MM
+        return np.asarray(touch & ~np.insert(touch[:-1], 0, touch[0]))
 
     def shut(self, face: Array) -> Array:
         """The face (n_components,) with its lips pressed together."""

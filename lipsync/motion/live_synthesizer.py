@@ -61,7 +61,7 @@ DEFAULT_UNIT_SHARE = 0.25
 
 #: A window shows the face so long after its frame, and where a closure is complete. Finer steps
 #: change no plan of joints by more than their noise (docs/decisions/0043).
-_WINDOW_S: Final = (0.033, 0.066, 0.1, 0.15, 0.2)
+_WINDOW_S: Final = (0.05, 0.1, 0.15, 0.2)
 
 
 class StyleError(UserError):

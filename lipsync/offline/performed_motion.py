@@ -20,8 +20,6 @@ from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 EASING_S = 0.2
 #: What a performance shows is known: joints are planned over this window.
 _AHEAD_S: Final[Array] = np.linspace(0.0, 0.2, 11)
-#: Closer lips touch, as `lipsync.motion.closures` has it with room for a sampled motion.
-_TOUCHING_MM: Final = 1.0
 
 
 class StoredMotion:
@@ -127,7 +125,7 @@ class PerformedMotion:
         faces = [motion.face_at(at_s + step_s, frame.coefficients) for step_s in _AHEAD_S.tolist()]
         faces[0] = frame.coefficients
         rows = np.array(faces)
-        closed = self._gap.widths_mm(rows) <= _TOUCHING_MM
+        closed = self._gap.begin_to_touch(rows)
         return FaceWindow(_AHEAD_S, rows, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from calibration.grade import CLOSED_GAP_MM
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
@@ -67,11 +66,11 @@ class PlayedMotion:
         return Frame(time_s, np.array(columns))
 
     def window_after(self, frame: Frame) -> FaceWindow:
-        """The faces of the next 200 ms; where their lips touch, they must."""
+        """The faces of the next 200 ms; where their lips begin to touch, they must."""
         times_s = frame.time_s + _AHEAD_S
         columns = [np.interp(times_s, self._times_s, column) for column in self._faces.T]
         faces = np.stack(columns, axis=1)
-        closed = self._gap.widths_mm(faces) <= CLOSED_GAP_MM
+        closed = self._gap.begin_to_touch(faces)
         return FaceWindow(_AHEAD_S, faces, closed, self._gap.shut(frame.coefficients))
 
     def event_at(self, time_s: float) -> PhonemeEvent | None:  # noqa: ARG002 - knows no phonemes
