@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from firmware_bridge.capabilities import BusCapabilities
@@ -26,6 +27,7 @@ GROUP: Final = "lipservo.buses"
 _BUILT_IN: Final = {
     "simulated": "firmware_bridge.simulator.kind:SIMULATED",
     "dynamixel": "firmware_bridge.dynamixel.kind:DYNAMIXEL",
+    "maestro": "firmware_bridge.maestro.kind:MAESTRO",
 }
 #: Of a servo that was told to let go.
 NOT_SEEN: Final = "did not answer"
@@ -41,13 +43,15 @@ class UnknownBusError(BusError):
 class Wiring:
     """The servos of one face on one bus.
 
-    settings: of the kind's own model; servos: likewise, in the order of `joints`.
+    settings: of the kind's own model; servos: likewise, in the order of `joints`. kept: the file in
+    which a bus whose servos cannot say where they stand keeps where it sent them; None: nowhere.
     """
 
     settings: Any
     joints: tuple[Joint, ...]
     servos: tuple[Any, ...]
     rate_hz: float
+    kept: Path | None = None
 
 
 class Severity(IntEnum):
@@ -117,6 +121,13 @@ class BusKind:
         """Why the bus cannot do this rate with feedback, and what to do; None: it can."""
         return None
 
+    def allow_first_start(self, _wiring: Wiring) -> None:
+        """A person allows servos of which nobody knows where they stand to jump to neutral."""
+
+    def is_at(self, _port: str) -> bool:
+        """Whether what is plugged in at a port says by itself that it is of this kind."""
+        return False
+
     def port_release(self, _port: str, _wiring: Wiring | None) -> Callable[[], PortRelease]:
         """What opens a port to let go of the servos there, again and again, on the same adapter.
 
@@ -172,6 +183,12 @@ def bus_kind(name: str) -> BusKind:
     if not isinstance(kind, BusKind):
         raise UnknownBusError(f"{name}: what is installed under this name is no bus")
     return kind
+
+
+def kind_at(port: str) -> BusKind:
+    """What is plugged in at a port as it says itself; of those that say nothing, `AT_A_PORT`."""
+    kinds = (bus_kind(name) for name in _BUILT_IN)
+    return next((kind for kind in kinds if kind.is_at(port)), bus_kind(AT_A_PORT))
 
 
 def _other(name: str) -> object:

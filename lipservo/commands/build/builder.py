@@ -32,12 +32,18 @@ def jog(
     _finish(moved, [joint])
 
 
-def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
+def neutral(
+    port: Port = None,
+    config: Config = DEFAULT_FACE,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Servos that have had no pulse yet may jump to neutral.")
+    ] = False,
+) -> None:
     """Bring every joint to its neutral, through the safety gate; then all go limp."""
     from lipservo.runtime.servos.moving import move_to
 
     _say_if_simulated(port, config)
-    moved = move_to(config, port, None, 0.5)
+    moved = move_to(config, port, None, 0.5, may_jump=yes)
     _finish(moved, moved.reached_deg)
 
 
@@ -55,7 +61,7 @@ def new_face(
     With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
     """
     from calibration.capture.lerobot_ranges import by_id, read_ranges
-    from firmware_bridge.bus_kinds import AT_A_PORT, bus_kind
+    from firmware_bridge.bus_kinds import kind_at
     from lipservo.runtime.servos.new_face import (
         FoundJoint,
         check_face_file,
@@ -66,7 +72,7 @@ def new_face(
     from lipservo.settings.settings import parse_face
 
     check_face_file(output)
-    tools = bus_kind(AT_A_PORT).workshop()
+    tools = kind_at(port).workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
