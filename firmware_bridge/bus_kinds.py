@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
 from importlib.metadata import entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from firmware_bridge.capabilities import BusCapabilities
@@ -41,13 +42,15 @@ class UnknownBusError(BusError):
 class Wiring:
     """The servos of one face on one bus.
 
-    settings: of the kind's own model; servos: likewise, in the order of `joints`.
+    settings: of the kind's own model; servos: likewise, in the order of `joints`. kept: the file in
+    which a bus whose servos cannot say where they stand keeps where it sent them; None: nowhere.
     """
 
     settings: Any
     joints: tuple[Joint, ...]
     servos: tuple[Any, ...]
     rate_hz: float
+    kept: Path | None = None
 
 
 class Severity(IntEnum):

@@ -48,6 +48,12 @@ def stop_record_path(face: str, port: str, environment: Mapping[str, str]) -> Pa
     return None if state is None else state / "stops" / f"{_name_at(face, port)}.json"
 
 
+def kept_pulses_path(face: str, port: str, environment: Mapping[str, str]) -> Path | None:
+    """Where a face of hobby servos keeps the pulses that it sent last."""
+    state = _own_state(environment)
+    return None if state is None else state / "pulses" / f"{_name_at(face, port)}.json"
+
+
 def _name_at(face: str, port: str) -> str:
     simulated = os.path.realpath(port).startswith("/dev/pts/")
     return folder_name(face) + ("-simulated" if simulated else "")

@@ -1,5 +1,6 @@
 """A face from its files (settings, model, calibration), with its servos, bus and bridge."""
 
+import os
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from itertools import compress
@@ -17,6 +18,7 @@ from calibration.calibration import (
 )
 from calibration.files.calibration_file import parse_calibration
 from firmware_bridge.bus import ServoBus
+from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.gate.ramp import StaleRule
@@ -25,6 +27,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import TargetChannel
+from lipservo.health.health_log import kept_pulses_path
 from lipservo.settings.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.face.model import FaceModel
 from lipsync.face.model import load_face as load_face_model
@@ -98,7 +101,14 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
 
 def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
     """The bus that the face's YAML asks for; use it as a context manager."""
-    return face.bus_kind.open(face.wiring, clock, strict=strict)
+    return face.bus_kind.open(wiring_of(face), clock, strict=strict)
+
+
+def wiring_of(face: FaceSettings) -> Wiring:
+    """Its servos as the bus knows them, and the file of the pulses sent last."""
+    port = face.servo_port
+    kept = None if port is None else kept_pulses_path(face.name, port, os.environ)
+    return replace(face.wiring, kept=kept)
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:

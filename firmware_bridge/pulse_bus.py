@@ -1,0 +1,353 @@
+"""Hobby servos behind a controller that makes their pulses: a bus that starts without a place.
+
+A channel without pulses jumps, at the servo's full speed, to wherever its first pulse sends it. So
+servos come on one after another, each with the pulse that it had last (as the controller says, else
+as the file of the face has it), and go slowly from there until they have caught up.
+"""
+
+import json
+import os
+import threading
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import GOAL_OUT_OF_RANGE, Array, Feedback, Health, Readings, any_set
+from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.clock import Clock
+from firmware_bridge.errors import PortError
+from firmware_bridge.pulse_servos import PulseScale, PulseServo
+
+#: What no hobby servo can say.
+PULSES_OFF: Final = "pulses off; a digital servo may hold"
+#: One servo at a time: so long a servo pulls at its hardest to where its first pulse sends it.
+_STAGGER_S: Final = 0.25
+#: A servo that has come on goes no faster until it has caught up.
+_SLOW_DEG_S: Final = 60.0
+#: The controller is asked so often what it sends, one channel at a time.
+_LOOK_EVERY_S: Final = 0.1
+#: What it sends is what it was told, or so near: it may be on its way.
+_NEAR_US: Final = 100.0
+#: Pulses are written to the file no more often.
+_KEEP_EVERY_S: Final = 1.0
+
+
+class PulseController(Protocol):
+    """What makes the pulses. Methods raise PortError."""
+
+    def open(self) -> None:
+        """Open the way to it, again after it was lost; sends no pulse."""
+
+    def close(self) -> None:
+        """Give the port back; pulses go on as they are."""
+
+    def send(self, pulses_us: Array) -> None:
+        """The pulse of each servo, (n_servos,), in one write; 0: none."""
+
+    def sending(self, index: int) -> float:
+        """The pulse that goes to one servo just now, in us, 0: none; NaN: it does not answer."""
+
+    def remarks(self) -> Sequence[str]:
+        """What is unusual, in sentences for a log."""
+
+
+class KeptPulses:
+    """The pulses that a face sent last, in a file, by channel; written by a thread.
+
+    A face whose servos have never had a pulse from us has none: who knows where they stand?
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        """path: None: nothing outlives this process."""
+        self._path = path
+        self._coming: dict[str, float] = {}
+        self._written: dict[str, float] = {}
+        self._is_over = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def read(self) -> Mapping[int, float]:
+        """By channel, in us; nothing where the file is absent or says nothing that can be used."""
+        try:
+            kept = json.loads(self._path.read_text()) if self._path else {}
+            return {int(key): float(value) for key, value in kept["pulses_us"].items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return {}
+
+    def follow(self, channels: Sequence[int], sent_us: Array) -> None:
+        """Write what stands in `sent_us` whenever it changes, until `close`."""
+        if self._path is None or self._thread is not None:
+            return
+
+        def write_all() -> None:
+            is_over = False
+            while not is_over:
+                is_over = self._is_over.wait(_KEEP_EVERY_S)
+                self.write(dict(zip(channels, sent_us.tolist(), strict=True)))
+
+        self._is_over.clear()
+        self._thread = threading.Thread(target=write_all, name="kept pulses", daemon=True)
+        self._thread.start()
+
+    def write(self, pulses_us: Mapping[int, float]) -> None:
+        """Whole or not at all; a disk that is full or gone loses it."""
+        known = {str(key): round(value, 2) for key, value in pulses_us.items() if value > 0.0}
+        if self._path is None or known in ({}, self._written):
+            return
+        coming = self._path.with_name(f".{self._path.name}.{os.getpid()}")
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            coming.write_text(json.dumps({"version": 1, "pulses_us": known}))
+            coming.replace(self._path)
+            self._written = known
+        except OSError:
+            coming.unlink(missing_ok=True)
+
+    def close(self) -> None:
+        """Write the last, and wait for it a second at most."""
+        if self._thread is not None:
+            self._is_over.set()
+            self._thread.join(_KEEP_EVERY_S)
+            self._thread = None
+
+
+class PulseBus:
+    """Every hobby servo of one face; see `ServoBus`."""
+
+    def __init__(
+        self,
+        servos: Sequence[PulseServo],
+        controller: PulseController,
+        clock: Clock,
+        capabilities: BusCapabilities,
+        kept: KeptPulses | None = None,
+        *,
+        may_jump: bool = False,
+    ) -> None:
+        """kept: the pulses of before.
+
+        may_jump: a servo of which nobody knows where it stands starts at neutral, without asking.
+        """
+        n = len(servos)
+        self.capabilities = capabilities
+        self._channels = tuple(each.address for each in servos)
+        self._scale = scale = PulseScale(servos)
+        self._controller, self._clock, self._may_jump = controller, clock, may_jump
+        self._kept = kept or KeptPulses(None)
+        self._slow_us_s = np.minimum(_SLOW_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
+        self._held = np.zeros(n, dtype=np.bool_)
+        self._slow = np.zeros(n, dtype=np.bool_)
+        self._fresh = np.zeros(n, dtype=np.bool_)  # on, and not seen to be so yet
+        self._on_s = np.full(n, np.inf)
+        self._last_us = np.full(n, np.nan)  # never written to but in place: the file follows it
+        self._goal_us = scale.neutral_us.copy()
+        self._wrong = [""] * n
+        self._errors = np.zeros(n, dtype=np.uint8)
+        self._nothing, self._unknown = np.zeros(n), np.full(n, np.nan)
+        self._sent_s = self._look_s = self._heard_s = self._turn_s = 0.0
+        self._next = 0
+        self._is_open = False
+
+    def write_positions(self, positions_deg: Array) -> None:
+        """Give every servo its next goal; those whose turn has come get it as a pulse now."""
+        if positions_deg.shape != self._goal_us.shape:
+            raise ValueError(
+                f"expected positions of shape {self._goal_us.shape}, got {positions_deg.shape}"
+            )
+        self._check_open()
+        scale = self._scale
+        pulses_us = scale.pulses_us(positions_deg)
+        refused = ~((scale.min_us <= pulses_us) & (pulses_us <= scale.max_us))
+        if any_set(refused):
+            pulses_us = np.where(refused, self._goal_us, pulses_us)
+        self._goal_us = pulses_us
+        self._errors = refused * np.uint8(GOAL_OUT_OF_RANGE)
+        self._send()
+
+    def read(self) -> Readings:
+        """What they were told; nothing comes back from them."""
+        self._check_open()
+        return Readings(
+            time_s=self._clock.now(),
+            positions_deg=self._unknown,
+            goals_deg=self._scale.joints_deg(self._goal_us),
+            torque_on=self._held.copy(),
+            errors=self._errors,
+            age_s=self._nothing,
+        )
+
+    def feedback(self) -> Feedback:
+        """Nothing comes back from them."""
+        self._check_open()
+        return Feedback(
+            self._clock.now(), self._unknown, self._unknown, self._errors, self._nothing
+        )
+
+    def remarks(self) -> Sequence[str]:
+        """Those of the controller."""
+        return self._controller.remarks()
+
+    def look_after(self) -> Health:
+        """Ask the controller now and then what it sends: it may have lost all, as at power-up."""
+        self._check_open()
+        now_s = self._clock.now()
+        if now_s >= self._look_s:
+            self._look_s = now_s + _LOOK_EVERY_S
+            self._look(now_s)
+        n = len(self._channels)
+        return Health(
+            silent_s=np.full(n, now_s - self._heard_s),
+            torque_on=self._held,
+            watchdog_tripped=np.zeros(n, dtype=np.bool_),
+            hardware_errors=np.zeros(n, dtype=np.uint8),
+            temperature_degc=self._unknown,
+            room_degc=np.full(n, np.inf),
+            voltage_v=self._unknown,
+            effort=self._unknown,
+            current_ma=self._unknown,
+            n_unanswered=np.zeros(n, dtype=np.int64),
+        )
+
+    def obstacle(self, index: int) -> str:
+        """Nobody knows where it stands, or its channel does not do what it is told."""
+        self._check_open()
+        if not self._may_jump and np.isnan(self._last_us[index]):
+            return (
+                "has had no pulse yet, so nobody knows where it stands: it will jump to neutral at "
+                "full speed; keep clear, then allow it once: `lipservo neutral --yes`"
+            )
+        return self._wrong[index]
+
+    def enable_torque(self, index: int) -> str:
+        """Its pulses begin where they ended, when its turn comes."""
+        if why := self.obstacle(index):
+            return why
+        if self._held[index]:
+            return ""
+        last_us, scale = self._last_us[index], self._scale
+        if np.isnan(last_us):
+            last_us = scale.neutral_us[index]
+        self._last_us[index] = np.clip(last_us, scale.min_us[index], scale.max_us[index])
+        self._goal_us = self._goal_us.copy()
+        self._goal_us[index] = self._last_us[index]
+        now_s = self._clock.now()
+        self._on_s[index] = max(now_s, self._turn_s)
+        self._turn_s = self._on_s[index] + _STAGGER_S
+        self._held[index] = self._slow[index] = self._fresh[index] = True
+        self._kept.follow(self._channels, self._last_us)
+        self._sent_s = now_s
+        self._send()
+        return ""
+
+    def keep_torque(self, index: int) -> bool:
+        """One that still gets pulses goes on with them."""
+        self._check_open()
+        sending_us = self._controller.sending(index)
+        if not sending_us > 0.0:
+            return False
+        self._last_us[index] = sending_us
+        self._held[index] = False
+        return not self.enable_torque(index)
+
+    def disable_torque(self, index: int) -> bool:
+        """No pulses for one servo; what it does then nobody knows."""
+        self._check_open()
+        self._release(np.arange(len(self._held)) == index)
+        return False
+
+    def disable_all(self) -> NDArray[np.bool_]:
+        """No pulses for anybody."""
+        self._check_open()
+        self._release(np.ones_like(self._held))
+        return np.zeros_like(self._held)
+
+    def reboot(self, index: int) -> None:
+        """There is nothing to restart: no pulses."""
+        self.disable_torque(index)
+
+    def reopen(self) -> None:
+        """Open the way to the controller again; what it sends meanwhile goes on."""
+        self._check_open()
+        self._controller.close()
+        self._open()
+
+    def _open(self) -> None:
+        self._controller.open()
+        self._held[:] = self._slow[:] = self._fresh[:] = False
+        self._wrong = [""] * len(self._wrong)
+        self._heard_s = self._clock.now()
+        for index in range(len(self._channels)):
+            sending_us = self._controller.sending(index)
+            if sending_us > 0.0:
+                self._last_us[index] = sending_us
+        known = ~np.isnan(self._last_us)
+        self._goal_us = np.where(known, self._last_us, self._goal_us)
+
+    def __enter__(self) -> Self:
+        kept = self._kept.read()
+        for index, channel in enumerate(self._channels):
+            self._last_us[index] = kept.get(channel, np.nan)
+        self._open()
+        self._is_open = True
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        try:
+            self._release(np.ones_like(self._held))
+        except PortError:
+            pass  # whoever waits for the port tells of it
+        finally:
+            self._is_open = False
+            self._controller.close()
+            self._kept.close()
+
+    def _release(self, which: NDArray[np.bool_]) -> None:
+        self._goal_us = np.where(which & self._held, self._last_us, self._goal_us)
+        self._held &= ~which
+        self._slow &= ~which
+        self._on_s[which] = np.inf
+        self._send()
+
+    def _send(self) -> None:
+        """The pulse of each servo whose turn has come; the others get none."""
+        now_s = self._clock.now()
+        on = self._held & (self._on_s <= now_s)
+        if any_set(self._slow):
+            reach_us = self._slow_us_s * (now_s - self._sent_s)
+            near_us = np.clip(self._goal_us, self._last_us - reach_us, self._last_us + reach_us)
+            due = on & self._slow
+            sent_us = np.where(due, near_us, self._goal_us)
+            self._slow &= ~(due & (sent_us == self._goal_us) & (self._on_s < now_s))
+        else:
+            sent_us = self._goal_us
+        self._sent_s = now_s
+        np.copyto(self._last_us, sent_us, where=on)
+        self._controller.send(np.where(on, sent_us, 0.0))
+
+    def _look(self, now_s: float) -> None:
+        """At the servo that came on last, else at the next in turn."""
+        on = self._held & (self._on_s <= now_s)
+        fresh = np.flatnonzero(self._fresh & on)
+        self._next = int(fresh[0]) if len(fresh) else (self._next + 1) % len(on)
+        index = self._next
+        sending_us = self._controller.sending(index)
+        if np.isnan(sending_us):
+            return
+        self._heard_s = now_s
+        if not on[index]:
+            return
+        is_fresh, self._fresh[index] = bool(self._fresh[index]), False
+        if sending_us == 0.0:  # it has lost one, so it may have lost all
+            self._held[index] = False
+        elif is_fresh and abs(sending_us - self._last_us[index]) > _NEAR_US:
+            self._held[index] = False
+            self._wrong[index] = (
+                f"was told a pulse of {self._last_us[index]:.0f} us, and the controller sends "
+                f"{sending_us:.0f}: its channel is set for something else, or to a narrower range"
+            )
+
+    def _check_open(self) -> None:
+        if not self._is_open:
+            raise PortError("the bus is used outside its `with` block")

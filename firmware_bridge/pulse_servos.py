@@ -1,0 +1,83 @@
+"""Hobby servos: settings of one, and between degrees and pulse widths.
+
+Shared by every bus that sends pulses: `firmware_bridge.pulse_bus` drives them.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated, ClassVar, Final, Self
+
+import numpy as np
+from pydantic import AfterValidator, model_validator
+
+from firmware_bridge.bus import Array
+from firmware_bridge.bus_settings import BusServo, Strict, within
+
+#: No hobby servo takes pulses outside of this; most are meant for 1000 to 2000 us.
+SHORTEST_US: Final = 400.0
+LONGEST_US: Final = 2600.0
+
+PulseWidth = Annotated[float, within(SHORTEST_US, LONGEST_US)]
+
+
+def _check_us_per_deg(value: float) -> float:
+    if not 1.0 <= abs(value) <= 100.0:
+        raise ValueError(
+            f"{value:g} is outside 1..100 and -100..-1; of most servos it is about 11, and -11 "
+            "turns the joint round"
+        )
+    return value
+
+
+class _Channel(Strict):
+    """What comes first in the entry of a servo."""
+
+    channel: Annotated[int, within(0, 255)]
+
+
+class PulseServo(BusServo, _Channel):
+    """A hobby servo: its pulse is neutral_us + us_per_deg x joint angle, within min_us..max_us.
+
+    us_per_deg: negative where a longer pulse makes the joint angle smaller.
+    """
+
+    address_key: ClassVar[str] = "channel"
+
+    us_per_deg: Annotated[float, AfterValidator(_check_us_per_deg)]
+    neutral_us: PulseWidth = 1500.0
+    min_us: PulseWidth = 1000.0
+    max_us: PulseWidth = 2000.0
+
+    @model_validator(mode="after")
+    def _its_pulses_reach(self) -> Self:
+        if self.sign != 1 or self.zero_offset_deg != 0.0:
+            raise ValueError(
+                "sign and zero_offset_deg are not of hobby servos; a minus in us_per_deg turns the "
+                "joint round, neutral_us moves its zero"
+            )
+        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
+            pulse_us = self.neutral_us + self.us_per_deg * angle
+            if not self.min_us <= pulse_us <= self.max_us:
+                raise ValueError(
+                    f"{name} {angle:g} takes a pulse of {pulse_us:g} us, outside min_us..max_us, "
+                    f"{self.min_us:g}..{self.max_us:g}"
+                )
+        return self
+
+
+class PulseScale:
+    """Degrees of the joints of a face to pulse widths and back; arrays are (n_servos,)."""
+
+    def __init__(self, servos: Sequence[PulseServo]) -> None:
+        self.us_per_deg: Array = np.array([each.us_per_deg for each in servos])
+        self.neutral_us: Array = np.array([each.neutral_us for each in servos])
+        self.min_us = np.array([each.min_us for each in servos])
+        self.max_us = np.array([each.max_us for each in servos])
+        self.max_us_s = np.abs(self.us_per_deg) * [each.max_speed_deg_s for each in servos]
+
+    def pulses_us(self, joints_deg: Array) -> Array:
+        """Of joint angles; not kept within min_us..max_us."""
+        return joints_deg * self.us_per_deg + self.neutral_us
+
+    def joints_deg(self, pulses_us: Array) -> Array:
+        """Of pulses."""
+        return (pulses_us - self.neutral_us) / self.us_per_deg
