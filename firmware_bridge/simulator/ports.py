@@ -12,7 +12,7 @@ import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError, PortGone
@@ -227,27 +227,6 @@ _CHUNK: Final = 65_536
 _BUSY_S: Final = 0.001
 
 
-class Simulated(Protocol):
-    """What can be behind a terminal: a chain of servos, or a controller of them."""
-
-    @property
-    def plugged(self) -> bool:
-        """Whether there is a terminal just now."""
-
-    @property
-    def next_delivery_s(self) -> float:
-        """When the next bytes for the client are due."""
-
-    def advance(self, time_s: float) -> None:
-        """Let time pass."""
-
-    def receive(self, data: bytes, time_s: float, baud_rate: int) -> None:
-        """Bytes from the client."""
-
-    def deliver(self, time_s: float) -> bytes:
-        """Bytes for the client."""
-
-
 class PtyHost:
     """Serves one chain on the computer's clock until stopped. Linux only.
 
@@ -256,7 +235,7 @@ class PtyHost:
     and `link`, if given, leads to it, as /dev/serial/by-id does.
     """
 
-    def __init__(self, chain: Simulated, link: Path | None = None) -> None:
+    def __init__(self, chain: SimulatedChain, link: Path | None = None) -> None:
         """Raises PortError when there is no pseudo-terminal, or no link can be made at `link`."""
         self._chain = chain
         self._link = None if link is None else PortLink(link)
