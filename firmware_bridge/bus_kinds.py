@@ -27,6 +27,7 @@ GROUP: Final = "lipservo.buses"
 _BUILT_IN: Final = {
     "simulated": "firmware_bridge.simulator.kind:SIMULATED",
     "dynamixel": "firmware_bridge.dynamixel.kind:DYNAMIXEL",
+    "maestro": "firmware_bridge.maestro.kind:MAESTRO",
     "pca9685": "firmware_bridge.pca9685.kind:PCA9685",
 }
 #: Of a servo that was told to let go.
@@ -120,6 +121,10 @@ class BusKind:
     def slowness(self, _wiring: Wiring, _rate_hz: float) -> str | None:
         """Why the bus cannot do this rate with feedback, and what to do; None: it can."""
         return None
+
+    def is_at(self, _port: str) -> bool:
+        """Whether what is plugged in at a port says by itself that it is of this kind."""
+        return False
 
     def port_release(self, _port: str, _wiring: Wiring | None) -> Callable[[], PortRelease]:
         """What opens a port to let go of the servos there, again and again, on the same adapter.

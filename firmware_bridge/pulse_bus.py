@@ -5,6 +5,7 @@ servos come on one after another, each with the pulse that it had last (as the c
 as the file of the face has it), and go slowly from there until they have caught up.
 """
 
+import contextlib
 import json
 import os
 import threading
@@ -33,6 +34,16 @@ _LOOK_EVERY_S: Final = 0.1
 _NEAR_US: Final = 100.0
 #: Pulses are written to the file no more often.
 _KEEP_EVERY_S: Final = 1.0
+
+
+def usb_product(port: str, sysfs: Path = Path("/sys")) -> str:
+    """Vendor and product of the USB device behind a port, as in 1ffb:0089; empty: none."""
+    device = (sysfs / "class/tty" / Path(port).resolve().name / "device").resolve()
+    for folder in (device, *device.parents):
+        with contextlib.suppress(OSError):
+            numbers = [(folder / name).read_text().strip() for name in ("idVendor", "idProduct")]
+            return ":".join(numbers).lower()
+    return ""
 
 
 class PulseController(Protocol):
@@ -148,7 +159,7 @@ class PulseBus:
         self._nothing, self._unknown = np.zeros(n), np.full(n, np.nan)
         self._sent_s = self._look_s = self._heard_s = self._turn_s = 0.0
         self._next = 0
-        self._is_open = False
+        self._is_open = self._has_sent = False
 
     def write_positions(self, positions_deg: Array) -> None:
         """Give every servo its next goal; those whose turn has come get it as a pulse now."""
@@ -295,7 +306,8 @@ class PulseBus:
 
     def __exit__(self, *exc: object) -> None:
         try:
-            self._release(np.ones_like(self._held))
+            if self._has_sent:
+                self._release(np.ones_like(self._held))
         except PortError:
             pass  # whoever waits for the port tells of it
         finally:
@@ -322,7 +334,7 @@ class PulseBus:
             self._slow &= ~(due & (sent_us == self._goal_us) & (self._on_s < now_s))
         else:
             sent_us = self._goal_us
-        self._sent_s = now_s
+        self._sent_s, self._has_sent = now_s, True
         np.copyto(self._last_us, sent_us, where=on)
         self._controller.send(np.where(on, sent_us, 0.0))
 
@@ -337,6 +349,8 @@ class PulseBus:
             return
         self._heard_s = now_s
         if not on[index]:
+            if sending_us > 0.0 and not self._held[index] and self._has_sent:
+                self._send()  # it was told to stop, and did not hear
             return
         is_fresh, self._fresh[index] = bool(self._fresh[index]), False
         if sending_us == 0.0:  # it has lost one, so it may have lost all

@@ -31,6 +31,7 @@ def serve(
     baud_rate: int | None,
     faults: str | None,
     chain_stops: bool,
+    log: Path | None = None,
 ) -> PtyHost:
     """Servos behind a terminal that any program can open: a face's, or `n_servos` of one model.
 
@@ -38,6 +39,8 @@ def serve(
     faults: the text of a script. Raises ServoError for what no chain can have, FaultScriptError,
     and PortError where no terminal can be made.
     """
+    if log is not None:
+        raise ServoError(f"--log {log}: of hobby servos only; `lipservo traces` shows the others")
     models, last_id = servo_models(), first_id + n_servos - 1
     if model not in models:
         raise ServoError(f"model {model!r} is not known; use one of {', '.join(models)}")

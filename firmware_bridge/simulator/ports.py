@@ -12,11 +12,31 @@ import time
 import tty
 from collections.abc import Callable
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError, PortGone
-from firmware_bridge.simulator.chain import SimulatedChain
+
+
+class SimulatedDevice(Protocol):
+    """Whatever is at the other end of a simulated port; times are seconds on one clock."""
+
+    @property
+    def plugged(self) -> bool:
+        """Whether its port is there."""
+
+    @property
+    def next_delivery_s(self) -> float:
+        """When it has something to say; infinity: nothing."""
+
+    def advance(self, now_s: float) -> None:
+        """Let time pass."""
+
+    def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
+        """Hear bytes at a rate."""
+
+    def deliver(self, now_s: float) -> bytes:
+        """What it has said by now."""
 
 
 class MemoryTransport:
@@ -24,7 +44,7 @@ class MemoryTransport:
 
     def __init__(
         self,
-        chain: SimulatedChain,
+        chain: SimulatedDevice,
         clock: Clock,
         baud_rate: int = 1_000_000,
         tap: Callable[[float, bytes], None] | None = None,
@@ -235,7 +255,7 @@ class PtyHost:
     and `link`, if given, leads to it, as /dev/serial/by-id does.
     """
 
-    def __init__(self, chain: SimulatedChain, link: Path | None = None) -> None:
+    def __init__(self, chain: SimulatedDevice, link: Path | None = None) -> None:
         """Raises PortError when there is no pseudo-terminal, or no link can be made at `link`."""
         self._chain = chain
         self._link = None if link is None else PortLink(link)

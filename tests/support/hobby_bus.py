@@ -1,10 +1,13 @@
-"""A bus as that of hobby servos is: pulses go out, and nothing comes back. Simulated in memory."""
+"""Hobby servos: a bus in memory from which nothing comes back, and a face of them on a Maestro."""
 
+from dataclasses import replace
 from typing import ClassVar
 
-from firmware_bridge.bus_kinds import BusKind
+from firmware_bridge.bus_kinds import BusKind, Wiring
 from firmware_bridge.bus_settings import BusServo, BusSettings
 from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.maestro.settings import MaestroSettings
+from firmware_bridge.pulse_servos import PulseServo
 from firmware_bridge.simulator.bus import SimulatedBus
 
 WORDS = "pulses off; a digital servo may hold"
@@ -57,3 +60,23 @@ class HobbyKind(BusKind):
 
 
 PULSES_KIND = HobbyKind()
+
+
+def on_maestro(face, port=None, **bus):
+    """The wiring of the joints of any face, as if their servos hung on a Maestro."""
+    joints = [
+        replace(joint, servo_id=n, address_key="channel") for n, joint in enumerate(face.joints())
+    ]
+    servos = [
+        PulseServo(
+            channel=joint.servo_id,
+            positive="opens",
+            min_deg=joint.min_deg,
+            max_deg=joint.max_deg,
+            max_speed_deg_s=joint.max_speed_deg_s,
+            us_per_deg=10.0,
+        )
+        for joint in joints
+    ]
+    settings = MaestroSettings(**{"model": "micro6", "port": port} | bus)
+    return Wiring(settings, tuple(joints), tuple(servos), 50.0)

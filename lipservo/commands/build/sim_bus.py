@@ -14,7 +14,7 @@ _LONGEST_SCRIPT = 100_000
 #: A face of ten, as `face_sim`.
 _N_SERVOS = 10
 #: What is simulated without a face.
-_SIMULATED = "simulated"
+_SIMULATED = "dynamixel"
 
 
 def sim_bus(
@@ -22,6 +22,9 @@ def sim_bus(
         str | None,
         typer.Option(help="Simulate the servos of this face.", show_default=False),
     ] = None,
+    kind: Annotated[
+        str, typer.Option(help="Which kind of bus, without --config: dynamixel or maestro.")
+    ] = _SIMULATED,
     servos: Annotated[int, typer.Option(min=1, max=252, help="How many, without --config.")] = (
         _N_SERVOS
     ),
@@ -33,6 +36,10 @@ def sim_bus(
     ] = None,
     faults: Annotated[
         Path | None, typer.Option(help="YAML script of faults.", show_default=False)
+    ] = None,
+    log: Annotated[
+        Path | None,
+        typer.Option(help="Write every pulse of hobby servos to this file.", show_default=False),
     ] = None,
     link: Annotated[
         Path | None,
@@ -46,9 +53,9 @@ def sim_bus(
     ] = False,
     until_stdin_closes: Annotated[bool, typer.Option(hidden=True)] = False,
 ) -> None:
-    """Simulate a chain of Dynamixel servos; prints the port, serves it until stopped.
+    """Simulate a chain of Dynamixel servos, or a Maestro; prints the port, serves it until stopped.
 
-    Any program that speaks to Dynamixels can open the port: lipservo, dynamixel-sdk, others.
+    Any program that speaks to them can open the port: lipservo, dynamixel-sdk, others.
     """
     from firmware_bridge.bus_kinds import bus_kind
     from firmware_bridge.errors import BusError
@@ -56,7 +63,7 @@ def sim_bus(
     from lipservo.runtime.servos.assembly import load_settings
 
     face = None if config is None else load_settings(config)[0]
-    simulator = (bus_kind(_SIMULATED) if face is None else face.bus_kind).simulator()
+    simulator = (bus_kind(kind) if face is None else face.bus_kind).simulator()
     script = None if faults is None else _script(faults)
     try:
         host = simulator.serve(
@@ -68,6 +75,7 @@ def sim_bus(
             baud_rate=baud_rate,
             faults=script,
             chain_stops=chain_stops,
+            log=log,
         )
     except BusError as error:
         raise UserError(str(error)) from error

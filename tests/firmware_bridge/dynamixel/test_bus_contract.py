@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hobby_bus import PULSES
+from hobby_bus import PULSES, on_maestro
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
@@ -16,6 +16,8 @@ from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.sdk_line import SdkLine, SdkTransport
 from firmware_bridge.dynamixel.wire.serial_transport import open_port
 from firmware_bridge.errors import PortError, PortGone
+from firmware_bridge.maestro.kind import MAESTRO
+from firmware_bridge.maestro.simulator import simulated_wire as simulated_maestro
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.ports import MemoryTransport
@@ -38,6 +40,12 @@ def port():
         yield port
 
 
+@pytest.fixture(scope="module")
+def maestro_port():
+    with simulated_port(["--kind", "maestro", "--on-time"]) as port:
+        yield port
+
+
 @pytest.fixture(autouse=True)
 def long_timeouts(monkeypatch):
     """The SDK waits for 34 ms; a computer that runs other tests meanwhile may need more."""
@@ -53,15 +61,20 @@ def eventually(condition, clock, period_s=0.02):
     return True
 
 
-@pytest.fixture(params=["simulated", "pulses", "memory", "own", "sdk"])
+@pytest.fixture(params=["simulated", "pulses", "maestro", "maestro pty", "memory", "own", "sdk"])
 def face(request):
     """A bus that is not entered yet, its clock, and how its servos are seen from outside."""
-    in_memory = ("simulated", "pulses", "memory")
+    in_memory = ("simulated", "pulses", "maestro", "memory")
     clock = ManualClock() if request.param in in_memory else MonotonicClock()
     if request.param == "simulated":
         bus = SimulatedBus(FACE.joints(), clock)
     elif request.param == "pulses":
         bus = SimulatedBus(FACE.joints(), clock, capabilities=PULSES)
+    elif request.param == "maestro":
+        bus, clock = simulated_maestro(on_maestro(FACE))
+    elif request.param == "maestro pty":
+        port = request.getfixturevalue("maestro_port")
+        bus = MAESTRO.open(on_maestro(FACE, port=port), clock)
     elif request.param == "memory":
         chain = chain_for(SERVOS, BAUD_RATE)
         bus = DynamixelBus(SERVOS, lambda: MemoryTransport(chain, clock, BAUD_RATE), watchdog_s=0.0)
@@ -93,12 +106,13 @@ def test_a_bus_just_entered_is_limp_and_says_where_everybody_stands(face):
 def test_what_a_bus_can_do_is_known_before_its_port_is_open(face):
     can = face.bus.capabilities
     is_simulated = isinstance(face.bus, SimulatedBus)
-    has_way_back = can is not PULSES
+    has_way_back = can.pulse_rate_hz is None
 
     assert can.hold
     assert {can.place, can.load, can.heat, can.voltage, can.confirmed_limp} == {has_way_back}
-    assert {can.watchdog, can.profile, can.memory, can.set_up} == {not is_simulated}
-    assert (can.soft_start_s > 0.0) is not is_simulated
+    assert {can.watchdog, can.memory, can.set_up} == {not is_simulated and has_way_back}
+    assert can.profile is not is_simulated
+    assert (can.soft_start_s > 0.0) is can.watchdog
     assert (can.released_words == "limp") is can.confirmed_limp
 
 

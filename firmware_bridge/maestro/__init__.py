@@ -1,0 +1,1 @@
+"""Pololu Maestro servo controllers: what they are told, and a simulated one."""

@@ -1,0 +1,204 @@
+"""A Maestro on its command port: pulses out in one write, and what it says that it sends."""
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.bus import Array
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.dynamixel.wire.line import Transport
+from firmware_bridge.errors import PortError, ServoError
+from firmware_bridge.maestro.protocol import (
+    GET_ERRORS,
+    GET_POSITION,
+    LARGEST,
+    QUARTERS,
+    SET_ACCELERATION,
+    SET_SPEED,
+    SET_TARGET,
+    SET_TARGETS,
+    SPEED_UNIT_S,
+    WITHOUT_SET_TARGETS,
+    command,
+    crc7,
+    describe_errors,
+    split,
+)
+from firmware_bridge.maestro.settings import MaestroSettings
+from firmware_bridge.pulse_servos import PulseScale
+
+#: USB answers within two milliseconds; a computer that is busy has more.
+_ANSWER_S: Final = 0.02
+_TRIES: Final = 3
+#: The Maestro itself goes this much faster than the gate allows.
+_SPEED_MARGIN: Final = 1.05
+
+
+class Maestro:
+    """Speaks to one Maestro; every method raises PortError."""
+
+    def __init__(self, transport: Transport, settings: MaestroSettings) -> None:
+        """transport: open."""
+        self.transport = transport
+        self._device, self.has_crc = settings.device, settings.crc
+        #: Bits of `protocol.ERRORS` that it has told so far.
+        self.errors = 0
+
+    def tell(self, *commands: tuple[int, Sequence[int]]) -> None:
+        """Say these in one write."""
+        self.transport.write(b"".join(self.packet(*each) for each in commands))
+
+    def packet(self, code: int, data: Sequence[int] = ()) -> bytes:
+        """One command as this Maestro takes it."""
+        return command(code, data, device=self._device, crc=self.has_crc)
+
+    def position_us(self, channel: int) -> float:
+        """The pulse that a channel sends, 0: none; NaN: no answer. Notes errors on the way."""
+        answer = self._ask(4, (GET_POSITION, (channel,)), (GET_ERRORS, ()))
+        if answer is None:
+            return float("nan")
+        self.errors |= int.from_bytes(answer[2:], "little")
+        return int.from_bytes(answer[:2], "little") / QUARTERS
+
+    def read_errors(self) -> int | None:
+        """Bits of `protocol.ERRORS`, which are cleared; None: no answer."""
+        answer = self._ask(2, (GET_ERRORS, ()))
+        return None if answer is None else int.from_bytes(answer, "little")
+
+    def check(self, port: str) -> None:
+        """Raise PortError with the remedy unless a Maestro answers."""
+        if all(self.read_errors() is None for _ in range(_TRIES)):
+            raise PortError(no_answer(port, crc=self.has_crc))
+
+    def _ask(self, n_bytes: int, *commands: tuple[int, Sequence[int]]) -> bytes | None:
+        transport = self.transport
+        transport.discard_input()
+        self.tell(*commands)
+        deadline_s, answer = transport.clock.now() + _ANSWER_S, b""
+        while len(answer) < n_bytes and transport.clock.now() < deadline_s:
+            answer += transport.read(deadline_s)
+        return answer if len(answer) == n_bytes else None
+
+
+def no_answer(port: str, *, crc: bool) -> str:
+    """Why a port may be silent, and what to do."""
+    asked = "true, and the Maestro may have it off" if crc else "false, and the Maestro may use it"
+    return (
+        f"{port}: no Maestro answers. Set its serial mode to USB Dual Port in Pololu's Control "
+        "Center (as it comes, UART with detected rate, it ignores commands); of its two ports the "
+        f"lower (ttyACM0, ...-if00) is the command port; bus.crc is {asked}"
+    )
+
+
+class PulseCommands:
+    """The targets of a face's servos as one block of bytes, made anew in place for every tick."""
+
+    def __init__(self, maestro: Maestro, channels: Sequence[int], *, together: bool) -> None:
+        """together: one command for each row of channels that follow one another."""
+        ends = [0, *_row_ends(channels), len(channels)] if together else range(len(channels) + 1)
+        order = sorted(range(len(channels)), key=lambda n: channels[n])
+        low_at: dict[int, int] = {}
+        block, self._crcs = bytearray(), []
+        for first, end in pairwise(ends):
+            row, start = order[first:end], len(block)
+            if len(row) == 1:
+                packet = maestro.packet(SET_TARGET, (channels[row[0]], 0, 0))
+            else:
+                packet = maestro.packet(
+                    SET_TARGETS, (len(row), channels[row[0]], *[0, 0] * len(row))
+                )
+            block += packet
+            targets_at = len(block) - 2 * len(row) - maestro.has_crc
+            low_at |= {servo: targets_at + 2 * n for n, servo in enumerate(row)}
+            if maestro.has_crc:
+                self._crcs.append((start, len(block) - 1))
+        self._block = block
+        self._bytes = np.frombuffer(block, dtype=np.uint8)
+        self._low_at = np.array([low_at[servo] for servo in range(len(channels))])
+        self._high_at = self._low_at + 1
+
+    def of(self, pulses_us: Array) -> bytes:
+        """These pulses, (n_servos,) in us."""
+        quarters = (pulses_us * QUARTERS + 0.5).astype(np.int64)
+        self._bytes[self._low_at] = quarters & 0x7F
+        self._bytes[self._high_at] = quarters >> 7
+        for start, at in self._crcs:
+            self._block[at] = crc7(self._block[start:at])
+        return bytes(self._block)
+
+
+def _row_ends(channels: Sequence[int]) -> list[int]:
+    """Where channels, sorted, do not follow one another."""
+    rows = enumerate(pairwise(sorted(channels)), start=1)
+    return [n for n, (before, after) in rows if after != before + 1]
+
+
+class MaestroController:
+    """See `PulseController`."""
+
+    def __init__(self, wiring: Wiring, open_transport: Callable[[], Transport]) -> None:
+        """Raises ServoError for a channel that the model has not."""
+        check_channels(wiring)
+        self._settings: MaestroSettings = wiring.settings
+        self._channels = [each.address for each in wiring.servos]
+        self._max_us_s = PulseScale(wiring.servos).max_us_s
+        self._open_transport = open_transport
+        self._maestro: Maestro | None = None
+        self._commands: PulseCommands | None = None
+        self._seen = 0
+
+    def open(self) -> None:
+        """Nothing is set before the first pulses."""
+        self._commands = None
+        maestro = self._maestro = Maestro(self._open_transport(), self._settings)
+        try:
+            maestro.check(str(self._settings.port))
+        except PortError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Give the port back."""
+        if self._maestro is not None:
+            self._seen |= self._maestro.errors
+            self._maestro.transport.close()
+            self._maestro = None
+
+    def send(self, pulses_us: Array) -> None:
+        """One write; the first also bounds the speed of each channel."""
+        maestro = self._reached()
+        if self._commands is None:
+            together = self._settings.model != WITHOUT_SET_TARGETS
+            self._commands = PulseCommands(maestro, self._channels, together=together)
+            units = self._max_us_s * (_SPEED_MARGIN * QUARTERS * SPEED_UNIT_S)
+            for channel, speed in zip(self._channels, units.tolist(), strict=True):
+                bound = split(max(1, min(LARGEST, round(speed))))
+                maestro.tell((SET_SPEED, (channel, *bound)), (SET_ACCELERATION, (channel, 0, 0)))
+        maestro.transport.write(self._commands.of(pulses_us))
+
+    def sending(self, index: int) -> float:
+        """What the Maestro says."""
+        return self._reached().position_us(self._channels[index])
+
+    def remarks(self) -> Sequence[str]:
+        """The errors that it has told."""
+        bits = self._seen | (0 if self._maestro is None else self._maestro.errors)
+        return [f"the Maestro tells of a {words}" for words in describe_errors(bits)]
+
+    def _reached(self) -> Maestro:
+        if self._maestro is None:
+            raise PortError(f"{self._settings.port}: is not open")
+        return self._maestro
+
+
+def check_channels(wiring: Wiring) -> None:
+    """Raise ServoError for channels that the model has not."""
+    settings: MaestroSettings = wiring.settings
+    beyond = [each.name for each in wiring.joints if each.servo_id >= settings.n_channels]
+    if beyond:
+        raise ServoError(
+            f"servos {', '.join(beyond)}: a Maestro {settings.model} has channels 0 to "
+            f"{settings.n_channels - 1}"
+        )

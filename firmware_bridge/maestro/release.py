@@ -1,0 +1,63 @@
+"""Pulses off at a Maestro that somebody else drove before."""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+from firmware_bridge.dynamixel.wire.line import Transport
+from firmware_bridge.errors import PortError
+from firmware_bridge.maestro.controller import Maestro
+from firmware_bridge.maestro.protocol import N_CHANNELS, SET_TARGET
+from firmware_bridge.maestro.settings import MaestroSettings
+
+_NO_PULSES: Final = (0, 0)
+_REPEATS: Final = 3
+
+
+class MaestroRelease:
+    """See `PortRelease`. That no pulse is sent says nothing of the servo: none confirms."""
+
+    confirms: Final = False
+
+    def __init__(
+        self, transport: Transport, port: str, settings: MaestroSettings, *, knows: bool
+    ) -> None:
+        """transport: open. knows: whether the settings are those of the face that was there."""
+        self._maestro = Maestro(transport, settings)
+        self._port, self._knows = port, knows
+        self._n_channels = settings.n_channels if knows else min(N_CHANNELS.values())
+
+    def tell_all(self, addresses: Sequence[int]) -> None:
+        """No pulses on any channel; read back, since a Maestro may ignore what it is told."""
+        self._tell(range(self._n_channels))
+        left = [each for each in addresses or (0,) if self._maestro.position_us(each) != 0.0]
+        for _ in range(_REPEATS):
+            if not left:
+                return
+            self._maestro.check(self._port)
+            self._tell(left)
+            left = [each for each in left if self._maestro.position_us(each) != 0.0]
+        raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
+
+    def ask(self, address: int) -> str:
+        """Never called: nobody confirms."""
+        raise NotImplementedError(address)
+
+    def find(self, addresses: Sequence[int]) -> Sequence[int]:
+        """All channels that there are. Asking for one too many sends servos home: told again."""
+        self.tell_all(addresses)
+        if self._knows:
+            return list(addresses)
+        for n_channels in sorted(set(N_CHANNELS.values()))[1:]:
+            if math.isnan(self._maestro.position_us(n_channels - 1)):
+                break
+            self._n_channels = n_channels
+        self.tell_all(range(self._n_channels))
+        return range(self._n_channels)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._maestro.transport.close()
+
+    def _tell(self, channels: Sequence[int]) -> None:
+        self._maestro.tell(*[(SET_TARGET, (each, *_NO_PULSES)) for each in channels])

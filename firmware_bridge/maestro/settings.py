@@ -1,0 +1,31 @@
+"""What a face YAML says of a Maestro and its servos."""
+
+from typing import Annotated, Final, Literal
+
+from firmware_bridge.bus_settings import BusSettings, within
+from firmware_bridge.maestro.protocol import N_CHANNELS
+
+Model = Literal["micro6", "mini12", "mini18", "mini24"]
+#: The Maestro counts it in hundredths, 16 bits.
+_LONGEST_TIMEOUT_S: Final = 655.35
+
+
+class MaestroSettings(BusSettings):
+    """`bus:` of a face whose servos hang on a Maestro, on its USB command port.
+
+    Without `port:` it is simulated in memory.
+    crc: as the Maestro is set. device: its number where several share a port; None: it is alone.
+    serial_timeout_s: as the Maestro is set: without a command for so long it stops its pulses; 0:
+    never, as they come.
+    """
+
+    kind: str = "maestro"
+    model: Model
+    crc: bool = False
+    device: Annotated[int, within(0, 127)] | None = None
+    serial_timeout_s: Annotated[float, within(0.0, _LONGEST_TIMEOUT_S)] = 0.0
+
+    @property
+    def n_channels(self) -> int:
+        """How many servos it has room for."""
+        return N_CHANNELS[self.model]

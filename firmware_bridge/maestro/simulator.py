@@ -1,0 +1,377 @@
+"""A simulated Maestro, to the byte, and the shafts of its servos; in memory or behind a terminal.
+
+What goes out on the wires to the servos is logged by the simulator alone: tests judge by that.
+"""
+
+import json
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_settings import Strict, within
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.errors import ServoError
+from firmware_bridge.maestro.controller import MaestroController, check_channels
+from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
+from firmware_bridge.maestro.protocol import (
+    CRC_ERROR,
+    GET_ERRORS,
+    GET_POSITION,
+    GO_HOME,
+    N_DATA,
+    POLOLU,
+    PROTOCOL_ERROR,
+    QUARTERS,
+    SET_ACCELERATION,
+    SET_SPEED,
+    SET_TARGET,
+    SET_TARGETS,
+    SPEED_UNIT_S,
+    TIMEOUT_ERROR,
+    WITHOUT_SET_TARGETS,
+    crc7,
+)
+from firmware_bridge.maestro.settings import MaestroSettings
+from firmware_bridge.pulse_bus import PulseBus
+from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
+
+#: As it comes: https://www.pololu.com/docs/0J40/4.b .
+_SHORTEST_US, _LONGEST_US = 992.0, 2000.0
+#: A hobby servo of the usual size makes 60 degrees in .15 s; 500 us are 45 degrees.
+_SHAFT_US_S: Final = 4_400.0
+#: Answers come with the next frame of USB.
+_USB_S: Final = 0.001
+_FOREVER: Final = float("inf")
+
+
+class PulseFault(Strict):
+    """What goes wrong, and when: once at at_s, or again and again; unplug lasts for lasts_s."""
+
+    kind: Literal["brown-out", "deaf", "truncate", "corrupt", "unplug"]
+    at_s: Annotated[float, within(0.0, 1e9)]
+    every_s: Annotated[float, within(0.01, 1e9)] | None = None
+    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
+
+
+class _Script(Strict):
+    faults: tuple[PulseFault, ...]
+
+
+def read_faults(text: str | None) -> tuple[PulseFault, ...]:
+    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    if text is None:
+        return ()
+    try:
+        content = yaml.safe_load(text)
+        return TypeAdapter(_Script).validate_python(content, strict=False).faults
+    except yaml.YAMLError as error:
+        raise ValueError("not YAML") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{where}: {first['msg']}") from error
+
+
+class Shaft:
+    """Where a hobby servo stands, as the pulse that would hold it there, in us.
+
+    It runs to its pulse at constant speed. Without pulses a digital one holds, another sags.
+    """
+
+    def __init__(
+        self, place_us: float = 1500.0, speed_us_s: float = _SHAFT_US_S, sags_us_s: float = 0.0
+    ) -> None:
+        self.place_us = place_us
+        self._speed_us_s, self._sags_us_s = speed_us_s, sags_us_s
+
+    def move(self, pulse_us: float, seconds: float) -> None:
+        """Let time pass at one pulse; 0: none."""
+        if pulse_us:
+            reach_us = self._speed_us_s * seconds
+            self.place_us += min(max(pulse_us - self.place_us, -reach_us), reach_us)
+        else:
+            self.place_us -= self._sags_us_s * seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """What goes to one servo from a time on, us, 0: nothing; and where its shaft stood then."""
+
+    time_s: float
+    channel: int
+    pulse_us: float
+    shaft_us: float
+
+
+class _Channel:
+    """One output: where it is sent, at what speed, and what it sends. Quarters of us."""
+
+    def __init__(self) -> None:
+        self.target = self.speed = self.acceleration = 0
+        self.position = 0.0
+        self.shaft = Shaft()
+
+    def set_target(self, target: int, shortest: float, longest: float) -> None:
+        """A channel that is off goes to its first target at once, whatever its speed."""
+        self.target = round(min(max(target, shortest), longest)) if target else 0
+        if not (target and self.position and self.speed):
+            self.position = self.target
+
+    def move(self, seconds: float) -> None:
+        """Let time pass."""
+        if self.position != self.target:
+            reach = self.speed * seconds / SPEED_UNIT_S if self.speed else float("inf")
+            self.position += min(max(self.target - self.position, -reach), reach)
+        self.shaft.move(self.position / QUARTERS, seconds)
+
+
+class SimulatedMaestro:
+    """A `SimulatedDevice`. deaf: in the serial mode as it comes, in which it takes no commands.
+
+    channels and `pulses`, the log, are what tests look at.
+    """
+
+    def __init__(
+        self,
+        settings: MaestroSettings,
+        *,
+        faults: Sequence[PulseFault] = (),
+        deaf: bool = False,
+        range_us: tuple[float, float] = (_SHORTEST_US, _LONGEST_US),
+        on_pulse: Callable[[Pulse], None] | None = None,
+    ) -> None:
+        """on_pulse: gets every change of a pulse, besides `pulses`."""
+        self._crc, self._device = settings.crc, settings.device
+        self._is_micro = settings.model == WITHOUT_SET_TARGETS
+        self._timeout_s = settings.serial_timeout_s or _FOREVER
+        self._range = range_us[0] * QUARTERS, range_us[1] * QUARTERS
+        self.channels = [_Channel() for _ in range(settings.n_channels)]
+        self.pulses: deque[Pulse] = deque(maxlen=100_000)
+        self._on_pulse = on_pulse or (lambda _pulse: None)
+        self.errors, self.deaf = 0, deaf
+        self._faults = [(fault.at_s, fault) for fault in faults]
+        self._cut = self._damage = False
+        self._back_s = -_FOREVER
+        self._now_s = self._heard_s = 0.0
+        self._message = bytearray()
+        self._answers: deque[tuple[float, bytes]] = deque()
+
+    @property
+    def plugged(self) -> bool:
+        """Whether its port is there."""
+        return self._now_s >= self._back_s
+
+    @property
+    def next_delivery_s(self) -> float:
+        """When it has something to say."""
+        return self._answers[0][0] if self._answers else _FOREVER
+
+    def advance(self, now_s: float) -> None:
+        """Let time pass, in steps of a pulse at most."""
+        while self._now_s < now_s:
+            step_s = min(0.02, now_s - self._now_s)
+            self._now_s += step_s
+            for number, channel in enumerate(self.channels):
+                before = channel.position
+                channel.move(step_s)
+                if channel.position != before:
+                    self._log(number)
+        if now_s - self._heard_s > self._timeout_s and not self.errors & TIMEOUT_ERROR:
+            self._fail(TIMEOUT_ERROR)
+        due = [each for each in self._faults if each[0] <= now_s]
+        for at_s, fault in due:
+            self._faults.remove((at_s, fault))
+            if fault.every_s is not None:
+                self._faults.append((at_s + fault.every_s, fault))
+            self._happen(fault)
+
+    def receive(self, data: bytes, now_s: float, _baud_rate: int) -> None:
+        """Take commands apart, byte by byte."""
+        self.advance(now_s)
+        if self.deaf or not self.plugged:
+            return
+        if self._cut:
+            data, self._cut = data[: len(data) // 2], False
+        if self._damage and data:
+            data, self._damage = data[:-1] + bytes((data[-1] ^ 1,)), False
+        for byte in data:
+            if byte & 0x80 and self._message:
+                self._message.clear()
+                self._fail(PROTOCOL_ERROR)
+            if not (byte & 0x80 or self._message):
+                self._fail(PROTOCOL_ERROR)
+                continue
+            self._message.append(byte)
+            if self._n_missing() <= 0:
+                message = bytes(self._message)
+                self._message.clear()
+                self._obey(message, now_s)
+
+    def deliver(self, now_s: float) -> bytes:
+        """What it has answered by now."""
+        said = b""
+        while self._answers and self._answers[0][0] <= now_s:
+            said += self._answers.popleft()[1]
+        return said
+
+    def brown_out(self) -> None:
+        """Its supply fails for a moment: it starts anew, and sends no pulses."""
+        self._message.clear()
+        self.errors = 0
+        for number, channel in enumerate(self.channels):
+            channel.target = channel.speed = channel.acceleration = 0
+            channel.position = 0.0
+            self._log(number)
+
+    def unplug(self, seconds: float) -> None:
+        """Its plug is out for so long; pulses go on, as its servo supply does."""
+        self._back_s = self._now_s + seconds
+        self._answers.clear()
+        self._message.clear()
+
+    def _happen(self, fault: PulseFault) -> None:
+        if fault.kind == "brown-out":
+            self.brown_out()
+        elif fault.kind == "deaf":
+            self.deaf = True
+        elif fault.kind == "truncate":
+            self._cut = True
+        elif fault.kind == "corrupt":
+            self._damage = True
+        else:
+            self.unplug(fault.lasts_s)
+
+    def _n_missing(self) -> int:
+        message = self._message
+        head = 3 if message[0] == POLOLU else 1
+        if len(message) < head:
+            return 1
+        code = message[0] if head == 1 else message[2] | 0x80
+        if code == SET_TARGETS:
+            n_data = 2 + 2 * message[head] if len(message) > head else 2
+        else:
+            n_data = N_DATA.get(code, 0)
+        return head + n_data + self._crc - len(message)
+
+    def _obey(self, message: bytes, now_s: float) -> None:
+        if self._crc:
+            message, told = message[:-1], message[-1]
+            if told != crc7(message):
+                self._fail(CRC_ERROR)
+                return
+        code, data = message[0], message[1:]
+        if code == POLOLU:
+            if self._device not in (None, data[0]):
+                return
+            code, data = data[1] | 0x80, data[2:]
+        self._heard_s = now_s
+        n = len(self.channels)
+        if code == SET_TARGETS and not self._is_micro and data[0] and data[1] + data[0] <= n:
+            for each in range(data[0]):
+                self._set_target(data[1] + each, data[2 + 2 * each : 4 + 2 * each])
+        elif code == SET_TARGET and data[0] < n:
+            self._set_target(data[0], data[1:])
+        elif code in (SET_SPEED, SET_ACCELERATION) and data[0] < n:
+            name = "speed" if code == SET_SPEED else "acceleration"
+            setattr(self.channels[data[0]], name, data[1] | data[2] << 7)
+        elif code == GET_POSITION and data[0] < n:
+            self._answer(round(self.channels[data[0]].position), now_s)
+        elif code == GET_ERRORS:
+            self._answer(self.errors, now_s)
+            self.errors = 0
+        elif code == GO_HOME:
+            self._go_home()
+        else:
+            self._fail(PROTOCOL_ERROR)
+
+    def _set_target(self, number: int, data: bytes) -> None:
+        channel = self.channels[number]
+        before = channel.position
+        channel.set_target(data[0] | data[1] << 7, *self._range)
+        if channel.position != before:
+            self._log(number)
+
+    def _answer(self, value: int, now_s: float) -> None:
+        self._answers.append((now_s + _USB_S, value.to_bytes(2, "little")))
+
+    def _fail(self, error: int) -> None:
+        self.errors |= error
+        self._go_home()
+
+    def _go_home(self) -> None:
+        """Channels come set to Off on startup or error."""
+        for number, channel in enumerate(self.channels):
+            if channel.position:
+                channel.target, channel.position = 0, 0.0
+                self._log(number)
+
+    def _log(self, number: int) -> None:
+        channel = self.channels[number]
+        place_us = round(channel.shaft.place_us, 1)
+        pulse = Pulse(self._now_s, number, channel.position / QUARTERS, place_us)
+        self.pulses.append(pulse)
+        self._on_pulse(pulse)
+
+
+def maestro_for(
+    wiring: Wiring,
+    faults: Sequence[PulseFault] = (),
+    on_pulse: Callable[[Pulse], None] | None = None,
+    *,
+    deaf: bool = False,
+) -> SimulatedMaestro:
+    """A Maestro set up as a face's YAML says. Raises ServoError for channels that it has not."""
+    check_channels(wiring)
+    shortest = min((each.min_us for each in wiring.servos), default=_SHORTEST_US)
+    longest = max((each.max_us for each in wiring.servos), default=_LONGEST_US)
+    range_us = min(shortest, _SHORTEST_US), max(longest, _LONGEST_US)
+    return SimulatedMaestro(
+        wiring.settings, faults=faults, range_us=range_us, on_pulse=on_pulse, deaf=deaf
+    )
+
+
+def simulated_wire(wiring: Wiring) -> tuple[PulseBus, ManualClock]:
+    """The servos of a face in memory, and the clock that moves them."""
+    maestro, clock = maestro_for(wiring), ManualClock()
+    controller = MaestroController(wiring, lambda: MemoryTransport(maestro, clock, BAUD_RATE))
+    can = MAESTRO.capabilities(wiring.settings)
+    return PulseBus(wiring.servos, controller, clock, can, may_jump=True), clock
+
+
+def serve(
+    wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
+) -> PtyHost:
+    """A Maestro behind a terminal that any program can open: a face's, or the smallest.
+
+    link: a path that leads to it. faults: the text of a script. log: a file that gets every change
+    of a pulse as a line of JSON, with the time since it was plugged in.
+    Raises ServoError for what no Maestro can have, ValueError, and PortError where no terminal can
+    be made.
+    """
+    script = read_faults(faults)
+    on_pulse = None if log is None else _writer(log)
+    if wiring is None:
+        wiring = Wiring(MaestroSettings(model=_SMALLEST), (), (), 50.0)
+    return PtyHost(maestro_for(wiring, script, on_pulse), link)
+
+
+_SMALLEST: Final = "micro6"
+
+
+def _writer(log: Path) -> Callable[[Pulse], None]:
+    try:
+        file = log.open("w", buffering=1, encoding="utf-8")
+    except OSError as error:
+        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
+
+    def write(pulse: Pulse) -> None:
+        row = [round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us]
+        file.write(json.dumps(row) + "\n")
+
+    return write
