@@ -167,6 +167,11 @@ class _TerminalTransfers:
             self._fd = -1
 
 
+def is_terminal(path: str) -> bool:
+    """Whether a simulator is at the other end."""
+    return Path(path).resolve().parent == _TERMINALS
+
+
 def open_chip(path: str, address: int) -> I2cChip:
     """The chip at an address of the bus at `path`, for us alone; nothing is sent.
 
@@ -174,13 +179,13 @@ def open_chip(path: str, address: int) -> I2cChip:
     what to do.
     """
     name = f"{path}, address {address:#04x}"
-    is_terminal = Path(os.path.realpath(path)).parent == _TERMINALS
+    is_alone = is_terminal(path)
     try:
-        transfers = _TerminalTransfers(path) if is_terminal else _DeviceTransfers(path)
+        transfers = _TerminalTransfers(path) if is_alone else _DeviceTransfers(path)
     except OSError as error:
         raise PortError(_explain(path, error)) from error
     try:
-        _claim(transfers.fileno(), address, alone=is_terminal)
+        _claim(transfers.fileno(), address, alone=is_alone)
     except OSError as error:
         transfers.close()
         raise PortError(

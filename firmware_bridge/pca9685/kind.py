@@ -36,24 +36,31 @@ class Pca9685Kind(BusKind):
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
         """Pulses go on until they are switched off; nothing comes back."""
-        rate_hz = settings.frequency_hz if isinstance(settings, Pca9685Settings) else None
-        return BusCapabilities(hold=True, pulse_rate_hz=rate_hz, released_words=PULSES_OFF)
+        assert isinstance(settings, Pca9685Settings)
+        return BusCapabilities(
+            hold=True,
+            in_memory=settings.port is None,
+            pulse_rate_hz=settings.frequency_hz,
+            released_words=PULSES_OFF,
+        )
 
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - no servo can be asked whether it is there
-        """By smbus2."""
+        """By smbus2; without a port in memory."""
+        from firmware_bridge.pca9685.i2c import is_terminal
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
+        from firmware_bridge.simulator.bus import SimulatedBus
 
-        return PulseBus(
-            wiring.servos,
-            controller_of(wiring, opener_of(wiring), clock),
-            clock,
-            self.capabilities(wiring.settings),
-            KeptPulses(wiring.kept),
-        )
+        settings, can = wiring.settings, self.capabilities(wiring.settings)
+        if settings.port is None:
+            return SimulatedBus(wiring.joints, clock, capabilities=can)
+        controller, kept = controller_of(wiring, opener_of(wiring), clock), KeptPulses(wiring.kept)
+        # Behind a pseudo-terminal nothing can be hurt.
+        may_jump = is_terminal(settings.port)
+        return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
     def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
         """By the bytes of a tick, at the rate that the device tree says of the bus."""
-        bits_s = _bits_s(wiring.settings.port)
+        bits_s = _bits_s(wiring.settings.port or "")
         needed_s = (4 * len(wiring.servos) + 8) * _BYTE_BITS / bits_s
         if needed_s <= _SHARE / rate_hz:
             return None

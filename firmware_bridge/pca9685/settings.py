@@ -32,11 +32,12 @@ def _check_oe(value: int | None) -> int | None:
 class Pca9685Settings(BusSettings):
     """`bus:` of a face whose servos hang on a PCA9685.
 
-    port: the bus's file in Linux; default that of `i2c_bus`. clock_hz: as measured at this board.
+    port: the bus's file in Linux; default that of `i2c_bus`; without either the servos are
+    simulated in memory. clock_hz: as measured at this board.
     """
 
     kind: str = "pca9685"
-    i2c_bus: Annotated[int, within(0, 255)] = 1
+    i2c_bus: Annotated[int, within(0, 255)] | None = None
     address: Annotated[int, AfterValidator(_check_address)] = 0x40
     frequency_hz: Annotated[float, within(50.0, 330.0)] = 50.0
     clock_hz: Annotated[float, within(20e6, 30e6)] = float(NOMINAL_CLOCK_HZ)
@@ -50,8 +51,9 @@ class Pca9685Settings(BusSettings):
     @model_validator(mode="before")
     @classmethod
     def _its_bus_is_its_port(cls, content: Any) -> Any:
-        if isinstance(content, Mapping) and content.get("port") is None:
-            return {**content, "port": f"/dev/i2c-{content.get('i2c_bus', 1)}"}
+        number = content.get("i2c_bus") if isinstance(content, Mapping) else None
+        if isinstance(number, int) and content.get("port") is None:
+            return {**content, "port": f"/dev/i2c-{number}"}
         return content
 
 

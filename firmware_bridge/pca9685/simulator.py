@@ -6,19 +6,23 @@ wire, outputs inverted or changed on ACK, open-drain outputs.
 """
 
 import errno
+import json
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final, Literal
+
+import yaml
+from pydantic import ValidationError
 
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.errors import ServoError
 from firmware_bridge.pca9685.i2c import ANSWER, COUNT, MESSAGE, READ, I2cChip, Message
-from firmware_bridge.pca9685.kind import controller_of
+from firmware_bridge.pca9685.kind import PCA9685, controller_of
 from firmware_bridge.pca9685.registers import (
     CYCLE,
     FULL,
@@ -31,7 +35,7 @@ from firmware_bridge.pca9685.registers import (
     Register,
     counts_of,
 )
-from firmware_bridge.pulse_bus import PULSES_OFF, PulseBus
+from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.simulator.ports import PtyHost
 
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
@@ -39,6 +43,46 @@ _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
 _LAST: Final = (Register.LED15_OFF_H, Register.PRE_SCALE)
 #: A hobby servo takes pulses within this for orders, others for noise.
 _SHORTEST_US, _LONGEST_US = 400.0, 2600.0
+
+
+class ChipFault(Strict):
+    """What goes wrong, and when: once at at_s, or again and again.
+
+    nack: nobody acknowledges; stuck: a line is held low; unplug: the computer has no such bus: for
+    lasts_s. cut: of the next transfer two bytes arrive; brown-out: as after power-up.
+    """
+
+    kind: Literal["nack", "stuck", "cut", "brown-out", "unplug"]
+    at_s: Annotated[float, within(0.0, 1e9)]
+    every_s: Annotated[float, within(0.01, 1e9)] | None = None
+    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
+
+    def is_on(self, now_s: float) -> bool:
+        """Whether it lasts at a time."""
+        since_s = now_s - self.at_s
+        return (
+            since_s >= 0.0 and (since_s % self.every_s if self.every_s else since_s) < self.lasts_s
+        )
+
+    def n_begun(self, now_s: float) -> int:
+        """How often it has begun by a time."""
+        since_s = now_s - self.at_s
+        return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
+
+
+class _Script(Strict):
+    faults: list[ChipFault]
+
+
+def read_faults(text: str | None) -> Sequence[ChipFault]:
+    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    try:
+        return () if text is None else _Script.model_validate(yaml.safe_load(text)).faults
+    except yaml.YAMLError as error:
+        raise ValueError("not YAML") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +129,9 @@ class HobbyServo:
 class SimulatedPca9685:
     """The chip, from power-up on. Time is that of its callers, and never goes back.
 
-    Faults are attributes to be set at any time: `nacks` (so many of the next transfers are not
-    acknowledged), `is_stuck` (the bus times out), `cut_after` (so many bytes of the next transfer
-    arrive), `cuts_pulses` (a write ends the pulse of its channel that is under way, as was seen on
-    some boards), and the method `brown_out`.
+    Faults come from a script, or are set at any time: `nacks`, so many of the next transfers are
+    not acknowledged; `cut_after`, so many bytes of the next write arrive; `brown_out`. cuts_pulses:
+    a write ends the pulse of its channel that is under way, as was seen on some boards.
     """
 
     def __init__(
@@ -97,28 +140,38 @@ class SimulatedPca9685:
         *,
         clock_hz: float = NOMINAL_CLOCK_HZ,
         servos: Mapping[int, HobbyServo] | None = None,
+        faults: Sequence[ChipFault] = (),
+        cuts_pulses: bool = False,
+        on_pulse: Callable[[Pulse], None] | None = None,
         n_remembered: int = 200_000,
     ) -> None:
-        """servos: by channel."""
+        """servos: by channel. on_pulse: gets every pulse that is over, besides `pulses`."""
         self.address, self._clock_hz = address, clock_hz
         self.servos = dict(servos or {})
         self.pulses: deque[Pulse] = deque(maxlen=n_remembered)
         self.to_others: deque[tuple[int, bytes]] = deque(maxlen=n_remembered)
-        self.nacks, self.cut_after, self.is_stuck, self.cuts_pulses = 0, -1, False, False
+        self.nacks, self.cut_after = 0, -1
         self.registers = bytearray(256)
+        self._on_pulse, self._cuts_pulses = on_pulse, cuts_pulses
+        self._faults, self._n_begun = faults, [0] * len(faults)
         self._now_s = 0.0
         self._cycle_s: float | None = None  # when the next cycle begins; None: asleep
         self._awaits_restart = False
         self._under_way: dict[int, Pulse] = {}
         self._reset()
 
+    @property
+    def plugged(self) -> bool:
+        """Whether the computer has the bus."""
+        return not self._suffers("unplug")
+
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
         """Error number and what was read."""
         self.advance(time_s)
-        if self.is_stuck:
+        if self._suffers("stuck"):
             return errno.ETIMEDOUT, b""
-        if self.nacks:
-            self.nacks -= 1
+        if self.nacks or self._suffers("nack"):
+            self.nacks = max(0, self.nacks - 1)
             return errno.EREMOTEIO, b""
         found, pointer = b"", 0
         for address, flags, data in messages:
@@ -144,9 +197,22 @@ class SimulatedPca9685:
     def advance(self, time_s: float) -> None:
         """Make the pulses of every cycle that has begun by now."""
         self._now_s = max(self._now_s, time_s)
+        self._happen()
         while self._cycle_s is not None and self._cycle_s <= self._now_s:
             self._begin_cycle(self._cycle_s)
             self._cycle_s += CYCLE * self.count_us * 1e-6
+
+    def _suffers(self, kind: str) -> bool:
+        return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
+
+    def _happen(self) -> None:
+        for index, fault in enumerate(self._faults):
+            n_begun = fault.n_begun(self._now_s)
+            if n_begun > self._n_begun[index] and fault.kind == "brown-out":
+                self.brown_out()
+            elif n_begun > self._n_begun[index] and fault.kind == "cut":
+                self.cut_after = 2
+            self._n_begun[index] = n_begun
 
     def brown_out(self) -> None:
         """The supply breaks down: as after power-up, and pulses under way are cut."""
@@ -230,7 +296,7 @@ class SimulatedPca9685:
         if not self.registers[Register.MODE1] & Mode1.SLEEP:  # as 7.3.1.1: a write restarts, too
             self._awaits_restart = False
             self.registers[Register.MODE1] &= ~Mode1.RESTART & 0xFF
-        if self.cuts_pulses:
+        if self._cuts_pulses:
             self._cut([channel])
 
     def _counts(self, channel: int) -> int:
@@ -240,7 +306,7 @@ class SimulatedPca9685:
     def _begin_cycle(self, time_s: float) -> None:
         for pulse in self._under_way.values():
             self._order(pulse)
-            self.pulses.append(pulse)
+            self._note(pulse)
         self._under_way.clear()
         if self._awaits_restart:
             return
@@ -265,7 +331,12 @@ class SimulatedPca9685:
             del self._under_way[channel]
             if pulse.start_s < self._now_s:
                 width_us = (self._now_s - pulse.start_s) * 1e6
-                self.pulses.append(replace(pulse, width_us=width_us, is_cut=True))
+                self._note(replace(pulse, width_us=width_us, is_cut=True))
+
+    def _note(self, pulse: Pulse) -> None:
+        self.pulses.append(pulse)
+        if self._on_pulse is not None:
+            self._on_pulse(pulse)
 
 
 class MemoryTransfers:
@@ -288,12 +359,15 @@ class MemoryTransfers:
 class TerminalChip:
     """A chip as `PtyHost` serves it: transfers are frames of bytes there and back."""
 
-    plugged = True
-
     def __init__(self, chip: SimulatedPca9685) -> None:
         self.chip = chip
         self._received = self._answers = b""
         self._received_s = 0.0
+
+    @property
+    def plugged(self) -> bool:
+        """Whether there is a terminal."""
+        return self.chip.plugged
 
     @property
     def next_delivery_s(self) -> float:
@@ -342,30 +416,54 @@ def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
     return messages, data[at:]
 
 
-def chip_for(wiring: Wiring) -> SimulatedPca9685:
+def chip_for(
+    wiring: Wiring,
+    faults: Sequence[ChipFault] = (),
+    on_pulse: Callable[[Pulse], None] | None = None,
+) -> SimulatedPca9685:
     """The board of a face with its servos at neutral."""
     servos = {each.channel: HobbyServo(each.us_per_deg, each.neutral_us) for each in wiring.servos}
     settings = wiring.settings
-    return SimulatedPca9685(settings.address, clock_hz=settings.clock_hz, servos=servos)
+    return SimulatedPca9685(
+        settings.address,
+        clock_hz=settings.clock_hz,
+        servos=servos,
+        faults=faults,
+        on_pulse=on_pulse,
+    )
 
 
 def simulated_wire(wiring: Wiring) -> tuple[PulseBus, ManualClock]:
     """The servos of a face in memory, at neutral, and the clock that moves them."""
     chip, clock = chip_for(wiring), ManualClock()
     opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
-    can = BusCapabilities(
-        hold=True, pulse_rate_hz=wiring.settings.frequency_hz, released_words=PULSES_OFF
-    )
-    controller = controller_of(wiring, opener, clock)
+    controller, can = controller_of(wiring, opener, clock), PCA9685.capabilities(wiring.settings)
     return PulseBus(wiring.servos, controller, clock, can, may_jump=True), clock
 
 
 def serve(
-    wiring: Wiring | None, link: Path | None, *, faults: str | None, **_of_dynamixels: Any
+    wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
 ) -> PtyHost:
-    """The board of a face behind a terminal. Raises ServoError, and PortError without terminals."""
+    """The board of a face behind a terminal.
+
+    faults: the text of a script. log: a file that gets every pulse as a line of JSON: when it
+    began, in seconds of the simulator, channel, and length in us. Raises ServoError for what no
+    chip can have, ValueError, and PortError where no terminal can be made.
+    """
     if wiring is None:
-        raise ServoError("a simulated PCA9685 needs --config, a face that hangs on one")
-    if faults is not None:
-        raise ServoError("--faults: scripts are for Dynamixels; a simulated PCA9685 has none")
-    return PtyHost(TerminalChip(chip_for(wiring)), link)
+        raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
+    on_pulse = None if log is None else _writer(log)
+    return PtyHost(TerminalChip(chip_for(wiring, read_faults(faults), on_pulse)), link)
+
+
+def _writer(log: Path) -> Callable[[Pulse], None]:
+    try:
+        file = log.open("w", buffering=1, encoding="utf-8")
+    except OSError as error:
+        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
+
+    def write(pulse: Pulse) -> None:
+        row = [round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)]
+        file.write(json.dumps(row) + "\n")
+
+    return write

@@ -5,7 +5,12 @@ import errno
 import pytest
 
 from firmware_bridge.pca9685.i2c import READ
-from firmware_bridge.pca9685.simulator import HobbyServo, Pulse, SimulatedPca9685
+from firmware_bridge.pca9685.simulator import (
+    HobbyServo,
+    Pulse,
+    SimulatedPca9685,
+    read_faults,
+)
 
 ADDRESS = 0x40
 
@@ -132,8 +137,28 @@ def test_faults_of_the_bus():
     chip.cut_after = 3
     assert write(chip, 0.0, 0x06, 0x11, 0x02, 0x33, 0x04)[0] == errno.EREMOTEIO
     assert read(chip, 0.0, 0x06, 4) == b"\x11\x02\x00\x10", "the first bytes have arrived"
-    chip.is_stuck = True
-    assert write(chip, 0.0, 0x00, 0x20)[0] == errno.ETIMEDOUT
+
+
+def test_faults_of_a_script():
+    script = """faults:
+    - {kind: stuck, at_s: 1.0, lasts_s: 0.2}
+    - {kind: nack, at_s: 2.0, every_s: 1.0, lasts_s: 0.1}
+    - {kind: brown-out, at_s: 5.5}
+    - {kind: unplug, at_s: 7.0}
+    """
+    chip = SimulatedPca9685(faults=read_faults(script))
+    write(chip, 0.0, 0x00, 0x20)
+
+    assert write(chip, 1.1, 0x01, 0x04)[0] == errno.ETIMEDOUT
+    assert [write(chip, time_s, 0x01, 0x04)[0] for time_s in (1.3, 2.05, 2.5, 5.05)] == [
+        0, errno.EREMOTEIO, 0, errno.EREMOTEIO,
+    ]  # fmt: skip
+    assert read(chip, 5.4, 0x00) == b"\x20"
+    assert read(chip, 5.6, 0x00) == b"\x11"
+    chip.advance(7.2)
+    assert not chip.plugged
+    with pytest.raises(ValueError, match=r"faults\.0\.kind"):
+        read_faults("faults: [{kind: fire, at_s: 1}]")
 
 
 def test_a_servo_takes_no_order_from_a_pulse_that_was_cut():
