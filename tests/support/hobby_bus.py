@@ -98,4 +98,5 @@ def on_pca9685(face, **bus):
         for channel, joint in enumerate(face.joints())
     }
     bus = {"kind": "pca9685", "frequency_hz": 200.0} | bus
-    return yaml.safe_dump({"name": "pulses", "rate_hz": 50, "bus": bus, "servos": servos})
+    face = {"name": "pulses", "rate_hz": 50, "bus": bus, "servos": servos}
+    return yaml.safe_dump(face, sort_keys=False)
