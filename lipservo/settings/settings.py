@@ -233,11 +233,12 @@ def _schema(kind: object) -> type[FaceSettings]:
 def _schema_of(kind: BusKind) -> type[FaceSettings]:
     bus = kind.settings
     servo = create_model("ServoSettings", __base__=(ServoSettings, kind.servo))
+    needs_keys = any(field.is_required() for field in bus.model_fields.values())
     return create_model(
         "FaceSettings",
         __base__=FaceSettings,
         servos=(Mapping[JointName, servo], ...),  # type: ignore[valid-type]
-        bus=(bus, bus()),
+        bus=(bus, ... if needs_keys else bus()),
     )
 
 
