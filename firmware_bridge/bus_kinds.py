@@ -183,6 +183,12 @@ def bus_kind(name: str) -> BusKind:
     return kind
 
 
+def kind_at(port: str) -> BusKind:
+    """What is plugged in at a port as it says itself; of those that say nothing, `AT_A_PORT`."""
+    kinds = (bus_kind(name) for name in _BUILT_IN)
+    return next((kind for kind in kinds if kind.is_at(port)), bus_kind(AT_A_PORT))
+
+
 def _other(name: str) -> object:
     for point in entry_points(group=GROUP, name=name):
         try:

@@ -47,7 +47,7 @@ class MaestroRelease:
         """All channels that there are. Asking for one too many sends servos home: told again."""
         self.tell_all(addresses)
         if self._knows:
-            return list(addresses)
+            return addresses or range(self._n_channels)
         for n_channels in sorted(set(N_CHANNELS.values()))[1:]:
             if math.isnan(self._maestro.position_us(n_channels - 1)):
                 break

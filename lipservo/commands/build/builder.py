@@ -55,7 +55,7 @@ def new_face(
     With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
     """
     from calibration.capture.lerobot_ranges import by_id, read_ranges
-    from firmware_bridge.bus_kinds import AT_A_PORT, bus_kind
+    from firmware_bridge.bus_kinds import kind_at
     from lipservo.runtime.servos.new_face import (
         FoundJoint,
         check_face_file,
@@ -66,7 +66,7 @@ def new_face(
     from lipservo.settings.settings import parse_face
 
     check_face_file(output)
-    tools = bus_kind(AT_A_PORT).workshop()
+    tools = kind_at(port).workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")

@@ -27,6 +27,7 @@ from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import TargetChannel
+from firmware_bridge.process.port_record import note_port
 from lipservo.health.health_log import kept_pulses_path
 from lipservo.settings.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.face.model import FaceModel
@@ -101,6 +102,8 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
 
 def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
     """The bus that the face's YAML asks for; use it as a context manager."""
+    if face.servo_port is not None:
+        note_port(face.bus)
     return face.bus_kind.open(wiring_of(face), clock, strict=strict)
 
 

@@ -166,13 +166,17 @@ def release(port: str, face: "FaceSettings | None" = None, *, say: Say) -> Outco
     face: whose servos must confirm too; None: of what is there nothing is known.
     """
     # Loaded only here: whoever stops a face that hears waits for none of it.
-    from firmware_bridge.bus_kinds import AT_A_PORT, bus_kind
+    from firmware_bridge.bus_kinds import AT_A_PORT, Wiring
+    from firmware_bridge.bus_settings import BusSettings
+    from firmware_bridge.process.port_record import bus_at
     from firmware_bridge.process.torque_release import release_port
 
     outcome = Outcome(port, port)
     _free(port, say)
+    kind, driven = bus_at(port) if face is None else (face.bus_kind, face.bus)
     wiring = None if face is None else face.wiring
-    kind = bus_kind(AT_A_PORT) if face is None else face.bus_kind
+    if face is None and driven is not None and kind.name != AT_A_PORT:
+        wiring = Wiring(driven, (), (), 1.0)  # its servos are all that it has
     ids = [] if wiring is None else [joint.servo_id for joint in wiring.joints]
     try:
         found = release_port(kind.port_release(port, wiring), ids, timeout_s=_PORT_S)
@@ -181,9 +185,10 @@ def release(port: str, face: "FaceSettings | None" = None, *, say: Say) -> Outco
         return outcome
     outcome.confirmed = [f"id {each}" for each in found.confirmed]
     outcome.unconfirmed = {f"id {each}": why for each, why in found.unconfirmed.items()}
-    if found.released and face is not None:
-        outcome.released = [f"id {each}" for each in found.released]
-        outcome.released_words = face.capabilities.released_words
+    if found.released:
+        outcome.released = [f"{kind.servo.address_key} {each}" for each in found.released]
+        can = kind.capabilities(driven or BusSettings(kind=kind.name, port=port))
+        outcome.released_words = can.released_words
     if not (found.confirmed or found.unconfirmed or found.released):
         outcome.problem = "no servo answers there"
     return outcome
