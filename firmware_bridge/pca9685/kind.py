@@ -111,7 +111,7 @@ class BoardRelease:
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
         """Pulses off; who hangs there nobody knows."""
         self.tell_all(addresses)
-        return sorted(addresses)
+        return addresses or range(N_CHANNELS)
 
     def close(self) -> None:
         """Give the bus back."""
