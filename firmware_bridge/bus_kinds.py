@@ -122,6 +122,9 @@ class BusKind:
         """Why the bus cannot do this rate with feedback, and what to do; None: it can."""
         return None
 
+    def allow_first_start(self, _wiring: Wiring) -> None:
+        """A person allows servos of which nobody knows where they stand to jump to neutral."""
+
     def is_at(self, _port: str) -> bool:
         """Whether what is plugged in at a port says by itself that it is of this kind."""
         return False

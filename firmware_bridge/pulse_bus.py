@@ -32,6 +32,8 @@ _SLOW_DEG_S: Final = 60.0
 _LOOK_EVERY_S: Final = 0.1
 #: What it sends is what it was told, or so near: it may be on its way.
 _NEAR_US: Final = 100.0
+#: One pulse may be lost on the way; a channel that is wrong stays so.
+_FAILURES: Final = 2
 #: Pulses are written to the file no more often.
 _KEEP_EVERY_S: Final = 1.0
 
@@ -86,6 +88,11 @@ class KeptPulses:
             return {int(key): float(value) for key, value in kept["pulses_us"].items()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             return {}
+
+    def allow_neutral(self, servos: Sequence[PulseServo]) -> None:
+        """A person allows servos that have had no pulse yet to jump to neutral."""
+        kept = {each.address: each.neutral_us for each in servos} | self.read()
+        self.write(kept)
 
     def follow(self, channels: Sequence[int], sent_us: Array) -> None:
         """Write what stands in `sent_us` whenever it changes, until `close`."""
@@ -154,7 +161,7 @@ class PulseBus:
         self._on_s = np.full(n, np.inf)
         self._last_us = np.full(n, np.nan)  # never written to but in place: the file follows it
         self._goal_us = scale.neutral_us.copy()
-        self._wrong = [""] * n
+        self._wrong, self._n_failed = [""] * n, np.zeros(n, dtype=np.int64)
         self._errors = np.zeros(n, dtype=np.uint8)
         self._nothing, self._unknown = np.zeros(n), np.full(n, np.nan)
         self._sent_s = self._look_s = self._heard_s = self._turn_s = 0.0
@@ -288,6 +295,7 @@ class PulseBus:
         self._controller.open()
         self._held[:] = self._slow[:] = self._fresh[:] = False
         self._wrong = [""] * len(self._wrong)
+        self._n_failed[:] = 0
         self._heard_s = self._clock.now()
         for index in range(len(self._channels)):
             sending_us = self._controller.sending(index)
@@ -327,11 +335,13 @@ class PulseBus:
         now_s = self._clock.now()
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
-            reach_us = self._slow_us_s * (now_s - self._sent_s)
+            # The first pulse is the last one of before.
+            seconds = np.where(self._on_s <= self._sent_s, now_s - self._sent_s, 0.0)
+            reach_us = self._slow_us_s * seconds
             near_us = np.clip(self._goal_us, self._last_us - reach_us, self._last_us + reach_us)
             due = on & self._slow
             sent_us = np.where(due, near_us, self._goal_us)
-            self._slow &= ~(due & (sent_us == self._goal_us) & (self._on_s < now_s))
+            self._slow &= ~(due & (sent_us == self._goal_us) & (self._on_s < self._sent_s))
         else:
             sent_us = self._goal_us
         self._sent_s, self._has_sent = now_s, True
@@ -353,13 +363,17 @@ class PulseBus:
                 self._send()  # it was told to stop, and did not hear
             return
         is_fresh, self._fresh[index] = bool(self._fresh[index]), False
-        if sending_us == 0.0:  # it has lost one, so it may have lost all
-            self._held[index] = False
-        elif is_fresh and abs(sending_us - self._last_us[index]) > _NEAR_US:
-            self._held[index] = False
+        is_near = abs(sending_us - self._last_us[index]) <= _NEAR_US
+        if sending_us > 0.0 and (is_near or not is_fresh):
+            self._n_failed[index] = 0
+            return
+        self._held[index] = False
+        self._n_failed[index] += is_fresh
+        if self._n_failed[index] >= _FAILURES:
             self._wrong[index] = (
                 f"was told a pulse of {self._last_us[index]:.0f} us, and the controller sends "
-                f"{sending_us:.0f}: its channel is set for something else, or to a narrower range"
+                f"{sending_us:.0f}: its channel is set for something else or for a narrower range, "
+                "or is none of this model"
             )
 
     def _check_open(self) -> None:

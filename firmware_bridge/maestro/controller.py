@@ -14,6 +14,7 @@ from firmware_bridge.maestro.protocol import (
     GET_ERRORS,
     GET_POSITION,
     LARGEST,
+    PROTOCOL_ERROR,
     QUARTERS,
     SET_ACCELERATION,
     SET_SPEED,
@@ -71,6 +72,9 @@ class Maestro:
         """Raise PortError with the remedy unless a Maestro answers."""
         if all(self.read_errors() is None for _ in range(_TRIES)):
             raise PortError(no_answer(port, crc=self.has_crc))
+        # Where only we use a CRC, it was one byte too many in what was just asked.
+        if self.has_crc and (self.read_errors() or 0) & PROTOCOL_ERROR:
+            raise PortError(f"{port}: the Maestro does not use a CRC, and bus.crc is true")
 
     def _ask(self, n_bytes: int, *commands: tuple[int, Sequence[int]]) -> bytes | None:
         transport = self.transport

@@ -62,6 +62,12 @@ class MaestroKind(BusKind):
         kept = KeptPulses(wiring.kept)
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
+    def allow_first_start(self, wiring: Wiring) -> None:
+        """Kept where the pulses sent last are."""
+        from firmware_bridge.pulse_bus import KeptPulses
+
+        KeptPulses(wiring.kept).allow_neutral(wiring.servos)
+
     def is_at(self, port: str) -> bool:
         """By the numbers of its plug."""
         return usb_product(port) in _USB_PRODUCTS

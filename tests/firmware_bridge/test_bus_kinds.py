@@ -63,17 +63,17 @@ def test_a_kind_that_comes_with_lipservo_says_what_its_servos_can_do(name):
 
 @pytest.mark.usefixtures("installed")
 def test_a_kind_of_another_package_is_found_by_its_entry_point():
-    assert bus_names() == ["simulated", "dynamixel", "broken", "pulses", "strange"]
+    assert bus_names() == ["simulated", "dynamixel", "maestro", "broken", "pulses", "strange"]
     assert bus_kind("pulses") is PULSES_KIND
     assert bus_kind("simulated").capabilities(BusSettings()).in_memory
 
 
 def test_an_unknown_kind_is_answered_with_those_there_are_and_how_to_get_another():
     with pytest.raises(UnknownBusError) as error:
-        bus_kind("maestro")
+        bus_kind("steamer")
     assert str(error.value) == (
-        "'maestro' is not known here; use one of simulated, dynamixel, or install the package that "
-        "brings it (entry point lipservo.buses)"
+        "'steamer' is not known here; use one of simulated, dynamixel, maestro, or install the "
+        "package that brings it (entry point lipservo.buses)"
     )
 
 

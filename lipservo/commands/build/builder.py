@@ -32,12 +32,18 @@ def jog(
     _finish(moved, [joint])
 
 
-def neutral(port: Port = None, config: Config = DEFAULT_FACE) -> None:
+def neutral(
+    port: Port = None,
+    config: Config = DEFAULT_FACE,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Servos that have had no pulse yet may jump to neutral.")
+    ] = False,
+) -> None:
     """Bring every joint to its neutral, through the safety gate; then all go limp."""
     from lipservo.runtime.servos.moving import move_to
 
     _say_if_simulated(port, config)
-    moved = move_to(config, port, None, 0.5)
+    moved = move_to(config, port, None, 0.5, may_jump=yes)
     _finish(moved, moved.reached_deg)
 
 

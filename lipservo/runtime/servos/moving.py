@@ -7,7 +7,7 @@ import numpy as np
 
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.stopping import StopLevel, StopReport
-from lipservo.runtime.servos.assembly import bus_for, load_settings
+from lipservo.runtime.servos.assembly import bus_for, load_settings, wiring_of
 from lipservo.runtime.servos.held_face import HeldFace
 from lipsync.errors import UserError
 
@@ -25,10 +25,16 @@ class Moved:
 
 
 def move_to(
-    config: str, port: str | None, wanted_deg: Mapping[str, float] | None, hold_s: float
+    config: str,
+    port: str | None,
+    wanted_deg: Mapping[str, float] | None,
+    hold_s: float,
+    *,
+    may_jump: bool = False,
 ) -> Moved:
     """Lead the named joints, None: all to neutral, and let go there.
 
+    may_jump: servos of which nobody knows where they stand may jump to neutral.
     Raises UserError for a joint or an angle that the face has not; nothing has moved then.
     """
     settings, _ = load_settings(config)
@@ -44,6 +50,8 @@ def move_to(
             raise UserError(
                 f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g}"
             )
+    if may_jump:
+        settings.bus_kind.allow_first_start(wiring_of(settings))
     clock = MonotonicClock()
     with (
         bus_for(settings, clock) as bus,

@@ -1,0 +1,330 @@
+"""A face on a simulated Maestro: starts, stops and faults, judged by what goes to the servos."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hobby_bus import on_maestro
+
+from firmware_bridge.bus_kinds import bus_kind
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.errors import PortError, ServoError
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.maestro.controller import MaestroController
+from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
+from firmware_bridge.maestro.release import MaestroRelease
+from firmware_bridge.maestro.simulator import PulseFault, Shaft, maestro_for, read_faults, serve
+from firmware_bridge.pulse_bus import KeptPulses, PulseBus
+from firmware_bridge.simulator.ports import MemoryTransport
+from firmware_bridge.stopping import StopLevel
+from lipservo.settings.settings import load_shipped_face
+
+FACE = load_shipped_face("face_four")
+RATE_HZ = 50.0
+N = len(FACE.joints())
+
+
+def put_together(*, faults=(), deaf=False, kept=None, may_jump=True, really=None, **bus):
+    """really: how the Maestro is set, where that is not as the face's YAML says."""
+    wiring = on_maestro(FACE, **bus)
+    clock = ManualClock()
+    maestro = maestro_for(on_maestro(FACE, **bus | (really or {})), faults, deaf=deaf)
+
+    def opener():
+        return MemoryTransport(maestro, clock, BAUD_RATE)
+
+    can = MAESTRO.capabilities(wiring.settings)
+    bus = PulseBus(
+        wiring.servos,
+        MaestroController(wiring, opener),
+        clock,
+        can,
+        KeptPulses(kept),
+        may_jump=may_jump,
+    )
+    channel = MemoryTargetChannel()
+    bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(RATE_HZ, tolerant=True))
+    return SimpleNamespace(
+        wiring=wiring, clock=clock, maestro=maestro, bus=bus, bridge=bridge, channel=channel,
+        opener=opener,
+    )  # fmt: skip
+
+
+def drive(face, seconds, goal_deg=5.0):
+    for _ in range(round(seconds * RATE_HZ)):
+        time_s = face.clock.now() + 1.0 / RATE_HZ
+        face.clock.sleep_until(time_s)
+        face.channel.publish(ServoTargets(time_s, np.full(N, goal_deg)))
+        face.bridge.tick(time_s)
+
+
+def last_us(face):
+    return [channel.position / 4 for channel in face.maestro.channels][:N]
+
+
+@pytest.mark.parametrize("model", ["micro6", "mini12", "mini24"])
+@pytest.mark.parametrize("crc", [False, True])
+@pytest.mark.parametrize("device", [None, 12])
+def test_every_model_is_driven_to_its_goals(model, crc, device):
+    face = put_together(model=model, crc=crc, device=device)
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+
+        assert face.bridge.troubles == ()
+        np.testing.assert_allclose(last_us(face), 1550.0, atol=1.0)
+        assert not face.maestro.errors
+        assert face.bus.remarks() == []
+    assert last_us(face) == [0.0] * N
+
+
+def test_a_tick_is_one_write():
+    face = put_together(model="mini12")
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        written = []
+        receive = face.maestro.receive
+        face.maestro.receive = lambda data, *rest: (written.append(data), receive(data, *rest))
+        face.bus.write_positions(np.zeros(N))
+
+    assert len(written[0]) == 3 + 2 * N
+
+
+def test_servos_come_on_one_after_another_where_they_were_and_go_slowly(tmp_path):
+    kept = tmp_path / "pulses.json"
+    kept.write_text(json.dumps({"pulses_us": {str(n): 1600.0 for n in range(N)}}))
+    face = put_together(kept=kept, may_jump=False)
+    for channel in face.maestro.channels:
+        channel.shaft = Shaft(1600.0)
+    with face.bus:
+        face.bridge.start()
+        drive(face, 6.0, goal_deg=0.0)
+        pulses = list(face.maestro.pulses)
+    on = {each.channel: each for each in reversed(pulses)}
+    times = sorted(each.time_s for each in on.values())
+
+    assert [each.pulse_us for each in on.values()] == [1600.0] * N
+    assert (np.diff(times) >= 0.24).all()
+    for number in range(N):
+        one = [each for each in pulses if each.channel == number]
+        steps = np.abs(np.diff([each.pulse_us for each in one]))
+        assert steps.max() <= 600.0 / RATE_HZ + 1.0
+        assert one[-1].pulse_us == 1500.0
+    assert json.loads(kept.read_text())["pulses_us"] == {str(n): 1500.0 for n in range(N)}
+
+
+def test_the_first_start_is_refused_until_a_person_allows_it(tmp_path):
+    kept = tmp_path / "deeper" / "pulses.json"
+    face = put_together(kept=kept, may_jump=False)
+    with face.bus:
+        assert "neutral --yes" in face.bus.enable_torque(0)
+        drive(face, 0.5)
+    assert not face.maestro.pulses
+
+    KeptPulses(kept).allow_neutral(face.wiring.servos)
+    face = put_together(kept=kept, may_jump=False)
+    with face.bus:
+        assert face.bus.enable_torque(0) == ""
+
+
+def test_a_controller_that_still_sends_is_believed_before_the_file(tmp_path):
+    kept = tmp_path / "pulses.json"
+    KeptPulses(kept).write({0: 1200.0})
+    face = put_together(kept=kept)
+    face.maestro.receive(bytes.fromhex("84 00 20 32"), 0.0, BAUD_RATE)  # 1604 us
+    with face.bus:
+        goals_deg = face.bus.read().goals_deg
+
+    assert goals_deg[0] == pytest.approx(10.4, abs=0.5)
+
+
+def test_a_file_that_says_nothing_usable_is_no_file(tmp_path):
+    kept = tmp_path / "pulses.json"
+    for text in ("", "[]", '{"pulses_us": 3}', '{"pulses_us": {"a": 1}}'):
+        kept.write_text(text)
+        assert KeptPulses(kept).read() == {}
+
+
+def test_the_wrong_serial_mode_is_refused_with_the_remedy():
+    face = put_together(deaf=True)
+    with pytest.raises(PortError, match=r"USB Dual Port.*lower.*command port"), face.bus:
+        pass
+
+
+def test_a_crc_that_only_one_side_uses_is_refused():
+    for yaml_has, maestro_has in ((True, False), (False, True)):
+        face = put_together(crc=yaml_has, really={"crc": maestro_has})
+        with pytest.raises(PortError, match=r"bus\.crc"), face.bus:
+            pass
+
+
+def test_channels_that_the_model_has_not_are_refused():
+    wiring = on_maestro(FACE)
+    joints = (*wiring.joints[:-1], type(wiring.joints[0])("ear", 7, -1.0, 1.0, 100.0))
+    with pytest.raises(ServoError, match="ear: a Maestro micro6 has channels 0 to 5"):
+        MaestroController(type(wiring)(wiring.settings, joints, wiring.servos, 50.0), None)
+
+
+def test_a_model_that_has_no_command_for_all_is_found_by_what_it_sends():
+    face = put_together(model="mini12", really={"model": "micro6"})
+    with face.bus:
+        face.bridge.start()
+        drive(face, 2.0)
+
+        assert any("protocol error" in each for each in face.bus.remarks())
+        assert last_us(face) == [0.0] * N
+
+
+def test_a_brown_out_is_noticed_and_servos_start_anew_where_they_were():
+    face = put_together(faults=[PulseFault(kind="brown-out", at_s=3.0)])
+    with face.bus:
+        face.bridge.start()
+        drive(face, 8.0)
+        pulses = [each for each in face.maestro.pulses if each.time_s > 3.0]
+
+        assert face.bridge.troubles == ()
+        np.testing.assert_allclose(last_us(face), 1550.0, atol=1.0)
+        assert {each.pulse_us for each in pulses} <= {0.0, 1550.0}
+
+
+@pytest.mark.parametrize("kind", ["truncate", "corrupt"])
+@pytest.mark.parametrize("crc", [False, True])
+def test_damaged_bytes_cost_pulses_for_a_moment_at_most(kind, crc):
+    face = put_together(faults=[PulseFault(kind=kind, at_s=3.0, every_s=1.0)], crc=crc)
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.9)
+        drive(face, 4.0)
+
+        sent = [each.pulse_us for each in face.maestro.pulses]
+        assert all(us == 0.0 or 1000.0 <= us <= 2000.0 for us in sent)
+        assert face.bridge.state.value == "driven"
+    assert last_us(face) == [0.0] * N
+
+
+def test_a_plug_that_is_pulled_is_a_lost_port_and_comes_back():
+    face = put_together(faults=[PulseFault(kind="unplug", at_s=3.0, lasts_s=1.0)])
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.5)
+        assert not face.bridge.plugged
+        with pytest.raises(PortError):
+            face.bus.write_positions(np.zeros(N))
+        np.testing.assert_allclose(last_us(face), 1550.0, atol=1.0)  # pulses go on, as printed
+        drive(face, 6.0)
+
+        assert face.bridge.plugged
+        np.testing.assert_allclose(last_us(face), 1550.0, atol=1.0)
+
+
+def test_the_serial_timeout_stops_the_pulses_where_it_is_set():
+    face = put_together(serial_timeout_s=0.5)
+    with face.bus:
+        face.bridge.start()
+        drive(face, 3.0)
+        assert face.bus.capabilities.watchdog
+        face.maestro.advance(face.clock.now() + 0.6)
+
+        assert last_us(face) == [0.0] * N
+
+
+def test_a_stop_sends_no_pulse_and_a_dry_run_sends_nothing_at_all():
+    face = put_together()
+    with face.bus:
+        face.bridge.start()
+        drive(face, 2.0)
+        face.bridge.stop(StopLevel.LIMP)
+        assert last_us(face) == [0.0] * N
+    face = put_together()
+    face.maestro.receive(bytes.fromhex("84 00 70 2e"), 0.0, BAUD_RATE)
+    with face.bus:
+        for _ in range(20):
+            face.clock.advance(0.1)
+            face.bus.look_after()
+    assert last_us(face)[0] == 1500.0
+
+
+def test_a_channel_that_does_something_else_gets_no_pulses():
+    face = put_together()
+    face.maestro.channels[1].set_target = lambda *_: None
+    face.maestro.channels[1].position = face.maestro.channels[1].target = 200.0
+    with face.bus:
+        face.bridge.start()
+        drive(face, 4.0)
+
+        assert "its channel is set for something else" in face.bridge.troubles[0]
+
+
+@pytest.mark.parametrize("knows", [False, True])
+@pytest.mark.parametrize("model", ["micro6", "mini18"])
+def test_whatever_is_at_a_port_is_let_go(knows, model):
+    face = put_together(model=model)
+    for number in range(len(face.maestro.channels)):
+        face.maestro.receive(bytes((0x84, number, 0x70, 0x2E)), 0.0, BAUD_RATE)
+    release = MaestroRelease(face.opener(), "port", face.wiring.settings, knows=knows)
+    found = release.find([] if knows else [2])
+    release.close()
+
+    assert list(found) == list(range(len(face.maestro.channels)))
+    assert {channel.position for channel in face.maestro.channels} == {0.0}
+
+
+def test_a_maestro_that_does_not_hear_is_never_said_to_be_let_go():
+    face = put_together(deaf=True)
+    with pytest.raises(PortError, match="no Maestro answers"):
+        MaestroRelease(face.opener(), "port", face.wiring.settings, knows=True).tell_all([0])
+
+
+def test_the_doctor_says_what_happens_when_the_computer_dies(monkeypatch):
+    for timeout_s, really_s, said in (
+        (0.0, 0.0, "when the computer dies the servos are held"),
+        (0.5, 0.5, "stops its pulses by itself after 0.5 s"),
+        (0.5, 0.0, "serial_timeout_s is 0.5, but its serial timeout is off"),
+    ):
+        really = {"serial_timeout_s": really_s}
+        face = put_together(port="/dev/x", serial_timeout_s=timeout_s, really=really)
+        monkeypatch.setattr(
+            "firmware_bridge.maestro.kind._opener", lambda _port, face=face: face.opener
+        )
+        findings = [each.what for each in bus_kind("maestro").examine(face.wiring)]
+
+        assert "a Maestro answers at /dev/x" in findings[0]
+        assert "gets no pulses" in findings[1]
+        assert said in findings[-1]
+
+
+def test_a_plug_is_known_by_its_numbers(tmp_path):
+    from firmware_bridge.pulse_bus import usb_product
+
+    device = tmp_path / "class/tty/ttyACM0/device"
+    device.mkdir(parents=True)
+    (device / "idVendor").write_text("1ffb\n")
+    (device / "idProduct").write_text("0089\n")
+
+    assert usb_product("/dev/ttyACM0", tmp_path) == "1ffb:0089"
+    assert usb_product("/dev/ttyUSB0", tmp_path) == ""
+
+
+@pytest.mark.parametrize(
+    "text", ["faults: [{kind: rust, at_s: 1}]", "faults: 3", "x: [", "faults: [{kind: unplug}]"]
+)
+def test_a_script_that_cannot_be_used_says_where(text):
+    with pytest.raises(ValueError, match=r"faults|YAML"):
+        read_faults(text)
+
+
+def test_a_log_that_cannot_be_written_is_an_error(tmp_path):
+    with pytest.raises(ServoError, match="--log"):
+        serve(None, None, faults=None, log=tmp_path / "no" / "where")
+
+
+def test_shafts_run_hold_and_sag():
+    shaft = Shaft(1500.0, speed_us_s=1000.0, sags_us_s=50.0)
+    shaft.move(2000.0, 0.1)
+    assert shaft.place_us == 1600.0
+    shaft.move(0.0, 1.0)
+    assert shaft.place_us == 1550.0
