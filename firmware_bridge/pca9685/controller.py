@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_bridge.bus import Array
+from firmware_bridge.bus import Array, any_set
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
 from firmware_bridge.pca9685.i2c import I2cChip
@@ -49,12 +49,12 @@ class Pca9685:
         self._chip: I2cChip | None = None
         self._is_set_up = False
         # Of a chip that has lost its registers a servo gets pulses only after the bus has seen it.
-        self._lost = np.zeros(len(self._channels), dtype=np.bool_)
+        self._lost, self._any_lost = np.zeros(len(self._channels), dtype=np.bool_), False
 
     def open(self) -> None:
         """Find the chip; only reads. Raises PortError where another chip has its address."""
         self._chip = chip = self._open_chip()
-        self._is_set_up = False
+        self._is_set_up = self._any_lost = False
         self._lost[:] = False
         try:
             check_identity(chip)
@@ -70,9 +70,12 @@ class Pca9685:
 
     def send(self, pulses_us: Array) -> None:
         """All channels of the face in one transfer; all of the board off by one byte."""
-        self._lost &= pulses_us > 0.0
-        counts = self._timing.counts(np.where(self._lost, 0.0, pulses_us))
-        if not counts.any():
+        if self._any_lost:
+            self._lost &= pulses_us > 0.0
+            self._any_lost = bool(self._lost.any())
+            pulses_us = np.where(self._lost, 0.0, pulses_us)
+        counts = self._timing.counts(pulses_us)
+        if not any_set(counts):
             self._opened.write([ALL_OFF])
             return
         if not self._is_set_up:
@@ -88,7 +91,7 @@ class Pca9685:
         mode = chip.read(Register.MODE1)[0]
         if mode != RUNNING or self._lost[index]:
             if self._is_set_up and mode != RUNNING:
-                self._is_set_up, self._lost[:] = False, True
+                self._is_set_up, self._any_lost, self._lost[:] = False, True, True
             return 0.0
         counts = counts_of(chip.read(channel_register(self._channels[index]), 4))
         return counts * self._timing.count_us

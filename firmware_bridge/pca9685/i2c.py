@@ -36,7 +36,7 @@ _ANSWER_S: Final = 1.0
 _TRIES: Final = 2
 _OFD_LOCK: Final = struct.Struct("hhqqi4x")
 #: Address, flags, and the bytes to write or how many to read.
-Message = tuple[int, int, bytes | int]
+Message = tuple[int, int, bytes | bytearray | int]
 _GONE: Final = {
     errno.EREMOTEIO: "nobody acknowledges",
     errno.ENXIO: "nobody acknowledges",
@@ -60,7 +60,7 @@ class I2cChip:
     def __init__(self, transfers: Transfers, address: int, name: str) -> None:
         self._transfers, self._address, self.name = transfers, address, name
 
-    def write(self, messages: Sequence[bytes]) -> None:
+    def write(self, messages: Sequence[bytes | bytearray]) -> None:
         """Each begins with its register; they take effect together."""
         self._transfer([(self._address, 0, message) for message in messages])
 
@@ -141,7 +141,7 @@ class _TerminalTransfers:
             termios.tcflush(self._fd, termios.TCIFLUSH)
         frame = [COUNT.pack(len(messages))]
         for address, flags, data in messages:
-            n_bytes, sent = (data, b"") if isinstance(data, int) else (len(data), data)
+            n_bytes, sent = (data, b"") if isinstance(data, int) else (len(data), bytes(data))
             frame += [MESSAGE.pack(address, flags, n_bytes), sent]
         os.write(self._fd, b"".join(frame))
         give_up_s = time.monotonic() + _ANSWER_S

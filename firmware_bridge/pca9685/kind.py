@@ -70,6 +70,12 @@ class Pca9685Kind(BusKind):
             "`dtparam=i2c_arm_baudrate=400000`), or lower rate_hz"
         )
 
+    def allow_first_start(self, wiring: Wiring) -> None:
+        """Kept where the pulses sent last are."""
+        from firmware_bridge.pulse_bus import KeptPulses
+
+        KeptPulses(wiring.kept).allow_neutral(wiring.servos)
+
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """All sixteen outputs of the board go off."""
         if wiring is None:

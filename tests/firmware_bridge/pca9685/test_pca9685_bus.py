@@ -36,7 +36,7 @@ class Tapped(MemoryTransfers):
         self.seen = []
 
     def transfer(self, messages):
-        self.seen.append(messages)
+        self.seen.append([(a, f, d if isinstance(d, int) else bytes(d)) for a, f, d in messages])
         return super().transfer(messages)
 
 
