@@ -1,6 +1,8 @@
 """Hobby servos at a PCA9685: what goes over I2C, judged by the log of the simulated chip."""
 
+import ctypes
 import errno
+import os
 import re
 from types import SimpleNamespace
 
@@ -16,10 +18,10 @@ from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.pca9685 import i2c
-from firmware_bridge.pca9685.controller import NO_GUARD, Pca9685
+from firmware_bridge.pca9685.controller import NO_GUARD, Pca9685, check_identity
 from firmware_bridge.pca9685.i2c import READ, I2cChip, open_chip
 from firmware_bridge.pca9685.kind import PCA9685, BoardRelease
-from firmware_bridge.pca9685.simulator import MemoryTransfers, chip_for
+from firmware_bridge.pca9685.simulator import MemoryTransfers, SimulatedPca9685, chip_for
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.stopping import StopLevel
 from lipservo.settings.settings import load_shipped_face, parse_face
@@ -335,3 +337,49 @@ def test_doctor_reads_and_says_what_cannot_be_known(board, monkeypatch):
     for words in ("a PCA9685", "asleep", "channel 0, no pulses", NO_GUARD, "clock_hz is that of"):
         assert words in text
     assert NO_GUARD in board.bus.remarks()
+
+
+def test_smbus2_is_handed_the_messages_that_the_chip_takes(tmp_path, monkeypatch):
+    """All of smbus2 but the ioctl itself."""
+    pytest.importorskip("smbus2")
+    chip, path = SimulatedPca9685(), tmp_path / "i2c-1"
+    path.touch()
+
+    class Bus:
+        funcs = 1
+
+        def __init__(self, name):
+            self.fd = os.open(name, os.O_RDWR)
+
+        def i2c_rdwr(self, *made):
+            messages = [(m.addr, m.flags, m.len if m.flags & READ else bytes(m)) for m in made]
+            number, found = chip.transfer(messages, 0.0)
+            if number:
+                raise OSError(number, os.strerror(number))
+            for each in made:
+                if each.flags & READ:
+                    ctypes.memmove(each.buf, found, each.len)
+
+        def close(self):
+            os.close(self.fd)
+
+    asked = []
+    monkeypatch.setattr("smbus2.SMBus", Bus)
+    monkeypatch.setattr(i2c.fcntl, "ioctl", lambda *arguments: asked.append(arguments[1:]))
+    opened = open_chip(str(path), 0x40)
+    try:
+        check_identity(opened)
+        opened.write([bytes([0x00, 0x20])])
+        assert opened.read(0x00) == b"\x20"
+        with pytest.raises(PortError, match="used by another program; `lipservo status`"):
+            open_chip(str(path), 0x40)
+        open_chip(str(path), 0x41).close()
+        chip.nacks = 2
+        with pytest.raises(PortGone, match="nobody acknowledges; check power, SDA and SCL"):
+            opened.read(0x00)
+    finally:
+        opened.close()
+    assert set(asked) == {(0x0702, 5)}
+    Bus.funcs = 0
+    with pytest.raises(PortError, match="speaks SMBus only"):
+        open_chip(str(path), 0x40)

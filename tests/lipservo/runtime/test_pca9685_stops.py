@@ -12,6 +12,7 @@ from itertools import pairwise
 import pytest
 from running_daemon import all_driven, child, log, own_folder, run, running, wait_for
 
+from firmware_bridge.pca9685.controller import NO_GUARD
 from lipservo.runtime.servos.sim_process import simulated_port
 
 # Real processes in real time.
@@ -52,6 +53,7 @@ def check_lengths(path):
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_ends_the_pulses_and_nothing_untrue_is_said(daemon, board, number):
     assert has_pulses(board[1])
+    wait_for(lambda: NO_GUARD in log(daemon))
     os.kill(daemon.pid, number)
     assert daemon.wait(20.0) == 0
     time.sleep(0.1)
