@@ -91,8 +91,7 @@ class KeptPulses:
 
     def allow_neutral(self, servos: Sequence[PulseServo]) -> None:
         """A person allows servos that have had no pulse yet to jump to neutral."""
-        kept = {each.address: each.neutral_us for each in servos} | self.read()
-        self.write(kept)
+        self.write({each.address: each.neutral_us for each in servos} | dict(self.read()))
 
     def follow(self, channels: Sequence[int], sent_us: Array) -> None:
         """Write what stands in `sent_us` whenever it changes, until `close`."""
@@ -234,7 +233,7 @@ class PulseBus:
         if not self._may_jump and np.isnan(self._last_us[index]):
             return (
                 "has had no pulse yet, so nobody knows where it stands: it will jump to neutral at "
-                "full speed; keep clear, then allow it once: `lipservo neutral --yes`"
+                "full speed; keep clear, then allow it once: `lipservo calibrate neutral --yes`"
             )
         return self._wrong[index]
 

@@ -16,8 +16,14 @@ if TYPE_CHECKING:
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.clock import Clock
 
+#: A jaw has caught up by then; speech waits for it.
+_SOFT_START_S: Final = 1.0
 CAPABILITIES: Final = BusCapabilities(
-    hold=True, profile=True, pulse_rate_hz=50.0, released_words=PULSES_OFF
+    hold=True,
+    profile=True,
+    soft_start_s=_SOFT_START_S,
+    pulse_rate_hz=50.0,
+    released_words=PULSES_OFF,
 )
 #: USB has its own rate.
 BAUD_RATE: Final = 115_200

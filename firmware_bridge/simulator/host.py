@@ -1,6 +1,7 @@
 """Simulated Dynamixels for whoever wants to speak to them: in memory, or behind a terminal."""
 
 from pathlib import Path
+from typing import Any
 
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.clock import ManualClock
@@ -30,17 +31,17 @@ def serve(
     first_id: int,
     baud_rate: int | None,
     faults: str | None,
-    chain_stops: bool,
-    log: Path | None = None,
+    **options: Any,
 ) -> PtyHost:
     """Servos behind a terminal that any program can open: a face's, or `n_servos` of one model.
 
-    link: a path that leads to it. baud_rate: None: that of the face, or fresh from the factory.
+    link: a path that leads to it. options: chain_stops, as of `WireRules`.
+    baud_rate: None: that of the face, or fresh from the factory.
     faults: the text of a script. Raises ServoError for what no chain can have, FaultScriptError,
     and PortError where no terminal can be made.
     """
-    if log is not None:
-        raise ServoError(f"--log {log}: of hobby servos only; `lipservo traces` shows the others")
+    if options.get("log") is not None:
+        raise ServoError("--log: is of hobby servos only")
     models, last_id = servo_models(), first_id + n_servos - 1
     if model not in models:
         raise ServoError(f"model {model!r} is not known; use one of {', '.join(models)}")
@@ -48,7 +49,7 @@ def serve(
         raise ServoError(f"{baud_rate} baud is no rate of these servos")
     if last_id > 252:
         raise ServoError(f"ids {first_id}..{last_id}: a servo's id is at most 252")
-    rules = WireRules(chain_stops=chain_stops)
+    rules = WireRules(chain_stops=options["chain_stops"])
     if wiring is not None:
         seed, script = read_faults(faults, len(wiring.servos))
         servos, rate = mounted_servos(wiring), baud_rate or wiring.settings.baud_rate

@@ -128,7 +128,7 @@ def test_what_a_bus_can_do_is_known_before_its_port_is_open(face):
     assert {can.place, can.load, can.heat, can.voltage, can.confirmed_limp} == {has_way_back}
     assert {can.watchdog, can.memory, can.set_up} == {not is_simulated and has_way_back}
     assert can.profile is not (is_simulated or face.name.startswith("pca9685"))
-    assert (can.soft_start_s > 0.0) is can.watchdog
+    assert (can.soft_start_s > 0.0) is not is_simulated
     assert (can.released_words == "limp") is can.confirmed_limp
 
 

@@ -121,7 +121,7 @@ def test_the_first_start_is_refused_until_a_person_allows_it(tmp_path):
     kept = tmp_path / "deeper" / "pulses.json"
     face = put_together(kept=kept, may_jump=False)
     with face.bus:
-        assert "neutral --yes" in face.bus.enable_torque(0)
+        assert "calibrate neutral --yes" in face.bus.enable_torque(0)
         drive(face, 0.5)
     assert not face.maestro.pulses
 
