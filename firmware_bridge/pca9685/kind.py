@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from firmware_bridge.pca9685.controller import Pca9685
     from firmware_bridge.pca9685.i2c import I2cChip
 
+#: A jaw has caught up by then; speech waits for it.
+_SOFT_START_S: Final = 1.0
 #: Bits a second of a bus of which nothing else is known, and those of a byte with its acknowledge.
 _STANDARD_HZ: Final = 100_000
 _BYTE_BITS: Final = 9
@@ -39,6 +41,7 @@ class Pca9685Kind(BusKind):
         assert isinstance(settings, Pca9685Settings)
         return BusCapabilities(
             hold=True,
+            soft_start_s=_SOFT_START_S,
             in_memory=settings.port is None,
             pulse_rate_hz=settings.frequency_hz,
             released_words=PULSES_OFF,
