@@ -28,6 +28,7 @@ _BUILT_IN: Final = {
     "simulated": "firmware_bridge.simulator.kind:SIMULATED",
     "dynamixel": "firmware_bridge.dynamixel.kind:DYNAMIXEL",
     "maestro": "firmware_bridge.maestro.kind:MAESTRO",
+    "pca9685": "firmware_bridge.pca9685.kind:PCA9685",
 }
 #: Of a servo that was told to let go.
 NOT_SEEN: Final = "did not answer"

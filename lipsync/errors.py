@@ -40,6 +40,7 @@ EXTRA_OF = {
     "rustypot": "lipservo-lab[bench]",
     "espeakng_loader": "lipservo[say]",
     "dtaidistance": "lipservo[offline]",
+    "smbus2": "lipservo[pca9685]",
     "joblib": "lipservo-lab[offline]",
     "distributed": "lipservo-lab[cluster]",
     "pipecat": "lipservo-client[pipecat]",

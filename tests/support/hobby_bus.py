@@ -3,6 +3,8 @@
 from dataclasses import replace
 from typing import ClassVar
 
+import yaml
+
 from firmware_bridge.bus_kinds import BusKind, Wiring
 from firmware_bridge.bus_settings import BusServo, BusSettings
 from firmware_bridge.capabilities import BusCapabilities
@@ -80,3 +82,21 @@ def on_maestro(face, port=None, **bus):
     ]
     settings = MaestroSettings(**{"model": "micro6", "port": port} | bus)
     return Wiring(settings, tuple(joints), tuple(servos), 50.0)
+
+
+def on_pca9685(face, **bus):
+    """The YAML of a face with the joints of another, as if their servos hung on a PCA9685."""
+    servos = {
+        joint.name: {
+            "channel": channel,
+            "positive": "opens",
+            "min_deg": joint.min_deg,
+            "max_deg": joint.max_deg,
+            "max_speed_deg_s": joint.max_speed_deg_s,
+            "us_per_deg": 10.0,
+        }
+        for channel, joint in enumerate(face.joints())
+    }
+    bus = {"kind": "pca9685", "frequency_hz": 200.0} | bus
+    face = {"name": "pulses", "rate_hz": 50, "bus": bus, "servos": servos}
+    return yaml.safe_dump(face, sort_keys=False)

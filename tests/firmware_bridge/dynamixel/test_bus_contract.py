@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hobby_bus import PULSES, on_maestro
+from hobby_bus import PULSES, on_maestro, on_pca9685
 
 from firmware_bridge.clock import ManualClock, MonotonicClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
@@ -21,8 +21,9 @@ from firmware_bridge.maestro.simulator import simulated_wire as simulated_maestr
 from firmware_bridge.simulator.bus import SimulatedBus
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.ports import MemoryTransport
+from lipservo.runtime.servos.assembly import bus_for, simulated_wire
 from lipservo.runtime.servos.sim_process import simulated_port
-from lipservo.settings.settings import load_shipped_face
+from lipservo.settings.settings import load_shipped_face, parse_face
 
 BAUD_RATE = 1_000_000
 FACE = load_shipped_face("face_four")
@@ -46,6 +47,14 @@ def maestro_port():
         yield port
 
 
+@pytest.fixture(scope="module")
+def pca9685_port(tmp_path_factory):
+    config = tmp_path_factory.mktemp("pca9685") / "face.yaml"
+    config.write_text(on_pca9685(FACE))
+    with simulated_port(["--config", str(config), "--on-time"]) as port:
+        yield port
+
+
 @pytest.fixture(autouse=True)
 def long_timeouts(monkeypatch):
     """The SDK waits for 34 ms; a computer that runs other tests meanwhile may need more."""
@@ -61,11 +70,13 @@ def eventually(condition, clock, period_s=0.02):
     return True
 
 
-@pytest.fixture(params=["simulated", "pulses", "maestro", "maestro pty", "memory", "own", "sdk"])
+BUSES = ["simulated", "pulses", "maestro", "pca9685", "memory"]
+
+
+@pytest.fixture(params=[*BUSES, "maestro pty", "pca9685 pty", "own", "sdk"])
 def face(request):
     """A bus that is not entered yet, its clock, and how its servos are seen from outside."""
-    in_memory = ("simulated", "pulses", "maestro", "memory")
-    clock = ManualClock() if request.param in in_memory else MonotonicClock()
+    clock = ManualClock() if request.param in BUSES else MonotonicClock()
     if request.param == "simulated":
         bus = SimulatedBus(FACE.joints(), clock)
     elif request.param == "pulses":
@@ -75,6 +86,11 @@ def face(request):
     elif request.param == "maestro pty":
         port = request.getfixturevalue("maestro_port")
         bus = MAESTRO.open(on_maestro(FACE, port=port), clock)
+    elif request.param == "pca9685":
+        bus, clock = simulated_wire(parse_face(on_pca9685(FACE), "face.yaml"))
+    elif request.param == "pca9685 pty":
+        port = request.getfixturevalue("pca9685_port")
+        bus = bus_for(parse_face(on_pca9685(FACE), "face.yaml").at_port(port), clock)
     elif request.param == "memory":
         chain = chain_for(SERVOS, BAUD_RATE)
         bus = DynamixelBus(SERVOS, lambda: MemoryTransport(chain, clock, BAUD_RATE), watchdog_s=0.0)
@@ -84,7 +100,7 @@ def face(request):
         bus = DynamixelBus(
             SERVOS, lambda: open_transport(path, BAUD_RATE), make_line=make_line, watchdog_s=0.0
         )
-    return SimpleNamespace(bus=bus, clock=clock)
+    return SimpleNamespace(bus=bus, clock=clock, name=request.param)
 
 
 def hold(face):
@@ -111,8 +127,8 @@ def test_what_a_bus_can_do_is_known_before_its_port_is_open(face):
     assert can.hold
     assert {can.place, can.load, can.heat, can.voltage, can.confirmed_limp} == {has_way_back}
     assert {can.watchdog, can.memory, can.set_up} == {not is_simulated and has_way_back}
-    assert can.profile is not is_simulated
-    assert (can.soft_start_s > 0.0) is can.profile
+    assert can.profile is not (is_simulated or face.name.startswith("pca9685"))
+    assert (can.soft_start_s > 0.0) is not is_simulated
     assert (can.released_words == "limp") is can.confirmed_limp
 
 

@@ -1,0 +1,1 @@
+"""Hobby servos at a PCA9685 on I2C."""

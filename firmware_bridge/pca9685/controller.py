@@ -1,0 +1,150 @@
+"""A PCA9685 as what makes the pulses of a face: `PulseController`."""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.bus import Array, any_set
+from firmware_bridge.clock import Clock
+from firmware_bridge.errors import PortError
+from firmware_bridge.pca9685.i2c import I2cChip
+from firmware_bridge.pca9685.registers import (
+    ALL_OFF,
+    IDENTITY,
+    NOMINAL_CLOCK_HZ,
+    OSCILLATOR_S,
+    RUNNING,
+    Mode1,
+    Mode2,
+    PulseMessages,
+    Register,
+    Timing,
+    channel_register,
+    counts_of,
+)
+
+_MODE2: Final = Mode2.TOTEM_POLE
+#: What nobody can do anything about once the computer is dead.
+NO_GUARD: Final = (
+    "nothing holds the OE pin of the board: when the computer dies, its pulses go on, and servos "
+    "hold and pull as before; the switch of the servos' supply is what stops them"
+)
+
+
+class Pca9685:
+    """One chip. Whatever else hangs on the bus is not spoken to; see `PulseController`."""
+
+    def __init__(
+        self,
+        open_chip: Callable[[], I2cChip],
+        timing: Timing,
+        channels: Sequence[int],
+        clock: Clock,
+    ) -> None:
+        """channels: of each servo."""
+        self._open_chip, self._timing, self._clock = open_chip, timing, clock
+        self._channels = tuple(channels)
+        self._messages = PulseMessages(channels)
+        self._chip: I2cChip | None = None
+        self._is_set_up = False
+        # Of a chip that has lost its registers a servo gets pulses only after the bus has seen it.
+        self._lost, self._any_lost = np.zeros(len(self._channels), dtype=np.bool_), False
+
+    def open(self) -> None:
+        """Find the chip; only reads. Raises PortError where another chip has its address."""
+        self._chip = chip = self._open_chip()
+        self._is_set_up = self._any_lost = False
+        self._lost[:] = False
+        try:
+            check_identity(chip)
+        except PortError:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Give the bus back; pulses go on as they are."""
+        if self._chip is not None:
+            self._chip.close()
+            self._chip = None
+
+    def send(self, pulses_us: Array) -> None:
+        """All channels of the face in one transfer; all of the board off by one byte."""
+        if self._any_lost:
+            self._lost &= pulses_us > 0.0
+            self._any_lost = bool(self._lost.any())
+            pulses_us = np.where(self._lost, 0.0, pulses_us)
+        counts = self._timing.counts(pulses_us)
+        if not any_set(counts):
+            self._opened.write([ALL_OFF])
+            return
+        if not self._is_set_up:
+            self._set_up()
+        self._opened.write(self._messages.of(counts))
+
+    def sending(self, index: int) -> float:
+        """What the registers of its channel make; none while the chip is asleep or set otherwise.
+
+        A supply that broke down leaves the chip as at power-up, and all servos without pulses.
+        """
+        chip = self._opened
+        mode = chip.read(Register.MODE1)[0]
+        if mode != RUNNING or self._lost[index]:
+            if self._is_set_up and mode != RUNNING:
+                self._is_set_up, self._any_lost, self._lost[:] = False, True, True
+            return 0.0
+        counts = counts_of(chip.read(channel_register(self._channels[index]), 4))
+        return counts * self._timing.count_us
+
+    def remarks(self) -> Sequence[str]:
+        """What a person must know who starts the face."""
+        return [NO_GUARD]
+
+    @property
+    def _opened(self) -> I2cChip:
+        if self._chip is None:
+            raise PortError("the I2C bus is not open")
+        return self._chip
+
+    def _set_up(self) -> None:
+        """Prescaler and modes, unless they are so already: then pulses of before go on.
+
+        The prescaler can be written only asleep (7.3.5), where no pulse is made: all channels go
+        off first, so that none is cut short or comes back by the restart.
+        """
+        chip, timing = self._opened, self._timing
+        mode1, mode2 = chip.read(Register.MODE1)[0], chip.read(Register.MODE2)[0]
+        prescale = chip.read(Register.PRE_SCALE)[0]
+        if (mode1, mode2, prescale) != (RUNNING, _MODE2, timing.prescale):
+            chip.write([ALL_OFF])
+            self._sleep(timing.period_us * 1e-6)  # the cycle in which it is written goes to its end
+            chip.write([bytes([Register.MODE1, RUNNING | Mode1.SLEEP])])
+            chip.write([bytes([Register.PRE_SCALE, timing.prescale])])
+            chip.write([bytes([Register.MODE2, _MODE2])])
+            chip.write([bytes([Register.MODE1, RUNNING])])
+            self._sleep(OSCILLATOR_S)
+            chip.write([bytes([Register.MODE1, RUNNING | Mode1.RESTART])])
+        self._is_set_up = True
+
+    def _sleep(self, seconds: float) -> None:
+        self._clock.sleep_until(self._clock.now() + seconds)
+
+
+def check_identity(chip: I2cChip) -> None:
+    """Raise PortError unless it answers as a PCA9685 does."""
+    found = b"".join(
+        chip.read(register) for register in range(Register.SUBADR1, Register.ALLCALLADR + 1)
+    )
+    if found != IDENTITY or chip.read(Register.PRE_SCALE)[0] < 3:
+        raise PortError(
+            f"{chip.name}: no PCA9685 answers there (registers 2 to 5 are {found.hex(' ')}, not "
+            f"{IDENTITY.hex(' ')}); an INA219 or HTU21 has the same address: give the board "
+            "another by its solder bridges, or switch its supply off and on"
+        )
+
+
+def clock_remark(clock_hz: float) -> str:
+    """What a clock costs that was not measured; empty: it was."""
+    if clock_hz != NOMINAL_CLOCK_HZ:
+        return ""
+    return "clock_hz is that of the data sheet; boards differ by some per cent, pulses with them"

@@ -1,0 +1,73 @@
+"""What is wrong between the computer, a PCA9685 and its supply, and what to do."""
+
+from collections.abc import Callable, Iterator
+
+from firmware_bridge.bus_kinds import Finding, Severity, Wiring
+from firmware_bridge.errors import PortError
+from firmware_bridge.pca9685.controller import NO_GUARD, check_identity, clock_remark
+from firmware_bridge.pca9685.i2c import I2cChip
+from firmware_bridge.pca9685.registers import RUNNING, Mode1, Register, channel_register, counts_of
+from firmware_bridge.pca9685.settings import Pca9685Settings
+
+
+def examine(
+    wiring: Wiring, opener: Callable[[], I2cChip], slowness: str | None
+) -> Iterator[Finding]:
+    """Findings in the order in which they are mended; only reads."""
+    settings: Pca9685Settings = wiring.settings
+    try:
+        chip = opener()
+    except PortError as error:
+        yield Finding(Severity.BAD, str(error))
+        return
+    try:
+        yield Finding(Severity.GOOD, f"{settings.port}: an I2C bus, ours alone at this address")
+        check_identity(chip)
+        yield Finding(Severity.GOOD, f"{chip.name}: a PCA9685")
+        yield _mode(chip)
+        yield from (_channel(chip, wiring, index) for index in range(len(wiring.servos)))
+    except PortError as error:
+        yield Finding(Severity.BAD, str(error))
+        return
+    finally:
+        chip.close()
+    timing = settings.timing
+    yield Finding(
+        Severity.GOOD,
+        f"pulses {timing.frequency_hz:.1f} times a second, in steps of {timing.count_us:.2f} us",
+    )
+    if why := clock_remark(settings.clock_hz):
+        yield Finding(Severity.WARNING, why, "measure it: docs/hardware.md, bus.clock_hz")
+    if slowness:
+        yield Finding(Severity.BAD, slowness)
+    yield Finding(Severity.WARNING, NO_GUARD, "put a switch into the servos' supply")
+    yield Finding(
+        Severity.WARNING,
+        "whether servos are there, stand where they were sent, or are hot cannot be known",
+    )
+
+
+def _mode(chip: I2cChip) -> Finding:
+    mode = Mode1(chip.read(Register.MODE1)[0])
+    if mode & ~Mode1.RESTART == RUNNING:
+        return Finding(Severity.GOOD, "makes pulses, or is ready to")
+    if mode & Mode1.SLEEP:
+        return Finding(Severity.GOOD, "asleep, as after power-up: no pulses; a start sets it up")
+    return Finding(
+        Severity.WARNING, f"set up by another program (MODE1 {mode:#04x})", "a start sets it anew"
+    )
+
+
+def _channel(chip: I2cChip, wiring: Wiring, index: int) -> Finding:
+    servo, joint = wiring.servos[index], wiring.joints[index]
+    timing = wiring.settings.timing
+    # One by one: auto-increment may be off.
+    first = channel_register(servo.channel)
+    counts = counts_of(b"".join(chip.read(first + n) for n in range(4)))
+    now = f"{counts * timing.count_us:.0f} us" if counts else "no pulses"
+    step = f"{timing.resolution_deg(servo.us_per_deg):.2f} deg a step"
+    return Finding(
+        Severity.GOOD,
+        f"{joint.name}: channel {servo.channel}, {now}; {servo.min_us:g} to {servo.max_us:g} us, "
+        f"{step}",
+    )

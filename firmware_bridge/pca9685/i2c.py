@@ -1,0 +1,217 @@
+"""An I2C bus of the computer, shared with others: one address on it is ours alone.
+
+`smbus2` is imported only where a bus of the computer is opened. A pseudo-terminal in its place
+carries the same messages to a simulated chip, field for field as Linux has them (`struct i2c_msg`).
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+import select
+import struct
+import termios
+import time
+import tty
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final, Protocol
+
+from firmware_bridge.errors import PortError, PortGone
+
+#: `linux/i2c.h`, `linux/i2c-dev.h`
+READ: Final = 0x0001
+_PLAIN_I2C: Final = 0x0001
+_I2C_TIMEOUT: Final = 0x0702
+#: In units of 10 ms: a bus that is stuck holds a tick up so long, not a second as by default.
+_TIMEOUT: Final = 5
+#: Address, flags and length of a message; how many of them; errno and length of an answer.
+MESSAGE: Final = struct.Struct("<HHH")
+COUNT: Final = struct.Struct("<B")
+ANSWER: Final = struct.Struct("<HH")
+_TERMINALS: Final = Path("/dev/pts")
+#: No simulator needs so long.
+_ANSWER_S: Final = 1.0
+#: A message that is spoilt is sent once more: a line of a bus may be disturbed.
+_TRIES: Final = 2
+_OFD_LOCK: Final = struct.Struct("hhqqi4x")
+#: Address, flags, and the bytes to write or how many to read.
+Message = tuple[int, int, bytes | bytearray | int]
+_GONE: Final = {
+    errno.EREMOTEIO: "nobody acknowledges",
+    errno.ENXIO: "nobody acknowledges",
+    errno.ETIMEDOUT: "the bus is stuck; a chip holds SDA or SCL low",
+}
+
+
+class Transfers(Protocol):
+    """One way to a bus. Methods raise OSError."""
+
+    def transfer(self, messages: Sequence[Message]) -> bytes:
+        """Messages with one STOP after the last; what was read, one after the other."""
+
+    def close(self) -> None:
+        """Give it back."""
+
+
+class I2cChip:
+    """One chip, by its address. Methods raise PortGone."""
+
+    def __init__(self, transfers: Transfers, address: int, name: str) -> None:
+        self._transfers, self._address, self.name = transfers, address, name
+
+    def write(self, messages: Sequence[bytes | bytearray]) -> None:
+        """Each begins with its register; they take effect together."""
+        self._transfer([(self._address, 0, message) for message in messages])
+
+    def read(self, register: int, n_bytes: int = 1) -> bytes:
+        """From one register on."""
+        address = self._address
+        return self._transfer([(address, 0, bytes([register])), (address, READ, n_bytes)])
+
+    def close(self) -> None:
+        """Give the bus back."""
+        with contextlib.suppress(OSError):
+            self._transfers.close()
+
+    def _transfer(self, messages: Sequence[Message]) -> bytes:
+        for tries_left in reversed(range(_TRIES)):
+            try:
+                return self._transfers.transfer(messages)
+            except OSError as error:
+                if tries_left == 0:
+                    why = _GONE.get(error.errno or 0, error.strerror or str(error))
+                    raise PortGone(
+                        f"{self.name}: {why}; check power, SDA and SCL of the board"
+                    ) from error
+        raise AssertionError
+
+
+class _DeviceTransfers:
+    """By smbus2."""
+
+    def __init__(self, path: str) -> None:
+        """Raises OSError, and PortError where something is missing."""
+        try:
+            from smbus2 import SMBus, i2c_msg
+        except ImportError as error:
+            raise PortError(
+                f"{path}: a PCA9685 needs smbus2, which is not installed: "
+                "`pip install 'lipservo[pca9685]'`"
+            ) from error
+        self._message = i2c_msg
+        self._bus = SMBus(path)
+        if not self._bus.funcs & _PLAIN_I2C:
+            self._bus.close()
+            raise PortError(f"{path}: this adapter speaks SMBus only, which is not enough")
+        fcntl.ioctl(self.fileno(), _I2C_TIMEOUT, _TIMEOUT)
+
+    def fileno(self) -> int:
+        return -1 if self._bus.fd is None else self._bus.fd
+
+    def transfer(self, messages: Sequence[Message]) -> bytes:
+        made = [
+            self._message.read(address, data)
+            if isinstance(data, int)
+            else self._message.write(address, data)
+            for address, _, data in messages
+        ]
+        self._bus.i2c_rdwr(*made)
+        return b"".join(bytes(each) for each in made if each.flags & READ)
+
+    def close(self) -> None:
+        self._bus.close()
+
+
+class _TerminalTransfers:
+    """To a simulated chip."""
+
+    def __init__(self, path: str) -> None:
+        self._fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
+        with contextlib.suppress(termios.error):
+            tty.setraw(self._fd)
+        self._poll = select.poll()
+        self._poll.register(self._fd, select.POLLIN)
+
+    def fileno(self) -> int:
+        return self._fd
+
+    def transfer(self, messages: Sequence[Message]) -> bytes:
+        with contextlib.suppress(termios.error):
+            termios.tcflush(self._fd, termios.TCIFLUSH)
+        frame = [COUNT.pack(len(messages))]
+        for address, flags, data in messages:
+            n_bytes, sent = (data, b"") if isinstance(data, int) else (len(data), bytes(data))
+            frame += [MESSAGE.pack(address, flags, n_bytes), sent]
+        os.write(self._fd, b"".join(frame))
+        give_up_s = time.monotonic() + _ANSWER_S
+        number, n_bytes = ANSWER.unpack(self._read(ANSWER.size, give_up_s))
+        if number:
+            raise OSError(number, os.strerror(number))
+        return self._read(n_bytes, give_up_s)
+
+    def _read(self, n_bytes: int, give_up_s: float) -> bytes:
+        found = b""
+        while len(found) < n_bytes:
+            if not self._poll.poll(max(0.0, give_up_s - time.monotonic()) * 1e3):
+                raise OSError(errno.ETIMEDOUT, os.strerror(errno.ETIMEDOUT))
+            part = os.read(self._fd, n_bytes - len(found))
+            if not part:
+                raise OSError(errno.EIO, os.strerror(errno.EIO))
+            found += part
+        return found
+
+    def close(self) -> None:
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+def is_terminal(path: str) -> bool:
+    """Whether a simulator is at the other end."""
+    return Path(path).resolve().parent == _TERMINALS
+
+
+def open_chip(path: str, address: int) -> I2cChip:
+    """The chip at an address of the bus at `path`, for us alone; nothing is sent.
+
+    Others on this bus, ours too, go on: the lock is on the address. Raises PortError that says
+    what to do.
+    """
+    name = f"{path}, address {address:#04x}"
+    is_alone = is_terminal(path)
+    try:
+        transfers = _TerminalTransfers(path) if is_alone else _DeviceTransfers(path)
+    except OSError as error:
+        raise PortError(_explain(path, error)) from error
+    try:
+        _claim(transfers.fileno(), address, alone=is_alone)
+    except OSError as error:
+        transfers.close()
+        raise PortError(
+            f"{name}: used by another program; `lipservo status` lists running faces"
+        ) from error
+    return I2cChip(transfers, address, name)
+
+
+def _claim(fd: int, address: int, *, alone: bool) -> None:
+    """A lock on one byte of the file is that of the address; the other says who has it open.
+
+    alone: a terminal carries one conversation. Raises OSError where somebody has it.
+    """
+    fcntl.flock(fd, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+    lock = _OFD_LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, address, 1, 0)
+    fcntl.fcntl(fd, fcntl.F_OFD_SETLK, lock)
+
+
+def _explain(path: str, error: OSError) -> str:
+    if error.errno in (errno.ENOENT, errno.ENODEV, errno.ENXIO):
+        return (
+            f"{path}: no such I2C bus; switch it on (Raspberry Pi: `sudo raspi-config nonint "
+            "do_i2c 0`, then start anew), `ls /dev/i2c-*` lists those there are"
+        )
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return f"{path}: not permitted; `sudo usermod -aG i2c $USER`, then log in again"
+    if error.errno in (errno.ENOTTY, errno.EINVAL, errno.EISDIR):
+        return f"{path}: is no I2C bus"
+    return f"{path}: cannot be opened: {error.strerror}"

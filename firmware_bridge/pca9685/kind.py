@@ -1,0 +1,158 @@
+"""Hobby servos at a PCA9685, as one kind of bus."""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from firmware_bridge.bus_kinds import BusKind, Finding, PortRelease, Wiring
+from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.errors import PortError, ServoError
+from firmware_bridge.pca9685.registers import N_CHANNELS
+from firmware_bridge.pca9685.settings import Pca9685Servo, Pca9685Settings, check_pulses
+from firmware_bridge.pulse_bus import PULSES_OFF
+
+if TYPE_CHECKING:
+    from firmware_bridge.bus import ServoBus
+    from firmware_bridge.bus_settings import BusSettings
+    from firmware_bridge.clock import Clock
+    from firmware_bridge.pca9685.controller import Pca9685
+    from firmware_bridge.pca9685.i2c import I2cChip
+
+#: A jaw has caught up by then; speech waits for it.
+_SOFT_START_S: Final = 1.0
+#: Bits a second of a bus of which nothing else is known, and those of a byte with its acknowledge.
+_STANDARD_HZ: Final = 100_000
+_BYTE_BITS: Final = 9
+#: Of a tick that the bus may take.
+_SHARE: Final = 0.6
+
+
+class Pca9685Kind(BusKind):
+    """See `BusKind`."""
+
+    name = "pca9685"
+    settings = Pca9685Settings
+    servo = Pca9685Servo
+    simulator_module = "firmware_bridge.pca9685.simulator"
+
+    def capabilities(self, settings: "BusSettings") -> BusCapabilities:
+        """Pulses go on until they are switched off; nothing comes back."""
+        assert isinstance(settings, Pca9685Settings)
+        return BusCapabilities(
+            hold=True,
+            soft_start_s=_SOFT_START_S,
+            in_memory=settings.port is None,
+            pulse_rate_hz=settings.frequency_hz,
+            released_words=PULSES_OFF,
+        )
+
+    def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - no servo can be asked whether it is there
+        """By smbus2; without a port in memory."""
+        from firmware_bridge.pca9685.i2c import is_terminal
+        from firmware_bridge.pulse_bus import KeptPulses, PulseBus
+        from firmware_bridge.simulator.bus import SimulatedBus
+
+        settings, can = wiring.settings, self.capabilities(wiring.settings)
+        if settings.port is None:
+            return SimulatedBus(wiring.joints, clock, capabilities=can)
+        controller, kept = controller_of(wiring, opener_of(wiring), clock), KeptPulses(wiring.kept)
+        # Behind a pseudo-terminal nothing can be hurt.
+        may_jump = is_terminal(settings.port)
+        return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
+
+    def slowness(self, wiring: Wiring, rate_hz: float) -> str | None:
+        """By the bytes of a tick, at the rate that the device tree says of the bus."""
+        bits_s = _bits_s(wiring.settings.port or "")
+        needed_s = (4 * len(wiring.servos) + 8) * _BYTE_BITS / bits_s
+        if needed_s <= _SHARE / rate_hz:
+            return None
+        return (
+            f"{len(wiring.servos)} servos take {needed_s * 1e3:.1f} ms of an I2C bus of "
+            f"{bits_s / 1e3:g} kHz, too long at {rate_hz:g} Hz; set it to 400 kHz (Raspberry Pi: "
+            "`dtparam=i2c_arm_baudrate=400000`), or lower rate_hz"
+        )
+
+    def allow_first_start(self, wiring: Wiring) -> None:
+        """Kept where the pulses sent last are."""
+        from firmware_bridge.pulse_bus import KeptPulses
+
+        KeptPulses(wiring.kept).allow_neutral(wiring.servos)
+
+    def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
+        """All sixteen outputs of the board go off."""
+        if wiring is None:
+            raise PortError(f"{port}: which address? Give --config, the face's YAML")
+        return lambda: BoardRelease(opener_of(wiring)())
+
+    def examine(self, wiring: Wiring) -> Iterator[Finding]:
+        """Bus, chip, and what its pulses can do."""
+        from firmware_bridge.pca9685.doctor import examine
+
+        yield from examine(wiring, opener_of(wiring), self.slowness(wiring, wiring.rate_hz))
+
+
+class BoardRelease:
+    """See `PortRelease`: a chip confirms that its pulses are off, no servo that it is."""
+
+    confirms = False
+
+    def __init__(self, chip: "I2cChip") -> None:
+        from firmware_bridge.pca9685.controller import check_identity
+
+        self._chip = chip
+        try:
+            check_identity(chip)
+        except PortError:
+            chip.close()
+            raise
+
+    def tell_all(self, addresses: Sequence[int]) -> None:  # noqa: ARG002 - one byte is for all
+        """Pulses off."""
+        from firmware_bridge.pca9685.registers import ALL_OFF
+
+        self._chip.write([ALL_OFF])
+
+    def ask(self, address: int) -> str:
+        """Nobody can answer."""
+        raise NotImplementedError(address)
+
+    def find(self, addresses: Sequence[int]) -> Sequence[int]:
+        """Pulses off; who hangs there nobody knows."""
+        self.tell_all(addresses)
+        return addresses or range(N_CHANNELS)
+
+    def close(self) -> None:
+        """Give the bus back."""
+        self._chip.close()
+
+
+def opener_of(wiring: Wiring) -> Callable[[], "I2cChip"]:
+    """What opens the chip of a face."""
+    from firmware_bridge.pca9685.i2c import open_chip
+
+    return partial(open_chip, wiring.settings.port, wiring.settings.address)
+
+
+def controller_of(wiring: Wiring, opener: Callable[[], "I2cChip"], clock: "Clock") -> "Pca9685":
+    """The chip of a face. Raises ServoError for pulses that do not fit its frequency."""
+    from firmware_bridge.pca9685.controller import Pca9685
+
+    if why := check_pulses(wiring.settings, max(each.max_us for each in wiring.servos)):
+        raise ServoError(f"servos: {why}")
+    channels = [each.channel for each in wiring.servos]
+    assert max(channels) < N_CHANNELS
+    return Pca9685(opener, wiring.settings.timing, channels, clock)
+
+
+def _bits_s(port: str) -> int:
+    """The rate of a bus as the device tree says it."""
+    number = Path(port).name.removeprefix("i2c-")
+    try:
+        told = Path(f"/sys/class/i2c-adapter/i2c-{number}/of_node/clock-frequency").read_bytes()
+    except OSError:
+        return _STANDARD_HZ
+    return int.from_bytes(told, "big") or _STANDARD_HZ
+
+
+PCA9685: Final = Pca9685Kind()

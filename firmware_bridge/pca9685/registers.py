@@ -1,0 +1,166 @@
+"""Registers of a PCA9685 and the counts of its pulses: pure functions.
+
+Sections and tables: https://www.nxp.com/docs/en/data-sheet/PCA9685.pdf, revision 4.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import Array
+
+N_CHANNELS: Final = 16
+#: Counts of one cycle (7.3.3).
+CYCLE: Final = 4096
+#: The internal oscillator as the data sheet has it; boards differ by some per cent.
+NOMINAL_CLOCK_HZ: Final = 25_000_000
+#: From the end of sleep to the first cycle (7.3.1.1).
+OSCILLATOR_S: Final = 500e-6
+#: Bit 4 of LEDn_ON_H and LEDn_OFF_H: full on, full off; full off wins (7.3.3).
+FULL: Final = 0x10
+_BYTES: Final = 4
+
+
+class Register(IntEnum):
+    """Addresses of registers, table 4."""
+
+    MODE1 = 0x00
+    MODE2 = 0x01
+    SUBADR1 = 0x02
+    ALLCALLADR = 0x05
+    LED0_ON_L = 0x06
+    LED15_OFF_H = 0x45
+    ALL_LED_ON_L = 0xFA
+    ALL_LED_OFF_H = 0xFD
+    PRE_SCALE = 0xFE
+    TEST_MODE = 0xFF
+
+
+class Mode1(IntFlag):
+    """Bits of MODE1, table 5."""
+
+    RESTART = 0x80
+    EXTERNAL_CLOCK = 0x40
+    AUTO_INCREMENT = 0x20
+    SLEEP = 0x10
+    SUB1 = 0x08
+    SUB2 = 0x04
+    SUB3 = 0x02
+    ALL_CALL = 0x01
+
+
+class Mode2(IntFlag):
+    """Bits of MODE2, table 6. CHANGE_ON_ACK unset: outputs change together, after a STOP."""
+
+    INVERT = 0x10
+    CHANGE_ON_ACK = 0x08
+    TOTEM_POLE = 0x04
+
+
+#: While pulses are made. Neither the all-call address 0x70, at which multiplexers live, nor any
+#: other of the addresses that several chips share is answered.
+RUNNING: Final = Mode1.AUTO_INCREMENT
+#: What stands in SUBADR1..3 and ALLCALLADR after power-up: the chip has no number of its own.
+IDENTITY: Final = bytes([0xE2, 0xE4, 0xE8, 0xE0])
+#: No pulses on any channel: one byte, so nothing is ever half done; it reaches a chip asleep, too.
+ALL_OFF: Final = bytes([Register.ALL_LED_OFF_H, FULL])
+
+
+def channel_register(channel: int) -> int:
+    """LEDn_ON_L of a channel. Raises ValueError where there is none."""
+    if not 0 <= channel < N_CHANNELS:
+        raise ValueError(f"channel {channel} is outside 0..{N_CHANNELS - 1}")
+    return Register.LED0_ON_L + _BYTES * channel
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """How long a count lasts: clock and prescaler of one chip.
+
+    clock_hz: as measured at this chip. prescale: as the register has it.
+    """
+
+    clock_hz: float
+    prescale: int
+
+    @classmethod
+    def at(cls, clock_hz: float, frequency_hz: float) -> "Timing":
+        """The nearest to a frequency (7.3.5). Raises ValueError where the prescaler has none."""
+        prescale = int(clock_hz / (CYCLE * frequency_hz) + 0.5) - 1
+        if not 3 <= prescale <= 255:
+            raise ValueError(
+                f"{frequency_hz:g} Hz cannot be had from a clock of {clock_hz:g} Hz: it makes "
+                f"{clock_hz / CYCLE / 256:.0f} to {clock_hz / CYCLE / 4:.0f} Hz"
+            )
+        return cls(clock_hz, prescale)
+
+    @property
+    def count_us(self) -> float:
+        """The step in which pulses can be had."""
+        return (self.prescale + 1) / self.clock_hz * 1e6
+
+    @property
+    def period_us(self) -> float:
+        """From pulse to pulse."""
+        return CYCLE * self.count_us
+
+    @property
+    def frequency_hz(self) -> float:
+        """Pulses a second; the prescaler does not hit every frequency."""
+        return 1e6 / self.period_us
+
+    def counts(self, pulses_us: Array) -> NDArray[np.int64]:
+        """The nearest number of counts to each pulse; 0: none."""
+        return (pulses_us / self.count_us + 0.5).astype(np.int64)
+
+    def resolution_deg(self, us_per_deg: float) -> float:
+        """The least angle by which a servo can be moved."""
+        return self.count_us / abs(us_per_deg)
+
+
+class PulseMessages:
+    """The bytes of a tick: all four of each channel, neighbouring channels in one message.
+
+    Every channel begins at a time of its own, a sixteenth of the cycle after the one before, so
+    that servos do not all draw their current at once; a pulse may go on into the next cycle.
+    """
+
+    def __init__(self, channels: Sequence[int]) -> None:
+        """channels: of each servo, every one once, in the order of the pulses."""
+        self._runs = []
+        self._places = [(0, bytearray(), 0)] * len(channels)
+        order = sorted(range(len(channels)), key=lambda index: channels[index])
+        for _, run in groupby(enumerate(order), key=lambda each: channels[each[1]] - each[0]):
+            servos = [index for _, index in run]
+            message = bytearray([channel_register(channels[servos[0]])])
+            for index in servos:
+                on = channels[index] * (CYCLE // N_CHANNELS)
+                message += bytes([on & 0xFF, on >> 8, 0, FULL])
+                self._places[index] = (on, message, len(message) - 2)
+            self._runs.append(message)
+
+    def of(self, counts: NDArray[np.int64]) -> list[bytearray]:
+        """One message for each run of neighbours, for one transfer; used again the next time.
+
+        counts: 0: full off.
+        """
+        # For sixteen a loop takes less time than NumPy.
+        for count, (on, message, at) in zip(counts.tolist(), self._places, strict=True):
+            off = (on + count) & (CYCLE - 1)
+            message[at] = off & 0xFF
+            message[at + 1] = off >> 8 if count else FULL
+        return self._runs
+
+
+def counts_of(registers: bytes) -> int:
+    """How long the pulse is that the four bytes of a channel make, in counts; 0: none."""
+    on = registers[0] | (registers[1] & 0x0F) << 8
+    off = registers[2] | (registers[3] & 0x0F) << 8
+    if registers[3] & FULL:
+        return 0
+    return CYCLE if registers[1] & FULL else (off - on) % CYCLE

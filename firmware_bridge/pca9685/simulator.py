@@ -1,0 +1,469 @@
+"""A simulated PCA9685 with hobby servos: takes messages to the byte, and logs every pulse.
+
+Modelled by the data sheet: addresses, auto-increment and its roll-overs, sleep and restart, the
+prescaler, power-up values, registers that count from the next cycle on. Not modelled: time on the
+wire, outputs inverted or changed on ACK, open-drain outputs.
+"""
+
+import errno
+import json
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import yaml
+from pydantic import ValidationError
+
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_settings import Strict, within
+from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.errors import ServoError
+from firmware_bridge.pca9685.i2c import ANSWER, COUNT, MESSAGE, READ, I2cChip, Message
+from firmware_bridge.pca9685.kind import PCA9685, controller_of
+from firmware_bridge.pca9685.registers import (
+    CYCLE,
+    FULL,
+    IDENTITY,
+    N_CHANNELS,
+    NOMINAL_CLOCK_HZ,
+    OSCILLATOR_S,
+    Mode1,
+    Mode2,
+    Register,
+    counts_of,
+)
+from firmware_bridge.pulse_bus import PulseBus
+from firmware_bridge.simulator.ports import PtyHost
+
+_SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
+#: Of auto-increment: behind these comes register 0.
+_LAST: Final = (Register.LED15_OFF_H, Register.PRE_SCALE)
+#: A hobby servo takes pulses within this for orders, others for noise.
+_SHORTEST_US, _LONGEST_US = 400.0, 2600.0
+
+
+class ChipFault(Strict):
+    """What goes wrong, and when: once at at_s, or again and again.
+
+    nack: nobody acknowledges; stuck: a line is held low; unplug: the computer has no such bus: for
+    lasts_s. cut: of the next transfer two bytes arrive; brown-out: as after power-up.
+    """
+
+    kind: Literal["nack", "stuck", "cut", "brown-out", "unplug"]
+    at_s: Annotated[float, within(0.0, 1e9)]
+    every_s: Annotated[float, within(0.01, 1e9)] | None = None
+    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
+
+    def is_on(self, now_s: float) -> bool:
+        """Whether it lasts at a time."""
+        since_s = now_s - self.at_s
+        return (
+            since_s >= 0.0 and (since_s % self.every_s if self.every_s else since_s) < self.lasts_s
+        )
+
+    def n_begun(self, now_s: float) -> int:
+        """How often it has begun by a time."""
+        since_s = now_s - self.at_s
+        return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
+
+
+class _Script(Strict):
+    faults: list[ChipFault]
+
+
+def read_faults(text: str | None) -> Sequence[ChipFault]:
+    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    try:
+        return () if text is None else _Script.model_validate(yaml.safe_load(text)).faults
+    except yaml.YAMLError as error:
+        raise ValueError("not YAML") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class Pulse:
+    """One pulse of a channel. is_cut: it ended before its time."""
+
+    channel: int
+    start_s: float
+    width_us: float
+    is_cut: bool = False
+
+
+@dataclass(slots=True)
+class HobbyServo:
+    """A shaft that runs to what its last pulse says, at one speed; without pulses it stays.
+
+    us_per_deg, neutral_us: as in a face's YAML. A digital servo without pulses holds, an analogue
+    one is stiff by its gears alone: neither moves by itself.
+    """
+
+    us_per_deg: float
+    neutral_us: float
+    top_speed_deg_s: float = 600.0
+    place_deg: float = 0.0
+    goal_deg: float | None = None
+    _at_s: float = 0.0
+
+    def pulse(self, pulse: Pulse) -> None:
+        """Take the order of a pulse."""
+        self.advance(pulse.start_s)
+        if _SHORTEST_US <= pulse.width_us <= _LONGEST_US:
+            self.goal_deg = (pulse.width_us - self.neutral_us) / self.us_per_deg
+
+    def advance(self, time_s: float) -> float:
+        """Where it stands."""
+        reach_deg = max(0.0, time_s - self._at_s) * self.top_speed_deg_s
+        self._at_s = max(self._at_s, time_s)
+        if self.goal_deg is not None:
+            left_deg = self.goal_deg - self.place_deg
+            self.place_deg += min(max(left_deg, -reach_deg), reach_deg)
+        return self.place_deg
+
+
+class SimulatedPca9685:
+    """The chip, from power-up on. Time is that of its callers, and never goes back.
+
+    Faults come from a script, or are set at any time: `nacks`, so many of the next transfers are
+    not acknowledged; `cut_after`, so many bytes of the next write arrive; `brown_out`. cuts_pulses:
+    a write ends the pulse of its channel that is under way, as was seen on some boards.
+    """
+
+    def __init__(
+        self,
+        address: int = 0x40,
+        *,
+        clock_hz: float = NOMINAL_CLOCK_HZ,
+        servos: Mapping[int, HobbyServo] | None = None,
+        faults: Sequence[ChipFault] = (),
+        cuts_pulses: bool = False,
+        on_pulse: Callable[[Pulse], None] | None = None,
+        n_remembered: int = 200_000,
+    ) -> None:
+        """servos: by channel. on_pulse: gets every pulse that is over, besides `pulses`."""
+        self.address, self._clock_hz = address, clock_hz
+        self.servos = dict(servos or {})
+        self.pulses: deque[Pulse] = deque(maxlen=n_remembered)
+        self.to_others: deque[tuple[int, bytes]] = deque(maxlen=n_remembered)
+        self.nacks, self.cut_after = 0, -1
+        self.registers = bytearray(256)
+        self._on_pulse, self._cuts_pulses = on_pulse, cuts_pulses
+        self._faults, self._n_begun = faults, [0] * len(faults)
+        self._now_s = 0.0
+        self._cycle_s: float | None = None  # when the next cycle begins; None: asleep
+        self._awaits_restart = False
+        self._under_way: dict[int, Pulse] = {}
+        self._reset()
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the computer has the bus."""
+        return not self._suffers("unplug")
+
+    def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
+        """Error number and what was read."""
+        self.advance(time_s)
+        if self._suffers("stuck"):
+            return errno.ETIMEDOUT, b""
+        if self.nacks or self._suffers("nack"):
+            self.nacks = max(0, self.nacks - 1)
+            return errno.EREMOTEIO, b""
+        found, pointer = b"", 0
+        for address, flags, data in messages:
+            if (address, data) == _SOFTWARE_RESET:
+                self._reset()
+            elif not self._answers(address):
+                self.to_others.append((address, data if isinstance(data, bytes) else b""))
+                return errno.EREMOTEIO, b""
+            elif flags & READ or isinstance(data, int):
+                for _ in range(data if isinstance(data, int) else 0):
+                    found += bytes([self._read(pointer)])
+                    pointer = self._next(pointer)
+            elif data:
+                pointer, cut = data[0], self.cut_after
+                self.cut_after = -1
+                for value in data[1 : cut if cut >= 0 else None]:
+                    self._write(pointer, value)
+                    pointer = self._next(pointer)
+                if cut >= 0:
+                    return errno.EREMOTEIO, b""
+        return 0, found
+
+    def advance(self, time_s: float) -> None:
+        """Make the pulses of every cycle that has begun by now."""
+        self._now_s = max(self._now_s, time_s)
+        self._happen()
+        while self._cycle_s is not None and self._cycle_s <= self._now_s:
+            self._begin_cycle(self._cycle_s)
+            self._cycle_s += CYCLE * self.count_us * 1e-6
+
+    def _suffers(self, kind: str) -> bool:
+        return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
+
+    def _happen(self) -> None:
+        for index, fault in enumerate(self._faults):
+            n_begun = fault.n_begun(self._now_s)
+            if n_begun > self._n_begun[index] and fault.kind == "brown-out":
+                self.brown_out()
+            elif n_begun > self._n_begun[index] and fault.kind == "cut":
+                self.cut_after = 2
+            self._n_begun[index] = n_begun
+
+    def brown_out(self) -> None:
+        """The supply breaks down: as after power-up, and pulses under way are cut."""
+        self._cut(range(N_CHANNELS))
+        self._reset()
+
+    @property
+    def count_us(self) -> float:
+        """How long a count lasts."""
+        return (self.registers[Register.PRE_SCALE] + 1) / self._clock_hz * 1e6
+
+    def places_deg(self, time_s: float) -> dict[int, float]:
+        """Where the shafts stand, by channel."""
+        self.advance(time_s)
+        for pulse in self._under_way.values():
+            self._order(pulse)
+        return {channel: servo.advance(time_s) for channel, servo in self.servos.items()}
+
+    def log(self) -> list[Pulse]:
+        """Every pulse by now, oldest first; those under way with their full width."""
+        return [*self.pulses, *sorted(self._under_way.values(), key=lambda each: each.start_s)]
+
+    def _answers(self, address: int) -> bool:
+        mode, registers = self.registers[Register.MODE1], self.registers
+        shared = ((Mode1.SUB1, 2), (Mode1.SUB2, 3), (Mode1.SUB3, 4), (Mode1.ALL_CALL, 5))
+        also = [registers[register] >> 1 for bit, register in shared if mode & bit]
+        return address == self.address or address in also
+
+    def _reset(self) -> None:
+        self.registers[:] = bytes(256)
+        self.registers[Register.MODE1] = Mode1.SLEEP | Mode1.ALL_CALL
+        self.registers[Register.MODE2] = Mode2.TOTEM_POLE
+        self.registers[Register.SUBADR1 : Register.ALLCALLADR + 1] = IDENTITY
+        self.registers[Register.PRE_SCALE] = 0x1E
+        for channel in range(N_CHANNELS):
+            self.registers[Register.LED0_ON_L + 4 * channel + 3] = FULL
+        self._cycle_s, self._awaits_restart = None, False
+
+    def _read(self, register: int) -> int:
+        is_all = Register.ALL_LED_ON_L <= register <= Register.ALL_LED_OFF_H
+        return 0 if is_all else self.registers[register]
+
+    def _next(self, register: int) -> int:
+        if not self.registers[Register.MODE1] & Mode1.AUTO_INCREMENT:
+            return register
+        return 0 if register in _LAST else (register + 1) & 0xFF
+
+    def _write(self, register: int, value: int) -> None:
+        if register == Register.MODE1:
+            self._write_mode(value)
+        elif register == Register.PRE_SCALE:
+            if self.registers[Register.MODE1] & Mode1.SLEEP:
+                self.registers[register] = max(3, value)
+        elif Register.LED0_ON_L <= register <= Register.LED15_OFF_H:
+            self._write_channel((register - Register.LED0_ON_L) // 4, register, value)
+        elif Register.ALL_LED_ON_L <= register <= Register.ALL_LED_OFF_H:
+            offset = register - Register.ALL_LED_ON_L
+            for channel in range(N_CHANNELS):
+                self._write_channel(channel, Register.LED0_ON_L + 4 * channel + offset, value)
+        elif register <= Register.ALLCALLADR:
+            self.registers[register] = value & (0x1F if register == Register.MODE2 else 0xFE)
+
+    def _write_mode(self, value: int) -> None:
+        was = Mode1(self.registers[Register.MODE1])
+        mode = Mode1(value & ~Mode1.RESTART & ~Mode1.EXTERNAL_CLOCK) | was & Mode1.EXTERNAL_CLOCK
+        if mode & Mode1.SLEEP and not was & Mode1.SLEEP:
+            has_pulses = any(self._counts(channel) for channel in range(N_CHANNELS))
+            self._awaits_restart = self._awaits_restart or has_pulses
+            self._cut(range(N_CHANNELS))
+            self._cycle_s = None
+        elif was & Mode1.SLEEP and not mode & Mode1.SLEEP:
+            self._cycle_s = self._now_s + OSCILLATOR_S
+        elif value & Mode1.RESTART:
+            self._awaits_restart = False
+        restart = Mode1.RESTART if self._awaits_restart else Mode1(0)
+        self.registers[Register.MODE1] = mode | restart
+
+    def _write_channel(self, channel: int, register: int, value: int) -> None:
+        is_high = (register - Register.LED0_ON_L) & 1
+        self.registers[register] = value & 0x1F if is_high else value
+        if not self.registers[Register.MODE1] & Mode1.SLEEP:  # as 7.3.1.1: a write restarts, too
+            self._awaits_restart = False
+            self.registers[Register.MODE1] &= ~Mode1.RESTART & 0xFF
+        if self._cuts_pulses:
+            self._cut([channel])
+
+    def _counts(self, channel: int) -> int:
+        first = Register.LED0_ON_L + 4 * channel
+        return counts_of(bytes(self.registers[first : first + 4]))
+
+    def _begin_cycle(self, time_s: float) -> None:
+        for pulse in self._under_way.values():
+            self._order(pulse)
+            self._note(pulse)
+        self._under_way.clear()
+        if self._awaits_restart:
+            return
+        for channel in range(N_CHANNELS):
+            counts = self._counts(channel)
+            if counts:
+                first = Register.LED0_ON_L + 4 * channel
+                on = self.registers[first] | (self.registers[first + 1] & 0x0F) << 8
+                start_s = time_s + on * self.count_us * 1e-6
+                self._under_way[channel] = Pulse(channel, start_s, counts * self.count_us)
+
+    def _order(self, pulse: Pulse) -> None:
+        if (servo := self.servos.get(pulse.channel)) is not None and pulse.start_s <= self._now_s:
+            servo.pulse(pulse)
+
+    def _cut(self, channels: Sequence[int]) -> None:
+        """End what these send just now."""
+        for channel in channels:
+            pulse = self._under_way.get(channel)
+            if pulse is None or pulse.start_s + pulse.width_us * 1e-6 <= self._now_s:
+                continue
+            del self._under_way[channel]
+            if pulse.start_s < self._now_s:
+                width_us = (self._now_s - pulse.start_s) * 1e6
+                self._note(replace(pulse, width_us=width_us, is_cut=True))
+
+    def _note(self, pulse: Pulse) -> None:
+        self.pulses.append(pulse)
+        if self._on_pulse is not None:
+            self._on_pulse(pulse)
+
+
+class MemoryTransfers:
+    """`Transfers` to a chip in this process."""
+
+    def __init__(self, chip: SimulatedPca9685, clock: Clock) -> None:
+        self._chip, self._clock = chip, clock
+
+    def transfer(self, messages: Sequence[Message]) -> bytes:
+        """See `Transfers`."""
+        number, found = self._chip.transfer(messages, self._clock.now())
+        if number:
+            raise OSError(number, "simulated")
+        return found
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class TerminalChip:
+    """A chip as `PtyHost` serves it: transfers are frames of bytes there and back."""
+
+    def __init__(self, chip: SimulatedPca9685) -> None:
+        self.chip = chip
+        self._received = self._answers = b""
+        self._received_s = 0.0
+
+    @property
+    def plugged(self) -> bool:
+        """Whether there is a terminal."""
+        return self.chip.plugged
+
+    @property
+    def next_delivery_s(self) -> float:
+        """When an answer is due: at once, or never."""
+        return 0.0 if self._answers else float("inf")
+
+    def advance(self, time_s: float) -> None:
+        """Let time pass."""
+        self.chip.advance(time_s)
+
+    def receive(self, data: bytes, time_s: float, _baud_rate: int) -> None:
+        """Bytes from a client; half a frame waits for the rest, not for long."""
+        if time_s - self._received_s > 0.5:
+            self._received = b""  # whoever sent half a frame has died of it
+        self._received += data
+        self._received_s = time_s
+        while (taken := _parse(self._received)) is not None:
+            messages, self._received = taken
+            number, found = self.chip.transfer(messages, time_s)
+            self._answers += ANSWER.pack(number, len(found)) + found
+
+    def deliver(self, _time_s: float) -> bytes:
+        """The answers by now."""
+        answers, self._answers = self._answers, b""
+        return answers
+
+
+def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
+    """The messages of the first whole frame, and what is behind it."""
+    if not data:
+        return None
+    messages: list[Message] = []
+    at = COUNT.size
+    for _ in range(data[0]):
+        if len(data) < at + MESSAGE.size:
+            return None
+        address, flags, length = MESSAGE.unpack_from(data, at)
+        at += MESSAGE.size
+        if flags & READ:
+            messages.append((address, flags, length))
+            continue
+        if len(data) < at + length:
+            return None
+        messages.append((address, flags, data[at : at + length]))
+        at += length
+    return messages, data[at:]
+
+
+def chip_for(
+    wiring: Wiring,
+    faults: Sequence[ChipFault] = (),
+    on_pulse: Callable[[Pulse], None] | None = None,
+) -> SimulatedPca9685:
+    """The board of a face with its servos at neutral."""
+    servos = {each.channel: HobbyServo(each.us_per_deg, each.neutral_us) for each in wiring.servos}
+    settings = wiring.settings
+    return SimulatedPca9685(
+        settings.address,
+        clock_hz=settings.clock_hz,
+        servos=servos,
+        faults=faults,
+        on_pulse=on_pulse,
+    )
+
+
+def simulated_wire(wiring: Wiring) -> tuple[PulseBus, ManualClock]:
+    """The servos of a face in memory, at neutral, and the clock that moves them."""
+    chip, clock = chip_for(wiring), ManualClock()
+    opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
+    controller, can = controller_of(wiring, opener, clock), PCA9685.capabilities(wiring.settings)
+    return PulseBus(wiring.servos, controller, clock, can, may_jump=True), clock
+
+
+def serve(
+    wiring: Wiring | None, link: Path | None, *, faults: str | None, log: Path | None, **_of: Any
+) -> PtyHost:
+    """The board of a face behind a terminal.
+
+    faults: the text of a script. log: a file that gets every pulse as a line of JSON: when it
+    began, in seconds of the simulator, channel, and length in us. Raises ServoError for what no
+    chip can have, ValueError, and PortError where no terminal can be made.
+    """
+    if wiring is None:
+        raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
+    on_pulse = None if log is None else _writer(log)
+    return PtyHost(TerminalChip(chip_for(wiring, read_faults(faults), on_pulse)), link)
+
+
+def _writer(log: Path) -> Callable[[Pulse], None]:
+    try:
+        file = log.open("w", buffering=1, encoding="utf-8")
+    except OSError as error:
+        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
+
+    def write(pulse: Pulse) -> None:
+        row = [round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)]
+        file.write(json.dumps(row) + "\n")
+
+    return write
