@@ -43,11 +43,15 @@ class PWM:
 
 
 class WDT:
-    """Once on, the board is reset where nobody feeds it."""
+    """Once on, the board is reset where nobody feeds it; a file PULSES.raise raises in here."""
 
     def __init__(self, timeout):
         assert 0 < timeout <= 8388
         _write(["WDT", timeout])
 
     def feed(self):
-        """Nothing to see."""
+        try:
+            os.stat(os.getenv("PULSES") + ".raise")
+        except OSError:
+            return
+        raise ValueError("a test wants it")

@@ -16,6 +16,6 @@ if sys.implementation.name == "cpython":
     sys.modules["micropython"] = SimpleNamespace(kbd_intr=lambda _byte: None)
     raw = FileIO(0)
     sys.stdin = SimpleNamespace(buffer=raw, fileno=raw.fileno)
-    sys.stdout = SimpleNamespace(buffer=FileIO(1, "w"))
+    sys.stdout = SimpleNamespace(buffer=FileIO(1, "w"), flush=lambda: None)
 
 import main  # noqa: E402, F401
