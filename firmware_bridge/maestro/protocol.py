@@ -27,8 +27,8 @@ N_DATA: Final = {
     GET_ERRORS: 0,
     GO_HOME: 0,
 }
-#: Channels by model; the smallest has no SET_TARGETS.
-N_CHANNELS: Final = {"micro6": 6, "mini12": 12, "mini18": 18, "mini24": 24}
+#: Channels by model; the smallest has no SET_TARGETS. pico: firmware/pico_maestro.
+N_CHANNELS: Final = {"micro6": 6, "mini12": 12, "mini18": 18, "mini24": 24, "pico": 12}
 WITHOUT_SET_TARGETS: Final = "micro6"
 #: Targets in a microsecond.
 QUARTERS: Final = 4

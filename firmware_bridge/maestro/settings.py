@@ -1,11 +1,13 @@
 """What a face YAML says of a Maestro and its servos."""
 
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import model_validator
 
 from firmware_bridge.bus_settings import BusSettings, within
 from firmware_bridge.maestro.protocol import N_CHANNELS
 
-Model = Literal["micro6", "mini12", "mini18", "mini24"]
+Model = Literal["micro6", "mini12", "mini18", "mini24", "pico"]
 #: The Maestro counts it in hundredths, 16 bits.
 _LONGEST_TIMEOUT_S: Final = 655.35
 
@@ -16,7 +18,7 @@ class MaestroSettings(BusSettings):
     Without `port:` it is simulated in memory.
     crc: as the Maestro is set. device: its number where several share a port; None: it is alone.
     serial_timeout_s: as the Maestro is set: without a command for so long it stops its pulses; 0:
-    never, as they come.
+    never, as they come, but firmware/pico_maestro has .5 s.
     """
 
     kind: str = "maestro"
@@ -24,6 +26,12 @@ class MaestroSettings(BusSettings):
     crc: bool = False
     device: Annotated[int, within(0, 127)] | None = None
     serial_timeout_s: Annotated[float, within(0.0, _LONGEST_TIMEOUT_S)] = 0.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _set_timeout_of_the_pico(cls, told: Any) -> Any:
+        is_pico = isinstance(told, dict) and told.get("model") == "pico"
+        return {"serial_timeout_s": 0.5, **told} if is_pico else told
 
     @property
     def n_channels(self) -> int:

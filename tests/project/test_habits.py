@@ -9,7 +9,7 @@ from places import ROOT
 
 PAGES = sorted(
     path
-    for folder in ("", "config", "docs", "examples", "lipservo", "lipsync", ".github")
+    for folder in ("", "config", "docs", "examples", "firmware", "lipservo", "lipsync", ".github")
     for path in ((ROOT / folder).rglob("*.md") if folder else ROOT.glob("*.md"))
 )
 DECISIONS = sorted(path.name for path in (ROOT / "docs" / "decisions").glob("[0-9]*.md"))

@@ -17,6 +17,7 @@ FOLDERS = (
     "config",
     "docs",
     "examples",
+    "firmware",
     "tests",
     ".github",
     ".ci",
@@ -24,7 +25,7 @@ FOLDERS = (
 #: A page a decision, by number, with an index: it grows, and nobody looks for a file by its name.
 GROWING = {"docs/decisions"}
 #: Folders of tests/ that belong to no package.
-OTHER_TESTS = {"data", "examples", "project", "support"}
+OTHER_TESTS = {"data", "examples", "firmware_pico", "project", "support"}
 
 
 def files(*names):
