@@ -113,14 +113,14 @@ class JointPlan:
         Projected on one limit after the other, from the last to the first: near the least squares,
         of which more sweeps bring no more than 0.4 % of the lips' error.
         """
-        found = poses_deg.copy()
+        found: Array = poses_deg.copy()
         must = window.must_meet.tolist()
         reach_deg = np.diff(window.times_s)[:, None] * self._speed_deg_s
         for n in range(len(found) - 2, -1, -1):
             apart_deg = found[n + 1] - found[n]
             excess_deg = apart_deg - _clip(apart_deg, -reach_deg[n], reach_deg[n])
             found[n] += _GIVES_WAY[must[n]][must[n + 1]] * excess_deg
-        return found[0]
+        return np.asarray(found[0])
 
     def _reach(self, time_s: float) -> Array:
         """How far joints come from rest to rest in a time, (n_joints,)."""
