@@ -222,11 +222,13 @@ def test_a_plug_that_is_pulled_is_a_lost_port_and_comes_back():
 
 
 def test_the_serial_timeout_stops_the_pulses_where_it_is_set():
-    face = put_together(serial_timeout_s=0.5)
+    face = put_together(serial_timeout_s=0.5, port="/dev/x")
     with face.bus:
         face.bridge.start()
         drive(face, 3.0)
         assert face.bus.capabilities.watchdog
+        alone = face.bus.capabilities.stop_table()["computer dies, or the plug is pulled"]
+        assert alone == "pulses off; a digital servo may hold"
         face.maestro.advance(face.clock.now() + 0.6)
 
         assert last_us(face) == [0.0] * N
