@@ -10,13 +10,22 @@ import json
 import os
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import GOAL_OUT_OF_RANGE, Array, Feedback, Health, Readings, any_set
+from firmware_bridge.bus import (
+    GOAL_OUT_OF_RANGE,
+    Array,
+    Feedback,
+    Health,
+    Readings,
+    all_set,
+    any_set,
+)
 from firmware_bridge.capabilities import BusCapabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import PortError
@@ -29,7 +38,9 @@ _STAGGER_S: Final = 0.25
 #: A servo that has come on goes no faster until it has caught up.
 _SLOW_DEG_S: Final = 60.0
 #: The controller is asked so often what it sends, one channel at a time.
-_LOOK_EVERY_S: Final = 0.1
+_LOOK_EVERY_S: Final = 0.2
+#: A shorter silence is none: it is only asked now and then.
+_SILENT_S: Final = 0.45
 #: What it sends is what it was told, or so near: it may be on its way.
 _NEAR_US: Final = 100.0
 #: One pulse may be lost on the way; a channel that is wrong stays so.
@@ -161,11 +172,23 @@ class PulseBus:
         self._last_us = np.full(n, np.nan)  # never written to but in place: the file follows it
         self._goal_us = scale.neutral_us.copy()
         self._wrong, self._n_failed = [""] * n, np.zeros(n, dtype=np.int64)
-        self._errors = np.zeros(n, dtype=np.uint8)
+        self._errors = self._no_errors = np.zeros(n, dtype=np.uint8)
         self._nothing, self._unknown = np.zeros(n), np.full(n, np.nan)
+        self._health = Health(
+            silent_s=self._nothing,
+            torque_on=self._held,
+            watchdog_tripped=np.zeros(n, dtype=np.bool_),
+            hardware_errors=self._no_errors,
+            temperature_degc=self._unknown,
+            room_degc=np.full(n, np.inf),
+            voltage_v=self._unknown,
+            effort=self._unknown,
+            current_ma=self._unknown,
+            n_unanswered=np.zeros(n, dtype=np.int64),
+        )
         self._sent_s = self._look_s = self._heard_s = self._turn_s = 0.0
         self._next = 0
-        self._is_open = self._has_sent = False
+        self._is_open = self._has_sent = self._is_steady = False
 
     def write_positions(self, positions_deg: Array) -> None:
         """Give every servo its next goal; those whose turn has come get it as a pulse now."""
@@ -176,11 +199,14 @@ class PulseBus:
         self._check_open()
         scale = self._scale
         pulses_us = scale.pulses_us(positions_deg)
-        refused = ~((scale.min_us <= pulses_us) & (pulses_us <= scale.max_us))
-        if any_set(refused):
-            pulses_us = np.where(refused, self._goal_us, pulses_us)
+        above, below = pulses_us >= scale.min_us, pulses_us <= scale.max_us
+        if all_set(above) and all_set(below):
+            self._errors = self._no_errors
+        else:
+            taken = above & below
+            pulses_us = np.where(taken, pulses_us, self._goal_us)
+            self._errors = np.where(taken, self._no_errors, np.uint8(GOAL_OUT_OF_RANGE))
         self._goal_us = pulses_us
-        self._errors = refused * np.uint8(GOAL_OUT_OF_RANGE)
         self._send()
 
     def read(self) -> Readings:
@@ -213,18 +239,11 @@ class PulseBus:
         if now_s >= self._look_s:
             self._look_s = now_s + _LOOK_EVERY_S
             self._look(now_s)
-        n = len(self._channels)
-        return Health(
-            silent_s=np.full(n, now_s - self._heard_s),
-            torque_on=self._held,
-            watchdog_tripped=np.zeros(n, dtype=np.bool_),
-            hardware_errors=np.zeros(n, dtype=np.uint8),
-            temperature_degc=self._unknown,
-            room_degc=np.full(n, np.inf),
-            voltage_v=self._unknown,
-            effort=self._unknown,
-            current_ma=self._unknown,
-            n_unanswered=np.zeros(n, dtype=np.int64),
+        silent_s = now_s - self._heard_s
+        return (
+            self._health
+            if silent_s < _SILENT_S
+            else replace(self._health, silent_s=np.full(len(self._channels), silent_s))
         )
 
     def obstacle(self, index: int) -> str:
@@ -265,7 +284,7 @@ class PulseBus:
         if not sending_us > 0.0:
             return False
         self._last_us[index] = sending_us
-        self._held[index] = False
+        self._held[index] = self._is_steady = False
         return not self.enable_torque(index)
 
     def disable_torque(self, index: int) -> bool:
@@ -292,7 +311,7 @@ class PulseBus:
 
     def _open(self) -> None:
         self._controller.open()
-        self._held[:] = self._slow[:] = self._fresh[:] = False
+        self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
         self._wrong = [""] * len(self._wrong)
         self._n_failed[:] = 0
         self._heard_s = self._clock.now()
@@ -324,6 +343,7 @@ class PulseBus:
 
     def _release(self, which: NDArray[np.bool_]) -> None:
         self._goal_us = np.where(which & self._held, self._last_us, self._goal_us)
+        self._is_steady = False
         self._held &= ~which
         self._slow &= ~which
         self._on_s[which] = np.inf
@@ -332,6 +352,11 @@ class PulseBus:
     def _send(self) -> None:
         """The pulse of each servo whose turn has come; the others get none."""
         now_s = self._clock.now()
+        if self._is_steady:
+            self._last_us[:] = self._goal_us
+            self._sent_s = now_s
+            self._controller.send(self._goal_us)
+            return
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
             # The first pulse is the last one of before.
@@ -346,6 +371,7 @@ class PulseBus:
         self._sent_s, self._has_sent = now_s, True
         np.copyto(self._last_us, sent_us, where=on)
         self._controller.send(np.where(on, sent_us, 0.0))
+        self._is_steady = all_set(on) and not any_set(self._slow)
 
     def _look(self, now_s: float) -> None:
         """At the servo that came on last, else at the next in turn."""
@@ -366,7 +392,7 @@ class PulseBus:
         if sending_us > 0.0 and (is_near or not is_fresh):
             self._n_failed[index] = 0
             return
-        self._held[index] = False
+        self._held[index] = self._is_steady = False
         self._n_failed[index] += is_fresh
         if self._n_failed[index] >= _FAILURES:
             self._wrong[index] = (

@@ -35,6 +35,7 @@ _ANSWER_S: Final = 0.02
 _TRIES: Final = 3
 #: The Maestro itself goes this much faster than the gate allows.
 _SPEED_MARGIN: Final = 1.05
+_HIGH_BITS: Final = np.uint16(LARGEST & ~0x7F)
 
 
 class Maestro:
@@ -103,8 +104,7 @@ class PulseCommands:
         """together: one command for each row of channels that follow one another."""
         ends = [0, *_row_ends(channels), len(channels)] if together else range(len(channels) + 1)
         order = sorted(range(len(channels)), key=lambda n: channels[n])
-        low_at: dict[int, int] = {}
-        block, self._crcs = bytearray(), []
+        block, places, self._crcs = bytearray(), [], []
         for first, end in pairwise(ends):
             row, start = order[first:end], len(block)
             if len(row) == 1:
@@ -114,20 +114,21 @@ class PulseCommands:
                     SET_TARGETS, (len(row), channels[row[0]], *[0, 0] * len(row))
                 )
             block += packet
-            targets_at = len(block) - 2 * len(row) - maestro.has_crc
-            low_at |= {servo: targets_at + 2 * n for n, servo in enumerate(row)}
+            places.append((len(block) - 2 * len(row) - maestro.has_crc, row))
             if maestro.has_crc:
                 self._crcs.append((start, len(block) - 1))
         self._block = block
-        self._bytes = np.frombuffer(block, dtype=np.uint8)
-        self._low_at = np.array([low_at[servo] for servo in range(len(channels))])
-        self._high_at = self._low_at + 1
+        self._rows = [
+            (np.frombuffer(block, "<u2", len(row), at), np.array(row)) for at, row in places
+        ]
 
     def of(self, pulses_us: Array) -> bytes:
         """These pulses, (n_servos,) in us."""
-        quarters = (pulses_us * QUARTERS + 0.5).astype(np.int64)
-        self._bytes[self._low_at] = quarters & 0x7F
-        self._bytes[self._high_at] = quarters >> 7
+        quarters = (pulses_us * QUARTERS + 0.5).astype(np.uint16)
+        # Seven bits a byte: what is above the lowest seven moves up by one.
+        targets = quarters + (quarters & _HIGH_BITS)
+        for row, servos in self._rows:
+            row[:] = targets[servos]
         for start, at in self._crcs:
             self._block[at] = crc7(self._block[start:at])
         return bytes(self._block)
