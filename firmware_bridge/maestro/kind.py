@@ -64,7 +64,7 @@ class MaestroKind(BusKind):
             return SimulatedBus(wiring.joints, clock, capabilities=can)
         controller = MaestroController(wiring, _opener(settings.port))
         # Behind a pseudo-terminal nothing can be hurt.
-        may_jump = _is_terminal(settings.port)
+        may_jump = Path(settings.port).resolve().parent == Path("/dev/pts")
         kept = KeptPulses(wiring.kept)
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
 
@@ -125,10 +125,6 @@ def _opener(port: str) -> Callable[[], Any]:
     from firmware_bridge.dynamixel.wire.serial_transport import SameAdapter
 
     return SameAdapter(port, BAUD_RATE)
-
-
-def _is_terminal(port: str) -> bool:
-    return Path(port).resolve().parent == Path("/dev/pts")
 
 
 MAESTRO: Final = MaestroKind()

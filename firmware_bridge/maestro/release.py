@@ -10,7 +10,6 @@ from firmware_bridge.maestro.controller import Maestro
 from firmware_bridge.maestro.protocol import N_CHANNELS, SET_TARGET
 from firmware_bridge.maestro.settings import MaestroSettings
 
-_NO_PULSES: Final = (0, 0)
 _REPEATS: Final = 3
 
 
@@ -60,4 +59,4 @@ class MaestroRelease:
         self._maestro.transport.close()
 
     def _tell(self, channels: Sequence[int]) -> None:
-        self._maestro.tell(*[(SET_TARGET, (each, *_NO_PULSES)) for each in channels])
+        self._maestro.tell(*[(SET_TARGET, (each, 0, 0)) for each in channels])

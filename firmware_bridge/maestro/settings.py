@@ -1,15 +1,11 @@
 """What a face YAML says of a Maestro and its servos."""
 
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import model_validator
 
 from firmware_bridge.bus_settings import BusSettings, within
 from firmware_bridge.maestro.protocol import N_CHANNELS
-
-Model = Literal["micro6", "mini12", "mini18", "mini24", "pico"]
-#: The Maestro counts it in hundredths, 16 bits.
-_LONGEST_TIMEOUT_S: Final = 655.35
 
 
 class MaestroSettings(BusSettings):
@@ -22,10 +18,11 @@ class MaestroSettings(BusSettings):
     """
 
     kind: str = "maestro"
-    model: Model
+    model: Literal["micro6", "mini12", "mini18", "mini24", "pico"]
     crc: bool = False
     device: Annotated[int, within(0, 127)] | None = None
-    serial_timeout_s: Annotated[float, within(0.0, _LONGEST_TIMEOUT_S)] = 0.0
+    #: The Maestro counts it in hundredths, 16 bits.
+    serial_timeout_s: Annotated[float, within(0.0, 655.35)] = 0.0
 
     @model_validator(mode="before")
     @classmethod

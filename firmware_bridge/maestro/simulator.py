@@ -357,11 +357,8 @@ def serve(
     script = read_faults(faults)
     on_pulse = None if log is None else _writer(log)
     if wiring is None:
-        wiring = Wiring(MaestroSettings(model=_SMALLEST), (), (), 50.0)
+        wiring = Wiring(MaestroSettings(model=WITHOUT_SET_TARGETS), (), (), 50.0)
     return PtyHost(maestro_for(wiring, script, on_pulse), link)
-
-
-_SMALLEST: Final = "micro6"
 
 
 def _writer(log: Path) -> Callable[[Pulse], None]:
