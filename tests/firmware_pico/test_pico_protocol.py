@@ -301,7 +301,7 @@ def test_a_face_that_names_it_has_a_watchdog_without_saying_so():
     assert settings.serial_timeout_s == TIMEOUT_MS / 1e3
     can = MAESTRO.capabilities(settings)
     assert can.watchdog
-    alone = "they stop by themselves, pulses off; a digital servo may hold"
+    alone = "pulses off; a digital servo may hold"
     assert can.stop_table()["computer dies, or the plug is pulled"] == alone
     assert not MAESTRO.capabilities(MaestroSettings(model="mini12")).watchdog
     assert MaestroSettings(model="pico", serial_timeout_s=0.2).serial_timeout_s == 0.2
