@@ -69,7 +69,7 @@ class BusCapabilities:
         if self.in_memory:
             alone = "nothing: they exist in memory only"
         elif self.watchdog:
-            alone = f"they stop by themselves, {'and hold' if self.place else self.released_words}"
+            alone = "they stop by themselves, and hold" if self.place else self.released_words
         else:
             alone = "they go on to the goal sent last" + (", and hold" if self.hold else "")
         return {

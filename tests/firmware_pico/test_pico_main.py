@@ -52,7 +52,7 @@ class Board:
 
     def pulses_us(self):
         """The last of each pin."""
-        return {pin: rest[-1] / 1e3 for pin, *rest in self.rows() if pin != "WDT"}
+        return {pin: rest[-1] / 1e3 for pin, *rest in self.rows() if pin != "chip"}
 
     def tell(self, text):
         os.write(self.port, bytes.fromhex(text))
@@ -91,14 +91,15 @@ def powered(interpreter, folder, grounded=""):
 
 
 def alive(board):
-    return ["WDT", 2000] in board.rows()
+    return ["chip", "watchdog", 2000] in board.rows()
 
 
 def test_pulses_start_with_a_command_and_stop_with_silence(interpreter, tmp_path):
     with powered(interpreter, tmp_path) as board:
         board.wait_for(lambda: alive(board))
+        assert ["chip", "Ctrl-C", -1] in board.rows()
         assert board.pulses_us() == dict.fromkeys(PINS, 0.0)
-        assert {row[1] for row in board.rows() if row[0] != "WDT"} == {50}
+        assert {row[1] for row in board.rows() if row[0] != "chip"} == {50}
 
         # Channel 3, whose number is Ctrl-C, and the last; then too much and too little.
         board.tell("a1 84 03 70 2e 84 0b 00 3e 84 00 7f 7f 84 01 01 00 90 03")

@@ -55,7 +55,8 @@ class Pair:
     """A Pico and a simulated Maestro that hear the same."""
 
     def __init__(self):
-        timeout_s = TIMEOUT_MS / 1e3
+        # A little more, so that sums of its seconds do not decide.
+        timeout_s = TIMEOUT_MS / 1e3 + 1e-6
         of = MaestroSettings(model="mini12", device=12, serial_timeout_s=timeout_s)
         self.simulated = SimulatedMaestro(of, range_us=RANGE_US)
         self.pico = new()
@@ -122,7 +123,7 @@ def damaged(draw):
 
 
 @given(st.lists(st.one_of(good_command(), damaged(), st.integers(0, 60)), max_size=40))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=200, deadline=None)
 def test_the_same_bytes_have_the_same_answers_pulses_and_errors(story):
     pair = Pair()
     for each in story:
@@ -194,6 +195,9 @@ def test_a_speed_bounds_each_step_and_no_time_is_no_step():
     assert maestro.pulse(0) == 6000
     maestro.advance(10)
     assert maestro.pulse(0) == 6010
+    tell(maestro, "87 00 07 00")
+    maestro.advance(1)
+    assert maestro.pulse(0) == 6011
     tell(maestro, "87 00 00 00")
     maestro.advance(1)
     assert maestro.pulse(0) == 7936
@@ -297,7 +301,7 @@ def test_a_face_that_names_it_has_a_watchdog_without_saying_so():
     assert settings.serial_timeout_s == TIMEOUT_MS / 1e3
     can = MAESTRO.capabilities(settings)
     assert can.watchdog
-    alone = "they stop by themselves, pulses off; a digital servo may hold"
+    alone = "pulses off; a digital servo may hold"
     assert can.stop_table()["computer dies, or the plug is pulled"] == alone
     assert not MAESTRO.capabilities(MaestroSettings(model="mini12")).watchdog
     assert MaestroSettings(model="pico", serial_timeout_s=0.2).serial_timeout_s == 0.2

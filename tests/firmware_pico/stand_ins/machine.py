@@ -1,6 +1,6 @@
 """Stands in for the board's own module, for CPython and MicroPython: pulses go to a file as JSON.
 
-PULSES names it. A row is [GP number, frequency, pulse in ns]; WDT rows are ["WDT", timeout].
+PULSES names it. A row is [GP number, frequency, pulse in ns]; others are ["chip", what, number].
 """
 
 import json
@@ -42,12 +42,19 @@ class PWM:
         _write([self._pin, self._freq, pulse_ns])
 
 
+class Interrupts:
+    """In place of the module micropython: which byte is Ctrl-C, -1: none."""
+
+    def kbd_intr(self, byte):
+        _write(["chip", "Ctrl-C", byte])
+
+
 class WDT:
     """Once on, the board is reset where nobody feeds it; a file PULSES.raise raises in here."""
 
     def __init__(self, timeout):
         assert 0 < timeout <= 8388
-        _write(["WDT", timeout])
+        _write(["chip", "watchdog", timeout])
 
     def feed(self):
         try:

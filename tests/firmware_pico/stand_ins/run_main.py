@@ -13,9 +13,12 @@ if sys.implementation.name == "cpython":
 
     time.ticks_ms = lambda: time.monotonic_ns() // 1_000_000
     time.ticks_diff = lambda now, before: now - before
-    sys.modules["micropython"] = SimpleNamespace(kbd_intr=lambda _byte: None)
     raw = FileIO(0)
     sys.stdin = SimpleNamespace(buffer=raw, fileno=raw.fileno)
     sys.stdout = SimpleNamespace(buffer=FileIO(1, "w"), flush=lambda: None)
+
+import machine  # noqa: E402
+
+sys.modules["micropython"] = machine.Interrupts()
 
 import main  # noqa: E402, F401
