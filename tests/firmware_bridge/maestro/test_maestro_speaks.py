@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scripted_street import scripted_street
 from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
@@ -14,11 +15,8 @@ from firmware_bridge.pca9685.simulator import MemoryTransfers, chip_for
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.pulse_servos import PulseScale
 from firmware_bridge.simulator.ports import MemoryTransport
-from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face, simulated_wire
-from lipservo.runtime.street import make_street_of
-from lipsync.audio.playback_clock import SteadyClock
-from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
+from lipsync.recognition.scripted import read_phonemes
 
 RATE_HZ = 50.0
 #: The jaw's own degrees at which the lips of this face touch.
@@ -54,11 +52,8 @@ def closures(name, make):
     events = read_phonemes(CLIP_LABELS_PATH)
     face = assemble_face(name, None)
     bus, clock, shaft_deg = make(face)
-    synthesizer = make_synthesizer(face.model, MotionOptions())
     with bus:
-        street = make_street_of(
-            face, ScriptedPhonemes(events), SteadyClock(), bus, RATE_HZ, synthesizer
-        )
+        street = scripted_street(face, events, bus, RATE_HZ)
         street.bridge.start()
         clock.sleep_until(clock.now() + 1.0)
         street.begin(clock.now())

@@ -1,29 +1,14 @@
 """A whole street without any sound: phonemes from a label file move simulated servos."""
 
 import numpy as np
+from scripted_street import scripted_street
 from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
-from firmware_bridge.loop.targets import MemoryTargetChannel
-from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
-from lipservo.runtime.servos.assembly import assemble_face, bridge_for, bus_for
-from lipservo.runtime.speech.speech import Speech
-from lipservo.runtime.speech.speech_side import SpeechSide
-from lipservo.runtime.street import Street
-from lipsync.audio.playback_clock import SteadyClock
-from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
+from lipservo.runtime.servos.assembly import assemble_face, bus_for
+from lipsync.recognition.scripted import read_phonemes
 
 RATE_HZ = 50.0
-
-
-def street_of(face, events, bus):
-    """Phonemes in place of sound and recogniser."""
-    synthesizer = make_synthesizer(face.model, MotionOptions())
-    phonemes, names = ScriptedPhonemes(events), list(face.settings.servos)
-    channel = MemoryTargetChannel()
-    speech = Speech(phonemes, SteadyClock(), synthesizer, face.calibration, names, channel)
-    bridge = bridge_for(face.settings, bus, channel, rate_hz=RATE_HZ)
-    return Street(SpeechSide(speech, rest=face.model.rest), bridge, face.model.rest)
 
 
 def test_a_label_file_drives_the_servos_in_time_without_any_sound():
@@ -31,7 +16,7 @@ def test_a_label_file_drives_the_servos_in_time_without_any_sound():
     events = read_phonemes(CLIP_LABELS_PATH)
     face, clock = assemble_face("face_sim", None), ManualClock()
     with bus_for(face.settings, clock) as bus:
-        street = street_of(face, events, bus)
+        street = scripted_street(face, events, bus, RATE_HZ)
         street.bridge.start()
         street.begin(clock.now())
         shown = []
@@ -63,7 +48,7 @@ def test_the_bridge_tells_the_speech_side_where_the_servos_stand():
     events = read_phonemes(CLIP_LABELS_PATH)
     face, clock = assemble_face("face_sim", None), ManualClock()
     with bus_for(face.settings, clock) as bus:
-        street = street_of(face, events, bus)
+        street = scripted_street(face, events, bus, RATE_HZ)
         told = []
         street.side.note_servos = lambda time_s, deg: told.append((time_s, deg.copy()))
         street.bridge.start()
