@@ -154,7 +154,11 @@ def test_the_doctor_finds_it_and_its_timeout(interpreter, tmp_path):
         board.wait_for(lambda: alive(board))
         name = os.ttyname(board.port)
         wiring = on_maestro(load_shipped_face("face_jaw"), port=name, model="pico")
-        found = [each.what for each in bus_kind("maestro").examine(wiring)]
+        # On a busy computer the board's own process may sleep through its half second.
+        for _ in range(5):
+            found = [each.what for each in bus_kind("maestro").examine(wiring)]
+            if "by itself" in found[-1]:
+                break
 
         assert found[0] == f"a Maestro answers at {name}"
         assert "gets no pulses" in found[1]

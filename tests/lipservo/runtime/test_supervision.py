@@ -95,7 +95,7 @@ def test_a_servo_switched_off_by_a_person_stays_off_when_its_bridge_is_shot(endu
     assert (off.returncode, on.returncode) == (0, 0), (off, on)
     assert "servo jaw is off" in off.stdout
     assert "servo jaw is driven" in on.stdout
-    assert all_driven(enduring)
+    wait_for(lambda: all_driven(enduring))
 
 
 def test_a_speech_side_shot_dead_is_replaced_while_the_face_is_held(enduring):
