@@ -39,8 +39,8 @@ class MaestroRelease:
         raise PortError(f"{self._port}: the Maestro goes on with its pulses on channels {left}")
 
     def ask(self, address: int) -> str:
-        """Never called: nobody confirms."""
-        raise NotImplementedError(address)
+        """Why no servo is taken to have let go: none can say so."""
+        return f"channel {address} cannot say whether its servo holds"
 
     def find(self, addresses: Sequence[int]) -> Sequence[int]:
         """All channels that there are. Asking for one too many sends servos home: told again."""
