@@ -233,11 +233,12 @@ def fault_figures(n_cycles: int = 1_000) -> dict[str, float]:
     Cycles in which the computer stood still, or a moment before, are left out; `kept`: the share of
     the others.
     """
-    silent = _heard(_SILENT, [each for each in _IDS if each != _SILENT_ID], n_cycles)
-    lossy = _heard("seed: 1\nfaults: [{kind: drop_reply, probability: 0.01}]", _IDS, n_cycles)
-    names = ("silent_samples", "silent_over_wire_ms", "silent_kept")
-    names += ("loss_samples", "loss_p99_over_wire_ms", "loss_kept")
-    return dict(zip(names, (*silent, *lossy), strict=True))
+    others = [each for each in _IDS if each != _SILENT_ID]
+    lossy = "seed: 1\nfaults: [{kind: drop_reply, probability: 0.01}]"
+    share, over_ms, kept = _heard(_SILENT, others, n_cycles)
+    figures = {"silent_samples": share, "silent_over_wire_ms": over_ms, "silent_kept": kept}
+    share, over_ms, kept = _heard(lossy, _IDS, n_cycles)
+    return {**figures, "loss_samples": share, "loss_p99_over_wire_ms": over_ms, "loss_kept": kept}
 
 
 def silent_cycle_figures(n_cycles: int = 1_200) -> dict[str, float]:
