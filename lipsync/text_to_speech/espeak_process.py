@@ -26,7 +26,7 @@ from lipsync.text_to_speech.espeak_library import (
 )
 from lipsync.text_to_speech.synthesis import SynthesisError, Voice
 
-#: The longest text, five minutes of speech, takes less than a second; more than this is no answer.
+#: The longest text, five minutes of speech, takes about two; later there is no answer.
 _LONGEST_S: Final = 30.0
 _FULL_SCALE: Final = 32768.0
 
