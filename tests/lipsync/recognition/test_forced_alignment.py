@@ -14,14 +14,13 @@ from places import ROOT
 from speech import CLIP_LABELS_PATH, CLIP_PATH, phoneme_frames, viseme_accuracy
 
 from lipsync.audio.file import read_speech
+from lipsync.pronunciation import PronunciationError, pronounce
 from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
     AlignmentError,
-    PronunciationError,
     align,
     goodness_of_pronunciation,
-    pronounce,
     words_of,
 )
 from lipsync.recognition.network import load_weights

@@ -22,11 +22,11 @@ from lipservo_lab.learning.recognition import noise
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.phonemes import LiveRecognizer
+from lipsync.pronunciation import PronunciationError
 from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
     AlignmentError,
-    PronunciationError,
     align,
     goodness_of_pronunciation,
 )
