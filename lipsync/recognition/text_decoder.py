@@ -3,9 +3,9 @@
 The words are a graph from left to right: silence may stand before each, each has one or several
 pronunciations, one may be left out, said again or broken off, at a penalty. Beside it runs a path
 without constraint, the escape, which costs a little more in every frame than the likeliest phoneme
-does: it wins where the sound does not say the text, and there what is heard counts. Viterbi's search
-over both (Rabiner, Proceedings of the IEEE 77(2), 1989; the escape is the filler model of keyword
-spotting, Rose and Paul, ICASSP 1990).
+does: it wins where the sound does not say the text, and there what is heard counts. Viterbi's
+search over both (Rabiner, Proceedings of the IEEE 77(2), 1989; the escape is the filler model of
+keyword spotting, Rose and Paul, ICASSP 1990).
 
 A frame's scores change while the network's later heads speak about it. So one step of the search a
 frame is kept, of the frame that the last head has just spoken about; those after it are taken anew.
@@ -14,12 +14,13 @@ frame is kept, of the frame that the last head has just spoken about; those afte
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.arrays import Array32
+from lipsync.errors import UserError
 from lipsync.phonemes import PHONEMES
 from lipsync.pronunciation import PronouncedWord
 from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat, best_heads
@@ -36,28 +37,57 @@ _NEVER: Final = np.float32(-1e9)
 _INDEX: Final = {phoneme: index for index, phoneme in enumerate(PHONEMES)}
 
 
+#: What moves the mouth: sound that is heard, a text followed in it, phonemes that are known.
+MovedBy = Literal["sound", "text", "phonemes"]
+
+
+class TextError(UserError):
+    """Words that cannot be followed; the message is one line."""
+
+
+@runtime_checkable
+class TextFollower(Protocol):
+    """A recogniser that finds words in the sound which it is told."""
+
+    @property
+    def moved_by(self) -> MovedBy:
+        """Whether what is settled now was found in the text, or heard."""
+
+    def tell(self, words: Sequence[PronouncedWord]) -> None:
+        """What is said next, after all that was told; before its sound, with it or late.
+
+        Raises TextError for too many words.
+        """
+
+
 @dataclass(frozen=True, slots=True)
 class TextSettings:
     """In natural-log units; chosen on two talkers that are not scored (docs/recognition.md).
 
-    settled_frames: so many frames after it the path to a frame is settled. lowest: a phoneme costs
-    no more than this against the likeliest in one frame. pause: of silence between two words.
+    settled_frames: so many frames after it the path to a frame is settled. n_heads: of the
+    network's, the quickest; the one that waits longest adds nothing where words are known.
+    lowest: a phoneme costs no more than this against the likeliest in one frame. pause: of silence
+    between two words.
     left_out: of each word that is left out; again: of going back. escape: of every frame that the
     escape takes; leave, resume: of going over to it and back. least_frames: of a phoneme.
     late_s, late: a word may begin so much beside its time, if it has one; of each second beyond it.
     """
 
     settled_frames: int = 17
+    n_heads: int = 2
     lowest: float = -7.0
     pause: float = 1.0
     left_out: float = 8.0
     again: float = 12.0
-    escape: float = 1.2
-    leave: float = 6.0
-    resume: float = 10.0
+    escape: float = 1.0
+    leave: float = 10.0
+    resume: float = 20.0
     least_frames: int = 2
     late_s: float = 0.15
     late: float = 40.0
+
+
+FOLLOWING: Final = TextSettings()
 
 
 class TextDecoder:
@@ -67,39 +97,60 @@ class TextDecoder:
         self,
         heard: PosteriorFormat,
         frames_per_s: int,
-        settings: TextSettings = TextSettings(),
+        first_frame: int = 0,
+        settings: TextSettings = FOLLOWING,
     ) -> None:
-        """Raises ValueError for a path settled before the last head has spoken."""
-        self._delays = heard.delays
-        if settings.settled_frames < heard.delays[-1]:
+        """first_frame: the number in its stream of the first frame that is pushed.
+
+        Raises ValueError for a path settled before the last head has spoken.
+        """
+        self._delays = heard.delays[: settings.n_heads]
+        if settings.settled_frames < self._delays[-1]:
             raise ValueError("the last head speaks after the path is settled")
         self._settings = settings
         self._frames_per_s = frames_per_s
+        self._pause = np.float32(settings.pause)
+        self._lowest = np.float32(settings.lowest)
         self._late = np.float32(settings.late / frames_per_s)
-        self._heads = best_heads(heard.delays, heard.delays[-1])
-        length = heard.delays[-1] + 1
-        self._recent = np.zeros((length, len(heard.delays), len(PHONEMES)), np.float32)
+        self._tolerated = np.float32(settings.late_s * frames_per_s)
+        self._heads = best_heads(self._delays, self._delays[-1])
+        length = self._delays[-1] + 1
+        self._recent = np.zeros((length, len(self._delays), len(PHONEMES)), np.float32)
+        self._first_frame = first_frame
         self._n_heard = 0
-        self._forget()
-
-    def _forget(self) -> None:
-        self._words = _WordGraph(self._settings)
+        self._n_idle = 0
+        self._words = _WordGraph(settings)
         window = self._words.window(0)
         scores = np.full(window.n_states, _NEVER)
         scores[0] = 0.0
-        self._newest = _Front(window, scores, np.float32(0.0), self._n_heard)
-        n_kept = self._settings.settled_frames - self._delays[-1] + 1
+        self._newest = _Front(window, scores, np.float32(0.0), -1)
+        n_kept = settings.settled_frames - self._delays[-1] + 1
         self._kept: deque[_Front] = deque([self._newest], maxlen=n_kept + 1)
-        self.place = 0.0
+        self._place = 0.0
 
     @property
-    def has_words(self) -> bool:
-        """Whether any word is left to be said."""
-        return self.place < self._words.n_words
+    def place(self) -> int:
+        """The number of the word that is said, as far as it is settled."""
+        return int(self._place)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all words were said, or passed over, a while ago."""
+        return self._n_idle > _IDLE_S * self._frames_per_s
 
     def tell(self, words: Sequence[PronouncedWord]) -> None:
-        """More of the text, after all that was told."""
+        """More of the text, after all that was told. Raises TextError for too many words."""
+        n_waiting = self._words.n_words - self.place + len(words)
+        if n_waiting > MOST_WORDS:
+            raise TextError(
+                f"{n_waiting} words wait to be said; at most {MOST_WORDS}, tell the others later"
+            )
         self._words.append(words, self._frames_per_s)
+        self._n_idle = 0
+
+    def jump(self, n_frames: int) -> None:
+        """So many frames were passed over, after two seconds of silence."""
+        self._first_frame += n_frames
 
     def push(self, scores: Array32) -> list[int]:
         """Take the scores (n_heads, n_phonemes) of one frame; logarithms.
@@ -108,11 +159,11 @@ class TextDecoder:
         """
         n, length = self._n_heard, len(self._recent)
         self._n_heard += 1
+        scores = scores[: len(self._delays)]
+        relative = np.maximum(scores - scores.max(axis=1, keepdims=True), self._lowest)
         for head, delay in enumerate(self._delays):
             if delay <= n:
-                best = scores[head].max()
-                relative = np.maximum(scores[head] - best, np.float32(self._settings.lowest))
-                self._recent[(n - delay) % length, head] = relative
+                self._recent[(n - delay) % length, head] = relative[head]
         oldest, newest = n - self._delays[-1], n - self._delays[0]
         if newest < 0:
             return []
@@ -129,7 +180,7 @@ class TextDecoder:
     def _step(self, front: "_Front", frame: int, age: int, *, keep: bool = False) -> "_Front":
         """The search one frame on. keep: the window may move."""
         settings = self._settings
-        window = self._words.window(int(self.place)) if keep else front.window
+        window = self._words.window(self.place) if keep else front.window
         scores = front.scores
         if window is not front.window:
             scores = window.taken_over(front)
@@ -137,10 +188,11 @@ class TextDecoder:
         begins = self._begins(window, scores, front.escape, frame)
         entered = np.empty_like(scores)
         entered[1:] = scores[:-1]
-        entered[window.silences] = begins - np.float32(settings.pause)
-        into_first = np.maximum(begins, scores[window.silences])
-        entered[window.firsts] = into_first[window.word_of_first]
-        found = np.maximum(scores + window.stays, entered) + row[window.phonemes]
+        entered[window.silences] = begins - self._pause
+        into_first = np.maximum(begins, scores.take(window.silences))
+        entered[window.firsts] = into_first.take(window.word_of_first)
+        found = np.maximum(scores + window.stays, entered)
+        found += row.take(window.phonemes)
         best = scores.max()
         escape = max(front.escape, best - np.float32(settings.leave)) - np.float32(settings.escape)
         if keep:
@@ -153,17 +205,17 @@ class TextDecoder:
         self, window: "_Window", scores: Array32, escape: np.float32, frame: int
     ) -> Array32:
         """(n_words,): the best score with which each word may begin in a frame."""
-        ends = np.empty(len(window.ends) + 1, np.float32)
-        scores[window.ends].max(axis=1, out=ends[:-1])
+        ends = np.empty(window.ends.shape[1] + 1, np.float32)
+        scores.take(window.ends).max(axis=0, out=ends[:-1])
         ends[-1] = escape
         begins: Array32 = (ends[:, None] + window.between).max(axis=0)
         if window.has_times:
-            apart = np.abs(window.start_frames - frame)
-            begins -= np.fmax(np.float32(0.0), apart - 15) * self._late
+            apart = np.abs(window.start_frames - np.float32(frame + self._first_frame))
+            begins -= np.fmax(np.float32(0.0), apart - self._tolerated) * self._late
         return begins
 
     def _path(self, fronts: "list[_Front]") -> list[int]:
-        """Back through the fronts from the best end of the last one; one phoneme for each but the first."""
+        """Back from the best end of the last front: a phoneme for each front but the first."""
         last = fronts[-1]
         state = int(last.scores.argmax())
         is_heard = bool(last.escape >= last.scores[state])
@@ -177,11 +229,13 @@ class TextDecoder:
                 continue
             path.append(int(front.window.phonemes[state]))
             is_heard, state = self._source(front, before, state)
+        n_words = self._words.n_words
         if is_heard:
-            self.place += _ESCAPED_WORDS_PER_FRAME
+            self._place = min(self._place + _ESCAPED_WORDS_PER_FRAME, float(n_words))
         else:
             window = fronts[0].window
-            self.place = float(window.first_word + window.words[state])
+            self._place = float(window.first_word + window.words[state])
+        self._n_idle = self._n_idle + 1 if self._place >= n_words else 0
         return path[::-1]
 
     def _source(self, front: "_Front", before: "_Front", state: int) -> tuple[bool, int]:
@@ -202,12 +256,12 @@ class TextDecoder:
             silence = int(window.silences[word])
             if max(stay, scores[silence]) >= begins[word]:
                 return False, (state if stay >= scores[silence] else silence) + shift
-        ends = scores[window.ends].max(axis=1)
+        ends = scores[window.ends].max(axis=0)
         from_words = np.append(ends, before.escape) + window.between[:, word]
         source = int(from_words.argmax())
         if source == len(ends):
             return True, state
-        candidates = window.ends[source]
+        candidates = window.ends[:, source]
         return False, int(candidates[scores[candidates].argmax()]) + shift
 
 
@@ -262,7 +316,10 @@ class _Front:
 
 
 _WITHIN, _SILENT, _FIRST = 0, 1, 2
+#: Where the text is not said it goes by all the same: slow speech, 100 frames a second.
 _ESCAPED_WORDS_PER_FRAME: Final = 0.02
+#: After the last word.
+_IDLE_S: Final = 1.0
 
 
 class _WordGraph:
@@ -348,7 +405,7 @@ def _window_of(
         silences,
         firsts,
         of_state[firsts],
-        np.array([word.ends for word in words]) + silences[:, None],
+        np.array([word.ends for word in words]).T + silences,
         _between(len(words), place, settings),
         start_frames,
         bool(np.isfinite(start_frames).any()),
