@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from calibration.calibration import Calibration
-from calibration.run.compensation import Follower, VisemeTrim
+from calibration.run.compensation import BacklashCompensation, LagCompensation, VisemeTrim
 from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
 from firmware_bridge.loop.targets import ServoTargets, TargetChannel
 from lipservo.runtime.speech.expression import ExpressionLayer
@@ -221,23 +221,23 @@ class Speech:
         #: The numbers of the calibrated servos among those of the face.
         self.mouth = self._layers.indices(calibration.servo_names)
         self._trim = VisemeTrim(calibration.trim, len(self.mouth), PUBLISH_PERIOD_S)
-        following = calibration.following
-        self._follower = Follower(
-            following and following.spread(self.mouth, n_servos),
-            n_servos,
-            PUBLISH_PERIOD_S,
-            look_ahead_s=_MOST_ADVANCE_S,
-        )
+        lag_s, backlash_deg = np.zeros(n_servos), np.zeros(len(self.mouth))
+        if calibration.following is not None:
+            lag_s[self.mouth] = calibration.following.lag_s
+            backlash_deg = calibration.following.backlash_deg
+        self._lag = LagCompensation(lag_s, PUBLISH_PERIOD_S, look_ahead_s=_MOST_ADVANCE_S)
+        self._backlash = BacklashCompensation(backlash_deg)
         self.delay = Delay(
             phonemes.latency_s,
             synthesizer.lookahead_s,
-            actuation_s=self._follower.advance_s,
+            actuation_s=self._lag.advance_s,
         ).at_least(options.least_delay_s)
         self._cut_off = CutOff(PUBLISH_PERIOD_S)
         self.expression = options.expression
         self.lip_gap = options.lip_gap
         self._plan = options.plan
-        self._newest_mouth_deg = np.zeros(len(self.mouth))
+        # What the mouth's servos are asked for, and the pose that this brings the mouth to.
+        self._mouth_goals_deg = self._mouth_deg = np.zeros(len(self.mouth))
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
         self._newest_asked_s, self._newest_sound_s = -math.inf, -self.delay.total_s
@@ -305,7 +305,7 @@ class Speech:
         rest_deg = self._calibration.positions_deg(
             rest if self.lip_gap is None else self.lip_gap.shifted(rest)
         )
-        self._cut_off.begin(self._newest_mouth_deg, rest_deg, until_s)
+        self._cut_off.begin(self._mouth_deg, rest_deg, until_s)
         # Targets may have been dated ahead of this moment.
         self._newest_asked_s = min(self._newest_asked_s, now_s)
 
@@ -345,10 +345,10 @@ class Speech:
         # Every period counts, also where ticks are farther apart: it closes in the same time.
         while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
             self._newest_asked_s += PUBLISH_PERIOD_S
-            self._newest_mouth_deg = self._planned(self._cut_off.close())
+            self._plan_mouth(self._cut_off.close())
             shown_s = self._newest_asked_s + self.delay.actuation_s
             pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
-            goals_deg = self._follower.feed(pose_deg)
+            goals_deg = self._lag.feed(pose_deg)
             self._publish(ServoTargets(self._newest_asked_s, goals_deg))
 
     def _targets(self, sound_s: float) -> ServoTargets:
@@ -357,32 +357,36 @@ class Speech:
         trim_deg = self._trim.feed(phoneme)
         mouth_deg = self._cut_off.join(self._calibration.positions_deg(face) + trim_deg)
         window = None if self._plan is None else self._synthesizer.window_after(frame)
-        self._newest_mouth_deg = self._planned(mouth_deg, window, trim_deg)
+        self._plan_mouth(mouth_deg, window, trim_deg)
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
         # Servos are asked before the face is shown, by as much as they are late.
         asked_s = shown_s - self.delay.actuation_s
         self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
         pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
-        return ServoTargets(asked_s, self._follower.feed(pose_deg))
+        return ServoTargets(asked_s, self._lag.feed(pose_deg))
 
-    def _planned(
+    def _plan_mouth(
         self, mouth_deg: Array, window: FaceWindow | None = None, trim_deg: Array | float = 0.0
-    ) -> Array:
-        """What the mouth's servos can do of a pose (n,) that is wanted now, and of what follows.
+    ) -> None:
+        """Goals for a pose of the mouth (n,) that is wanted now, and what follows.
 
-        window: what follows; None where nothing is known.
+        window: what follows; None where nothing is known. Backlash is made up for before the plan,
+        which so knows of every turn, and keeps the limits of the servos and not of the horns.
         """
-        if self._plan is None:
-            return mouth_deg
-        if window is None:
-            return self._plan.step(TargetWindow(_NOW, mouth_deg[None], _FREE))
-        faces, shut = window.faces, window.shut
-        if self.lip_gap is not None:
-            faces, shut = self.lip_gap.shifted(faces), self.lip_gap.shifted(shut)
-        later_deg = [self._calibration.positions_deg(face) + trim_deg for face in faces[1:]]
-        positions_deg = np.array([mouth_deg, *later_deg])
-        shut_deg = self._calibration.positions_deg(shut) + trim_deg
-        return self._plan.step(TargetWindow(window.times_s, positions_deg, window.closed, shut_deg))
+        times_s, must_meet, later_deg, shut_deg = _NOW, _FREE, [], None
+        if window is not None:
+            faces, shut = window.faces, window.shut
+            if self.lip_gap is not None:
+                faces, shut = self.lip_gap.shifted(faces), self.lip_gap.shifted(shut)
+            times_s, must_meet = window.times_s, window.closed
+            later_deg = [self._calibration.positions_deg(face) + trim_deg for face in faces[1:]]
+            shut_deg = self._calibration.positions_deg(shut) + trim_deg
+        wanted_deg = self._backlash.feed(mouth_deg, later_deg)
+        goals_deg = wanted_deg[0]
+        if self._plan is not None:
+            goals_deg = self._plan.step(TargetWindow(times_s, wanted_deg, must_meet, shut_deg))
+        self._mouth_goals_deg = goals_deg
+        self._mouth_deg = goals_deg - (wanted_deg[0] - mouth_deg)
 
     def _compose(
         self, sound_s: float, shown_s: float, phoneme: str, performed: Expression
@@ -391,7 +395,7 @@ class Speech:
 
         performed: what a performance says of head and eyes.
         """
-        mouth = Claim(Layer.LIPS, self.mouth, self._newest_mouth_deg)
+        mouth = Claim(Layer.LIPS, self.mouth, self._mouth_goals_deg)
         if self.expression is None:
             return self._layers.compose([mouth])
         is_speaking = phoneme != SILENCE
