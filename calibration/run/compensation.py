@@ -3,7 +3,7 @@
 Streaming; NumPy only, a few microseconds a frame.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -26,27 +26,29 @@ class BacklashCompensation:
     def __init__(self, backlash_deg: Array) -> None:
         """backlash_deg: (n_servos,), the whole width of the backlash."""
         self._half_deg = backlash_deg / 2
+        self._any = bool(backlash_deg.any())
         self._side = np.ones(len(backlash_deg))
         self._furthest_deg: Array | None = None
 
-    def feed(self, positions_deg: Array, later_deg: Sequence[Array] = ()) -> Array:
-        """Where the horns should be now and after it, (n_servos,) each -> goals, (k, n_servos).
+    def feed(self, poses_deg: Array) -> Array:
+        """Where the horns should be now and later, (k, n_servos) -> goals (k, n_servos).
 
         Of what comes later nothing is remembered: it may be revised.
         """
-        side, furthest_deg = self._side, self._furthest_deg
-        if furthest_deg is None:
-            furthest_deg = positions_deg
-        goals_deg = np.array([positions_deg, *later_deg])
-        for n, pose_deg in enumerate(goals_deg):
+        if not self._any:
+            return poses_deg
+        side = self._side
+        furthest_deg = poses_deg[0] if self._furthest_deg is None else self._furthest_deg
+        sides = np.empty_like(poses_deg)
+        for n, pose_deg in enumerate(poses_deg):
             beyond_deg = (pose_deg - furthest_deg) * side
             turned = beyond_deg < -_TURN_DEG
             side = np.where(turned, -side, side)
             furthest_deg = np.where(turned | (beyond_deg > 0), pose_deg, furthest_deg)
+            sides[n] = side
             if n == 0:
                 self._side, self._furthest_deg = side, furthest_deg
-            goals_deg[n] = pose_deg + side * self._half_deg
-        return goals_deg
+        return np.asarray(poses_deg + sides * self._half_deg)
 
 
 class LagCompensation:
