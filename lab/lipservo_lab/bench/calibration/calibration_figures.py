@@ -8,7 +8,7 @@ How far the mouth is from its sound on servos that are late, with and without co
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray

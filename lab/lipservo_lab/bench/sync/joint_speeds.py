@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Final
 
@@ -18,17 +19,22 @@ from scipy.interpolate import CubicSpline
 
 from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import MouthServos
+from calibration.run.compensation import BacklashCompensation
 from calibration.simulated.elastic_family import elastic_robot_of
 from calibration.simulated.elastic_robot import N_PAIRS, ElasticFace
 from calibration.simulated.practice_robot import USUAL_SEED, family_of, markers_of_face
 from calibration.simulated.robot_family import RobotFamily
+from firmware_bridge.clock import ManualClock
 from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
 from firmware_bridge.gate.limits import Limiter
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.calibrating.calibration_setup import CalibrationSetup
+from lipservo.runtime.face_runtime import run_face
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
+from lipservo.runtime.run_request import RunRequest, Sound
 from lipservo.runtime.servos.assembly import Face, assemble_face
+from lipservo.runtime.sound import open_sound
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech, SpeechOptions
 from lipservo.runtime.speech.speech_side import mouth_plan
 from lipservo_lab.bench.calibration.shown_motion import wanted_shapes
@@ -49,6 +55,9 @@ from lipsync.recognition.scripted import ScriptedPhonemes
 SPEEDS_DEG_S: Final = (400.0, 300.0, 200.0, 150.0)
 #: Those that ship with a calibration.
 FACES: Final = ("face_sim", "face_lips", "face_eight", "face_four", "face_jaw")
+#: Those that are run, at this rate.
+RUN: Final = ("face_head", *FACES)
+_RUN_HZ: Final = 100.0
 #: Their robots have lips: a foreign one, whose lips stop each other, and our own.
 ROBOTS: Final = ("face_eight", "face_lips", "face_sim")
 _TOUCH_MM: Final = 0.02
@@ -125,9 +134,7 @@ def shafts_of(
     channel = MemoryTargetChannel(4096)
     phonemes = ScriptedPhonemes(sentence.phones)
     options = SpeechOptions(plan=plan)
-    speech = Speech(
-        phonemes, SteadyClock(), synthesizer, face.calibration, names, channel, options
-    )
+    speech = Speech(phonemes, SteadyClock(), synthesizer, face.calibration, names, channel, options)
     speech.begin(0.0)
     asked: list[Array] = []
     n_ticks = round((sentence.end_s + _AFTER_S + speech.delay.total_s) / PUBLISH_PERIOD_S)
@@ -300,6 +307,7 @@ def speed_figures(corpus: Path, n_sentences: int, advance: Advance) -> dict[str,
     for n, name in enumerate(FACES):
         advance(name, n, n_steps)
         by_face[name] = _asked_of(assemble_face(name, None), sentences, model)
+    figures["rate_limits_per_s_run"] = {name: _limits_per_s(name) for name in RUN}
     robots = [assemble_face(name, None) for name in ROBOTS]
     lips = [RobotLips(face, model) for face in robots]
     step = len(FACES)
@@ -361,9 +369,7 @@ def _error_ratios(
     n_servos = len(face.calibration.servo_names)
     wanted_mm = [lips.wanted_mm(sentence) for sentence in sentences]
 
-    def error_mm(
-        plan_of: Callable[[Array], JointPlan | None], speeds: Array, shown: Face
-    ) -> float:
+    def error_mm(plan_of: Callable[[Array], JointPlan | None], speeds: Array, shown: Face) -> float:
         made = [
             shafts_of(shown, s, recorded_motion(s, model), plan_of(speeds), speeds, lips.play_deg)
             for s in sentences
@@ -374,7 +380,9 @@ def _error_ratios(
     free_mm, loose = error_mm(no_plan, np.full(n_servos, math.inf), exact(face)), in_time(face)
     found: dict[str, object] = {"lip_error_mm": round(free_mm, 3)}
     limits = [np.full(n_servos, speed_deg_s) for speed_deg_s in SPEEDS_DEG_S]
-    found["lip_error_ratio"] = [round(error_mm(plan_at, each, loose) / free_mm, 3) for each in limits]
+    found["lip_error_ratio"] = [
+        round(error_mm(plan_at, each, loose) / free_mm, 3) for each in limits
+    ]
     alone = [error_mm(no_plan, each, loose) / free_mm for each in limits]
     found["lip_error_ratio_gate_alone"] = np.round(alone, 3).tolist()
     return found
@@ -403,11 +411,24 @@ def _asked_of(
     return figures
 
 
+def _limits_per_s(face: str) -> float:
+    """Goals that the gate slows in a second of the bundled clip, replayed as users run it."""
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        request = RunRequest(face, Sound("file", str(clip)), rate_hz=_RUN_HZ, quiet=True)
+        with open_sound(request.sound) as source:
+            summary = run_face(request, source, ManualClock()).summary
+    return round(summary.rate_limits_hit / summary.duration_s, 3)
+
+
 def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict[str, float]:
-    """What one tick's window, its poses and its plan take together."""
+    """What one tick's window, its poses, backlash and plan take together."""
     synthesizer = live_motion(sentence, model)
     phonemes = ScriptedPhonemes(sentence.phones)
-    plan = plan_at(np.full(len(face.calibration.servo_names), SPEEDS_DEG_S[0]))
+    n_servos, following = len(face.calibration.servo_names), face.calibration.following
+    plan = plan_at(np.full(n_servos, SPEEDS_DEG_S[0]))
+    backlash = BacklashCompensation(
+        np.zeros(n_servos) if following is None else following.backlash_deg
+    )
     took_ms = []
     for n in range(round(sentence.end_s / PUBLISH_PERIOD_S)):
         for update in phonemes.updates(n * PUBLISH_PERIOD_S + synthesizer.lookahead_s):
@@ -415,9 +436,11 @@ def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict
         frame = synthesizer.frame_at(n * PUBLISH_PERIOD_S)
         began_s = time.perf_counter()
         window = synthesizer.window_after(frame)
-        poses_deg = np.array([face.calibration.positions_deg(each) for each in window.faces])
-        shut_deg = face.calibration.positions_deg(window.shut)
-        plan.step(TargetWindow(window.times_s, poses_deg, window.closed, shut_deg))
+        *poses_deg, shut_deg = face.calibration.poses_deg(
+            np.concatenate([window.faces, window.shut[None]])
+        )
+        goals_deg = backlash.feed(np.array(poses_deg))
+        plan.step(TargetWindow(window.times_s, goals_deg, window.closed, shut_deg))
         took_ms.append(1e3 * (time.perf_counter() - began_s))
     p50, p99 = np.percentile(took_ms, [50, 99])
     return {"plan_ms_p50": round(float(p50), 3), "plan_ms_p99": round(float(p99), 3)}
