@@ -35,7 +35,6 @@ class FaceSpeech:
         source: AudioSource,
         channel: TargetChannel,
         *,
-        soft_start_s: float,
         board: LiveBoard | None = None,
         timer_s: Callable[[], float] | None = None,
         synthesizer: Synthesizer | None = None,
@@ -59,7 +58,7 @@ class FaceSpeech:
             self.recognizer,
             synthesizer,
             channel,
-            soft_start_s=soft_start_s,
+            soft_start_s=requested.settings.capabilities.soft_start_s,
             is_watchable=board is not None,
             board=board,
         )

@@ -9,6 +9,7 @@ from firmware_bridge.process.commands import CommandQueue, Setting
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.runtime.run_request import RunRequest, about_run
 from lipservo.runtime.servos.assembly import Face, assembled_face, load_settings
+from lipservo.runtime.servos.driven_face import ControlOptions
 from lipservo.runtime.speech.expression import expression_settings
 from lipservo.runtime.status.face_status import Status
 from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
@@ -49,6 +50,19 @@ class RequestedFace:
             **expression_settings(self.settings.expression.amount),
         }
         return CommandQueue(settings, on_change=on_change)
+
+    def control(
+        self,
+        commands: CommandQueue,
+        describe: Callable[[Mapping[str, object]], Mapping[str, object]],
+        board: LiveBoard,
+        *,
+        waits: bool = False,
+    ) -> ControlOptions:
+        """How it is commanded from outside. Parameters as those of `ControlOptions`."""
+        return ControlOptions(
+            self.control_path, commands, describe, self.about, board.fileno(), waits
+        )
 
     def live_board(self) -> LiveBoard:
         """A new one for it."""
