@@ -14,7 +14,6 @@ from lipservo.settings.motion_names import (
     ONLY_UNITS,
     SMOOTHEST,
     STRONGEST,
-    Engine,
     MeasuredEngine,
     Strategy,
 )
@@ -154,19 +153,21 @@ OpenPage = Annotated[
 # ---- how sound becomes motion ----
 
 _ENGINE = typer.Option(
-    help="Recogniser to begin with; a worse one takes over where it fails.", show_default=False
+    help="Recogniser to begin with: network, energy, or another package's; a worse one takes over "
+    "where it fails.",
+    show_default=False,
 )
 _WEIGHTS = typer.Option(
     help="What the network has learned: default, grid, or a file of weights.", show_default=False
 )
-EngineChoice = Annotated[Engine, _ENGINE]
+EngineChoice = Annotated[str, _ENGINE]
 MeasuredEngineChoice = Annotated[
     MeasuredEngine,
     typer.Option(help="Recogniser; pocketsphinx needs the extra align.", show_default=False),
 ]
 WeightsChoice = Annotated[str, _WEIGHTS]
 #: The same where the face's YAML may say it; then None is `not typed`.
-FaceEngine = Annotated[Engine | None, _ENGINE]
+FaceEngine = Annotated[str | None, _ENGINE]
 FaceWeights = Annotated[str | None, _WEIGHTS]
 FaceStrategy = Annotated[
     Strategy | None,

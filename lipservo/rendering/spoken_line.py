@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from lipservo.runtime.motion_options import make_recognizer
 from lipservo.runtime.settled_phonemes import settled_events
 from lipsync.audio.file import FileSource, ignore, read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
@@ -19,6 +18,7 @@ from lipsync.recognition.alignment import (
     align,
     goodness_of_pronunciation,
 )
+from lipsync.recognition.recognizers import make_recognizer
 
 #: A line is heard whole: a longer sound is cut into lines by whoever knows where they end.
 LONGEST_LINE_S = 300.0

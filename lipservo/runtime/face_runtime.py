@@ -100,13 +100,7 @@ def run_face(
             if listener is not None:
                 from lipservo.runtime.voice_agents import voice_agents
 
-                serving = voice_agents(
-                    listener,
-                    speech.side,
-                    request.voice,
-                    requested.face.model,
-                    requested.control_path,
-                )
+                serving = voice_agents(listener, speech.side, requested)
                 run.serve(stack.enter_context(serving))
             life.start()
             zero_s = clock.now()

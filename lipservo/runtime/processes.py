@@ -7,8 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from firmware_bridge.errors import BusError
@@ -41,13 +40,12 @@ class Handed:
     """What a process inherits from the supervisor.
 
     channel, board, live: descriptors of the socket of targets, of the notes that the processes
-    share, and of what whoever watches may read. control_path: of the face's socket.
+    share, and of what whoever watches may read.
     """
 
     channel: int
     board: int
     live: int
-    control_path: Path
     lifeline: Lifeline
 
 
@@ -143,7 +141,6 @@ def run_speech_process(
     from lipservo.runtime.voice_agents import voice_agents
 
     requested = RequestedFace(request)
-    model = requested.face.model
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
         stack.enter_context(face_logs(requested.settings.name, "speech", quiet=request.quiet))
@@ -171,7 +168,7 @@ def run_speech_process(
         side.begin(zero_s if request.voice is None else clock.now())
         handed.lifeline.began(zero_s)
         listener = None if agents is None else socket.socket(fileno=agents)
-        serving = voice_agents(listener, side, request.voice, model, handed.control_path)
+        serving = voice_agents(listener, side, requested)
         url = stack.enter_context(serving)
         n_servo_ticks = 0
         settings: dict[str, float] = {}
@@ -214,6 +211,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     from lipservo.runtime.sound import check_sound
     from lipservo.runtime.speech.expression import check_expression
     from lipservo.traces.trace_file import is_trace
+    from lipsync.recognition.recognizers import recognizer_kind
 
     if request.trace is not None:
         check_output(request.trace, replaces=is_trace, kind="trace")
@@ -222,6 +220,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     port = settings.servo_port
     assert port is not None
     check_sound(request)
+    recognizer_kind(request.motion.engine)
     request = requested.with_resolved_avatars()
     check_expression(settings, face.folder)
     opener = settings.bus_kind.port_release(port, settings.wiring)
@@ -254,12 +253,12 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             )
         writer, reader = channel_pair()
         command = [sys.executable, "-m", "lipservo"]
-        shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
+        whole = request_json(replace(request, control=listener.path))
+        shared = ["--request", whole, "--lifeline", "{lifeline}"]
         shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
         bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
-        bridge += ["--control-path", str(listener.path)]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
-        speech = [*command, "speech-process", *shared, "--control-path", str(listener.path)]
+        speech = [*command, "speech-process", *shared]
         of_speech = {"{channel}": writer.fileno()}
         if agents is not None:
             speech += ["--agents", "{agents}"]

@@ -208,9 +208,9 @@ def nonspeech(
     Through recogniser and default motion as they run live. A folder below FOLDER is a kind of
     sound, and has its own line. Files that are no sound are named and left out.
     """
-    from lipservo.runtime.motion_options import make_recognizer
     from lipservo_lab.evaluation.recognition.nonspeech_answers import nonspeech_folder, sound_files
     from lipservo_lab.learning.motion.trained_model import load_trained_model
+    from lipsync.recognition.recognizers import make_recognizer
 
     check_weights(weights)
     files = sound_files(folder)
