@@ -18,6 +18,7 @@ from lipservo.settings.motion_names import (
     Strategy,
 )
 from lipsync.errors import UserError
+from lipsync.plugins import RECOGNIZERS, PluginError
 
 DEFAULT_FACE = "face_sim"
 
@@ -152,7 +153,16 @@ OpenPage = Annotated[
 
 # ---- how sound becomes motion ----
 
+
+def _known_engine(name: str | None) -> str | None:
+    try:
+        return None if name is None else RECOGNIZERS.check(name)
+    except PluginError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
 _ENGINE = typer.Option(
+    callback=_known_engine,
     help="Recogniser to begin with: network, energy, or another package's; a worse one takes over "
     "where it fails.",
     show_default=False,

@@ -22,7 +22,7 @@ from lipservo.runtime.run_request import (
 )
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.settings.sections import SoundSettings
-from lipsync.audio.file import FileSource, checked_sound, sound_chunks
+from lipsync.audio.file import FileSource, checked_sound, log_once, sound_chunks
 from lipsync.audio.playout import ListenedMicrophone, Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
@@ -131,10 +131,12 @@ def spoken_file(
 
     phonemes: a file of what is said when. Raises SoundError, LabelError.
     """
-    rate_hz, duration_s = checked_sound(path)
+    checked = checked_sound(path)
+    log_once(checked.warning)
     known = () if phonemes is None else known_from(phonemes, start_s)
-    stream = PlayoutStream(path.name, rate_hz, playout.output_rate_hz, known)
-    return spoken_chunks(sound_chunks(path, start_s), stream), max(0.0, duration_s - start_s)
+    stream = PlayoutStream(path.name, checked.sample_rate_hz, playout.output_rate_hz, known)
+    left_s = max(0.0, checked.duration_s - start_s)
+    return spoken_chunks(sound_chunks(path, start_s), stream), left_s
 
 
 def spoken_text(text: str, language: str, playout: Playout, synthesizer: str) -> Spoken:
