@@ -20,7 +20,7 @@ from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest
 from lipservo.runtime.servos.assembly import check_servos
 from lipservo.runtime.servos.driven_face import DriveOptions, driven_face
-from lipservo.runtime.status.face_status import Status, whole_status
+from lipservo.runtime.status.face_status import SpeechStatus, Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.street_tick import StreetTick, TickObserver
 from lipservo.runtime.street import Street
@@ -180,7 +180,10 @@ class _Run:
         return self._whole(bridge).as_dict()
 
     def _whole(self, bridge: Mapping[str, object]) -> Status:
-        return whole_status(bridge, self._speech.status(self.commands.values, self._listens_on))
+        return whole_status(bridge, self._speech_status())
+
+    def _speech_status(self) -> SpeechStatus:
+        return self._speech.status(self.commands.values, self._listens_on)
 
     def observers(
         self, bridge: Bridge, board: LiveBoard, stack: ExitStack, *, live: bool, on_time: bool
@@ -196,7 +199,7 @@ class _Run:
         if request.trace is not None:
             from lipservo.traces.trace_file import BackgroundTrace, TraceFile
 
-            file = TraceFile(request.trace, self._requested.trace_header(self.status(bridge)))
+            file = TraceFile(request.trace, self._requested.trace_header(self._speech_status()))
             # Where nobody waits for a tick, none may be dropped.
             if on_time:
                 observers.append(stack.enter_context(BackgroundTrace(file)))
