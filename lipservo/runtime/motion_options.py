@@ -19,16 +19,14 @@ from lipsync.errors import UserError
 from lipsync.expectation.expectation import read_expectation
 from lipsync.face.frame import Synthesizer
 from lipsync.face.model import FaceModel, ModelError, open_model, read_face
-from lipsync.motion.live_synthesizer import (
+from lipsync.motion.finishing import (
     DEFAULT_LOOKAHEAD_S,
     DEFAULT_UNIT_SHARE,
-    LIVE_STRATEGY,
-    UNIT_STRATEGY,
     FinishedSynthesizer,
-    LiveSynthesizer,
     Style,
     StyleError,
 )
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY, LiveSynthesizer
 from lipsync.plugins import DEFAULT_RECOGNIZER, RECOGNIZERS
 from lipsync.recognition.network import (
     DEFAULT_WEIGHTS,

@@ -20,8 +20,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame, Synthesizer
-from lipsync.motion.closures import lip_gap_of
-from lipsync.motion.live_synthesizer import STRONGEST, FinishedSynthesizer
+from lipsync.motion.finishing import STRONGEST, FinishedSynthesizer, lip_gap_of
 from lipsync.offline.performed_motion import PerformedMotion
 from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
 from lipsync.recognition.own_noise import ServoSpeeds

@@ -23,13 +23,8 @@ from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import (
-    LIVE_STRATEGY,
-    LONGEST_LOOKAHEAD_S,
-    STRONGEST,
-    UNIT_STRATEGY,
-    Style,
-)
+from lipsync.motion.finishing import LONGEST_LOOKAHEAD_S, STRONGEST, Style
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
 from lipsync.plugins import RECOGNIZERS
 from lipsync.recognition.recognizers import make_recognizer
 

@@ -21,7 +21,7 @@ from lipservo.runtime.run_request import SILENCE, RunRequest
 from lipservo.runtime.sound import open_sound
 from lipsync.audio.source import SilentSource
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import Style
+from lipsync.motion.finishing import Style
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 

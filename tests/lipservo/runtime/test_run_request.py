@@ -21,7 +21,7 @@ from lipservo.runtime.run_request import (
     request_of_json,
 )
 from lipservo.settings.motion_names import STRATEGIES
-from lipsync.motion.live_synthesizer import LONGEST_LOOKAHEAD_S, STRONGEST, Style
+from lipsync.motion.finishing import LONGEST_LOOKAHEAD_S, STRONGEST, Style
 from lipsync.plugins import RECOGNIZERS
 
 HELD_OUT = str(ROOT / "benchmarks" / "recognizer_held_out.npz")

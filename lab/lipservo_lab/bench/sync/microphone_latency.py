@@ -30,7 +30,7 @@ from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
 from lipsync.audio.source import BLOCK_SAMPLES
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
-from lipsync.motion.live_synthesizer import Style
+from lipsync.motion.finishing import Style
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.network import find_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer

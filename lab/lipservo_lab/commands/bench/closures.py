@@ -22,7 +22,7 @@ from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsC
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
 from lipservo_lab.commands.bench.recognition import Cache, Limit, Speakers
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S, check_weights, find_weights
 
 if TYPE_CHECKING:
