@@ -11,7 +11,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.expectation.expectation import PhonemeTrack, context_at
-from lipsync.face.frame import FaceWindow, Frame
+from lipsync.face.frame import FaceWindow, Frame, Motion
 from lipsync.face.model import FaceModel
 from lipsync.motion.tick_plan import AT_REST, TICK_S, Amount, EasedSetting, TickPlan, planned_rest
-from lipsync.motion.unit_motion import UnitMotion
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
+
+if TYPE_CHECKING:
+    from lipsync.motion.unit_motion import UnitMotion
 
 #: Lips pressed together show this gap, mm. The bar is 1.0; the rest leaves room for the sampling
 #: of a face between two ticks. Closer costs accuracy (docs/motion.md).
@@ -229,35 +231,15 @@ class Style:
 USED_LOOKAHEAD_S = 0.2
 
 
-class TrackedSynthesizer(Protocol):
-    """What the finishing step is put around: a `Synthesizer` whose phonemes it can see."""
+class TrackedSynthesizer(Motion, Protocol):
+    """What the finishing step is put around: motion whose phonemes it can see."""
 
     @property
     def track(self) -> PhonemeTrack:
         """The phonemes as they are believed now, end to end."""
 
-    @property
-    def phonemes_planned(self) -> int:
-        """How many phonemes have moved the mouth."""
-
-    @property
-    def lookahead_s(self) -> float:
-        """How much sound after an instant must have been heard before its frame is asked for."""
-
-    def reset(self) -> None:
-        """Forget everything."""
-
-    def push(self, update: PhonemeUpdate) -> None:
-        """Take a revision of the phonemes."""
-
-    def frame_at(self, time_s: float) -> Frame:
-        """The frame at a sound time."""
-
     def faces_after(self, frame: Frame, times_s: Array) -> Array:
         """The faces (k, n_components) expected at sound times (k,) after the newest frame."""
-
-    def event_at(self, time_s: float) -> PhonemeEvent | None:
-        """The phoneme believed at a time, for displays."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -280,7 +262,7 @@ class FinishedSynthesizer:
         *,
         known_s: float | None = None,
         adjust_inner: Mapping[str, Callable[[float], None]] | None = None,
-        units: UnitMotion | None = None,
+        units: "UnitMotion | None" = None,
         unit_share: float = DEFAULT_UNIT_SHARE,
     ) -> None:
         """strength: 0 keeps the mouth at rest, 1 changes nothing.
@@ -404,7 +386,7 @@ class FinishedSynthesizer:
         shut = self._gap.shut(frame.coefficients)
         return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
 
-    def _mixed(self, face: Array, units: UnitMotion, time_s: float) -> Array:
+    def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
         """The weighted mean of a face (n_components,) and that of the AnimPhos."""
         of_units = units.at(time_s, self._inner.track)
         share = self._unit_share.at(time_s)

@@ -9,10 +9,10 @@ position and speed whatever arrives.
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from lipsync.animpho.units import AnimPhoUnits
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import Expectation, PhonemeTrack, context_at, track_of
 from lipsync.face.frame import Frame
@@ -28,9 +28,11 @@ from lipsync.motion.tick_plan import (
     planned_rest,
     tick_of,
 )
-from lipsync.motion.unit_motion import UnitMotion
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.timeline import PhonemeTimeline
+
+if TYPE_CHECKING:
+    from lipsync.animpho.units import AnimPhoUnits
 
 #: Their names on the command line and in results: the expectation, and AnimPhos near it.
 LIVE_STRATEGY = "expected"
@@ -191,18 +193,23 @@ class LiveSynthesizer(FinishedSynthesizer):
         model: FaceModel,
         expectation: Expectation,
         style: Style | None = None,
-        units: AnimPhoUnits | None = None,
+        units: "AnimPhoUnits | None" = None,
     ) -> None:
         """units: AnimPhos to choose from; None: the expectation alone, whatever `unit_share` is."""
         style = style or Style()
         expected = ExpectedMotion(
             expectation, model.rest, lookahead_s=style.lookahead_s, smoothness=style.smoothness
         )
+        mixed_in = None
+        if units is not None:
+            from lipsync.motion.unit_motion import UnitMotion
+
+            mixed_in = UnitMotion(units, expectation, expected.known_s)
         super().__init__(
             model,
             expected,
             style.strength,
             adjust_inner={"smoothness": expected.adjust_smoothness},
-            units=None if units is None else UnitMotion(units, expectation, expected.known_s),
+            units=mixed_in,
             unit_share=style.unit_share,
         )

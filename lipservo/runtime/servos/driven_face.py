@@ -15,11 +15,10 @@ from typing import Final
 from firmware_bridge.bus import ServoBus
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.loop.bridge import Bridge, face_status
-from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
+from firmware_bridge.loop.life_cycle import Heartbeat, LifeCycle, LifeCycleLinks
 from firmware_bridge.loop.targets import TargetChannel
 from firmware_bridge.process.commands import CommandQueue
 from firmware_bridge.process.control_socket import ControlSocket
-from firmware_bridge.process.lifeline import Lifeline
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.runtime_folder import socket_path
 from firmware_bridge.stopping import StopRequest
@@ -63,7 +62,7 @@ class Supervised:
     switched_off: by a person, by index.
     """
 
-    lifeline: Lifeline
+    lifeline: Heartbeat
     control_fd: int
     stopped: StopRequest | None
     given_up: Mapping[int, str]
