@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 
-from lipservo.settings.motion_names import DEFAULT_ENGINE, MeasuredEngine
+from lipservo.settings.motion_names import MeasuredEngine
 from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
 from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
 from lipservo_lab.evaluation.motion.methods import (
@@ -271,7 +271,7 @@ def _miss_rate(
     return sum(misses for misses, _ in counts) / max(1, sum(total for _, total in counts))
 
 
-def live_listener(engine: MeasuredEngine = DEFAULT_ENGINE) -> Callable[[Utterance], Heard]:
+def live_listener(engine: MeasuredEngine = "network") -> Callable[[Utterance], Heard]:
     """What a live recogniser finds in a sentence's sound; made when the first is asked for."""
 
     def listen(utterance: Utterance) -> Heard:

@@ -7,7 +7,7 @@ import numpy as np
 
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.stopping import StopLevel, StopReport
-from lipservo.runtime.servos.assembly import bus_for, load_settings, wiring_of
+from lipservo.runtime.servos.assembly import load_settings, wiring_of
 from lipservo.runtime.servos.held_face import HeldFace
 from lipsync.errors import UserError
 
@@ -52,14 +52,10 @@ def move_to(
             )
     if may_jump:
         settings.bus_kind.allow_first_start(wiring_of(settings))
-    clock = MonotonicClock()
-    with (
-        bus_for(settings, clock) as bus,
-        HeldFace(
-            settings, bus, clock, joints=names, from_neutral=False, end=StopLevel.LIMP
-        ) as face,
-    ):
-        has_place = bus.capabilities.place
+    has_place = settings.capabilities.place
+    with HeldFace(
+        settings, MonotonicClock(), joints=names, from_neutral=False, end=StopLevel.LIMP
+    ) as face:
         goal_deg = face.stands_deg if has_place else face.goal_deg
         if wanted_deg is None:
             goal_deg = np.zeros(len(joints))

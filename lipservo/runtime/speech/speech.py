@@ -19,7 +19,7 @@ from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.audio_block import BLOCK_S
 from lipsync.face.frame import NO_EXPRESSION, Expression, Frame, Synthesizer, frame_alone
 from lipsync.face.model import FaceModel
-from lipsync.motion.closures import lip_gap_of
+from lipsync.motion.finishing import lip_gap_of
 from lipsync.phonemes import (
     SILENCE,
     Hearing,

@@ -46,8 +46,7 @@ from lipsync.arrays import Array
 from lipsync.audio.playback_clock import SteadyClock
 from lipsync.face.frame import Synthesizer
 from lipsync.markers import MARKERS_47
-from lipsync.motion.closures import BILABIALS
-from lipsync.motion.live_synthesizer import LONGEST_LOOKAHEAD_S, Style
+from lipsync.motion.finishing import BILABIALS, LONGEST_LOOKAHEAD_S, Style
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes
 

@@ -32,11 +32,11 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
-    from lipservo.runtime.motion_options import make_recognizer
     from lipservo.runtime.settled_phonemes import settled_events
     from lipservo_lab.bench import speed_figures as measure
     from lipservo_lab.learning.motion.trained_model import load_trained_model
     from lipsync.audio.file import FileSource
+    from lipsync.recognition.recognizers import make_recognizer
 
     began_s = time.perf_counter()
     model = load_trained_model()
