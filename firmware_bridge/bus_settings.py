@@ -50,6 +50,11 @@ class BusSettings(Strict):
     kind: str = "simulated"
     port: Text | None = None
 
+    @property
+    def place(self) -> tuple[object, ...]:
+        """What two buses cannot have in common; empty: nothing."""
+        return () if self.port is None else (self.port,)
+
 
 class BusServo(Strict):
     """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.

@@ -44,6 +44,11 @@ class Pca9685Settings(BusSettings):
     oe_gpio: Annotated[int | None, AfterValidator(_check_oe)] = None
 
     @property
+    def place(self) -> tuple[object, ...]:
+        """Chips share a bus of the computer by their addresses."""
+        return () if self.port is None else (self.port, self.address)
+
+    @property
     def timing(self) -> Timing:
         """Of its pulses."""
         return Timing.at(self.clock_hz, self.frequency_hz)

@@ -82,9 +82,7 @@ class SupervisedFace:
             self.bridge,
             self.speech,
             self.control,
-            SupervisedServos(
-                dict.fromkeys(NAMES.values(), capabilities), self._release
-            ),
+            SupervisedServos(dict.fromkeys(NAMES.values(), capabilities), self._release),
             notice=ServiceNotice(self.clock.now),
             record=record,
         )
