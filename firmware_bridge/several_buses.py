@@ -53,7 +53,7 @@ class BusThread:
     """One bus, spoken to by its own thread alone. Of jobs of the same name the newest counts.
 
     at: where its servos are among those of the face. lost: why its port is gone, None: it is not.
-    is_behind: it was waited for in vain, and has not caught up since; behind_since_s: by the clock.
+    is_behind: it was waited for in vain, and has not caught up since.
     feedback, health: what came last, and when.
     """
 
@@ -62,13 +62,13 @@ class BusThread:
         self.name, self.bus, self.at, self._clock = name, bus, at, clock
         self.lost: PortError | None = None
         self.is_behind = False
-        self.behind_since_s = 0.0
         self.feedback: tuple[Feedback, float] | None = None
         self.health: tuple[Health, float] | None = None
         self._changed = threading.Condition()
         self._jobs: dict[_Key, Callable[[], Any]] = {}
         self._answers: dict[_Key, Any] = {}
         self._running: _Key | None = None
+        self._since_s = 0.0
         self._n_offs = 0
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
@@ -110,6 +110,11 @@ class BusThread:
             with self._changed:
                 self._jobs.pop(key, None)
         return None
+
+    @property
+    def has_hung(self) -> bool:
+        """Whether one job has taken so long that it may never end."""
+        return self._running is not None and self._clock.now() - self._since_s > _HUNG_S
 
     def take(self, key: _Key) -> Any:
         """The answer to a job that is done, once; None: there is none."""
@@ -165,7 +170,7 @@ class BusThread:
                 self._changed.wait_for(lambda: self._jobs)
             first = (each for each in _FIRST if each in self._jobs)
             key = next(first, None) or next(iter(self._jobs))
-            self._running = key
+            self._running, self._since_s = key, self._clock.now()
             return key, self._jobs.pop(key), self._n_offs
 
     def _run(self) -> None:
@@ -329,7 +334,8 @@ class SeveralBuses:
         each, n = self._on(index)
         if each.was_let_go(n):
             return True
-        return bool(each.ask(("disable", n), partial(each.bus.disable_torque, n), self._wait_s))
+        wait_s = 0.0 if each.is_behind else self._wait_s  # a tick asks again
+        return bool(each.ask(("disable", n), partial(each.bus.disable_torque, n), wait_s))
 
     def disable_all(self) -> NDArray[np.bool_]:
         """Every bus lets go of its servos before it does anything else, all at the same time.
@@ -342,7 +348,8 @@ class SeveralBuses:
         let_go = np.zeros(self._n_servos, dtype=np.bool_)
         until_s = time.monotonic() + _OFF_S
         for each in there:
-            each.wait(_OFF, until_s - time.monotonic())
+            if not each.wait(_OFF, until_s - time.monotonic()):
+                each.is_behind = True
             let_go[each.at] = [each.was_let_go(n) for n in range(len(each.at))]
         if all(each.lost is not None for each in there):
             self._check()
@@ -398,14 +405,14 @@ class SeveralBuses:
         until_s = time.monotonic() + self._wait_s
         for each in threads:
             left_s = 0.0 if each.is_behind else until_s - time.monotonic()
-            if not each.wait(key, left_s) and not each.is_behind:
-                each.is_behind, each.behind_since_s = True, self._clock.now()
+            if not each.wait(key, left_s):
+                each.is_behind = True
         self._check()
 
     def _check(self) -> None:
         """Raises PortGone where a bus is lost, or has hung for too long."""
         for each in self._opened():
-            if each.is_behind and self._clock.now() - each.behind_since_s > _HUNG_S:
+            if each.lost is None and each.has_hung:
                 each.lose(PortError(f"has stood still for {_HUNG_S:g} s"))
             if each.lost is not None:
                 self._remark(str(each.lost))
