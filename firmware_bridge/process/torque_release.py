@@ -126,6 +126,7 @@ class FaceRelease:
         self._ports = tuple(ports)
         self._is_over = threading.Event()
         self._threads: list[threading.Thread] = []
+        self._look_s = 0.0
 
     def step(self) -> bool:
         """Go on; whether it is over at every port. Never raises BusError."""
@@ -138,14 +139,13 @@ class FaceRelease:
             ]
             for thread in self._threads:
                 thread.start()
+        self._look_s = time.monotonic() + _RETRY_S
         return not any(thread.is_alive() for thread in self._threads)
 
     @property
     def next_s(self) -> float:
         """When there is something to do, or to look at."""
-        if len(self._ports) == 1:
-            return self._ports[0][0].next_s
-        return time.monotonic() + _RETRY_S if self._threads else 0.0
+        return self._ports[0][0].next_s if len(self._ports) == 1 else self._look_s
 
     @property
     def port_error(self) -> str:
