@@ -71,6 +71,7 @@ def run_bridge_process(
     from firmware_bridge.loop.bridge import face_status
     from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
     from firmware_bridge.loop.targets import SocketTargetChannel
+    from firmware_bridge.process.operating_system import run_on_time
     from lipservo.health.health_log import health_log
     from lipservo.runtime.servos.assembly import bridge_for, bus_for
 
@@ -126,6 +127,7 @@ def run_bridge_process(
         on_health = None if healths is None else healths.offer
         links = LifeCycleLinks(listener, handed.lifeline, partial(face_status, bridge), on_health)
         life = LifeCycle(bridge, MonotonicClock(), links, stopped=stopped)
+        run_on_time()  # and so do the threads that a bus starts
         try:
             with bus, life:
                 _drive(bridge, life, handed.lifeline, on_tick)
@@ -146,10 +148,7 @@ def _drive(
     on_tick: Callable[[TickReport], None],
 ) -> None:
     """Arm, and tick on the grid until told to stop, by a signal or the control socket."""
-    from firmware_bridge.process.operating_system import run_on_time
-
     life.start()
-    run_on_time()
     began = False
     for time_s, late in life.ticks():
         on_tick(bridge.tick(time_s, late))
