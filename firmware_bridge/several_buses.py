@@ -24,7 +24,7 @@ from firmware_bridge.errors import BusError, PortError, PortGone
 from firmware_bridge.joints import Joint
 
 #: Of a tick, that it may wait for a bus; a few milliseconds where ticks are short.
-_SHARE: Final = 0.6
+_SHARE: Final = 0.5
 _LEAST_WAIT_S: Final = 0.005
 #: So long is waited between ticks: for torque off everywhere, for places, for a port to open, for
 #: the end. What takes longer goes on, and is taken up when it is asked for again.

@@ -291,7 +291,7 @@ def face_schema(content: Mapping[Any, Any]) -> type[FaceSettings]:
     """
     buses = content.get("buses")
     if isinstance(buses, Mapping) and buses:
-        return _schema_of_several(buses, content.get("servos"))
+        return _schema_of_several(_kinds_of(buses))
     bus = content.get("bus", BusSettings())
     kind = bus.get("kind", BusSettings().kind) if isinstance(bus, Mapping) else bus
     return _schema(kind.kind if isinstance(kind, BusSettings) else kind)
@@ -334,18 +334,28 @@ class _ServoOfUnknownBus(ServoSettings):
         return id(self)
 
 
-def _schema_of_several(buses: Mapping[Any, Any], servos: object) -> type[FaceSettings]:
-    """Each bus as its kind has it, each servo as the kind of its bus has it."""
-    kinds = {name: _kind_of(bus) for name, bus in buses.items()}
-    settings = {
-        name: _UnknownBus if kind is None else kind.settings for name, kind in kinds.items()
-    }
-    known: dict[Any, type[BaseModel]] = {
+_Kinds = tuple[tuple[Any, BusKind | None], ...]
+
+
+def _kinds_of(buses: Mapping[Any, Any]) -> _Kinds:
+    return tuple((name, _kind_of(bus)) for name, bus in buses.items())
+
+
+@cache
+def _servos_of_several(kinds: _Kinds) -> Mapping[Any, type[BaseModel]]:
+    """What may stand under a servo, by the name of its bus."""
+    return {
         name: _ServoOfUnknownBus
         if kind is None
         else create_model("ServoSettings", __base__=_servo_of(kind), bus=(str, ...))
-        for name, kind in kinds.items()
+        for name, kind in kinds
     }
+
+
+@cache
+def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
+    """Each bus as its kind has it, each servo as the kind of its bus has it."""
+    known = _servos_of_several(kinds)
 
     def servo_of(value: object) -> BaseModel:
         name = bus_of(value)
@@ -353,14 +363,13 @@ def _schema_of_several(buses: Mapping[Any, Any], servos: object) -> type[FaceSet
             raise _no_bus(value, name, list(map(str, known)))
         return known.get(name, ServoSettings).model_validate(value)
 
-    def bus_by_kind(value: object) -> BusSettings:
-        kind = _kind_of(value)
-        return (_UnknownBus if kind is None else kind.settings).model_validate(value)
+    def bus_by_kind(value: object) -> BaseModel:
+        return _settings_of(_kind_of(value)).model_validate(value)
 
     def refuse_bus(_value: object) -> object:
         raise ValueError("this face has `buses:`; leave this out, or the other")
 
-    face = create_model(
+    return create_model(
         "FaceSettings",
         __base__=FaceSettings,
         servos=(Mapping[JointName, Annotated[Any, PlainValidator(servo_of)]], ...),
@@ -370,12 +379,25 @@ def _schema_of_several(buses: Mapping[Any, Any], servos: object) -> type[FaceSet
             Field(default=BusSettings(), exclude=True),
         ),
     )
-    entries = servos.items() if isinstance(servos, Mapping) else ()
-    face.by_name = {
-        "servos": {name: known.get(bus_of(servo), ServoSettings) for name, servo in entries},
-        "buses": settings,
+
+
+def _explaining(schema: type[FaceSettings], content: Mapping[Any, Any]) -> type[FaceSettings]:
+    """The schema of one content, with the keys that each of its servos and buses may have."""
+    buses, servos = content.get("buses"), content.get("servos")
+    if not isinstance(buses, Mapping) or not isinstance(servos, Mapping):
+        return schema
+    kinds = _kinds_of(buses)
+    known = _servos_of_several(kinds)
+    explained = create_model("FaceSettings", __base__=schema)
+    explained.by_name = {
+        "servos": {name: known.get(bus_of(servo), ServoSettings) for name, servo in servos.items()},
+        "buses": {name: _settings_of(kind) for name, kind in kinds},
     }
-    return face
+    return explained
+
+
+def _settings_of(kind: BusKind | None) -> type[BusSettings]:
+    return _UnknownBus if kind is None else kind.settings
 
 
 def bus_of(servo: object) -> str:
@@ -454,7 +476,8 @@ def parse_face(text: str, file_name: str) -> FaceSettings:
     try:
         return schema.model_validate(content)
     except ValidationError as error:
-        raise SettingsError("\n".join(explain(error, schema, file_name))) from error
+        lines = explain(error, _explaining(schema, content), file_name)
+        raise SettingsError("\n".join(lines)) from error
 
 
 def _load(file: Traversable) -> FaceSettings:

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -178,6 +179,44 @@ def test_a_plug_that_is_pulled_lets_go_of_the_other_bus_and_all_come_back(
         wait_for(lambda: "the port is back" in daemon.said.read_text())
         wait_for(lambda: all_driven(daemon) and not lips_are_off(head))
         assert f"bus {lost}: " in daemon.said.read_text()
+
+
+@pytest.mark.parametrize(("hung", "reached"), [("neck", "lips"), ("lips", "neck")])
+def test_a_stop_while_one_bus_hangs_lets_the_other_go_and_names_the_rest(
+    tmp_path, monkeypatch, hung, reached
+):
+    own_folder(monkeypatch)
+    with two_ports(tmp_path) as head, driven(head) as daemon:
+        pids = holders_of_link(getattr(head, hung))
+        assert pids
+        try:
+            for pid in pids:
+                os.kill(pid, signal.SIGSTOP)
+            done = run("stop", "--limp")
+            assert done.returncode == 1, done.stdout
+            said = done.stdout + " ".join(status(daemon)["troubles"])
+            assert "neck_yaw" in said if hung == "neck" else "jaw" in said
+            if reached == "lips":
+                assert lips_are_off(head)
+        finally:
+            for pid in pids:
+                os.kill(pid, signal.SIGCONT)
+        wait_for(lambda: (status(daemon).get("stop_report") or {}).get("complete"))
+        daemon.send_signal(signal.SIGTERM)
+        daemon.wait(PATIENCE_S)
+        assert is_let_go(head)
+
+
+def holders_of_link(link):
+    """The simulators that were started with a link."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                words = (entry / "cmdline").read_bytes().decode().split("\0")
+                if "sim-bus" in words and link in words:
+                    found.append(int(entry.name))
+    return found
 
 
 def test_one_port_for_a_face_with_two_is_refused_with_what_to_say(head):
