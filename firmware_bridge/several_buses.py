@@ -18,10 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array, Feedback, Health, Readings, ServoBus
-from firmware_bridge.capabilities import BusCapabilities, mixed_capabilities
+from firmware_bridge.capabilities import mixed_capabilities
 from firmware_bridge.clock import Clock
 from firmware_bridge.errors import BusError, PortError, PortGone
-from firmware_bridge.joints import Joint
 
 #: Of a tick, that it may wait for a bus; a few milliseconds where ticks are short.
 _SHARE: Final = 0.5
@@ -134,6 +133,14 @@ class BusThread:
         with self._changed:
             let_go = self._answers.get(_OFF)
             return let_go is not None and bool(let_go[index])
+
+    def hear(self) -> None:
+        """Ask where its servos stand; in its thread."""
+        self.feedback = self.bus.feedback(), self._clock.now()
+
+    def look(self) -> None:
+        """Ask how one of its servos is; in its thread."""
+        self.health = self.bus.look_after(), self._clock.now()
 
     def lose(self, error: PortError) -> None:
         """Its port is gone: what was handed over is not done any more."""
@@ -267,7 +274,7 @@ class SeveralBuses:
             errors=np.zeros(n, dtype=np.uint8),
             age_s=np.full(n, np.inf),
         )
-        self._ask_all(_FEEDBACK, self._hear)
+        self._ask_all(_FEEDBACK, BusThread.hear)
         now_s = self._clock.now()
         for each in self._threads.values():
             if each.feedback is not None:
@@ -292,7 +299,7 @@ class SeveralBuses:
             current_ma=np.full(n, np.nan),
             n_unanswered=np.zeros(n, dtype=np.int64),
         )
-        self._ask_all(_LOOK, self._look)
+        self._ask_all(_LOOK, BusThread.look)
         now_s = self._clock.now()
         for each in self._threads.values():
             if each.health is not None:
@@ -390,12 +397,6 @@ class SeveralBuses:
         for each in threads:
             each.join(max(0.0, until_s - time.monotonic()))
 
-    def _hear(self, each: BusThread) -> None:
-        each.feedback = each.bus.feedback(), self._clock.now()
-
-    def _look(self, each: BusThread) -> None:
-        each.health = each.bus.look_after(), self._clock.now()
-
     def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
         """All are asked, and waited for together; one that is behind is not waited for."""
         self._check()
@@ -431,15 +432,6 @@ class SeveralBuses:
     def _remark(self, text: str) -> None:
         if text not in self._remarks:
             self._remarks.append(text)
-
-
-def several_in_memory(
-    joints: Sequence[Joint], clock: Clock, capabilities: BusCapabilities
-) -> ServoBus:
-    """The servos of all buses simulated by one clock, without a thread: always alike."""
-    from firmware_bridge.simulator.bus import SimulatedBus
-
-    return SimulatedBus(joints, clock, capabilities=capabilities)
 
 
 def _put(whole: Any, at: NDArray[np.intp], part: Any) -> None:

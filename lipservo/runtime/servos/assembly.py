@@ -18,7 +18,7 @@ from calibration.calibration import (
 )
 from calibration.files.calibration_file import parse_calibration
 from firmware_bridge.bus import ServoBus
-from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_kinds import Wiring, bus_kind
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.gate.ramp import StaleRule
@@ -28,7 +28,7 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import TargetChannel
 from firmware_bridge.process.port_record import note_port
-from firmware_bridge.several_buses import SeveralBuses, several_in_memory
+from firmware_bridge.several_buses import SeveralBuses
 from lipservo.health.health_log import kept_pulses_path
 from lipservo.settings.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.face.model import FaceModel
@@ -113,7 +113,9 @@ def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBu
             note_port(face.bus)
         return face.bus_kind.open(wiring_of(face), clock, strict=strict)
     if face.capabilities.in_memory:
-        return several_in_memory(face.joints(), clock, face.capabilities)
+        # One clock and no thread: the same sound gives the same trace.
+        wiring = replace(face.wiring, capabilities=face.capabilities)
+        return bus_kind(wiring.settings.kind).open(wiring, clock)
     buses = {name: bus_for(one, clock, strict=strict) for name, one in face.alone.items()}
     return SeveralBuses(buses, face.bus_of, clock, face.rate_hz)
 

@@ -181,10 +181,9 @@ def test_a_plug_that_is_pulled_lets_go_of_the_other_bus_and_all_come_back(
         assert f"bus {lost}: " in daemon.said.read_text()
 
 
-@pytest.mark.parametrize(("hung", "reached"), [("neck", "lips"), ("lips", "neck")])
-def test_a_stop_while_one_bus_hangs_lets_the_other_go_and_names_the_rest(
-    tmp_path, monkeypatch, hung, reached
-):
+@pytest.mark.parametrize("hung", ["neck", "lips"])
+def test_a_stop_while_one_controller_hangs_lets_the_other_go(tmp_path, monkeypatch, hung):
+    """What hangs is the far end of a wire; the neck is missed at once, a Maestro never answers."""
     own_folder(monkeypatch)
     with two_ports(tmp_path) as head, driven(head) as daemon:
         pids = holders_of_link(getattr(head, hung))
@@ -193,11 +192,12 @@ def test_a_stop_while_one_bus_hangs_lets_the_other_go_and_names_the_rest(
             for pid in pids:
                 os.kill(pid, signal.SIGSTOP)
             done = run("stop", "--limp")
-            assert done.returncode == 1, done.stdout
-            said = done.stdout + " ".join(status(daemon)["troubles"])
-            assert "neck_yaw" in said if hung == "neck" else "jaw" in said
-            if reached == "lips":
+            if hung == "neck":
+                assert done.returncode == 1
+                assert "neck_yaw" in done.stdout + " ".join(status(daemon)["troubles"])
                 assert lips_are_off(head)
+            else:
+                assert "confirmed by 3 servos" in done.stdout
         finally:
             for pid in pids:
                 os.kill(pid, signal.SIGCONT)
