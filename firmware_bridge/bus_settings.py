@@ -51,9 +51,9 @@ class BusSettings(Strict):
     port: Text | None = None
 
     @property
-    def place(self) -> tuple[object, ...]:
-        """What two buses cannot have in common; empty: nothing."""
-        return () if self.port is None else (self.port,)
+    def board(self) -> str:
+        """Tells its board from others that share the port; empty: no other can."""
+        return ""
 
 
 class BusServo(Strict):

@@ -44,9 +44,9 @@ class Pca9685Settings(BusSettings):
     oe_gpio: Annotated[int | None, AfterValidator(_check_oe)] = None
 
     @property
-    def place(self) -> tuple[object, ...]:
-        """Chips share a bus of the computer by their addresses."""
-        return () if self.port is None else (self.port, self.address)
+    def board(self) -> str:
+        """Its address on the I2C bus."""
+        return f"{self.address:#04x}"
 
     @property
     def timing(self) -> Timing:

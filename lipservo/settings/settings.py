@@ -170,11 +170,13 @@ class FaceSettings(Strict):
 
     @model_validator(mode="after")
     def _every_bus_is_a_bus_of_its_own(self) -> Self:
-        first: dict[tuple[object, ...], str] = {}
+        first: dict[tuple[str, str], str] = {}
         for name, bus in self.buses.items():
             if name not in self.bus_of:
                 raise ValueError(f"buses.{name}: no servo says `bus: {name}`; leave it out")
-            if bus.place and (other := first.setdefault(bus.place, name)) != name:
+            if bus.port is None:
+                continue
+            if (other := first.setdefault((bus.port, bus.board), name)) != name:
                 raise ValueError(f"buses {other} and {name} have the same port, {bus.port}")
         return self
 
