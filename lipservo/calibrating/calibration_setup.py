@@ -82,11 +82,12 @@ def today() -> str:
 
 def check_places(settings: FaceSettings) -> None:
     """Raises CalibrationError where servos cannot say where they stand."""
-    if not settings.capabilities.place:
-        raise CalibrationError(
-            f"{settings.name}: servos on a {settings.bus.kind} bus cannot say where they stand, "
-            "which this way of calibrating measures"
-        )
+    for one in settings.alone.values():
+        if one.mouth_servos and not one.capabilities.place:
+            raise CalibrationError(
+                f"{settings.name}: servos on a {one.bus.kind} bus cannot say where they stand, "
+                "which this way of calibrating measures"
+            )
 
 
 def held_servos(setup: CalibrationSetup) -> HeldFace:

@@ -34,9 +34,14 @@ Model = Annotated[
 Port = Annotated[
     str | None,
     typer.Option(
-        help="Serial port of the servos, /dev/ttyUSB0 for one; default: the face's.",
+        help="Serial port of the servos, /dev/ttyUSB0 for one; default: the face's. "
+        "Of several buses NAME=PORT, once for each.",
         show_default=False,
     ),
+]
+Bus = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Which bus, of a face with several.", show_default=False),
 ]
 #: Where no face says it.
 RequiredPort = Annotated[str, typer.Option(help="Serial port of the servos.")]

@@ -65,6 +65,7 @@ def run_bridge_process(
     """
     from firmware_bridge.clock import MonotonicClock
     from firmware_bridge.loop.targets import SocketTargetChannel
+    from firmware_bridge.process.operating_system import run_on_time
 
     if request.port is None:
         raise UserError(
@@ -90,6 +91,7 @@ def run_bridge_process(
         )
         channel = SocketTargetChannel(end)
         driven: DrivenFace | None = None
+        run_on_time()  # and so do the threads that a bus starts
         try:
             with driven_face(face.settings, MonotonicClock(), channel, how) as driven:
                 observers = [ServoBoard(live, driven.bridge).tell]
@@ -110,10 +112,7 @@ def _drive(
     driven: DrivenFace, lifeline: Lifeline, observers: Sequence[Callable[[TickReport], None]]
 ) -> None:
     """Arm, and tick on the grid until told to stop, by a signal or the control socket."""
-    from firmware_bridge.process.operating_system import run_on_time
-
     driven.life.start()
-    run_on_time()
     began = False
     for time_s, late in driven.life.ticks():
         report = driven.bridge.tick(time_s, late)
@@ -205,7 +204,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     from firmware_bridge.process.operating_system import ServiceNotice
     from firmware_bridge.process.stop_record import StopRecord
     from firmware_bridge.process.supervisor import SupervisedServos, Supervisor
-    from firmware_bridge.process.torque_release import TorqueRelease
+    from firmware_bridge.process.torque_release import FaceRelease, TorqueRelease
     from lipservo.health.health_log import stop_record_path
     from lipservo.runtime.servos.assembly import check_servos
     from lipservo.runtime.sound import check_sound
@@ -223,11 +222,27 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     recognizer_kind(request.motion.engine)
     request = requested.with_resolved_avatars()
     check_expression(settings, face.folder)
-    opener = settings.bus_kind.port_release(port, settings.wiring)
-    opener().close()  # one that another face holds is refused before anything is started
+    at_ports = [
+        (
+            one.bus_kind.port_release(at, one.wiring),
+            {joint.servo_id: joint.name for joint in one.joints()},
+        )
+        for one in settings.alone.values()
+        if (at := one.servo_port) is not None
+    ]
+    for opener, _ in at_ports:
+        opener().close()  # one that another face holds is refused before anything is started
     check_servos(face)
-    servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
     about, can = requested.about, settings.capabilities
+
+    def release(timeout_s: float) -> FaceRelease:
+        return FaceRelease(
+            [
+                (TorqueRelease(opener, list(names), timeout_s=timeout_s), names)
+                for opener, names in at_ports
+            ]
+        )
+
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
         stack.enter_context(face_logs(settings.name, "supervisor", quiet=request.quiet))
@@ -271,9 +286,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             Child("speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0)),
             listener,
             SupervisedServos(
-                servo_names,
-                lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
-                can,
+                {name: can.of(index) for index, name in enumerate(settings.servos)}, release
             ),
             notice=ServiceNotice(),
             record=record,

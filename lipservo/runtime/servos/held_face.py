@@ -42,8 +42,9 @@ def held_rate_hz(settings: FaceSettings) -> float:
     """Fast enough for chirps where the bus can do it, else the face's own rate."""
     if settings.rate_hz >= _DRIVE_RATE_HZ:
         return settings.rate_hz
-    fast = settings.bus_kind.slowness(settings.wiring, _TWICE * _DRIVE_RATE_HZ) is None
-    return _DRIVE_RATE_HZ if fast else settings.rate_hz
+    rate_hz = _TWICE * _DRIVE_RATE_HZ
+    slow = [one.bus_kind.slowness(one.wiring, rate_hz) for one in settings.alone.values()]
+    return settings.rate_hz if any(slow) else _DRIVE_RATE_HZ
 
 
 class HeldFace:
@@ -79,6 +80,8 @@ class HeldFace:
         self._speed_deg_s = speed_deg_s
         names = list(settings.servos)
         self._posed = [names.index(name) for name in joints or settings.mouth_servos]
+        can = settings.capabilities if bus is None else bus.capabilities
+        self._measured = [index for index in range(len(names)) if can.of(index).place]
         self._goal_deg = np.zeros(len(names))
         self._from_neutral = from_neutral
         self._end = end
@@ -225,7 +228,7 @@ class HeldFace:
 
     def _settle(self) -> Array:
         """Until every encoder is still, for as long as any servo needs at most."""
-        if not self._driven.bus.capabilities.place:
+        if not set(self._posed) <= set(self._measured):
             self.hold(_SETTLE_S)
             return self.stands_deg
         until_s = self._clock.now() + _SETTLE_S
@@ -241,9 +244,12 @@ class HeldFace:
         return self.stands_deg
 
     def _heard_deg(self) -> Array:
-        """Where the servos stand that have just said so; NaN, never still, for the others."""
+        """Where the servos stand that have just said so; NaN, never still, for the others.
+
+        Of those alone that can say it at all.
+        """
         told = self._feedback()
-        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)
+        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)[self._measured]
 
     def _stands_deg(self) -> Array:
         return self._feedback().positions_deg
