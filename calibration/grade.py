@@ -23,26 +23,26 @@ SMALL_GAPS_MM = (2.0, 4.0)
 class HoldOutErrors:
     """Errors over frames of AnimPhos that the fit never saw.
 
-    A marker's error is its distance in space; rms runs over frames and markers.
+    A marker's error is its distance in space; rms runs over frames and markers. 0: not measured.
     """
 
-    n_frames: int
-    marker_rms_mm: float
-    lip_rms_mm: float
+    n_frames: int = 0
+    marker_rms_mm: float = 0.0
+    lip_rms_mm: float = 0.0
     """The 20 lip markers alone."""
-    nearest_lip_rms_mm: float
+    nearest_lip_rms_mm: float = 0.0
     """The same for the best angles of each frame: what no calibration of this face can beat."""
-    gap_rms_mm: float
+    gap_rms_mm: float = 0.0
     """Difference in the distance of the middle inner-lip points."""
-    gap_correlation: float
+    gap_correlation: float = 0.0
     """Of the same distance; 0 where it never changes."""
-    n_closures: int
+    n_closures: int = 0
     """Frames with the human's lips closed."""
-    closed_gap_mm: float
+    closed_gap_mm: float = 0.0
     """The robot's gap in 95 % of those is at most this; 0 without closures."""
-    clipped_share: float
+    clipped_share: float = 0.0
     """Part of the frames, 0..1, in which some servo stood at a limit."""
-    joint_rms_deg: tuple[float, ...]
+    joint_rms_deg: tuple[float, ...] = ()
     """For each servo, against the best angles of each frame."""
     each_marker_rms_mm: Mapping[str, float] = field(default_factory=dict)
     """For each marker by its name; empty where none was measured."""

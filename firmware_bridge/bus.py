@@ -160,9 +160,10 @@ class Readings:
     def start_deg(self, can: BusCapabilities) -> Array:
         """From where the joints may be moved, (n_servos,): their places, 0 for one not heard.
 
-        Where servos cannot say that: the goals given last, 0 before the first.
+        Of those that cannot say that: the goals given last, 0 before the first.
         """
-        return np.nan_to_num(self.positions_deg if can.place else self.goals_deg)
+        has_place = [can.of(index).place for index in range(len(self.goals_deg))]
+        return np.nan_to_num(np.where(has_place, self.positions_deg, self.goals_deg))
 
 
 class ServoBus(Protocol):
@@ -216,10 +217,10 @@ class ServoBus(Protocol):
         """
 
     def disable_torque(self, index: int) -> bool:
-        """Let one servo go limp; whether it confirmed: False on a bus where none can."""
+        """Let one servo go limp; whether it was: it confirmed, or was told and cannot confirm."""
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let every servo go limp now; which of them confirmed, (n_servos,)."""
+        """Let every servo go limp now; which of them were, (n_servos,), as `disable_torque`."""
 
     def reboot(self, index: int) -> None:
         """Restart one servo: clears its hardware error; it comes back limp."""

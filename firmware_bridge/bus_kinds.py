@@ -46,6 +46,7 @@ class Wiring:
 
     settings: of the kind's own model; servos: likewise, in the order of `joints`. kept: the file in
     which a bus whose servos cannot say where they stand keeps where it sent them; None: nowhere.
+    capabilities: what servos in memory can do that stand for others; None: what their kind can.
     """
 
     settings: Any
@@ -53,6 +54,7 @@ class Wiring:
     servos: tuple[Any, ...]
     rate_hz: float
     kept: Path | None = None
+    capabilities: BusCapabilities | None = None
 
 
 class Severity(IntEnum):

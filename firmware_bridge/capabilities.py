@@ -1,7 +1,7 @@
 """What the servos of a bus can do, and what a stop can do on it: said once, asked everywhere."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from typing import Final
 
 #: What a servo is called that has reported that its torque is off.
@@ -47,9 +47,13 @@ class BusCapabilities:
     pulse_rate_hz: float | None = None
     released_words: str = LIMP
 
+    def of(self, _index: int) -> "BusCapabilities":
+        """What one servo of the face can do; on one bus all can do the same."""
+        return self
+
     def as_dict(self) -> dict[str, object]:
         """For JSON."""
-        return {name: getattr(self, name) for name in self.__slots__}
+        return {each.name: getattr(self, each.name) for each in fields(BusCapabilities)}
 
     def warnings(self) -> list[str]:
         """What whoever starts a face must know before: a line for each way to stop it.
@@ -78,6 +82,62 @@ class BusCapabilities:
             "stop --freeze": f"held {where}",
             "computer dies, or the plug is pulled": alone,
         }
+
+
+#: What becomes of a face with several buses when one of them is lost; said when it starts.
+ONE_LOST: Final = (
+    "the port of one bus is lost: the servos of all others are let go at once; the face comes back "
+    "when every port is back; frozen servos go on holding"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MixedCapabilities(BusCapabilities):
+    """Of a face with several buses: what all of its servos can do, and `of` what one of them can.
+
+    buses: by name. bus_of: the name of each servo's bus.
+    """
+
+    buses: Mapping[str, BusCapabilities] = field(default_factory=dict)
+    bus_of: tuple[str, ...] = ()
+
+    def of(self, index: int) -> BusCapabilities:
+        """What one servo can do."""
+        return self.buses[self.bus_of[index]]
+
+    def as_dict(self) -> dict[str, object]:
+        """For JSON: what all can do, and what each bus can."""
+        buses = {name: can.as_dict() for name, can in self.buses.items()}
+        return {**BusCapabilities.as_dict(self), "buses": buses, "bus_of": list(self.bus_of)}
+
+    def warnings(self) -> list[str]:
+        """Those of each bus; and what happens when one is lost."""
+        lines = [f"{name}: {line}" for name, can in self.buses.items() for line in can.warnings()]
+        return lines if self.in_memory else [*lines, ONE_LOST]
+
+
+def mixed_capabilities(
+    buses: Mapping[str, BusCapabilities], bus_of: Sequence[str]
+) -> MixedCapabilities:
+    """Of a face with these buses, by name. bus_of: the name of each servo's bus."""
+    cans = list(buses.values())
+    common = {
+        each.name: all(getattr(can, each.name) for can in cans)
+        for each in fields(BusCapabilities)
+        if each.type in (bool, "bool")
+    }
+    rates_hz = [can.pulse_rate_hz for can in cans if can.pulse_rate_hz is not None]
+    words = {can.released_words for can in cans}
+    return MixedCapabilities(
+        **common,
+        soft_start_s=max(can.soft_start_s for can in cans),
+        pulse_rate_hz=min(rates_hz, default=None),
+        released_words=words.pop()
+        if len(words) == 1
+        else "; ".join(f"{name}: {can.released_words}" for name, can in buses.items()),
+        buses=buses,
+        bus_of=tuple(bus_of),
+    )
 
 
 #: Of servos that are simulated in memory, by a clock alone: they are always cool and rested.

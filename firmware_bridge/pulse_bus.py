@@ -291,13 +291,13 @@ class PulseBus:
         """No pulses for one servo; what it does then nobody knows."""
         self._check_open()
         self._release(np.arange(len(self._held)) == index)
-        return False
+        return True
 
     def disable_all(self) -> NDArray[np.bool_]:
         """No pulses for anybody."""
         self._check_open()
         self._release(np.ones_like(self._held))
-        return np.zeros_like(self._held)
+        return np.ones_like(self._held)
 
     def reboot(self, index: int) -> None:
         """There is nothing to restart: no pulses."""

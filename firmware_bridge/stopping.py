@@ -1,7 +1,7 @@
 """How a person stops, starts and jogs a face; what its servos reported at the end; exit status."""
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum, StrEnum
 from typing import Final
@@ -87,6 +87,8 @@ class StopReport:
             f"torque off was confirmed by {_servos(n)}, NOT by {_servos(len(self.unconfirmed))}:"
         ]
         lines += [f"  {name}: {why}" for name, why in self.unconfirmed.items()]
+        if self.released:
+            lines.append(f"{_servos(len(self.released))} let go: {self.released_words}")
         lines.append("keep your hands away; `lipservo limp` lets go what can be reached")
         return "\n".join(lines)
 
@@ -94,7 +96,9 @@ class StopReport:
         """For a log: who confirmed torque off, which need not be the end of the face."""
         n = len(self.confirmed)
         if self.released and self.complete:
-            return f"{_servos(len(self.released))} let go, not confirmed: {self.released_words}"
+            n_released = len(self.released)
+            let_go = f"{_servos(n_released)} let go, not confirmed: {self.released_words}"
+            return f"{let_go}; torque off confirmed by {_servos(n)}" if n else let_go
         if self.complete:
             return f"torque off confirmed by all {n} servos"
         left = named_by_reason(self.unconfirmed)
@@ -114,18 +118,17 @@ class StopReport:
 
 
 def let_go_report(
-    can: BusCapabilities,
-    let_go: Iterable[str],
+    let_go: Mapping[str, BusCapabilities],
     unconfirmed: Mapping[str, str],
     *,
     at_rest: bool | None = None,
     dry_run: bool = False,
 ) -> StopReport:
-    """What may be said of servos that were let go, by name, on a bus that can do this."""
-    names = tuple(let_go)
-    if can.confirmed_limp:
-        return StopReport(names, unconfirmed, at_rest, dry_run)
-    return StopReport((), unconfirmed, at_rest, dry_run, names, can.released_words)
+    """What may be said of servos that were let go: by name, what each of them can do."""
+    confirmed = tuple(name for name, can in let_go.items() if can.confirmed_limp)
+    released = {name: can.released_words for name, can in let_go.items() if name not in confirmed}
+    words = "; ".join(dict.fromkeys(released.values()))
+    return StopReport(confirmed, unconfirmed, at_rest, dry_run, tuple(released), words)
 
 
 def named_by_reason(unconfirmed: Mapping[str, str]) -> str:

@@ -6,6 +6,7 @@ import sys
 import typer
 
 from firmware_bridge.errors import BusError
+from firmware_bridge.port_names import named_ports
 from firmware_bridge.process import logs
 from firmware_bridge.process.runtime_folder import ControlError
 from lipservo.runtime.servos.face_stopped import FaceStopped
@@ -31,7 +32,7 @@ def main() -> None:
             # Names of files need not be UTF-8, and neither need a terminal be.
             stream.reconfigure(errors="backslashreplace")
     logs.set_up()
-    arguments = _with_default_microphone(sys.argv[1:] or ["--help"])
+    arguments = _with_ports_joined(_with_default_microphone(sys.argv[1:] or ["--help"]))
     try:
         status = _run(arguments)
     except typer.Exit as end:
@@ -105,3 +106,19 @@ def _with_default_microphone(arguments: list[str]) -> list[str]:
         if argument == "--mic" and after.startswith("-"):
             completed.append("default")
     return completed
+
+
+def _with_ports_joined(arguments: list[str]) -> list[str]:
+    """`--port neck=A --port lips=B` as one option: each command takes the ports of a face whole."""
+    joined: list[str] = []
+    at: int | None = None
+    for argument in arguments:
+        is_port = bool(joined) and joined[-1] == "--port" and named_ports(argument) is not None
+        if is_port and at is not None:
+            joined.pop()
+            joined[at] += f",{argument}"
+            continue
+        if is_port:
+            at = len(joined)
+        joined.append(argument)
+    return joined

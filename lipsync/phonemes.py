@@ -3,7 +3,7 @@
 The 39 phones of the CMU pronouncing dictionary plus SIL, upper case, without stress.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal, Protocol, runtime_checkable
@@ -167,3 +167,15 @@ class LiveRecognizer(Protocol):
 
     def reset(self) -> None:
         """Forget everything, ready for a new stream at sound time 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecognizerKind:
+    """How to make a live recogniser: an entry of `lipsync.plugins.RECOGNIZERS`.
+
+    make: of the name or file of weights, and of the latency in seconds after which a phoneme is to
+    be settled; one that has no such weights ignores them. latency_s: the least that it needs.
+    """
+
+    make: Callable[[str, float], LiveRecognizer]
+    latency_s: float = 0.0

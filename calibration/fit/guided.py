@@ -133,7 +133,7 @@ def fit_guided(
         x_range=x_range,
         min_deg=servos.limits_deg[0],
         max_deg=servos.limits_deg[1],
-        errors=_unmeasured(left_out_deg),
+        errors=HoldOutErrors(joint_rms_deg=tuple(left_out_deg.tolist())),
         model_checksum=model.checksum,
         face_checksum=servos.face_checksum,
         origin=Origin("guided", date, len(poses), servos.models),
@@ -148,21 +148,6 @@ def _ridge(x: Array, turned_deg: Array) -> tuple[Array, Array]:
     leverage = np.einsum("ni,ni->n", x, np.linalg.solve(normal, x.T).T)
     left_out = (turned_deg - x @ weights.T) / (1.0 - leverage)[:, None]
     return weights, np.asarray(np.sqrt(np.mean(left_out**2, axis=0)))
-
-
-def _unmeasured(joint_rms_deg: Array) -> HoldOutErrors:
-    return HoldOutErrors(
-        n_frames=0,
-        marker_rms_mm=0.0,
-        lip_rms_mm=0.0,
-        nearest_lip_rms_mm=0.0,
-        gap_rms_mm=0.0,
-        gap_correlation=0.0,
-        n_closures=0,
-        closed_gap_mm=0.0,
-        clipped_share=0.0,
-        joint_rms_deg=tuple(float(v) for v in joint_rms_deg),
-    )
 
 
 #: Degrees of a key press: one is about the backlash of a printed gear train, five cross a

@@ -178,12 +178,6 @@ def fit_jaw(
     errors = HoldOutErrors(
         n_frames=len(held_out),
         marker_rms_mm=float(np.sqrt(np.mean(np.sum(off_mm**2, axis=2)))),
-        lip_rms_mm=0.0,
-        nearest_lip_rms_mm=0.0,
-        gap_rms_mm=0.0,
-        gap_correlation=0.0,
-        n_closures=0,
-        closed_gap_mm=0.0,
         clipped_share=float((free_deg != mapped_deg).mean()),
         joint_rms_deg=(float(np.sqrt(np.mean(off_deg**2))),),
         each_marker_rms_mm=each_marker_rms_mm(names, off_mm),

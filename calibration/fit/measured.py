@@ -107,7 +107,6 @@ def _errors(on: ShapeErrors, run: RunTimeMap, held_out: Array) -> HoldOutErrors:
         n_frames=len(held_out),
         marker_rms_mm=_rms(np.linalg.norm(robot_mm - targets_mm, axis=2)),
         lip_rms_mm=_rms(on.apart_mm(poses_deg, targets_mm)),
-        nearest_lip_rms_mm=0.0,
         gap_rms_mm=_rms(gap_mm - _opening_mm(on, targets_mm)),
         gap_correlation=float(np.corrcoef(human_gap_mm, gap_mm)[0, 1]) if moves else 0.0,
         n_closures=int(closed.sum()),

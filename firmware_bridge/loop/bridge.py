@@ -394,7 +394,10 @@ class Bridge:
     def _disable_all(self) -> None:
         """Torque off now, and in every tick until all have confirmed."""
         self._state = FaceState.LETTING_GO
-        self._act_now(self._servos.disable_all)
+        if self._port.is_open:
+            self._act_now(self._servos.disable_all)
+        else:
+            self._servos.lose_port(self._tick_s, lets_go=True)
 
     def _freeze(self) -> None:
         """Stay where every servo stands now; those that are limp stay limp."""
@@ -412,10 +415,10 @@ class Bridge:
                 self._unplug(self._tick_s)
 
     def _unplug(self, time_s: float) -> None:
+        """A port is gone; with it the whole face is let go, but for one that a person froze."""
         self._port.note_lost(time_s)
         self._jog.clear()
-        self._servos.torque_off.forget()
-        self._servos.supervision.mark_all_waiting(time_s, "cannot be reached: the port is gone")
+        self._servos.lose_port(time_s, lets_go=self._state is not FaceState.FROZEN)
         if self._state is FaceState.EASING:
             self._state = FaceState.LETTING_GO
 

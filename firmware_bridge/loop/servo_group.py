@@ -1,5 +1,6 @@
 """All servos of a face behind gate, limiter and supervision: goals out, feedback in."""
 
+import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,13 +18,14 @@ from firmware_bridge.bus import (
     Readings,
     ServoBus,
     ServoHealth,
+    ServoState,
 )
-from firmware_bridge.errors import ServoError
+from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
 from firmware_bridge.joints import Joint, named
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.servo_supervision import ServoSupervision
-from firmware_bridge.loop.torque_gate import TorqueGate, TorqueOff
+from firmware_bridge.loop.torque_gate import LET_GO_WITH_IT, PORT_GONE, TorqueGate, TorqueOff
 
 #: Amplitude shrinks over the last degrees below the servo's limit, and with the load's square,
 #: which is what heats a winding: full up to half the stall torque (root mean square).
@@ -39,9 +41,10 @@ _HEAT_EVERY_S: Final = 0.049
 class HeatDerating:
     """By how much each joint's amplitude shrinks; arrays are (n_servos,)."""
 
-    def __init__(self, n_servos: int, *, has_load: bool = True) -> None:
-        """has_load: servos report how hard they pull."""
-        self._no_effort = None if has_load else np.zeros(n_servos)
+    def __init__(self, has_load: Sequence[bool]) -> None:
+        """has_load: which servos report how hard they pull."""
+        n_servos = len(has_load)
+        self._has_load = None if all(has_load) else np.array(has_load)
         self._duty = np.zeros(n_servos)
         self._duty_at_s: float | None = None
         self._scale = np.ones(n_servos)
@@ -52,7 +55,9 @@ class HeatDerating:
             if 0.0 <= feedback.time_s - self._duty_at_s < _HEAT_EVERY_S:
                 return self._scale
             share = min(1.0, max(0.0, feedback.time_s - self._duty_at_s) / _DUTY_S)
-            effort = feedback.effort if self._no_effort is None else self._no_effort
+            effort = feedback.effort
+            if self._has_load is not None:
+                effort = np.where(self._has_load, effort, 0.0)
             self._duty += share * (effort * effort - self._duty)
         self._duty_at_s = feedback.time_s
         warm = health.room_degc / _DERATE_FROM_DEGC
@@ -84,15 +89,17 @@ class ServoGroup:
     ) -> None:
         """Arguments as those of `Bridge`."""
         self._bus = bus
-        self._has_place = bus.capabilities.place
         self._joints = tuple(joints)
+        can = [bus.capabilities.of(index) for index in range(len(self._joints))]
+        self._has_place = np.array([each.place for each in can], dtype=np.bool_)
+        self._any_has_place = bool(self._has_place.any())
         self.limiter = Limiter(self._joints, settings.period_s, settings.prevent)
         given_up, off = settings.given_up, settings.switched_off
         self.gate = TorqueGate(
             bus, joints, dry_run=settings.dry_run, given_up=given_up, switched_off=off
         )
         self.supervision = ServoSupervision(self._joints, settings.tracking, given_up, off)
-        self._heat = HeatDerating(len(self._joints), has_load=bus.capabilities.load)
+        self._heat = HeatDerating([each.load for each in can])
         self.torque_off = TorqueOff(self._joints, self.gate)
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
@@ -118,11 +125,23 @@ class ServoGroup:
         self.torque_off.begin()
         self.supervision.mark_all_waiting(time_s, why)
 
+    def lose_port(self, time_s: float, *, lets_go: bool) -> None:
+        """A port is gone, and all wait for it. lets_go: those who can be reached are let go."""
+        self.torque_off.forget()
+        self.supervision.mark_all_waiting(time_s, PORT_GONE)
+        if not lets_go:
+            return
+        with contextlib.suppress(PortError):
+            self.torque_off.begin()
+            for index in self.torque_off.let_go:
+                if self.supervision.states[index] == ServoState.WAITING:
+                    self.supervision.note_attempt(index, LET_GO_WITH_IT, time_s)
+
     def read(self) -> Readings:
         """Where everybody stands, asked again for those who did not answer."""
         readings = self._bus.read()
         for _ in range(_READS - 1):
-            if not self._has_place or np.isfinite(readings.positions_deg).all():
+            if np.isfinite(readings.positions_deg[self._has_place]).all():
                 break
             readings = self._bus.read()
         return readings
@@ -156,7 +175,8 @@ class ServoGroup:
         and its watchdog, which tripped meanwhile, protects nothing until it was set again.
         """
         self._to_keep.clear()
-        here_deg = self._bus.feedback().positions_deg if self._has_place else self.limiter.sent_deg
+        places_deg = self._bus.feedback().positions_deg
+        here_deg = np.where(self._has_place, places_deg, self.limiter.sent_deg)
         self.limiter.start_from(np.nan_to_num(here_deg), time_s)
         for index in self._not_off(range(len(self._joints))):
             why_not = "" if self.gate.keep(index) else "lost its torque; not again"
@@ -173,8 +193,7 @@ class ServoGroup:
         """
         heard, near_deg = self._stopping_places()
         self.limiter.start_from(np.where(heard, near_deg, self.limiter.sent_deg), time_s)
-        if self._has_place:
-            self._to_stay = ~heard
+        self._to_stay = ~heard & self._has_place
 
     def stay_on(self, time_s: float) -> Limited:
         """The goals of a frozen face again; those not heard then stop as soon as they are.
@@ -200,7 +219,7 @@ class ServoGroup:
     def _start_here(self, index: int) -> None:
         """Who holds now goes on from where it stands; where nobody knows, from its last goal."""
         here_deg = float(self._bus.feedback().positions_deg[index])
-        if math.isfinite(here_deg) or self._has_place:
+        if math.isfinite(here_deg) or self._has_place[index]:
             self.limiter.start_one(index, here_deg)
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
@@ -221,7 +240,7 @@ class ServoGroup:
         self.feedback = feedback = self._bus.feedback()
         self._health = health = self._bus.look_after()
         self.scale = self._heat.scale(feedback, health)
-        if self._has_place:
+        if self._any_has_place:
             self.supervision.check_tracking(goals_deg, feedback)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)

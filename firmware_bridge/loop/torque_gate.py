@@ -14,6 +14,10 @@ from firmware_bridge.stopping import StopReport, let_go_report
 
 #: Why a servo holds no torque that a person switched off.
 SWITCHED_OFF: Final = "switched off by a person"
+#: Why it cannot be known what a servo does.
+PORT_GONE: Final = "cannot be reached: the port is gone"
+#: Of a servo on another bus than the one whose port is gone.
+LET_GO_WITH_IT: Final = "let go: a port of the face is gone"
 
 
 class TorqueGate:
@@ -88,16 +92,12 @@ class TorqueGate:
         return self._bus.capabilities
 
     def disable(self, index: int) -> bool:
-        """Let one servo go limp; whether it confirmed, or cannot."""
-        confirmed = self._bus.disable_torque(index)
-        return confirmed or not self.capabilities.confirmed_limp
+        """Let one servo go limp; whether it was, as `ServoBus.disable_torque` has it."""
+        return self._bus.disable_torque(index)
 
     def disable_all(self) -> NDArray[np.bool_]:
-        """Let everybody go limp; who confirmed, or cannot. In a dry run nothing is written."""
-        if self.dry_run:
-            return np.zeros(self._n_servos, dtype=np.bool_)
-        confirmed = self._bus.disable_all()
-        return confirmed if self.capabilities.confirmed_limp else np.ones_like(confirmed)
+        """Let everybody go limp; who was. In a dry run nothing is written."""
+        return np.zeros(self._n_servos, dtype=np.bool_) if self.dry_run else self._bus.disable_all()
 
     def reboot(self, index: int) -> None:
         """Restart one servo, which comes back limp, unless nobody may touch it."""
@@ -132,7 +132,7 @@ _LONGEST_S: Final = 2.0
 
 
 class TorqueOff:
-    """Who has confirmed that it is limp, or was let go and cannot.
+    """Who has confirmed that it is limp, or was let go and cannot confirm.
 
     Methods that speak to the servos may raise PortError.
     """
@@ -143,6 +143,11 @@ class TorqueOff:
         self._confirmed = np.zeros(len(joints), dtype=np.bool_)
         self._since_s: float | None = None
         self._next = 0
+
+    @property
+    def let_go(self) -> list[int]:
+        """Who was, by index."""
+        return [int(index) for index in np.flatnonzero(self._confirmed)]
 
     def forget(self) -> None:
         """Nothing is known any more: the port is gone, or torque may have come on."""
@@ -174,8 +179,9 @@ class TorqueOff:
     def report(self, *, at_rest: bool, plugged: bool) -> StopReport:
         """What is known now."""
         names = [joint.name for joint in self._joints]
-        why = "does not answer" if plugged else "cannot be reached: the port is gone"
-        let_go, dry_run = compress(names, self._confirmed), self._gate.dry_run
+        why = "does not answer" if plugged else PORT_GONE
+        can = {name: self._gate.capabilities.of(n) for n, name in enumerate(names)}
+        let_go = {name: can[name] for name in compress(names, self._confirmed)}
+        dry_run = self._gate.dry_run
         left = {} if dry_run else dict.fromkeys(compress(names, ~self._confirmed), why)
-        can = self._gate.capabilities
-        return let_go_report(can, let_go, left, at_rest=at_rest, dry_run=dry_run)
+        return let_go_report(let_go, left, at_rest=at_rest, dry_run=dry_run)

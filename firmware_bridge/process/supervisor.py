@@ -32,7 +32,7 @@ from firmware_bridge.process.lifeline import (
 )
 from firmware_bridge.process.operating_system import ServiceNotice
 from firmware_bridge.process.stop_record import StopRecord
-from firmware_bridge.process.torque_release import TorqueRelease
+from firmware_bridge.process.torque_release import FaceRelease
 from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import (
     PORT_WAIT_S,
@@ -77,13 +77,12 @@ class _Phase(Enum):
 class SupervisedServos:
     """The servos of a face, as far as they matter when no bridge drives them.
 
-    names: by address. make_release: torque off by force, given how long silent servos are asked
-    again, seconds. can: what they can report of it.
+    can: by name, what each can report. make_release: torque off by force, given how long silent
+    servos are asked again, seconds.
     """
 
-    names: Mapping[int, str]
-    make_release: Callable[[float], TorqueRelease]
-    can: BusCapabilities
+    can: Mapping[str, BusCapabilities]
+    make_release: Callable[[float], FaceRelease]
 
 
 class Supervisor:
@@ -110,12 +109,12 @@ class Supervisor:
         self._bridge, self._speech = RestartedChild(bridge), RestartedChild(speech)
         self._control = control
         self._servos = servos
-        self._servo_names = dict(servos.names)
+        self._servo_names = tuple(servos.can)
         self._notice = notice
         self._phase = _Phase.WAITING
         self._ran_well = False
         self._last_status = 0
-        self._release: TorqueRelease | None = None
+        self._release: FaceRelease | None = None
         self._release_s = 0.0
         self._port_error = ""
         self._record = StopRecord() if record is None else record
@@ -319,7 +318,7 @@ class Supervisor:
                 return "the bridge of the frozen face is being replaced: start it in a moment"
             case StartFace():
                 return "the face is being started already"
-            case ServoOrder(name, ServoSwitch.OFF) if name in self._servo_names.values():
+            case ServoOrder(name, ServoSwitch.OFF) if name in self._servo_names:
                 return ""  # of a stopped face: it stays off when that is started again
         return f"{self._phase.value}: ask again once the face is driven"
 
@@ -338,7 +337,7 @@ class Supervisor:
         self._start_bridge(now_s)
 
     def _index_of(self, name: str) -> int:
-        return list(self._servo_names.values()).index(name)
+        return self._servo_names.index(name)
 
     def _watch_speech(self, ended: int | None, now_s: float) -> None:
         speech = self._speech
@@ -390,7 +389,7 @@ class Supervisor:
         self._last_status = status
         if status == ExitStatus.ENDED_WELL:
             self._comes_back = False
-            self._conclude(let_go_report(self._servos.can, self._servo_names.values(), {}), status)
+            self._conclude(let_go_report(self._servos.can, {}), status)
             return
         self._bridge.note_end(status, now_s)
         if self._comes_back and status > 0 and not self._is_ending:
@@ -429,10 +428,9 @@ class Supervisor:
                 self._port_error = self._release.port_error
                 _LOG.warning("torque cannot be switched off yet: %s", self._port_error)
             if now_s >= self._give_up_s():
-                why = dict.fromkeys(self._servo_names.values(), self._port_error)
                 failed = max(self._last_status, 1)
                 status = ExitStatus.UNCONFIRMED if self._is_ending else failed
-                self._conclude(StopReport((), why), status)
+                self._conclude(self._report_of(self._release), status)
 
     def _give_up_s(self) -> float:
         """How long a port that is gone is waited for."""
@@ -444,19 +442,20 @@ class Supervisor:
             return float("inf")  # who stopped it by the socket can ask how it is, and signal
         return self._signal_s + (PORT_WAIT_S if self._n_signals <= 2 else 0.0)
 
-    def _released(self, release: TorqueRelease) -> None:
+    def _released(self, release: FaceRelease) -> None:
         self._port_error = ""
         self._drop_release()
-        names = self._servo_names
-        let_go = [names[each] for each in (*release.confirmed, *release.released)]
-        unconfirmed = {names[each]: why for each, why in release.unconfirmed.items()}
-        status: int = ExitStatus.UNCONFIRMED if unconfirmed else ExitStatus.ENDED_WELL
+        report = self._report_of(release)
+        status: int = ExitStatus.UNCONFIRMED if report.unconfirmed else ExitStatus.ENDED_WELL
         if not self._is_ending and self._last_status != ExitStatus.UNCONFIRMED:
             status = self._last_status
-        report = let_go_report(self._servos.can, let_go, unconfirmed)
         _LOG.log(report.log_level, "%s", report.line())
         if self._is_ending or not self._may_restart():
             self._conclude(report, status)
+
+    def _report_of(self, release: FaceRelease) -> StopReport:
+        let_go = {name: self._servos.can[name] for name in release.let_go}
+        return let_go_report(let_go, release.unconfirmed)
 
     def _conclude(self, report: StopReport, status: int) -> None:
         """The servos have had their last word: a face that a person stopped waits, others end."""

@@ -1,7 +1,8 @@
 """Torque off where no bridge runs any more: open the port and let every joint go limp."""
 
+import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
 from firmware_bridge.bus_kinds import NOT_SEEN, PortRelease
@@ -111,6 +112,77 @@ class TorqueRelease:
         else:
             del self.unconfirmed[address]
             self.confirmed.append(address)
+
+
+class FaceRelease:
+    """Torque off by force at every port of a face, by the names of its servos.
+
+    let_go, unconfirmed: as a `TorqueRelease` has them, by name; port_error: of the ports that
+    cannot be opened just now. Of several ports each has a thread, so that none waits for another.
+    """
+
+    def __init__(self, ports: Sequence[tuple[TorqueRelease, Mapping[int, str]]]) -> None:
+        """Of each port: how its servos are let go, and their names by address."""
+        self._ports = tuple(ports)
+        self._is_over = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._look_s = 0.0
+
+    def step(self) -> bool:
+        """Go on; whether it is over at every port. Never raises BusError."""
+        if len(self._ports) == 1:
+            return self._ports[0][0].step()
+        if not self._threads:
+            self._threads = [
+                threading.Thread(target=self._run, args=(each,), name="release", daemon=True)
+                for each, _ in self._ports
+            ]
+            for thread in self._threads:
+                thread.start()
+        self._look_s = time.monotonic() + _RETRY_S
+        return not any(thread.is_alive() for thread in self._threads)
+
+    @property
+    def next_s(self) -> float:
+        """When there is something to do, or to look at."""
+        return self._ports[0][0].next_s if len(self._ports) == 1 else self._look_s
+
+    @property
+    def port_error(self) -> str:
+        """Why ports cannot be opened just now; empty: all were."""
+        return "; ".join(each.port_error for each, _ in self._ports if each.port_error)
+
+    @property
+    def let_go(self) -> list[str]:
+        """Those that were read limp, and those that were told and cannot say it."""
+        return [
+            names.get(address, f"address {address}")
+            for each, names in self._ports
+            for address in (*each.confirmed, *each.released)
+        ]
+
+    @property
+    def unconfirmed(self) -> dict[str, str]:
+        """Why the others were not."""
+        return {
+            names.get(address, f"address {address}"): each.port_error or why
+            for each, names in self._ports
+            for address, why in each.unconfirmed.items()
+        }
+
+    def close(self) -> None:
+        """Give the ports back; a port that hangs keeps its thread, and no other waits for it."""
+        self._is_over.set()
+        for thread in self._threads:
+            thread.join(_RETRY_S)
+        if not self._threads:
+            for each, _ in self._ports:
+                each.close()
+
+    def _run(self, release: TorqueRelease) -> None:
+        while not (self._is_over.is_set() or release.step()):
+            self._is_over.wait(max(0.0, release.next_s - time.monotonic()))
+        release.close()
 
 
 def release_port(

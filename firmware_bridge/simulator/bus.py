@@ -53,7 +53,7 @@ class SimulatedBus:
     ) -> None:
         """Servos standing limp at `start_deg`, (n_servos,), or in neutral.
 
-        capabilities: what they cannot do they report as NaN, and as not confirmed.
+        capabilities: what they cannot measure they report as NaN.
 
         The newest `n_remembered` writes stay in `history`: by default more than ten minutes at
         30 Hz, and 7 MB with ten servos.
@@ -61,8 +61,11 @@ class SimulatedBus:
         n_servos = len(joints)
         self.capabilities = capabilities
         self._nothing = np.zeros(n_servos)
-        self._unknown = np.full(n_servos, np.nan)
-        self._effort = self._nothing if capabilities.load else self._unknown
+        can = [capabilities.of(index) for index in range(n_servos)]
+        self._has_place = np.array([each.place for each in can], dtype=np.bool_)
+        self._has_heat = np.array([each.heat for each in can], dtype=np.bool_)
+        self._effort = np.where([each.load for each in can], 0.0, np.nan)
+        self._voltage_v = np.where([each.voltage for each in can], 5.0, np.nan)
         self._clock = clock
         self._min_deg = np.array([joint.min_deg for joint in joints]) - SERVO_LIMIT_MARGIN_DEG
         self._max_deg = np.array([joint.max_deg for joint in joints]) + SERVO_LIMIT_MARGIN_DEG
@@ -116,15 +119,15 @@ class SimulatedBus:
 
     def look_after(self) -> Health:
         """These servos are always well."""
-        n_servos, can, unknown = len(self._goals_deg), self.capabilities, self._unknown
+        n_servos = len(self._goals_deg)
         return Health(
             silent_s=self._nothing,
             torque_on=self._torque_on,
             watchdog_tripped=np.zeros(n_servos, dtype=np.bool_),
             hardware_errors=np.zeros(n_servos, dtype=np.uint8),
-            temperature_degc=np.full(n_servos, 25.0) if can.heat else unknown,
-            room_degc=np.full(n_servos, 45.0 if can.heat else np.inf),
-            voltage_v=np.full(n_servos, 5.0) if can.voltage else unknown,
+            temperature_degc=np.where(self._has_heat, 25.0, np.nan),
+            room_degc=np.where(self._has_heat, 45.0, np.inf),
+            voltage_v=self._voltage_v,
             effort=self._effort,
             current_ma=self._effort,
             n_unanswered=np.zeros(n_servos, dtype=np.int64),
@@ -163,13 +166,13 @@ class SimulatedBus:
         """Let one servo go limp."""
         self._move()
         self._set_torque_of(index, on=False)
-        return self.capabilities.confirmed_limp
+        return True
 
     def disable_all(self) -> NDArray[np.bool_]:
         """Let every servo go limp."""
         self._move()
         self._torque_on = np.zeros(self._goals_deg.shape, dtype=np.bool_)
-        return np.full(self._goals_deg.shape, self.capabilities.confirmed_limp)
+        return np.ones(self._goals_deg.shape, dtype=np.bool_)
 
     def reboot(self, index: int) -> None:
         """Restart: limp."""
@@ -181,7 +184,7 @@ class SimulatedBus:
     @property
     def _places_deg(self) -> Array:
         """As far as they say where they stand."""
-        return self._positions_deg if self.capabilities.place else self._unknown
+        return np.where(self._has_place, self._positions_deg, np.nan)
 
     def _set_torque_of(self, index: int, *, on: bool) -> None:
         self._torque_on = self._torque_on.copy()

@@ -27,7 +27,7 @@ class SimulatedKind(DynamixelKind):
         """Never refuses: nobody is missing."""
         from firmware_bridge.simulator.bus import SimulatedBus
 
-        return SimulatedBus(wiring.joints, clock)
+        return SimulatedBus(wiring.joints, clock, capabilities=wiring.capabilities or IN_MEMORY)
 
     def memories(self, _wiring: Wiring) -> Sequence[Mapping[str, int] | None]:
         """None to be known by."""

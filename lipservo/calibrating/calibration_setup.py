@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from calibration.calibration import CalibrationError
 from calibration.fit.procedure import Procedure
 from calibration.mouth_servos import JointRange, MouthServos
 from firmware_bridge.clock import MonotonicClock
-from lipservo.runtime.servos.assembly import bus_for, mouth_rules
+from lipservo.runtime.servos.assembly import mouth_rules
 from lipservo.runtime.servos.held_face import SPEED_DEG_S, HeldFace
 from lipservo.settings.settings import FaceSettings
 from lipservo.terminal.output import MESSAGES
@@ -82,23 +82,18 @@ def today() -> str:
 
 def check_places(settings: FaceSettings) -> None:
     """Raises CalibrationError where servos cannot say where they stand."""
-    if not settings.capabilities.place:
-        raise CalibrationError(
-            f"{settings.name}: servos on a {settings.bus.kind} bus cannot say where they stand, "
-            "which this way of calibrating measures"
-        )
+    for one in settings.alone.values():
+        if one.mouth_servos and not one.capabilities.place:
+            raise CalibrationError(
+                f"{settings.name}: servos on a {one.bus.kind} bus cannot say where they stand, "
+                "which this way of calibrating measures"
+            )
 
 
-@contextmanager
-def held_servos(setup: CalibrationSetup) -> Iterator[HeldFace]:
+def held_servos(setup: CalibrationSetup) -> HeldFace:
     """The face's own servos, in neutral and held until the block ends."""
     check_places(setup.settings)
-    clock = MonotonicClock()
-    with ExitStack() as stack:
-        bus = stack.enter_context(bus_for(setup.settings, clock))
-        yield stack.enter_context(
-            HeldFace(setup.settings, bus, clock, speed_deg_s=setup.speed_deg_s)
-        )
+    return HeldFace(setup.settings, MonotonicClock(), speed_deg_s=setup.speed_deg_s)
 
 
 @contextmanager

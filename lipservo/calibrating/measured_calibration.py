@@ -139,7 +139,7 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
     check_calibration(calibration, setup.model, names, setup.settings.checksum)
     if setup.settings.capabilities.in_memory:
         bus, clock = simulated_wire(setup.settings)
-        with bus, HeldFace(setup.settings, bus, clock) as face:
+        with HeldFace(setup.settings, clock, bus=bus) as face:
             following = _measured_following(setup, face, calibration)
     else:
         check_servo_memories(calibration, servo_memories(setup.settings))
@@ -291,7 +291,7 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
     if not (setup.lags and setup.settings.capabilities.in_memory):
         return fitted
     bus, clock = simulated_wire(setup.settings)
-    with bus, HeldFace(setup.settings, bus, clock) as face:
+    with HeldFace(setup.settings, clock, bus=bus) as face:
         return with_lags(setup, face, fitted)
 
 

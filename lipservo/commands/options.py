@@ -14,11 +14,11 @@ from lipservo.settings.motion_names import (
     ONLY_UNITS,
     SMOOTHEST,
     STRONGEST,
-    Engine,
     MeasuredEngine,
     Strategy,
 )
 from lipsync.errors import UserError
+from lipsync.plugins import RECOGNIZERS, PluginError
 
 DEFAULT_FACE = "face_sim"
 
@@ -34,9 +34,14 @@ Model = Annotated[
 Port = Annotated[
     str | None,
     typer.Option(
-        help="Serial port of the servos, /dev/ttyUSB0 for one; default: the face's.",
+        help="Serial port of the servos, /dev/ttyUSB0 for one; default: the face's. "
+        "Of several buses NAME=PORT, once for each.",
         show_default=False,
     ),
+]
+Bus = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Which bus, of a face with several.", show_default=False),
 ]
 #: Where no face says it.
 RequiredPort = Annotated[str, typer.Option(help="Serial port of the servos.")]
@@ -153,20 +158,31 @@ OpenPage = Annotated[
 
 # ---- how sound becomes motion ----
 
+
+def _known_engine(name: str | None) -> str | None:
+    try:
+        return None if name is None else RECOGNIZERS.check(name)
+    except PluginError as error:
+        raise typer.BadParameter(str(error)) from error
+
+
 _ENGINE = typer.Option(
-    help="Recogniser to begin with; a worse one takes over where it fails.", show_default=False
+    callback=_known_engine,
+    help="Recogniser to begin with: network, energy, or another package's; a worse one takes over "
+    "where it fails.",
+    show_default=False,
 )
 _WEIGHTS = typer.Option(
     help="What the network has learned: default, grid, or a file of weights.", show_default=False
 )
-EngineChoice = Annotated[Engine, _ENGINE]
+EngineChoice = Annotated[str, _ENGINE]
 MeasuredEngineChoice = Annotated[
     MeasuredEngine,
     typer.Option(help="Recogniser; pocketsphinx needs the extra align.", show_default=False),
 ]
 WeightsChoice = Annotated[str, _WEIGHTS]
 #: The same where the face's YAML may say it; then None is `not typed`.
-FaceEngine = Annotated[Engine | None, _ENGINE]
+FaceEngine = Annotated[str | None, _ENGINE]
 FaceWeights = Annotated[str | None, _WEIGHTS]
 FaceStrategy = Annotated[
     Strategy | None,

@@ -1,6 +1,6 @@
 """What ails a servo, in plain words, and what a person can do about it."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from firmware_bridge.bus import HardwareError
@@ -82,16 +82,27 @@ def told_servos(status: Mapping[str, Any] | None, *, is_fresh: bool) -> list[dic
     at_stop |= dict.fromkeys(unconfirmed, "unconfirmed")
     at_stop |= dict.fromkeys(report.get("released") or (), "released")
     words = str(report.get("released_words"))
-    has_heat = bool((status.get("capabilities") or {}).get("heat", True))
+    has_heat = _with_heat(status)
     health = {str(each["name"]): each for each in status.get("health") or ()}
     states: Mapping[str, str] = status.get("servos") or {}
     return [
         _told(name, at_stop.get(name), states.get(name, ""), health.get(name, {}), is_fresh)
-        | _heard(health.get(name, {}), states.get(name, ""), is_fresh=is_fresh, has_heat=has_heat)
+        | _heard(
+            health.get(name, {}), states.get(name, ""), is_fresh=is_fresh, has_heat=has_heat(name)
+        )
         | _doubt(unconfirmed.get(name))
         | (_released(words) if at_stop.get(name) == "released" else {})
         for name in dict.fromkeys([*states, *health, *at_stop])
     ]
+
+
+def _with_heat(status: Mapping[str, Any]) -> Callable[[str], bool]:
+    """Whether a servo, by its name, reports how warm it is."""
+    can: Mapping[str, Any] = status.get("capabilities") or {}
+    bus_of = dict(zip(status.get("servos") or (), can.get("bus_of") or (), strict=False))
+    return lambda name: bool(
+        (can["buses"][bus_of[name]] if name in bus_of else can).get("heat", True)
+    )
 
 
 def is_stopped(status: Mapping[str, Any] | None) -> bool:

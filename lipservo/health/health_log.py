@@ -21,6 +21,7 @@ from pathlib import Path
 from typing import Final
 
 from firmware_bridge.bus import ServoHealth
+from firmware_bridge.port_names import ports_in
 
 _LOG: Final = logging.getLogger(__name__)
 #: What the shipped unit gives the service (`StateDirectory=lipservo`); readable for all.
@@ -58,7 +59,7 @@ def kept_pulses_path(face: str, port: str, environment: Mapping[str, str]) -> Pa
 
 
 def _name_at(face: str, port: str) -> str:
-    simulated = os.path.realpath(port).startswith("/dev/pts/")
+    simulated = any(os.path.realpath(each).startswith("/dev/pts/") for each in ports_in(port))
     return folder_name(face) + ("-simulated" if simulated else "")
 
 

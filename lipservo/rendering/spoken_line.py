@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from lipservo.runtime.motion_options import make_recognizer
 from lipservo.runtime.settled_phonemes import settled_events
-from lipsync.audio.file import FileSource, ignore, read_speech
+from lipsync.audio.file import FileSource, checked_sound, read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.errors import UserError
 from lipsync.offline.line_methods import Line
@@ -19,6 +18,7 @@ from lipsync.recognition.alignment import (
     align,
     goodness_of_pronunciation,
 )
+from lipsync.recognition.recognizers import make_recognizer
 
 #: A line is heard whole: a longer sound is cut into lines by whoever knows where they end.
 LONGEST_LINE_S = 300.0
@@ -45,14 +45,14 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
     Raises SoundError, LabelError, AlignmentError, PronunciationError, and LineError for a sound
     longer than `LONGEST_LINE_S` and for labels of another sound.
     """
-    duration_s = FileSource(sound, warn=ignore).duration_s
+    duration_s = checked_sound(sound).duration_s
     if duration_s > LONGEST_LINE_S:
         raise LineError(
             f"{sound}: {duration_s:.0f} s long; a line is at most {LONGEST_LINE_S:.0f} s, cut it "
             "into lines"
         )
     notes: list[str] = []
-    samples = read_speech(sound, notes.append)
+    samples = read_speech(sound)
     duration_s = len(samples) / SAMPLE_RATE_HZ
     events: tuple[PhonemeEvent, ...]
     if script.phones is not None:
@@ -74,7 +74,7 @@ def spoken_line(sound: Path, script: Script) -> tuple[Line, tuple[str, ...]]:
             notes.append(f"the text fits badly (score {score:.2f})")
     else:
         recognizer = make_recognizer("network")
-        events = tuple(settled_events(FileSource(sound, warn=ignore), recognizer))
+        events = tuple(settled_events(FileSource(sound), recognizer))
         notes += recognizer.reasons
     phones = joined_phones(events, duration_s)
     if all(event.phoneme == SILENCE for event in phones):

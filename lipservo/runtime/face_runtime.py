@@ -7,9 +7,10 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 
 from firmware_bridge.clock import Clock, ManualClock
-from firmware_bridge.loop.bridge import face_status
+from firmware_bridge.loop.bridge import Bridge, face_status
 from firmware_bridge.loop.life_cycle import LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.process.logs import LOG_JSON
@@ -17,10 +18,10 @@ from firmware_bridge.stopping import StopReport
 from lipservo.runtime.face_speech import FaceSpeech
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest
-from lipservo.runtime.servos.assembly import bridge_for, bus_for, check_servos
-from lipservo.runtime.servos.face_life import ControlOptions, face_life
-from lipservo.runtime.status.face_status import Status, whole_status
-from lipservo.runtime.status.live_board import ServoBoard
+from lipservo.runtime.servos.assembly import check_servos
+from lipservo.runtime.servos.driven_face import DriveOptions, driven_face
+from lipservo.runtime.status.face_status import SpeechStatus, Status, whole_status
+from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.street_tick import StreetTick, TickObserver
 from lipservo.runtime.street import Street
 from lipservo.runtime.summary import Summary, Tally
@@ -65,55 +66,41 @@ def run_face(
     check_servos(requested.face)
     request = requested.with_resolved_avatars()
     length_s = math.inf if endless or source.duration_s is None else source.duration_s
-    with bus_for(requested.settings, clock) as bus, requested.live_board() as board:
-        # On a clock of its own nobody waits or looks, and the same file must give the same trace.
-        is_live = not isinstance(clock, ManualClock)
-        channel = MemoryTargetChannel()
+    # On a clock of its own nobody waits or looks, and the same file must give the same trace.
+    is_live = not isinstance(clock, ManualClock)
+    channel = MemoryTargetChannel()
+    with requested.live_board() as board:
         speech = FaceSpeech(
             requested,
             source,
             channel,
-            soft_start_s=bus.capabilities.soft_start_s,
             board=board if is_live else None,
             timer_s=time.perf_counter if is_live else None,
             synthesizer=synthesizer,
         )
-        bridge = bridge_for(
-            requested.settings, bus, channel, rate_hz=requested.rate_hz, dry_run=request.dry_run
+        run = _Run(requested, speech)
+        how = DriveOptions(
+            requested.rate_hz,
+            dry_run=request.dry_run,
+            quiet=request.quiet,
+            control=requested.control(run.commands, run.describe, board, waits=endless),
         )
-        street = Street(speech.side, bridge, requested.face.model.rest)
-        delay = street.speech.delay
-        if not request.quiet:
-            if bus.capabilities.in_memory:
-                say_simulated()
-            MESSAGES.print(str(request.motion))
-            MESSAGES.print(f"delay from sound to face: {delay}")
-        tally = Tally(clock, street)
         with ExitStack() as stack:
-            run = _Run(requested, speech, street, clock)
-            control = ControlOptions(
-                requested.control_path,
-                run.commands,
-                run.describe,
-                requested.about,
-                board.fileno(),
-                endless,
-            )
-            name, port = requested.settings.name, requested.settings.servo_port
-            life = stack.enter_context(
-                face_life(name, port, bridge, clock, quiet=request.quiet, control=control)
-            )
-            observers = run.observers(ServoBoard(board, bridge), stack, live=live)
+            driven = stack.enter_context(driven_face(requested.settings, clock, channel, how))
+            life = driven.life
+            street = Street(speech.side, driven.bridge, requested.face.model.rest)
+            delay = street.speech.delay
+            if not request.quiet:
+                if driven.bus.capabilities.in_memory:
+                    say_simulated()
+                MESSAGES.print(str(request.motion))
+                MESSAGES.print(f"delay from sound to face: {delay}")
+            tally = Tally(clock, street)
+            observers = run.observers(driven.bridge, board, stack, live=live, on_time=is_live)
             if listener is not None:
                 from lipservo.runtime.voice_agents import voice_agents
 
-                serving = voice_agents(
-                    listener,
-                    street.side,
-                    request.voice,
-                    requested.face.model,
-                    requested.control_path,
-                )
+                serving = voice_agents(listener, speech.side, requested)
                 run.serve(stack.enter_context(serving))
             life.start()
             zero_s = clock.now()
@@ -122,7 +109,7 @@ def run_face(
             end = _End(zero_s + length_s + delay.total_s, playout)
             play(street, life, is_over=end.is_over, tally=tally, observers=observers)
         heard_s = max(0.0, min(length_s, clock.now() - zero_s))
-        status = run.status()
+        status = run.status(driven.bridge)
     took_s = time.perf_counter() - began_s
     assert life.report is not None
     summary = tally.summary(status, heard_s, took_s)
@@ -174,13 +161,9 @@ class _End:
 class _Run:
     """One run while it goes on: its commands, who watches it, and how it is."""
 
-    def __init__(
-        self, requested: RequestedFace, speech: FaceSpeech, street: Street, clock: Clock
-    ) -> None:
+    def __init__(self, requested: RequestedFace, speech: FaceSpeech) -> None:
         self._requested = requested
         self._speech = speech
-        self._street = street
-        self._clock = clock
         self.commands = requested.commands()
         self._listens_on: str | None = None
 
@@ -188,28 +171,37 @@ class _Run:
         """Voice agents are waited for there."""
         self._listens_on = url
 
-    def status(self) -> Status:
+    def status(self, bridge: Bridge) -> Status:
         """The whole face, now."""
-        return self._whole({**face_status(self._street.bridge), **self._requested.about})
+        return self._whole({**face_status(bridge), **self._requested.about})
 
     def describe(self, bridge: Mapping[str, object]) -> Mapping[str, object]:
         """The same for JSON, of what the bridge knows."""
         return self._whole(bridge).as_dict()
 
     def _whole(self, bridge: Mapping[str, object]) -> Status:
-        return whole_status(bridge, self._speech.status(self.commands.values, self._listens_on))
+        return whole_status(bridge, self._speech_status())
 
-    def observers(self, servos: ServoBoard, stack: ExitStack, *, live: bool) -> list[TickObserver]:
-        """Who watches: settings, trace, avatars, and the view when somebody looks at a terminal."""
+    def _speech_status(self) -> SpeechStatus:
+        return self._speech.status(self.commands.values, self._listens_on)
+
+    def observers(
+        self, bridge: Bridge, board: LiveBoard, stack: ExitStack, *, live: bool, on_time: bool
+    ) -> list[TickObserver]:
+        """Who watches: settings, trace, avatars, and the view when somebody looks at a terminal.
+
+        on_time: whether ticks come at their time, whoever has not done with the one before.
+        """
         request, face = self._requested.request, self._requested.face
-        is_live = not isinstance(self._clock, ManualClock)
-        observers: list[TickObserver] = [self, *([servos] if is_live else [])]
+        observers: list[TickObserver] = [self]
+        if on_time:
+            observers.append(ServoBoard(board, bridge))
         if request.trace is not None:
             from lipservo.traces.trace_file import BackgroundTrace, TraceFile
 
-            file = TraceFile(request.trace, self._requested.trace_header(self.status()))
+            file = TraceFile(request.trace, self._requested.trace_header(self._speech_status()))
             # Where nobody waits for a tick, none may be dropped.
-            if is_live:
+            if on_time:
                 observers.append(stack.enter_context(BackgroundTrace(file)))
             else:
                 observers.append(stack.enter_context(file))
@@ -221,11 +213,12 @@ class _Run:
         if live and not os.environ.get(LOG_JSON):
             from lipservo.terminal.view import TerminalView
 
-            view = TerminalView(MESSAGES, self.status, face.joints, face.model)
+            status = partial(self.status, bridge)
+            view = TerminalView(MESSAGES, status, face.joints, face.model)
             observers.append(stack.enter_context(view))
         return observers
 
     def observe(self, _tick: StreetTick) -> None:
         """Between two ticks: hand what was set to the speech side."""
         if changes := self.commands.take_changes():
-            self._street.side.change(changes)
+            self._speech.side.change(changes)

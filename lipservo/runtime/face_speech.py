@@ -4,12 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from firmware_bridge.loop.targets import TargetChannel
-from lipservo.runtime.motion_options import (
-    MotionOptions,
-    make_recognizer,
-    make_synthesizer,
-    no_recognizer,
-)
+from lipservo.runtime.motion_options import make_synthesizer
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side
 from lipservo.runtime.status.face_status import SpeechStatus
@@ -18,9 +13,8 @@ from lipservo.settings.motion_names import LIP_GAP_OFFSET
 from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Synthesizer
+from lipsync.recognition.recognizers import make_recognizer, no_recognizer
 
-#: Recognisers from the best down; each takes over where the one before it fails.
-_LEVELS: Final = ("network", "energy", "neutral")
 #: In place of who listens, of what it has learned and of the strategy, where all was rendered.
 _NOBODY: Final = "none"
 _PERFORMED: Final = "performed"
@@ -35,7 +29,6 @@ class FaceSpeech:
         source: AudioSource,
         channel: TargetChannel,
         *,
-        soft_start_s: float,
         board: LiveBoard | None = None,
         timer_s: Callable[[], float] | None = None,
         synthesizer: Synthesizer | None = None,
@@ -59,7 +52,7 @@ class FaceSpeech:
             self.recognizer,
             synthesizer,
             channel,
-            soft_start_s=soft_start_s,
+            soft_start_s=requested.settings.capabilities.soft_start_s,
             is_watchable=board is not None,
             board=board,
         )
@@ -83,7 +76,7 @@ class FaceSpeech:
         return SpeechStatus(
             **named,
             sound=source.name,
-            fallback_level=self._levels_left(motion),
+            fallback_level=len(self.recognizer.reasons),
             fallback_reasons=self.recognizer.reasons,
             hears=speech.hears,
             settings={
@@ -102,8 +95,3 @@ class FaceSpeech:
             is_resting=None if expression is None else expression.is_resting,
             expression={} if expression is None else expression.wishes.values,
         )
-
-    def _levels_left(self, motion: MotionOptions) -> int:
-        if motion.performed:
-            return 0
-        return _LEVELS.index(self.recognizer.level) - _LEVELS.index(motion.engine)

@@ -1,21 +1,17 @@
 """How sound becomes motion: who listens, which strategy moves the mouth, and in what style."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from firmware_bridge.process.commands import Setting
 from lipservo.settings.motion_names import (
-    DEFAULT_ENGINE,
     DEFAULT_STRATEGY,
-    ENGINES,
     ONLY_UNITS,
     SMOOTHEST,
     STRATEGIES,
     STRONGEST,
     STYLE_NAMES,
     STYLES_OF,
-    Engine,
     Strategy,
 )
 from lipservo.settings.sections import MotionSettings
@@ -23,27 +19,22 @@ from lipsync.errors import UserError
 from lipsync.expectation.expectation import read_expectation
 from lipsync.face.frame import Synthesizer
 from lipsync.face.model import FaceModel, ModelError, open_model, read_face
-from lipsync.motion.live_synthesizer import (
+from lipsync.motion.finishing import (
     DEFAULT_LOOKAHEAD_S,
     DEFAULT_UNIT_SHARE,
-    LIVE_STRATEGY,
-    UNIT_STRATEGY,
     FinishedSynthesizer,
-    LiveSynthesizer,
     Style,
     StyleError,
 )
-from lipsync.phonemes import LiveRecognizer
-from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY, LiveSynthesizer
+from lipsync.plugins import DEFAULT_RECOGNIZER, RECOGNIZERS
 from lipsync.recognition.network import (
     DEFAULT_WEIGHTS,
     LATENCY_S,
     SHIPPED,
     check_weights,
-    find_weights,
 )
 
-_ENERGY_LATENCY_S = 0.05
 #: For `--low-latency`: the best of those with which a goal follows its sound within 150 ms
 #: (docs/benchmarks.md, From microphone to bus).
 LOW_LATENCY_S = 0.045
@@ -62,10 +53,10 @@ class MotionOptions:
     weights: shipped ones by name, or a file; read and refused here, as a live face would fall back
     to a lesser recogniser. recognizer_latency_s: when a phoneme is settled; sooner is less right.
     performed: how the performance was rendered that is played; then nobody listens and no strategy
-    plans anything. Raises WeightsError, StyleError.
+    plans anything. Raises WeightsError, StyleError, PluginError.
     """
 
-    engine: Engine = DEFAULT_ENGINE
+    engine: str = DEFAULT_RECOGNIZER
     weights: str = DEFAULT_WEIGHTS
     strategy: Strategy = DEFAULT_STRATEGY
     style: Style = field(default_factory=Style)
@@ -74,9 +65,11 @@ class MotionOptions:
 
     def __post_init__(self) -> None:
         check_weights(self.weights)
-        for name, known in (("strategy", STRATEGIES), ("engine", ENGINES)):
-            if (value := getattr(self, name)) not in known:
-                raise StyleError(f"unknown {name} {value!r}; known here: {', '.join(known)}")
+        RECOGNIZERS.check(self.engine)
+        if self.strategy not in STRATEGIES:
+            raise StyleError(
+                f"unknown strategy {self.strategy!r}; known here: {', '.join(STRATEGIES)}"
+            )
         if not 0.0 < self.recognizer_latency_s <= LONGEST_LATENCY_S:
             raise StyleError(
                 f"recognizer_latency_s is {self.recognizer_latency_s}; "
@@ -116,7 +109,7 @@ class MotionOptions:
 class ChosenMotion:
     """What a user typed of `MotionOptions`; None: not typed. The names are those of the options."""
 
-    engine: Engine | None = None
+    engine: str | None = None
     weights: str | None = None
     strategy: Strategy | None = None
     lookahead_ms: float | None = None
@@ -162,7 +155,7 @@ def motion_options(
     if weights is not None and weights not in SHIPPED and folder is not None:
         weights = str(folder / weights)
     return MotionOptions(
-        chosen.engine or of_the_face.engine or DEFAULT_ENGINE,
+        chosen.engine or of_the_face.engine or DEFAULT_RECOGNIZER,
         chosen.weights or weights or DEFAULT_WEIGHTS,
         strategy,
         Style(
@@ -179,7 +172,7 @@ def _refuse_what_is_late(chosen: ChosenMotion, of_the_face: MotionSettings) -> N
     """What goes against --low-latency, typed or in the face's YAML. Raises UserError."""
     found = [] if chosen.lookahead_ms is None else ["--lookahead-ms"]
     ours = (None, LIVE_STRATEGY, UNIT_STRATEGY)
-    for name, possible in (("strategy", ours), ("engine", (None, DEFAULT_ENGINE))):
+    for name, possible in (("strategy", ours), ("engine", (None, DEFAULT_RECOGNIZER))):
         typed, written = getattr(chosen, name), getattr(of_the_face, name)
         if typed not in possible:
             found.append(f"--{name} {typed}")
@@ -212,40 +205,3 @@ def make_synthesizer(
             return LiveSynthesizer(face, read_expectation(file, face.n_components), style, units)
         published = PublishedSynthesizer(units, SELECTIONS[options.strategy])
         return FinishedSynthesizer(face, published, style.strength)
-
-
-def make_recognizer(
-    engine: Engine = DEFAULT_ENGINE,
-    timer_s: Callable[[], float] | None = None,
-    weights: str = DEFAULT_WEIGHTS,
-    latency_s: float = LATENCY_S,
-) -> FallbackRecognizer:
-    """The live recogniser: the engine's, and the levels below it that are as quick.
-
-    timer_s: a clock in seconds, to leave a level that does not keep up with its sound, and to try
-    better ones again; None where nobody waits for it.
-    """
-    levels = [
-        FallbackLevel("network", lambda: _network(weights, latency_s)),
-        FallbackLevel("energy", _energy),
-    ]
-    first = [level.name for level in levels].index(engine)
-    # The level of sound alone needs 5 ms more than the quickest network.
-    return FallbackRecognizer(levels[first:], max(latency_s, _ENERGY_LATENCY_S), timer_s)
-
-
-def no_recognizer() -> FallbackRecognizer:
-    """Nobody listens: all is known."""
-    return FallbackRecognizer((), 0.0)
-
-
-def _network(weights: str, latency_s: float) -> LiveRecognizer:
-    from lipsync.recognition.network_recognizer import NetworkRecognizer
-
-    return NetworkRecognizer(find_weights(weights), latency_s)
-
-
-def _energy() -> LiveRecognizer:
-    from lipsync.recognition.energy_recognizer import EnergyRecognizer
-
-    return EnergyRecognizer()

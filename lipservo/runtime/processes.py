@@ -5,11 +5,9 @@ import os
 import socket
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from firmware_bridge.errors import BusError
@@ -21,6 +19,7 @@ from firmware_bridge.stop_signals import SignalCounter
 from firmware_bridge.stopping import ExitStatus, StopRequest
 from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import RunRequest, request_json
+from lipservo.runtime.servos.driven_face import DrivenFace, DriveOptions, Supervised, driven_face
 from lipservo.runtime.status.face_status import Status, whole_status
 from lipservo.runtime.status.live_board import LiveBoard, ServoBoard
 from lipservo.runtime.status.status_board import StatusBoard
@@ -29,8 +28,6 @@ from lipsync.errors import UserError
 from lipsync.output_file import check_output
 
 if TYPE_CHECKING:
-    from firmware_bridge.loop.bridge import Bridge
-    from firmware_bridge.loop.life_cycle import LifeCycle
     from firmware_bridge.process.supervisor import Supervisor
 
 _LOG: Final = logging.getLogger(__name__)
@@ -43,13 +40,12 @@ class Handed:
     """What a process inherits from the supervisor.
 
     channel, board, live: descriptors of the socket of targets, of the notes that the processes
-    share, and of what whoever watches may read. control_path: of the face's socket.
+    share, and of what whoever watches may read.
     """
 
     channel: int
     board: int
     live: int
-    control_path: Path
     lifeline: Lifeline
 
 
@@ -68,92 +64,61 @@ def run_bridge_process(
     bridge that died before this one. given_up: servos that stay limp, by index, and why.
     """
     from firmware_bridge.clock import MonotonicClock
-    from firmware_bridge.loop.bridge import face_status
-    from firmware_bridge.loop.life_cycle import LifeCycle, LifeCycleLinks
     from firmware_bridge.loop.targets import SocketTargetChannel
-    from lipservo.health.health_log import health_log
-    from lipservo.runtime.servos.assembly import bridge_for, bus_for
+    from firmware_bridge.process.operating_system import run_on_time
 
     if request.port is None:
         raise UserError(
             "request.port: is missing; only servos at a port have processes of their own"
         )
     face = RequestedFace(request)
-    settings = face.settings
     with ExitStack() as stack:
-        stack.enter_context(face_logs(settings.name, "bridge", quiet=request.quiet))
+        stack.enter_context(face_logs(face.settings.name, "bridge", quiet=request.quiet))
         end = stack.enter_context(socket.socket(fileno=handed.channel))
         shared = stack.enter_context(StatusBoard.adopt(handed.board))
         live = stack.enter_context(LiveBoard.adopt(handed.live))
-        listener = ControlSocket.adopt(
-            control,
-            handed.control_path,
-            face.about,
-            face.commands(shared.add_settings),
-            shared.describe,
-            live.fileno(),
-        )
-        stack.enter_context(listener)
-        bus = bus_for(settings, MonotonicClock(), strict=False)
-        bridge = bridge_for(
-            settings,
-            bus,
-            SocketTargetChannel(end),
-            rate_hz=face.rate_hz,
-            tolerant=True,
-            given_up=given_up,
-            switched_off=switched_off,
-        )
-        for index, reason in given_up.items():
-            _LOG.warning(
-                "stays %s: %s: %s", bridge.capabilities.released_words, bridge.names[index], reason
-            )
-        healths = health_log(settings.name, request.port, os.environ)
-        if healths is not None:
-            stack.enter_context(healths)
-        on_tick = servos = ServoBoard(live, bridge).tell
+        trace = None
         if request.trace is not None:
             from lipservo.runtime.supervised_trace import SupervisedTrace
 
             trace = stack.enter_context(SupervisedTrace(face, shared, live))
-
-            def on_tick(report: TickReport) -> None:
-                servos(report)
-                trace.observe(report)
-
         if handed.lifeline.closed:
             return ExitStatus.ENDED_WELL  # the supervisor died before it could be noticed
-        on_health = None if healths is None else healths.offer
-        links = LifeCycleLinks(listener, handed.lifeline, partial(face_status, bridge), on_health)
-        life = LifeCycle(bridge, MonotonicClock(), links, stopped=stopped)
+        how = DriveOptions(
+            rate_hz=face.rate_hz,
+            control=face.control(face.commands(shared.add_settings), shared.describe, live),
+            supervised=Supervised(handed.lifeline, control, stopped, given_up, switched_off),
+        )
+        channel = SocketTargetChannel(end)
+        driven: DrivenFace | None = None
+        run_on_time()  # and so do the threads that a bus starts
         try:
-            with bus, life:
-                _drive(bridge, life, handed.lifeline, on_tick)
+            with driven_face(face.settings, MonotonicClock(), channel, how) as driven:
+                observers = [ServoBoard(live, driven.bridge).tell]
+                if trace is not None:
+                    observers.append(trace.observe)
+                _drive(driven, handed.lifeline, observers)
         except BusError as error:
-            if not bridge.failure:
+            if driven is None or not driven.bridge.failure:
                 handed.lifeline.not_started(" ".join(str(error).split()))
                 raise
             _LOG.warning("%s", error)
             return ExitStatus.CRITICAL_SERVO_FAILED
-    assert life.report is not None
-    return ExitStatus.ENDED_WELL if life.report.complete else ExitStatus.UNCONFIRMED
+    assert driven.life.report is not None
+    return ExitStatus.ENDED_WELL if driven.life.report.complete else ExitStatus.UNCONFIRMED
 
 
 def _drive(
-    bridge: "Bridge",
-    life: "LifeCycle",
-    lifeline: Lifeline,
-    on_tick: Callable[[TickReport], None],
+    driven: DrivenFace, lifeline: Lifeline, observers: Sequence[Callable[[TickReport], None]]
 ) -> None:
     """Arm, and tick on the grid until told to stop, by a signal or the control socket."""
-    from firmware_bridge.process.operating_system import run_on_time
-
-    life.start()
-    run_on_time()
+    driven.life.start()
     began = False
-    for time_s, late in life.ticks():
-        on_tick(bridge.tick(time_s, late))
-        if not began and bridge.settled:
+    for time_s, late in driven.life.ticks():
+        report = driven.bridge.tick(time_s, late)
+        for observe in observers:
+            observe(report)
+        if not began and driven.bridge.settled:
             began = True
             lifeline.ready()
 
@@ -175,7 +140,6 @@ def run_speech_process(
     from lipservo.runtime.voice_agents import voice_agents
 
     requested = RequestedFace(request)
-    model = requested.face.model
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
         stack.enter_context(face_logs(requested.settings.name, "speech", quiet=request.quiet))
@@ -190,7 +154,6 @@ def run_speech_process(
             requested,
             source,
             SocketTargetChannel(end),
-            soft_start_s=requested.settings.capabilities.soft_start_s,
             board=live,
             timer_s=time.perf_counter,
         )
@@ -204,7 +167,7 @@ def run_speech_process(
         side.begin(zero_s if request.voice is None else clock.now())
         handed.lifeline.began(zero_s)
         listener = None if agents is None else socket.socket(fileno=agents)
-        serving = voice_agents(listener, side, request.voice, model, handed.control_path)
+        serving = voice_agents(listener, side, requested)
         url = stack.enter_context(serving)
         n_servo_ticks = 0
         settings: dict[str, float] = {}
@@ -241,12 +204,13 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     from firmware_bridge.process.operating_system import ServiceNotice
     from firmware_bridge.process.stop_record import StopRecord
     from firmware_bridge.process.supervisor import SupervisedServos, Supervisor
-    from firmware_bridge.process.torque_release import TorqueRelease
+    from firmware_bridge.process.torque_release import FaceRelease, TorqueRelease
     from lipservo.health.health_log import stop_record_path
     from lipservo.runtime.servos.assembly import check_servos
     from lipservo.runtime.sound import check_sound
     from lipservo.runtime.speech.expression import check_expression
     from lipservo.traces.trace_file import is_trace
+    from lipsync.recognition.recognizers import recognizer_kind
 
     if request.trace is not None:
         check_output(request.trace, replaces=is_trace, kind="trace")
@@ -255,13 +219,30 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
     port = settings.servo_port
     assert port is not None
     check_sound(request)
+    recognizer_kind(request.motion.engine)
     request = requested.with_resolved_avatars()
     check_expression(settings, face.folder)
-    opener = settings.bus_kind.port_release(port, settings.wiring)
-    opener().close()  # one that another face holds is refused before anything is started
+    at_ports = [
+        (
+            one.bus_kind.port_release(at, one.wiring),
+            {joint.servo_id: joint.name for joint in one.joints()},
+        )
+        for one in settings.alone.values()
+        if (at := one.servo_port) is not None
+    ]
+    for opener, _ in at_ports:
+        opener().close()  # one that another face holds is refused before anything is started
     check_servos(face)
-    servo_names = {joint.servo_id: joint.name for joint in settings.joints()}
     about, can = requested.about, settings.capabilities
+
+    def release(timeout_s: float) -> FaceRelease:
+        return FaceRelease(
+            [
+                (TorqueRelease(opener, list(names), timeout_s=timeout_s), names)
+                for opener, names in at_ports
+            ]
+        )
+
     with ExitStack() as stack:
         signals = stack.enter_context(SignalCounter())
         stack.enter_context(face_logs(settings.name, "supervisor", quiet=request.quiet))
@@ -287,12 +268,12 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             )
         writer, reader = channel_pair()
         command = [sys.executable, "-m", "lipservo"]
-        shared = ["--request", request_json(request), "--lifeline", "{lifeline}"]
+        whole = request_json(replace(request, control=listener.path))
+        shared = ["--request", whole, "--lifeline", "{lifeline}"]
         shared += ["--board", "{board}", "--live", "{live}", "--channel", "{channel}"]
         bridge = [*command, "bridge-process", *shared, "--control", "{control}"]
-        bridge += ["--control-path", str(listener.path)]
         of_bridge = {"{control}": listener.fileno(), "{channel}": reader.fileno()}
-        speech = [*command, "speech-process", *shared, "--control-path", str(listener.path)]
+        speech = [*command, "speech-process", *shared]
         of_speech = {"{channel}": writer.fileno()}
         if agents is not None:
             speech += ["--agents", "{agents}"]
@@ -305,9 +286,7 @@ def supervise(request: RunRequest, agents: socket.socket | None = None) -> int:
             Child("speech", speech, {**of_speech, **ours}, HeartbeatTimeouts(60.0, 3.0)),
             listener,
             SupervisedServos(
-                servo_names,
-                lambda timeout_s: TorqueRelease(opener, list(servo_names), timeout_s=timeout_s),
-                can,
+                {name: can.of(index) for index, name in enumerate(settings.servos)}, release
             ),
             notice=ServiceNotice(),
             record=record,

@@ -9,8 +9,9 @@ from firmware_bridge.process.commands import CommandQueue, Setting
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.runtime.run_request import RunRequest, about_run
 from lipservo.runtime.servos.assembly import Face, assembled_face, load_settings
+from lipservo.runtime.servos.driven_face import ControlOptions
 from lipservo.runtime.speech.expression import expression_settings
-from lipservo.runtime.status.face_status import Status
+from lipservo.runtime.status.face_status import SpeechStatus
 from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
 from lipservo.settings.motion_names import FARTHEST_LIP_GAP_OFFSET_MM, LIP_GAP_OFFSET
 from lipsync.phonemes import PHONEMES
@@ -50,6 +51,19 @@ class RequestedFace:
         }
         return CommandQueue(settings, on_change=on_change)
 
+    def control(
+        self,
+        commands: CommandQueue,
+        describe: Callable[[Mapping[str, object]], Mapping[str, object]],
+        board: LiveBoard,
+        *,
+        waits: bool = False,
+    ) -> ControlOptions:
+        """How it is commanded from outside. Parameters as those of `ControlOptions`."""
+        return ControlOptions(
+            self.control_path, commands, describe, self.about, board.fileno(), waits
+        )
+
     def live_board(self) -> LiveBoard:
         """A new one for it."""
         return LiveBoard.create(
@@ -72,17 +86,17 @@ class RequestedFace:
             self.request = replace(self.request, avatars=resolved_avatars(self.request.avatars))
         return self.request
 
-    def trace_header(self, status: Status) -> dict[str, object]:
-        """The first line of its trace. status: with the speech side in it."""
+    def trace_header(self, speech: SpeechStatus) -> dict[str, object]:
+        """The first line of its trace."""
         return {
-            "source": status.sound,
+            "source": speech.sound,
             "face": self.settings.name,
             "servos": list(self.settings.servos),
             "rate_hz": self.rate_hz,
             "model": self.face.model.checksum,
-            "delay_s": None if status.delay_ms is None else round(status.delay_ms / 1e3, 6),
-            "strategy": status.strategy,
-            "settings": status.settings,
-            "recognizer": status.recognizer,
-            "weights": status.weights,
+            "delay_s": None if speech.delay_ms is None else round(speech.delay_ms / 1e3, 6),
+            "strategy": speech.strategy,
+            "settings": speech.settings,
+            "recognizer": speech.recognizer,
+            "weights": speech.weights,
         }

@@ -14,7 +14,6 @@ from pydantic import TypeAdapter, ValidationError, with_config
 from lipservo.runtime.motion_options import MotionOptions
 from lipservo.settings.sections import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 from lipsync.errors import UserError, shown
-from lipsync.export.weight_track import LIVE_LINK_PORT, VMC_PORT
 
 #: The microphone that the system prefers.
 DEFAULT_MICROPHONE = "default"
@@ -76,6 +75,9 @@ class VoiceOptions:
     origins: str = ""
 
 
+#: The ports that receivers of the VMC protocol and Unreal Engine listen on.
+_VMC_PORT: Final = 39539
+_LIVE_LINK_PORT: Final = 11111
 _HIGHEST_PORT: Final = 65_535
 
 
@@ -110,8 +112,8 @@ class AvatarTargets:
     def addresses(self) -> tuple[Address | None, Address | None]:
         """Of OSC and of Live Link Face; without a port that which receivers begin with."""
         return (
-            _address("--osc", self.osc, VMC_PORT),
-            _address("--live-link", self.live_link, LIVE_LINK_PORT),
+            _address("--osc", self.osc, _VMC_PORT),
+            _address("--live-link", self.live_link, _LIVE_LINK_PORT),
         )
 
     @property

@@ -21,7 +21,8 @@ from lipservo.runtime.run_request import (
     VoiceOptions,
 )
 from lipservo.runtime.servos.assembly import load_settings
-from lipsync.audio.file import FileSource, checked_sound, sound_chunks
+from lipservo.settings.sections import SoundSettings
+from lipsync.audio.file import FileSource, checked_sound, log_once, sound_chunks
 from lipsync.audio.playout import ListenedMicrophone, Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio.source import AudioSource, Loudspeaker, SilenceAfter, SilentSource
@@ -71,6 +72,8 @@ _SENTENCES_AHEAD: Final = 4
 _LOOK_AGAIN_S: Final = 0.1
 _END_S: Final = 2.0
 _LANGUAGE: Final = "en-us"
+#: The name of the streams of a text, one for each sentence.
+_TEXT: Final = "text"
 
 
 class QueueFullError(UserError):
@@ -128,25 +131,27 @@ def spoken_file(
 
     phonemes: a file of what is said when. Raises SoundError, LabelError.
     """
-    rate_hz, duration_s = checked_sound(path)
+    checked = checked_sound(path)
+    log_once(checked.warning)
     known = () if phonemes is None else known_from(phonemes, start_s)
-    stream = PlayoutStream(path.name, rate_hz, playout.output_rate_hz, known)
-    return spoken_chunks(sound_chunks(path, start_s), stream), max(0.0, duration_s - start_s)
+    stream = PlayoutStream(path.name, checked.sample_rate_hz, playout.output_rate_hz, known)
+    left_s = max(0.0, checked.duration_s - start_s)
+    return spoken_chunks(sound_chunks(path, start_s), stream), left_s
 
 
-def spoken_text(text: str, language: str, playout: Playout, name: str = "text") -> Spoken:
+def spoken_text(text: str, language: str, playout: Playout, synthesizer: str) -> Spoken:
     """A text; its first sentence is synthesised at once, so that a mistake is known at once.
 
-    name: of the streams, one for each sentence. Raises SynthesisError.
+    synthesizer: by name. Raises SynthesisError, PluginError.
     """
     from lipsync.text_to_speech.synthesis import Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
 
-    sentences = speak_in_pieces(synthesizer_for(), text, Voice(language or _LANGUAGE))
+    sentences = speak_in_pieces(synthesizer_for(synthesizer), text, Voice(language or _LANGUAGE))
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
-        stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
+        stream = PlayoutStream(_TEXT, *rates_hz, sentence.phonemes)
         stream.push(sentence.samples)
         stream.end()
         return stream
@@ -270,19 +275,20 @@ def entered_sound(request: RunRequest, start_s: float = 0.0) -> Iterator[AudioSo
 
     start_s: the sound time at which a file is taken up. Raises SoundError.
     """
-    request = replace(request, sound=_of_the_face(request))
+    settings = load_settings(request.config)[0].sound
+    request = replace(request, sound=_of_the_face(request.sound, settings))
     if request.voice is None:
         with open_sound(request.sound, start_s) as source:
             yield source
         return
     with ExitStack() as stack:
-        loudspeaker = _entered_loudspeaker(request.config, request.voice, stack)
+        loudspeaker = _entered_loudspeaker(settings, request.voice, stack)
         microphone = None
         if request.sound.kind == "microphone":
             device = stack.enter_context(open_microphone(request.sound.name))
             microphone = ListenedMicrophone(device)
         playout = Playout(loudspeaker, microphone)
-        first = _first_words(request.sound, playout, start_s, stack)
+        first = _first_words(request.sound, playout, start_s, stack, settings.synthesizer)
         if first is not None:
             queue = SpeechQueue(playout)
             stack.callback(queue.close)
@@ -296,27 +302,29 @@ def check_sound(request: RunRequest) -> None:
         open_sound(request.sound)
 
 
-def _of_the_face(request: RunRequest) -> Sound:
+def _of_the_face(sound: Sound, settings: SoundSettings) -> Sound:
     """The default microphone is the one that the face's YAML names, if it names one."""
-    sound = request.sound
     if (sound.kind, sound.name) != ("microphone", DEFAULT_MICROPHONE):
         return sound
-    return replace(sound, name=load_settings(request.config)[0].sound.input or DEFAULT_MICROPHONE)
+    return replace(sound, name=settings.input or DEFAULT_MICROPHONE)
 
 
-def _entered_loudspeaker(config: str, voice: VoiceOptions, stack: ExitStack) -> Loudspeaker | None:
+def _entered_loudspeaker(
+    settings: SoundSettings, voice: VoiceOptions, stack: ExitStack
+) -> Loudspeaker | None:
     if voice.output is None:
         return None
     from lipsync.audio.loudspeaker import LoudspeakerOutput
 
-    settings = load_settings(config)[0].sound
     device = settings.output if voice.output == DEFAULT_OUTPUT else voice.output
     return stack.enter_context(LoudspeakerOutput(device, settings.output_offset_ms))
 
 
-def _first_words(sound: Sound, playout: Playout, start_s: float, stack: ExitStack) -> Spoken | None:
+def _first_words(
+    sound: Sound, playout: Playout, start_s: float, stack: ExitStack, synthesizer: str
+) -> Spoken | None:
     if sound.kind == "text":
-        return spoken_text(sound.name, sound.language, playout)
+        return spoken_text(sound.name, sound.language, playout, synthesizer)
     if sound.kind not in ("file", "clip"):
         return None
     path = Path(sound.name)

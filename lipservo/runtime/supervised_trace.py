@@ -12,7 +12,6 @@ import numpy as np
 
 from firmware_bridge.loop.report import TickReport
 from lipservo.runtime.requested_face import RequestedFace
-from lipservo.runtime.status.face_status import whole_status
 from lipservo.runtime.status.live_board import LiveBoard
 from lipservo.runtime.status.status_board import StatusBoard
 from lipservo.runtime.status.street_tick import StreetTick
@@ -72,9 +71,8 @@ class SupervisedTrace:
                 return
         path = self._requested.request.trace
         assert path is not None
-        status = whole_status(self._requested.about, speech)
         try:
-            file = TraceFile(path, self._requested.trace_header(status))
+            file = TraceFile(path, self._requested.trace_header(speech))
         except UserError as error:
             _LOG.error("%s", error)
             return

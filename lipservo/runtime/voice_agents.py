@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from lipservo.access.token_file import read_token
 from lipservo.agents.listener import bind_listener, url_of
 from lipservo.agents.messages import MessageError
+from lipservo.runtime.requested_face import RequestedFace
 from lipservo.runtime.run_request import DEFAULT_LISTEN, VoiceOptions
 from lipservo.runtime.sound import (
     QueueFullError,
@@ -20,7 +21,6 @@ from lipservo.runtime.sound import (
 from lipservo.runtime.speech.performed_line import performed_line
 from lipsync.audio.playout import Playout
 from lipsync.errors import UserError
-from lipsync.face.model import FaceModel
 from lipsync.offline.performance import SUFFIX, read_performance
 
 if TYPE_CHECKING:
@@ -52,14 +52,10 @@ def bound_listener(listen: str | None, token_file: str | None) -> "socket.socket
 def voice_agents(
     listener: "socket.socket | None",
     side: "SpeechSide",
-    options: VoiceOptions | None,
-    model: FaceModel,
-    control_path: Path,
+    requested: RequestedFace,
 ) -> Iterator[str | None]:
-    """Serve voice agents at a listener that is bound; the address. None: nobody is waited for.
-
-    model: of the face, which performances must be rendered for.
-    """
+    """Serve voice agents at a listener that is bound; the address. None: nobody is waited for."""
+    options = requested.request.voice
     if listener is None or side.voice is None or options is None:
         yield None
         return
@@ -75,12 +71,12 @@ def voice_agents(
         yield None
         return
     voice, delay = side.voice, side.speech.delay
-    spoken = _Spoken(voice.playout, options, model)
+    spoken = _Spoken(voice.playout, options, requested)
     url = url_of(listener)
     with AgentServer(
         listener,
         voice.playout,
-        control_path=control_path,
+        control_path=requested.control_path,
         delay_ms=lambda: delay.total_s * 1e3,
         settings=AgentSettings(
             policy=Policy(token, tuple(each for each in options.origins.split(",") if each)),
@@ -98,16 +94,17 @@ def voice_agents(
 class _Spoken:
     """What agents let the face say besides their streams: one queue of all of it."""
 
-    def __init__(self, playout: Playout, options: VoiceOptions, model: FaceModel) -> None:
+    def __init__(self, playout: Playout, options: VoiceOptions, requested: RequestedFace) -> None:
         self._playout = playout
-        self._model = model
+        self._model = requested.face.model  # which performances must be rendered for
+        self._synthesizer = requested.settings.sound.synthesizer
         self._folder = Path(options.sounds or ".").resolve()
         self._queue = SpeechQueue(playout)
 
     def say(self, text: str) -> Mapping[str, object]:
         """A text. Raises SynthesisError, and MessageError where too much waits."""
         self._check_room("text")
-        self._queue.add(spoken_text(text, "", self._playout), "text")
+        self._queue.add(spoken_text(text, "", self._playout, self._synthesizer), "text")
         return {}
 
     def play(self, name: str) -> Mapping[str, object]:

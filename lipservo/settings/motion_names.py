@@ -1,20 +1,16 @@
-"""The names of recognisers and strategies that a person may choose.
+"""The names of strategies, and of recognisers that are compared, that a person may choose.
 
 Apart from what they name, which takes long to load: the command line and the face YAML read them.
 """
 
 from typing import Final, Literal, get_args
 
-#: The best recogniser that is used; energy, the jaw by loudness, is for the smallest computers.
-Engine = Literal["network", "energy"]
 #: What the benchmarks compare; pocketsphinx needs the extra `align`.
 MeasuredEngine = Literal["network", "energy", "pocketsphinx"]
 #: How phonemes become motion: our two, and the two of Wei and Deng.
 Strategy = Literal["expected", "animpho", "priority", "naive"]
 
-ENGINES: Final[tuple[Engine, ...]] = get_args(Engine)
 STRATEGIES: Final[tuple[Strategy, ...]] = get_args(Strategy)
-DEFAULT_ENGINE: Final[Engine] = "network"
 DEFAULT_STRATEGY: Final[Strategy] = "expected"
 #: What each strategy lets its user set; the paper's plays what was recorded, in its own time.
 STYLE_NAMES: Final = ("lookahead_ms", "strength", "smoothness", "unit_share")

@@ -26,9 +26,9 @@ from lipservo.settings.motion_names import (
     STRONGEST,
     STYLE_NAMES,
     STYLES_OF,
-    Engine,
     Strategy,
 )
+from lipsync.plugins import DEFAULT_SYNTHESIZER, RECOGNIZERS, SYNTHESIZERS
 
 Seconds = Annotated[float, within(0.0, 3_600.0)]
 Factor = Annotated[float, within(-1000.0, 1000.0)]
@@ -54,11 +54,13 @@ class SoundSettings(Strict):
 
     output, input: None = the system's default. output_offset_ms: by device name or part of it, how
     much later than the device says sound leaves it; `lipservo calibrate audio` finds it.
+    synthesizer: who speaks texts.
     """
 
     output: Text | None = None
     input: Text | None = None
     output_offset_ms: Mapping[Text, OffsetMs] = Field(default_factory=dict)
+    synthesizer: Annotated[Text, AfterValidator(SYNTHESIZERS.check)] = DEFAULT_SYNTHESIZER
 
 
 #: As browsers send it: lower case, no path, no port where it is the scheme's own.
@@ -197,7 +199,7 @@ class MotionSettings(Strict):
     """
 
     strategy: Strategy | None = None
-    engine: Engine | None = None
+    engine: Annotated[Text, AfterValidator(RECOGNIZERS.check)] | None = None
     weights: Text | None = None
     lookahead_ms: Annotated[float, within(0.0, LONGEST_LOOKAHEAD_MS)] | None = None
     strength: Annotated[float, within(0.0, STRONGEST)] | None = None

@@ -3,26 +3,33 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import (
+    BaseModel,
+    BeforeValidator,
     ConfigDict,
+    Field,
     ModelWrapValidatorHandler,
+    PlainValidator,
+    StringConstraints,
     ValidationError,
     create_model,
     field_validator,
     model_validator,
 )
+from pydantic_core import InitErrorDetails
 
 from firmware_bridge.bus_kinds import BusKind, UnknownBusError, Wiring, bus_kind
 from firmware_bridge.bus_settings import BusServo, BusSettings, Strict, Text, within
-from firmware_bridge.capabilities import BusCapabilities
+from firmware_bridge.capabilities import BusCapabilities, mixed_capabilities
 from firmware_bridge.joints import Joint
+from firmware_bridge.port_names import BUS_NAME, named_ports, ports_text
 from lipservo.settings.sections import (
     AccessSettings,
     AvatarSettings,
@@ -41,6 +48,7 @@ from lipservo.settings.strict_yaml import SettingsError, explain, read_mapping
 from lipsync.errors import shown
 
 _CALIBRATION_SUFFIX = ".calibration.yaml"
+BusName = Annotated[str, StringConstraints(pattern=BUS_NAME)]
 
 
 class ServoSettings(BusServo):
@@ -85,10 +93,15 @@ class FaceSettings(Strict):
     `model_validate` goes by.
     """
 
+    #: What stands under a key whose values differ by their names, for who explains errors.
+    by_name: ClassVar[Mapping[str, Mapping[str, type[BaseModel]]]] = {}
+
     name: Text
     rate_hz: RateHz
     servos: Mapping[JointName, ServoSettings]
     bus: BusSettings = BusSettings()
+    #: Several of them, in place of `bus`; each servo then says its own.
+    buses: Mapping[BusName, BusSettings] = {}
     calibration: CalibrationName | None = None
     prevent: tuple[PreventSettings, ...] = ()
     stale: StaleSettings = StaleSettings()
@@ -141,30 +154,77 @@ class FaceSettings(Strict):
     ) -> Mapping[str, ServoSettings]:
         if not servos:
             raise ValueError("needs at least one servo")
-        first: dict[int, str] = {}
-        errors = [
-            f"{first[servo.address]} and {name} both have {servo.address_key} {servo.address}; "
-            "every servo needs its own"
-            for name, servo in servos.items()
-            if first.setdefault(servo.address, name) != name
-        ]
+        first: dict[tuple[str, int], str] = {}
+        errors = []
+        for name, servo in servos.items():
+            bus = bus_of(servo)
+            before = first.setdefault((bus, servo.address), name)
+            if before != name:
+                errors.append(
+                    f"{before} and {name} both have {servo.address_key} {servo.address}"
+                    f"{bus and f' on bus {bus}'}; every servo needs its own"
+                )
         if errors:
             raise ValueError("\n".join(errors))
         return servos
 
+    @model_validator(mode="after")
+    def _every_bus_is_a_bus_of_its_own(self) -> Self:
+        first: dict[tuple[str, str], str] = {}
+        for name, bus in self.buses.items():
+            if name not in self.bus_of:
+                raise ValueError(f"buses.{name}: no servo says `bus: {name}`; leave it out")
+            if bus.port is None:
+                continue
+            if (other := first.setdefault((bus.port, bus.board), name)) != name:
+                raise ValueError(f"buses {other} and {name} have the same port, {bus.port}")
+        return self
+
+    @property
+    def bus_of(self) -> tuple[str, ...]:
+        """The name of each servo's bus; empty where the face has one bus."""
+        return tuple(map(bus_of, self.servos.values()))
+
     @property
     def servo_port(self) -> str | None:
-        """Where the servos are; None: simulated in memory."""
+        """Where the servos are, of several buses as `port_names` has it; None: in memory."""
+        if self.buses:
+            ports = {name: face.servo_port for name, face in self.alone.items()}
+            return ports_text({name: port for name, port in ports.items() if port is not None})
         return None if self.capabilities.in_memory else self.bus.port
 
     @property
+    def alone(self) -> Mapping[str, Self]:
+        """The servos of each bus as a face of their own, by its name; of one bus this one."""
+        return {name: self.of_bus(name) for name in self.buses} or {"": self}
+
+    def of_bus(self, name: str) -> Self:
+        """The servos of one bus alone, under a name of their own.
+
+        Raises SettingsError for a bus that there is not.
+        """
+        if name not in self.buses:
+            known = ", ".join(self.buses) or "one, without a name"
+            raise SettingsError(f"{self.name}: has no bus {name:.60}; its buses: {known}")
+        servos = {key: each for key, each in self.servos.items() if bus_of(each) == name}
+        called, bus = f"{self.name} {name}", self.buses[name]
+        one = {"name": called, "bus": bus, "buses": {}, "servos": servos, "prevent": ()}
+        return self.model_copy(update=one)
+
+    @property
     def bus_kind(self) -> BusKind:
-        """What opens, simulates and examines its bus."""
+        """What opens, simulates and examines its bus. Raises SettingsError where it has several."""
+        if self.buses:
+            names = ", ".join(self.buses)
+            raise SettingsError(f"{self.name}: has several buses: {names}; say which: --bus NAME")
         return bus_kind(self.bus.kind)
 
     @property
     def capabilities(self) -> BusCapabilities:
         """What its servos can do."""
+        if self.buses:
+            can = {name: face.capabilities for name, face in self.alone.items()}
+            return mixed_capabilities(can, self.bus_of)
         return self.bus_kind.capabilities(self.bus)
 
     @property
@@ -173,10 +233,25 @@ class FaceSettings(Strict):
         return Wiring(self.bus, self.joints(), tuple(self.servos.values()), self.rate_hz)
 
     def at_port(self, port: str) -> Self:
-        """The same face with its servos at a port."""
+        """The same face with its servos at a port; of several buses as `port_names` has it.
+
+        Raises SettingsError where it is not said which bus is there.
+        """
+        if self.buses:
+            return self._at_named_ports(port)
         kind = self.bus_kind.at_port or self.bus.kind
         bus = self.bus.model_copy(update={"kind": kind, "port": port})
         return self.model_copy(update={"bus": bus})
+
+    def _at_named_ports(self, text: str) -> Self:
+        ports = named_ports(text)
+        if ports is None:
+            options = " ".join(f"--port {name}=PORT" for name in self.buses)
+            raise SettingsError(
+                f"--port {text}: {self.name} has several buses: say which is there, {options}"
+            )
+        moved = {name: self.of_bus(name).at_port(port).bus for name, port in ports.items()}
+        return self.model_copy(update={"buses": {**self.buses, **moved}})
 
     @property
     def mouth_servos(self) -> Mapping[str, ServoSettings]:
@@ -216,6 +291,9 @@ def face_schema(content: Mapping[Any, Any]) -> type[FaceSettings]:
 
     For a kind that nobody knows, the servos are those of the default kind.
     """
+    buses = content.get("buses")
+    if isinstance(buses, Mapping) and buses:
+        return _schema_of_several(_kinds_of(buses))
     bus = content.get("bus", BusSettings())
     kind = bus.get("kind", BusSettings().kind) if isinstance(bus, Mapping) else bus
     return _schema(kind.kind if isinstance(kind, BusSettings) else kind)
@@ -232,7 +310,7 @@ def _schema(kind: object) -> type[FaceSettings]:
 @cache
 def _schema_of(kind: BusKind) -> type[FaceSettings]:
     bus = kind.settings
-    servo = create_model("ServoSettings", __base__=(ServoSettings, kind.servo))
+    servo = _servo_of(kind)
     needs_keys = any(field.is_required() for field in bus.model_fields.values())
     return create_model(
         "FaceSettings",
@@ -240,6 +318,115 @@ def _schema_of(kind: BusKind) -> type[FaceSettings]:
         servos=(Mapping[JointName, servo], ...),  # type: ignore[valid-type]
         bus=(bus, ... if needs_keys else bus()),
     )
+
+
+@cache
+def _servo_of(kind: BusKind) -> Any:
+    return create_model("ServoSettings", __base__=(ServoSettings, kind.servo))
+
+
+class _ServoOfUnknownBus(ServoSettings):
+    """A servo whose other keys cannot be judged."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    @property
+    def address(self) -> int:
+        """Another for each."""
+        return id(self)
+
+
+_Kinds = tuple[tuple[Any, BusKind | None], ...]
+
+
+def _kinds_of(buses: Mapping[Any, Any]) -> _Kinds:
+    return tuple((name, _kind_of(bus)) for name, bus in buses.items())
+
+
+@cache
+def _servos_of_several(kinds: _Kinds) -> Mapping[Any, type[BaseModel]]:
+    """What may stand under a servo, by the name of its bus."""
+    return {
+        name: _ServoOfUnknownBus
+        if kind is None
+        else create_model("ServoSettings", __base__=_servo_of(kind), bus=(str, ...))
+        for name, kind in kinds
+    }
+
+
+@cache
+def _schema_of_several(kinds: _Kinds) -> type[FaceSettings]:
+    """Each bus as its kind has it, each servo as the kind of its bus has it."""
+    known = _servos_of_several(kinds)
+
+    def servo_of(value: object) -> BaseModel:
+        name = bus_of(value)
+        if isinstance(value, Mapping) and name not in known:
+            raise _no_bus(value, name, list(map(str, known)))
+        return known.get(name, ServoSettings).model_validate(value)
+
+    def bus_by_kind(value: object) -> BaseModel:
+        return _settings_of(_kind_of(value)).model_validate(value)
+
+    def refuse_bus(_value: object) -> object:
+        raise ValueError("this face has `buses:`; leave this out, or the other")
+
+    return create_model(
+        "FaceSettings",
+        __base__=FaceSettings,
+        servos=(Mapping[JointName, Annotated[Any, PlainValidator(servo_of)]], ...),
+        buses=(Mapping[BusName, Annotated[Any, PlainValidator(bus_by_kind)]], ...),
+        bus=(
+            Annotated[BusSettings, BeforeValidator(refuse_bus)],
+            Field(default=BusSettings(), exclude=True),
+        ),
+    )
+
+
+def _explaining(schema: type[FaceSettings], content: Mapping[Any, Any]) -> type[FaceSettings]:
+    """The schema of one content, with the keys that each of its servos and buses may have."""
+    buses, servos = content.get("buses"), content.get("servos")
+    if not isinstance(buses, Mapping) or not isinstance(servos, Mapping):
+        return schema
+    kinds = _kinds_of(buses)
+    known = _servos_of_several(kinds)
+    explained = create_model("FaceSettings", __base__=schema)
+    explained.by_name = {
+        "servos": {name: known.get(bus_of(servo), ServoSettings) for name, servo in servos.items()},
+        "buses": {name: _settings_of(kind) for name, kind in kinds},
+    }
+    return explained
+
+
+def _settings_of(kind: BusKind | None) -> type[BusSettings]:
+    return _UnknownBus if kind is None else kind.settings
+
+
+def bus_of(servo: object) -> str:
+    """What a servo, read or not, says of its bus; empty: nothing."""
+    said = servo.get("bus") if isinstance(servo, Mapping) else getattr(servo, "bus", None)
+    return said if isinstance(said, str) else ""
+
+
+def _kind_of(bus: object) -> BusKind | None:
+    """The kind of a bus, read or not; None: it is not known."""
+    default = BusSettings().kind
+    kind = bus.get("kind", default) if isinstance(bus, Mapping) else getattr(bus, "kind", default)
+    try:
+        return bus_kind(kind) if isinstance(kind, str) else None
+    except UnknownBusError:
+        return None
+
+
+def _no_bus(servo: Mapping[Any, Any], name: str, known: Sequence[str]) -> ValidationError:
+    """Of a servo that does not say its bus, or one that there is not."""
+    buses = f"the buses of this face: {', '.join(known)}"
+    said = servo.get("bus")
+    why = f"is missing; {buses}" if said is None else f"{shown(said)} is not one of {buses}"
+    line = InitErrorDetails(
+        type="value_error", loc=("bus",), input=name, ctx={"error": ValueError(why)}
+    )
+    return ValidationError.from_exception_data("ServoSettings", [line])
 
 
 def load_face(path: Path) -> FaceSettings:
@@ -291,7 +478,8 @@ def parse_face(text: str, file_name: str) -> FaceSettings:
     try:
         return schema.model_validate(content)
     except ValidationError as error:
-        raise SettingsError("\n".join(explain(error, schema, file_name))) from error
+        lines = explain(error, _explaining(schema, content), file_name)
+        raise SettingsError("\n".join(lines)) from error
 
 
 def _load(file: Traversable) -> FaceSettings:

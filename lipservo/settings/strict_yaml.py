@@ -194,4 +194,7 @@ def _keys_at(path: tuple[int | str, ...], kind: object) -> list[str]:
         return _keys_at(path[1:], next(each for each in get_args(kind)[::-1] if each is not ...))
     if not path:
         return list(kind.model_fields)
+    by_name = getattr(kind, "by_name", {}).get(path[0])
+    if by_name is not None:  # a mapping whose values differ
+        return _keys_at(path[2:], by_name[path[1]])
     return _keys_at(path[1:], kind.model_fields[str(path[0])].annotation)

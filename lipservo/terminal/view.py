@@ -200,14 +200,14 @@ class TerminalView:
             return Text(self._title)
         torque = "" if tick.report.torque_on else "   torque off"
         title = Text(self._title + torque, style="bold")
-        status = self._status
-        fallback = f", fallback {status.fallback_level}" if status.fallback_level else ""
-        motion = Text(f"{status.strategy}, {status.recognizer}{fallback}", style="dim")
+        speech = self._status.speech
+        fallback = f", fallback {speech.fallback_level}" if speech.fallback_level else ""
+        motion = Text(f"{speech.strategy}, {speech.recognizer}{fallback}", style="dim")
         return Group(title, motion, self._head(tick), self._face(tick))
 
     @property
     def _title(self) -> str:
-        return f"{self._status.sound} -> {self._status.name}"
+        return f"{self._status.speech.sound} -> {self._status.bridge.name}"
 
     def _head(self, tick: StreetTick) -> Table:
         gap_mm = self._model.lip_gap_mm(tick.coefficients)

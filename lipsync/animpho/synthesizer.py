@@ -22,7 +22,7 @@ from lipsync.animpho.trajectory import (
 )
 from lipsync.animpho.units import AnimPhoUnits
 from lipsync.arrays import Array
-from lipsync.expectation.context import PhonemeTrack, track_of
+from lipsync.expectation.expectation import PhonemeTrack, track_of
 from lipsync.face.frame import Frame
 from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate, stand_in
 from lipsync.timeline import PhonemeTimeline

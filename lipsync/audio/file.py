@@ -15,7 +15,8 @@ import math
 import os
 import re
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
 from os import PathLike
@@ -124,7 +125,6 @@ def _refuse_odd_settings(path: Path, sound: soundfile.SoundFile) -> None:
 
 
 Samples = NDArray[np.float32]
-Warn = Callable[[str], None]
 
 #: Files are decoded in pieces this long, so that hours of sound need no more memory than seconds.
 CHUNK_S = 1.0
@@ -138,20 +138,17 @@ _SEEKS_EXACTLY = {"WAV", "WAVEX", "RF64", "W64", "AIFF", "AU", "CAF", "FLAC"}
 _RUN_IN_S = 0.25
 
 
-def ignore(_line: str) -> None:
-    """Take a warning that another reader of the same file passes on."""
-
-
 @lru_cache(maxsize=256)
-def log_warning(line: str) -> None:
-    """Log a warning about a file: once, although most files are opened more than once."""
-    _LOG.warning("%s", line)
+def log_once(line: str) -> None:
+    """Warn of a file, unless the line is empty: once, although most files are opened again."""
+    if line:
+        _LOG.warning("%s", line)
 
 
-def read_sound(path: str | PathLike[str], warn: Warn = log_warning) -> tuple[Samples, int]:
+def read_sound(path: str | PathLike[str]) -> tuple[Samples, int]:
     """The whole file as samples (n,) float32 mono in [-1, 1], and its own sample rate in hertz.
 
-    `warn` gets one line where the file is shorter than its header says. Raises SoundError for what
+    Logs a line where the file is shorter than its header says. Raises SoundError for what
     `FileSource` refuses, here wherever in the file it is.
     """
     path = Path(path)
@@ -159,19 +156,45 @@ def read_sound(path: str | PathLike[str], warn: Warn = log_warning) -> tuple[Sam
         samples = np.concatenate([np.zeros(0, np.float32), *_mono_chunks(path, sound)])
         sample_rate_hz = int(sound.samplerate)
         _refuse_nothing(path, len(samples) / sample_rate_hz, bool(np.any(samples)))
-        _tell_cut_short(path, sound, len(samples), warn)
+        log_once(_cut_short(path, sound, len(samples)))
     return samples, sample_rate_hz
 
 
-def checked_sound(path: str | PathLike[str], warn: Warn = log_warning) -> tuple[int, float]:
-    """A file's own sample rate, in hertz, and its length in seconds, to the nearest at 16 kHz.
+@dataclass(frozen=True, slots=True)
+class CheckedSound:
+    """A file's own sample rate, and its length, to the nearest sample at 16 kHz.
 
-    After the checks of `FileSource`. Raises SoundError.
+    warning: a line where it is shorter than its header says, else empty.
     """
-    path = Path(path)
-    duration_s = _checked_duration_s(path, warn)
+
+    sample_rate_hz: int
+    duration_s: float
+    warning: str
+
+
+def checked_sound(path: Path) -> CheckedSound:
+    """Decode a file's beginning, as `FileSource` does. Raises SoundError."""
+    n_frames, has_sound = 0, False
     with open_sound(path) as sound:
-        return int(sound.samplerate), duration_s
+        for chunk in _mono_chunks(path, sound):
+            n_frames += len(chunk)
+            has_sound = has_sound or bool(np.any(chunk))
+            if n_frames >= CHECKED_S * sound.samplerate:
+                n_frames = sound.frames
+                has_sound = True  # or not yet: a minute of silence before speech is allowed
+                break
+        rate_hz = int(sound.samplerate)
+        duration_s = n_frames / float(rate_hz)
+        _refuse_nothing(path, duration_s, has_sound)
+        warning = _cut_short(path, sound, n_frames)
+    if duration_s > LONGEST_S:
+        raise SoundError(
+            f"{path}: its header does not say how long it is, or more than "
+            f"{LONGEST_S / 3600:.0f} hours; convert it, with `ffmpeg -i IN OUT.wav` for one"
+        )
+    # The resampler rounds a half up; `round` would round it to even.
+    duration_s = math.floor(duration_s * SAMPLE_RATE_HZ + 0.5) / SAMPLE_RATE_HZ
+    return CheckedSound(rate_hz, duration_s, warning)
 
 
 def sound_chunks(path: str | PathLike[str], start_s: float = 0.0) -> Iterator[Samples]:
@@ -197,19 +220,18 @@ class FileSource:
 
     is_live = False
 
-    def __init__(
-        self, path: str | PathLike[str], *, start_s: float = 0.0, warn: Warn = log_warning
-    ) -> None:
+    def __init__(self, path: str | PathLike[str], *, start_s: float = 0.0) -> None:
         """Begin at the block that holds sound time `start_s`; times stay those of the file.
 
         The samples are those of a source that began at 0 (to rounding, where it is resampled); what
         lies before is passed over without decoding, but for Ogg and MP3, which have to be decoded.
-        warn: gets a line where the file is shorter than its header says, now, and what was wrong
-        with the sound that was played, when the source is left.
+        Logs a line where the file is shorter than its header says, now, and what was wrong with
+        the sound that was played, when the source is left.
         """
         self._path = Path(path)
-        self._warn = warn
-        self._duration_s = _checked_duration_s(self._path, warn)
+        checked = checked_sound(self._path)
+        log_once(checked.warning)
+        self._duration_s = checked.duration_s
         self._n_left = round(self._duration_s * SAMPLE_RATE_HZ)
         first = math.floor(max(0.0, start_s) * SAMPLE_RATE_HZ + 1e-3)
         first = min(first // BLOCK_SAMPLES * BLOCK_SAMPLES, self._n_left)
@@ -253,7 +275,7 @@ class FileSource:
     def __exit__(self, *exc: object) -> None:
         self._chunks = None
         if self._trouble:
-            self._warn(f"{self._path}: {self._trouble}")
+            log_once(f"{self._path}: {self._trouble}")
 
     def _speech_chunks(self, first: int) -> Iterator[Samples]:
         """From sample `first` at 16 kHz on, in pieces (n,) of any length, and silence for ever."""
@@ -371,38 +393,16 @@ def _mono(chunk: Samples) -> Samples:
     return mono
 
 
-def _checked_duration_s(path: Path, warn: Warn) -> float:
-    """Decode the file's beginning; its length in whole samples at 16 kHz, in s, or SoundError."""
-    n_frames, has_sound = 0, False
-    with open_sound(path) as sound:
-        for chunk in _mono_chunks(path, sound):
-            n_frames += len(chunk)
-            has_sound = has_sound or bool(np.any(chunk))
-            if n_frames >= CHECKED_S * sound.samplerate:
-                n_frames = sound.frames
-                has_sound = True  # or not yet: a minute of silence before speech is allowed
-                break
-        duration_s = n_frames / float(sound.samplerate)
-        _refuse_nothing(path, duration_s, has_sound)
-        _tell_cut_short(path, sound, n_frames, warn)
-    if duration_s > LONGEST_S:
-        raise SoundError(
-            f"{path}: its header does not say how long it is, or more than "
-            f"{LONGEST_S / 3600:.0f} hours; convert it, with `ffmpeg -i IN OUT.wav` for one"
-        )
-    # The resampler rounds a half up; `round` would round it to even.
-    return math.floor(duration_s * SAMPLE_RATE_HZ + 0.5) / SAMPLE_RATE_HZ
-
-
-def _tell_cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int, warn: Warn) -> None:
+def _cut_short(path: Path, sound: soundfile.SoundFile, n_frames: int) -> str:
     holds_s = n_frames / sound.samplerate
     says_s = promised_s(sound) or sound.frames / sound.samplerate
     # A compressed file's header counts in frames of up to a tenth of a second.
-    if holds_s + 0.1 < says_s < LONGEST_S:
-        warn(
-            f"{path}: cut short: its header promises {says_s:.2f} s, the file holds "
-            f"{holds_s:.2f} s; what is there is used"
-        )
+    if not holds_s + 0.1 < says_s < LONGEST_S:
+        return ""
+    return (
+        f"{path}: cut short: its header promises {says_s:.2f} s, the file holds {holds_s:.2f} s; "
+        "what is there is used"
+    )
 
 
 def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
@@ -419,9 +419,9 @@ def _refuse_nothing(path: Path, duration_s: float, has_sound: bool) -> None:
         )
 
 
-def read_speech(path: Path, warn: Warn = log_warning) -> NDArray[np.float32]:
+def read_speech(path: Path) -> NDArray[np.float32]:
     """The file as samples (n,) float32 mono in [-1, 1] at 16 kHz; else as `read_sound`."""
-    samples, rate_hz = read_sound(path, warn)
+    samples, rate_hz = read_sound(path)
     if rate_hz == SAMPLE_RATE_HZ:
         return samples
     resampled: NDArray[np.float32] = soxr.resample(samples, rate_hz, SAMPLE_RATE_HZ)

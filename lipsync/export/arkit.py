@@ -17,7 +17,7 @@ from lipsync.arrays import Array
 from lipsync.errors import UserError
 from lipsync.face.frame import NO_EXPRESSION, Expression, Frame
 from lipsync.face.model import FaceModel
-from lipsync.motion.closures import BILABIAL_GAP_MM
+from lipsync.motion.finishing import BILABIAL_GAP_MM
 
 #: Each measure is a sum over points of weight times axis (0 to the speaker's left, 1 up).
 #: Landmarks are those of the usual face mesh: 61 and 291 the corners right and left, 37 and 267

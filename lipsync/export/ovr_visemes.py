@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lipsync.arrays import Array
-from lipsync.motion.closures import BILABIALS, CLOSING_S, HOLD_S, LABIODENTALS, PARTING_S
+from lipsync.motion.finishing import BILABIALS, CLOSING_S, HOLD_S, LABIODENTALS, PARTING_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent
 
 OVR_NAMES = ("sil", "PP", "FF", "TH", "DD", "kk", "CH", "SS", "nn", "RR", "aa", "E", "ih", "oh",

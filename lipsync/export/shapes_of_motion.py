@@ -10,7 +10,7 @@ from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, FaceWithAnimPhos
 from lipsync.arrays import Array
 from lipsync.export.arkit import GAP, MEASURES, LipMeasures
 from lipsync.export.mouth_cues import CENTISECOND_S, MouthCue, Shape, centiseconds, joined
-from lipsync.motion.closures import BILABIAL_GAP_MM
+from lipsync.motion.finishing import BILABIAL_GAP_MM
 from lipsync.phonemes import stand_in
 
 #: The phones whose recorded mouths are the drawing of a shape, as Rhubarb's README names them.

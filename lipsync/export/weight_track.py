@@ -109,8 +109,6 @@ def _csv(rows: Sequence[Sequence[str]]) -> str:
     return "".join(",".join(row) + "\n" for row in rows)
 
 
-#: The port that Unreal Engine listens on.
-LIVE_LINK_PORT = 11111
 _VERSION = 6
 _N_FLOATS, _N_ROTATIONS = 61, 9
 _RATE_HZ = 60
@@ -139,8 +137,6 @@ def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
 
 
 _VALUE, _APPLY = "/VMC/Ext/Blend/Val", "/VMC/Ext/Blend/Apply"
-#: The receivers' port in the VMC protocol.
-VMC_PORT = 39539
 #: "Immediately", section "OSC Bundles".
 _BUNDLE_HEAD = b"#bundle\x00" + struct.pack(">Q", 1)
 #: A datagram of this size passes an Ethernet unbroken (1500 bytes less IPv6's and UDP's headers).

@@ -69,8 +69,8 @@ def frame_alone(frame: Frame) -> FaceWindow:
     return FaceWindow(_NOW, frame.coefficients[None], _OPEN, frame.coefficients)
 
 
-class Synthesizer(Protocol):
-    """Phonemes in, frames out. What wraps a synthesiser is one itself."""
+class Motion(Protocol):
+    """Phonemes in, frames out."""
 
     @property
     def phonemes_planned(self) -> int:
@@ -92,8 +92,12 @@ class Synthesizer(Protocol):
         Times ascend, but for a step back of half a second at most.
         """
 
-    def window_after(self, frame: Frame) -> FaceWindow:
-        """What is expected after the newest frame by all that is known; decides nothing."""
-
     def event_at(self, time_s: float) -> PhonemeEvent | None:
         """The phoneme believed at a time, for displays."""
+
+
+class Synthesizer(Motion, Protocol):
+    """Motion that says what is expected next. What wraps a synthesiser is one itself."""
+
+    def window_after(self, frame: Frame) -> FaceWindow:
+        """What is expected after the newest frame by all that is known; decides nothing."""

@@ -25,8 +25,7 @@ from lipsync.animpho.trajectory import (
 )
 from lipsync.animpho.units import SAMPLES_PER_ANIMPHO, AnimPhoUnits
 from lipsync.arrays import Array
-from lipsync.expectation.context import PhonemeTrack, context_at, track_of
-from lipsync.expectation.expectation import Expectation
+from lipsync.expectation.expectation import Expectation, PhonemeTrack, context_at, track_of
 from lipsync.motion.tick_plan import PAUSE_S, RESTING_S, TICK_S, TickPlan
 from lipsync.phonemes import PHONEMES, SILENCE, stand_in
 

@@ -13,18 +13,16 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from lipsync.arrays import Array
-from lipsync.expectation.context import PhonemeTrack, contexts, track_of
-from lipsync.expectation.expectation import Expectation
+from lipsync.expectation.expectation import Expectation, PhonemeTrack, contexts, track_of
 from lipsync.face.frame import Frame
 from lipsync.face.model import FaceModel
-from lipsync.motion.live_synthesizer import (
-    LEAD,
+from lipsync.motion.finishing import (
     LONGEST_LOOKAHEAD_S,
     USED_LOOKAHEAD_S,
     FinishedSynthesizer,
-    LiveSynthesizer,
     Style,
 )
+from lipsync.motion.live_synthesizer import LEAD, LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.offline_model import OfflineModel, at_times, cepstra
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate

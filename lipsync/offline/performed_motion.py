@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from lipsync.arrays import Array
 from lipsync.face.frame import NO_EXPRESSION, Expression, FaceWindow, Frame, Synthesizer
-from lipsync.motion.closures import LipGap
+from lipsync.motion.finishing import LipGap
 from lipsync.offline.performance import RATE_HZ, Performance
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 

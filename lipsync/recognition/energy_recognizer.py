@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
-from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate
+from lipsync.phonemes import SILENCE, PhonemeEvent, PhonemeUpdate, RecognizerKind
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
 from lipsync.recognition.voice_activity import FRAMES_PER_S, VoiceActivityDetector, level_db
 
@@ -69,6 +69,9 @@ class EnergyRecognizer:
             self._heard.append(phoneme)
             self._n_heard += 1
         self._waiting = self._waiting[n_whole:].copy()
+
+
+ENERGY = RecognizerKind(lambda _weights, _latency_s: EnergyRecognizer(), LATENCY_S)
 
 
 class NeutralRecognizer:

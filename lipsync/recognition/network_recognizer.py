@@ -8,7 +8,7 @@ import numpy as np
 
 from lipsync.arrays import Array, Array32
 from lipsync.audio_block import AudioBlock
-from lipsync.phonemes import PHONEMES, Hearing, PhonemeUpdate
+from lipsync.phonemes import PHONEMES, Hearing, PhonemeUpdate, RecognizerKind
 from lipsync.pronunciation import PronouncedWord
 from lipsync.recognition.decoder import (
     QUICK,
@@ -18,7 +18,7 @@ from lipsync.recognition.decoder import (
     ViterbiDecoder,
 )
 from lipsync.recognition.features import FRAMES_PER_S, HOP, WINDOW
-from lipsync.recognition.network import LATENCY_S, NetworkWeights
+from lipsync.recognition.network import LATENCY_S, NetworkWeights, find_weights
 from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
@@ -231,3 +231,10 @@ def frames_of_delay(latency_s: float) -> int:
 def _n_frames(n_samples: int) -> int:
     """Whole windows in so many samples."""
     return max(0, (n_samples - WINDOW) // HOP + 1)
+
+
+def _shipped_or_file(weights: str, latency_s: float) -> NetworkRecognizer:
+    return NetworkRecognizer(find_weights(weights), latency_s)
+
+
+NETWORK = RecognizerKind(_shipped_or_file)

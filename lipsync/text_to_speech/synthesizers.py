@@ -1,13 +1,10 @@
 """The speech synthesisers by name, and long texts sentence by sentence."""
 
-from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Iterator
 
-from lipsync.text_to_speech.espeak import Espeak
-from lipsync.text_to_speech.flite import Flite
+from lipsync.plugins import DEFAULT_SYNTHESIZER, SYNTHESIZERS
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
-    SynthesisError,
     SynthesizedSpeech,
     Synthesizer,
     UnspeakableTextError,
@@ -18,16 +15,14 @@ from lipsync.text_to_speech.synthesis import (
 #: A sentence longer than this, in characters, is cut: 25 s of speech.
 LONGEST_PIECE = 400
 
-SYNTHESIZERS: Mapping[str, Callable[[], Synthesizer]] = MappingProxyType(
-    {"espeak": Espeak, "flite": Flite}
-)
 
+def synthesizer_for(name: str = DEFAULT_SYNTHESIZER) -> Synthesizer:
+    """One of `lipsync.plugins.SYNTHESIZERS`.
 
-def synthesizer_for(name: str = "espeak") -> Synthesizer:
-    """One of `SYNTHESIZERS`. Raises SynthesisError for another, and where it is not installed."""
-    if name not in SYNTHESIZERS:
-        raise SynthesisError(f"no synthesiser {name!r}; there are: {', '.join(SYNTHESIZERS)}")
-    return SYNTHESIZERS[name]()
+    Raises PluginError for another, and SynthesisError where what it needs is not installed.
+    """
+    synthesizer: Synthesizer = SYNTHESIZERS.load(name)()
+    return synthesizer
 
 
 def speak_in_pieces(

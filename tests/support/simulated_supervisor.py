@@ -13,8 +13,9 @@ from firmware_bridge.process.child import HeartbeatMonitor, HeartbeatTimeouts
 from firmware_bridge.process.control_socket import ControlSocket
 from firmware_bridge.process.operating_system import ServiceNotice
 from firmware_bridge.process.supervisor import SupervisedServos, Supervisor
-from firmware_bridge.process.torque_release import TorqueRelease
+from firmware_bridge.process.torque_release import FaceRelease, TorqueRelease
 
+NAMES = {1: "jaw", 2: "left", 3: "right"}
 #: A round of the loop, as long as it waits at most.
 ROUND_S = 0.05
 
@@ -81,18 +82,18 @@ class SupervisedFace:
             self.bridge,
             self.speech,
             self.control,
-            SupervisedServos(
-                {1: "jaw", 2: "left", 3: "right"},
-                lambda timeout_s: TorqueRelease(
-                    self._open, [1, 2, 3], timeout_s=timeout_s, now_s=self.clock.now
-                ),
-                capabilities,
-            ),
+            SupervisedServos(dict.fromkeys(NAMES.values(), capabilities), self._release),
             notice=ServiceNotice(self.clock.now),
             record=record,
         )
         self.n_signals = 0
         self.hold()
+
+    def _release(self, timeout_s):
+        now_s = self.clock.now
+        return FaceRelease(
+            [(TorqueRelease(self._open, list(NAMES), timeout_s=timeout_s, now_s=now_s), NAMES)]
+        )
 
     def _open(self):
         if self.unplugged:

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.arrays import Array
-from lipsync.expectation.context import SLOTS, UNKNOWN
-from lipsync.expectation.expectation import timing_features
+from lipsync.expectation.expectation import SLOTS, UNKNOWN, timing_features
 from lipsync.face.model import ModelFile
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from pathlib import Path
 
-from lipservo.settings.motion_names import DEFAULT_ENGINE, MeasuredEngine
+from lipservo.settings.motion_names import MeasuredEngine
 from lipservo_lab.bench.hearing.recognizer_bench import measured_recognizer
 from lipservo_lab.corpus.utterance import Corpus, Utterance, speech_frames
 from lipservo_lab.evaluation.motion.methods import (
@@ -278,7 +278,7 @@ def _miss_rate(
 
 
 def live_listener(
-    engine: MeasuredEngine = DEFAULT_ENGINE, *, with_text: bool = False
+    engine: MeasuredEngine = "network", *, with_text: bool = False
 ) -> Callable[[Utterance], Heard]:
     """What a live recogniser finds in a sentence's sound; made when the first is asked for.
 

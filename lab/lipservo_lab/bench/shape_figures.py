@@ -25,7 +25,7 @@ from lipsync.export.shapes_of_motion import (
     shape_prototypes,
 )
 from lipsync.markers import CLOSED_GAP_MM
-from lipsync.motion.closures import BILABIALS
+from lipsync.motion.finishing import BILABIALS
 from lipsync.phonemes import SILENCE, PhonemeEvent
 
 if TYPE_CHECKING:

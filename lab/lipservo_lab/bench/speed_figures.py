@@ -18,7 +18,6 @@ import soundfile
 from firmware_bridge.clock import ManualClock
 from lipservo.commands.options import DEFAULT_FACE
 from lipservo.runtime.face_runtime import run_face
-from lipservo.runtime.motion_options import make_recognizer
 from lipservo.runtime.run_request import RunRequest, Sound
 from lipservo.runtime.sound import open_sound
 from lipsync.animpho.selection import STRATEGIES
@@ -28,6 +27,7 @@ from lipsync.audio.file import FileSource
 from lipsync.audio.source import SilenceAfter
 from lipsync.audio_block import BLOCK_S
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
+from lipsync.recognition.recognizers import make_recognizer
 from lipsync.recognition.streaming import RecognizerStream, SoundAhead
 
 #: Each recording is replayed so often; the median counts, as machines are shared.

@@ -16,7 +16,8 @@ import numpy as np
 from lipsync.arrays import Array
 from lipsync.expectation.expectation import read_expectation
 from lipsync.face.model import FaceModel, open_model, read_face
-from lipsync.motion.live_synthesizer import USED_LOOKAHEAD_S, LiveSynthesizer, Style
+from lipsync.motion.finishing import USED_LOOKAHEAD_S, Style
+from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 

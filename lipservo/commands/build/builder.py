@@ -113,8 +113,8 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
 
 
 def _finish(moved: "Moved", joints: Iterable[str]) -> None:
-    where = "stands at" if moved.is_measured else "was sent to"
     for joint in joints:
+        where = "stands at" if moved.is_measured[joint] else "was sent to"
         RESULTS.print(f"{joint} {where} {moved.reached_deg[joint]:.1f} deg")
     status = exit_status(moved.report, None)
     if status:

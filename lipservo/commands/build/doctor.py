@@ -1,9 +1,36 @@
 """`doctor`: what is wrong between computer and servos, and what to do."""
 
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import typer
+
+from firmware_bridge.errors import BusError
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Port, port_of
 from lipservo.terminal.output import RESULTS, print_json
+
+if TYPE_CHECKING:
+    from firmware_bridge.bus_kinds import Finding
+    from lipservo.settings.settings import FaceSettings
+
+
+def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
+    """What is found on each bus; where it cannot be reached, that too, and the next is examined."""
+    from firmware_bridge.bus_kinds import Finding, Severity
+
+    if not settings.buses:
+        yield from settings.bus_kind.examine(settings.wiring)
+    for name, one in settings.alone.items() if settings.buses else ():
+        if one.servo_port is None:
+            yield Finding(Severity.GOOD, f"{name}: simulated in memory")
+            continue
+        try:
+            for each in one.bus_kind.examine(one.wiring):
+                yield replace(each, what=f"{name}: {each.what}")
+        except BusError as error:
+            yield Finding(Severity.BAD, f"{name}: {error}")
 
 
 def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = False) -> None:
@@ -15,9 +42,9 @@ def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = Fal
     from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
-    settings = settings.at_port(port_of(port, settings.bus.port))
+    settings = settings.at_port(port_of(port, settings.servo_port or settings.bus.port))
     findings = []
-    for finding in settings.bus_kind.examine(settings.wiring):
+    for finding in _examined(settings):
         findings.append(finding)
         if not as_json:
             mark = {0: "ok  ", 1: "warn", 2: "BAD "}[finding.severity]

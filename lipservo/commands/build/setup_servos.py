@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from firmware_bridge.errors import BusError
-from lipservo.commands.options import DEFAULT_FACE, Config, Json, Port, port_of
+from lipservo.commands.options import DEFAULT_FACE, Bus, Config, Json, Port, port_of
 from lipservo.terminal.output import RESULTS, complain, print_json
 from lipsync.errors import UserError
 
@@ -51,6 +51,7 @@ def setup_servos(
     ] = None,
     port: Port = None,
     config: Config = DEFAULT_FACE,
+    bus: Bus = None,
     dry_run: Annotated[bool, typer.Option(help="Only list what would be changed.")] = False,
     as_json: Json = False,
 ) -> None:
@@ -63,6 +64,8 @@ def setup_servos(
     from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
+    if bus is not None:
+        settings = settings.of_bus(bus)
     tools = settings.bus_kind.workshop()
     servos = tools.servos_by_joint(settings.wiring)
     unknown = [name for name in joints or () if name not in servos]

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from lipservo.commands.options import Bus
 from lipsync.errors import UserError
 
 #: Characters.
@@ -22,6 +23,7 @@ def sim_bus(
         str | None,
         typer.Option(help="Simulate the servos of this face.", show_default=False),
     ] = None,
+    bus: Bus = None,
     kind: Annotated[
         str, typer.Option(help="Which kind of bus, without --config: dynamixel or maestro.")
     ] = _SIMULATED,
@@ -63,6 +65,8 @@ def sim_bus(
     from lipservo.runtime.servos.assembly import load_settings
 
     face = None if config is None else load_settings(config)[0]
+    if face is not None and bus is not None:
+        face = face.of_bus(bus)
     simulator = (bus_kind(kind) if face is None else face.bus_kind).simulator()
     script = None if faults is None else _script(faults)
     try:

@@ -134,11 +134,11 @@ def recognize(
     """
     if (sound is None) == (mic is None):
         raise typer.BadParameter("give a sound file or --mic")
-    from lipservo.runtime.motion_options import make_recognizer
     from lipservo.runtime.run_request import DEFAULT_MICROPHONE
     from lipservo.runtime.settled_phonemes import settled_events
     from lipservo.runtime.sound import open_microphone
     from lipsync.audio.file import FileSource
+    from lipsync.recognition.recognizers import make_recognizer
 
     check_weights(weights)
     if output is not None:

@@ -11,7 +11,6 @@ import typer
 
 from firmware_bridge.process.runtime_folder import socket_path
 from lipservo.access.token_file import read_token
-from lipservo.commands.run.dashboard import check_dashboard
 from lipservo.runtime.run_request import RunRequest, VoiceOptions
 from lipservo.runtime.servos.assembly import load_settings
 from lipservo.terminal.output import MESSAGES
@@ -38,6 +37,8 @@ def dashboard_beside(
 
     token_file: from `access_file`.
     """
+    from lipservo.commands.run.dashboard import check_dashboard
+
     check_dashboard()
     from lipservo.dashboard.child import address_of, bound_dashboard, dashboard_child
 

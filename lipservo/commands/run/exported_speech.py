@@ -11,7 +11,6 @@ from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.runtime.motion_options import (
     ChosenMotion,
     MotionOptions,
-    make_recognizer,
     make_synthesizer,
     motion_options,
 )
@@ -44,6 +43,7 @@ from lipsync.export.weight_track import (
 from lipsync.face.frame import Frame
 from lipsync.face.model import load_face
 from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.recognizers import make_recognizer
 from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
 
 

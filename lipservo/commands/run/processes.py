@@ -2,7 +2,6 @@
 
 import signal
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,7 +19,6 @@ def bridge_process(
     channel: Fd,
     lifeline: Fd,
     control: Fd,
-    control_path: Annotated[Path, typer.Option(hidden=True)],
     board: Fd,
     live: Fd,
     request: Request,
@@ -38,7 +36,7 @@ def bridge_process(
 
     status = run_bridge_process(
         request_of_json(request),
-        Handed(channel, board, live, control_path, alive),
+        Handed(channel, board, live, alive),
         control,
         stopped=None if stopped is None else StopRequest(stopped, stopped_by),
         given_up=dict(_failed_servos(failed or ())),
@@ -53,7 +51,6 @@ def speech_process(
     board: Fd,
     live: Fd,
     request: Request,
-    control_path: Annotated[Path, typer.Option(hidden=True)],
     agents: Annotated[int | None, typer.Option(hidden=True)] = None,
     zero_s: float | None = None,
 ) -> None:
@@ -68,7 +65,7 @@ def speech_process(
     from lipservo.runtime.processes import Handed, run_speech_process
     from lipservo.runtime.run_request import request_of_json
 
-    handed = Handed(channel, board, live, control_path, alive)
+    handed = Handed(channel, board, live, alive)
     run_speech_process(request_of_json(request), handed, agents, zero_s)
 
 

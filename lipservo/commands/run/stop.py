@@ -11,6 +11,7 @@ from typing import Annotated, Any, Final
 
 import typer
 
+from firmware_bridge.port_names import ports_in
 from firmware_bridge.process.control_client import RunningFace, ask, running_faces, start_face
 from firmware_bridge.process.logs import face_logs
 from firmware_bridge.process.port_holders import holders_of
@@ -178,9 +179,11 @@ def limp(
         if port is None:
             raise UserError(f"{config}: names no port; add --port PORT")
         settings = settings.at_port(port)
-    if unless_held and port is not None and (held_by := holders_of(port)):
-        sys.stderr.write(f"{port}: held by process {held_by[0]}, and left alone\n")
-        return
+    if unless_held and port is not None:
+        held_by = [pid for each in ports_in(port) for pid in holders_of(each)]
+        if held_by:
+            sys.stderr.write(f"{port}: held by process {held_by[0]}, and left alone\n")
+            return
     faces = running_faces()
     if port is not None:
         faces = faces_at(port, faces)
@@ -211,7 +214,8 @@ def _state(status: dict[str, Any]) -> str:
     report = status.get("stop_report")
     if status["state"] == "stopped" and report is not None:
         n, left = len(report["confirmed"]), ", ".join(report["unconfirmed"])
-        limp = report.get("released_words") or f"limp, confirmed by {n} servos"
+        words = [report.get("released_words"), f"limp, confirmed by {n} servos"]
+        limp = "; ".join(filter(None, words if n else words[:1])) or words[1]
         limp += f", NOT by {left}" if left else ""
         return f"stopped by {status.get('stopped_by')}: {limp}; `lipservo start` drives it"
     if status.get("plugged") is False:

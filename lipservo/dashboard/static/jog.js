@@ -157,7 +157,7 @@ class FaceJog extends HTMLElement {
       mark.hidden = at === null;
       // The thumb's middle runs from half its width to half its width before the end.
       if (at !== null) mark.style.left = `calc(8px + ${at} * (100% - 16px))`;
-      const text = encoder === null ? unread(face.status, face.phase === "stopped") : shown(encoder, 1, "°");
+      const text = encoder === null ? unread(face.status, name, face.phase === "stopped") : shown(encoder, 1, "°");
       if (output.textContent !== text) output.textContent = text;
       // A slider that nobody has touched since arming stays where its servo is.
       const isHeld = this.isArmed && this.touched.has(name);

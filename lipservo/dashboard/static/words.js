@@ -40,9 +40,16 @@ export function whyStill(status) {
   return isStopped(status) ? STILL : null;
 }
 
-/** In place of a place that was not read; a dash where servos cannot say where they stand. Pure. */
-export function unread(status, isLimp) {
-  if (status?.capabilities?.place === false) return "–";
+/** What one servo can report, by its name; of a face with several buses what its bus can. Pure. */
+function capabilitiesOf(status, name) {
+  const can = status?.capabilities;
+  const index = can?.bus_of ? Object.keys(status.servos ?? {}).indexOf(name) : -1;
+  return index < 0 ? can : can.buses[can.bus_of[index]];
+}
+
+/** In place of a place that was not read; a dash where the servo cannot say where it stands. Pure. */
+export function unread(status, name, isLimp) {
+  if (capabilitiesOf(status, name)?.place === false) return "–";
   return isLimp ? "limp" : "no answer";
 }
 
@@ -56,7 +63,7 @@ export function servoTrouble(status, name, encoderDeg) {
     return why === undefined ? null : `not confirmed to be limp: ${why}`;
   }
   const state = status?.servos?.[name];
-  const canSay = status?.capabilities?.place !== false;
+  const canSay = capabilitiesOf(status, name)?.place !== false;
   if (canSay && (encoderDeg === null || encoderDeg === undefined)) return "does not answer";
   if (!state || state === "driven") return null;
   const line = (status.troubles ?? []).find((each) => each.startsWith(`${name}:`));

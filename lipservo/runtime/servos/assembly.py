@@ -18,7 +18,7 @@ from calibration.calibration import (
 )
 from calibration.files.calibration_file import parse_calibration
 from firmware_bridge.bus import ServoBus
-from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_kinds import Wiring, bus_kind
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.gate.ramp import StaleRule
@@ -28,6 +28,7 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import TargetChannel
 from firmware_bridge.process.port_record import note_port
+from firmware_bridge.several_buses import SeveralBuses
 from lipservo.health.health_log import kept_pulses_path
 from lipservo.settings.settings import FaceSettings, calibration_file, load_face, load_shipped_face
 from lipsync.face.model import FaceModel
@@ -86,32 +87,50 @@ def servo_memories(face: FaceSettings) -> tuple[ServoMemory | None, ...]:
     Opens the port for this alone. Raises PortError, and ServoError where a servo differs from the
     face's YAML; None for one that does not answer.
     """
-    mouth = [name in face.mouth_servos for name in face.servos]
-    wiring = face.wiring
-    of_mouth = replace(
-        wiring,
-        joints=tuple(compress(wiring.joints, mouth)),
-        servos=tuple(compress(wiring.servos, mouth)),
-    )
     keys = [field.name for field in fields(ServoMemory)]
-    return tuple(
-        None if each is None else ServoMemory(*(each[key] for key in keys))
-        for each in face.bus_kind.memories(of_mouth)
-    )
+    kept: dict[str, ServoMemory | None] = {}
+    for one in face.alone.values():
+        mouth = [name in one.mouth_servos for name in one.servos]
+        if not any(mouth):
+            continue
+        wiring = one.wiring
+        of_mouth = replace(
+            wiring,
+            joints=tuple(compress(wiring.joints, mouth)),
+            servos=tuple(compress(wiring.servos, mouth)),
+        )
+        memories = one.bus_kind.memories(of_mouth)
+        for joint, memory in zip(of_mouth.joints, memories, strict=False):  # empty: they keep none
+            told = None if memory is None else ServoMemory(*(memory[key] for key in keys))
+            kept[joint.name] = told
+    return tuple(kept.get(name) for name in face.mouth_servos) if kept else ()
 
 
 def bus_for(face: FaceSettings, clock: Clock, *, strict: bool = True) -> ServoBus:
-    """The bus that the face's YAML asks for; use it as a context manager."""
-    if face.servo_port is not None:
-        note_port(face.bus)
-    return face.bus_kind.open(wiring_of(face), clock, strict=strict)
+    """The bus that the face's YAML asks for, or all of them; use it as a context manager."""
+    if not face.buses:
+        if face.servo_port is not None:
+            note_port(face.bus)
+        return face.bus_kind.open(wiring_of(face), clock, strict=strict)
+    if face.capabilities.in_memory:
+        # One clock and no thread: the same sound gives the same trace.
+        wiring = replace(face.wiring, capabilities=face.capabilities)
+        return bus_kind(wiring.settings.kind).open(wiring, clock)
+    buses = {name: bus_for(one, clock, strict=strict) for name, one in face.alone.items()}
+    return SeveralBuses(buses, face.bus_of, clock, face.rate_hz)
 
 
 def wiring_of(face: FaceSettings) -> Wiring:
-    """Its servos as the bus knows them, and the file of the pulses sent last."""
+    """The servos of a face with one bus, and the file of the pulses sent last."""
     port = face.servo_port
     kept = None if port is None else kept_pulses_path(face.name, port, os.environ)
     return replace(face.wiring, kept=kept)
+
+
+def allow_first_start(face: FaceSettings) -> None:
+    """A person allows servos of which nobody knows where they stand to jump to neutral."""
+    for one in face.alone.values():
+        one.bus_kind.allow_first_start(wiring_of(one))
 
 
 def simulated_wire(face: FaceSettings) -> tuple[ServoBus, ManualClock]:

@@ -19,8 +19,7 @@ from firmware_bridge.gate.ramp import Ramp
 from firmware_bridge.loop.life_cycle import ImmediateStop, LifeCycle
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import StopLevel
-from lipservo.runtime.servos.assembly import bridge_for
-from lipservo.runtime.servos.face_life import face_life
+from lipservo.runtime.servos.driven_face import DrivenFace, DriveOptions, driven_face
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.settings.settings import FaceSettings
 from lipsync.arrays import Array
@@ -43,12 +42,13 @@ def held_rate_hz(settings: FaceSettings) -> float:
     """Fast enough for chirps where the bus can do it, else the face's own rate."""
     if settings.rate_hz >= _DRIVE_RATE_HZ:
         return settings.rate_hz
-    fast = settings.bus_kind.slowness(settings.wiring, _TWICE * _DRIVE_RATE_HZ) is None
-    return _DRIVE_RATE_HZ if fast else settings.rate_hz
+    rate_hz = _TWICE * _DRIVE_RATE_HZ
+    slow = [one.bus_kind.slowness(one.wiring, rate_hz) for one in settings.alone.values()]
+    return settings.rate_hz if any(slow) else _DRIVE_RATE_HZ
 
 
 class HeldFace:
-    """Servos of an open bus, armed from `__enter__` to `__exit__`, on a life cycle of their own.
+    """Servos armed from `__enter__` to `__exit__`, on a bus and a life cycle of their own.
 
     Poses are joint degrees (n_joints,) of the joints named, by default the mouth's in the order of
     the YAML; all others stay where they are asked to be at the beginning. Raises what `Bridge` and
@@ -58,27 +58,30 @@ class HeldFace:
     def __init__(
         self,
         settings: FaceSettings,
-        bus: ServoBus,
         clock: Clock,
         *,
+        bus: ServoBus | None = None,
         speed_deg_s: float = SPEED_DEG_S,
         joints: Sequence[str] | None = None,
         from_neutral: bool = True,
         end: StopLevel = StopLevel.SOFT,
     ) -> None:
-        """joints: which ones poses speak of. from_neutral: go there first, else stay in place.
+        """bus: not yet entered; None: the face's own. joints: which ones poses speak of.
 
-        end: how the face is left when the block ends well.
+        from_neutral: go there first, else stay in place. end: how the face is left when the block
+        ends well.
         """
         self.rate_hz = held_rate_hz(settings)
-        self._bus, self._clock = bus, clock
+        self._clock = clock
         self._channel = MemoryTargetChannel()
-        self._bridge = bridge_for(settings, bus, self._channel, rate_hz=self.rate_hz)
-        self._name, self._port = settings.name, settings.servo_port
-        self._life: LifeCycle | None = None
+        how = DriveOptions(rate_hz=self.rate_hz)
+        self._opening = driven_face(settings, clock, self._channel, how, bus)
+        self._opened: DrivenFace | None = None
         self._speed_deg_s = speed_deg_s
         names = list(settings.servos)
         self._posed = [names.index(name) for name in joints or settings.mouth_servos]
+        can = settings.capabilities if bus is None else bus.capabilities
+        self._measured = [index for index in range(len(names)) if can.of(index).place]
         self._goal_deg = np.zeros(len(names))
         self._from_neutral = from_neutral
         self._end = end
@@ -88,9 +91,13 @@ class HeldFace:
     @property
     def life(self) -> LifeCycle:
         """What is known of its end. Raises RuntimeError before it was entered."""
-        if self._life is None:
+        return self._driven.life
+
+    @property
+    def _driven(self) -> DrivenFace:
+        if self._opened is None:
             raise RuntimeError("the face is used outside its `with` block")
-        return self._life
+        return self._opened
 
     @property
     def stands_deg(self) -> Array:
@@ -182,12 +189,11 @@ class HeldFace:
 
     def _arm(self) -> None:
         with ExitStack() as leaving:
-            self._life = leaving.enter_context(
-                face_life(self._name, self._port, self._bridge, self._clock)
-            )
-            self._ticks = self._life.ticks()
-            self._life.start()
-            self._goal_deg = self._bus.read().start_deg(self._bus.capabilities)
+            self._opened = leaving.enter_context(self._opening)
+            self._ticks = self.life.ticks()
+            self.life.start()
+            bus = self._opened.bus
+            self._goal_deg = bus.read().start_deg(bus.capabilities)
             if self._from_neutral:
                 self._move_all(np.zeros_like(self._goal_deg))
                 self._settle()
@@ -203,12 +209,12 @@ class HeldFace:
 
     def _tell_stopped(self, error: BaseException | None) -> None:
         """Raises FaceStopped where a person stopped the face, whatever overtook the stop."""
-        life = self._life
-        if life is None or life.report is None:
+        if self._opened is None or self.life.report is None:
             return
+        life, report = self.life, self.life.report
         overtaken = life.stopped_by_person and isinstance(error, BusError)
         if isinstance(error, ImmediateStop) or overtaken:
-            raise FaceStopped(life.report, life.signal_number) from error
+            raise FaceStopped(report, life.signal_number) from error
 
     def _move_all(self, whole_deg: Array) -> None:
         start_s = self._clock.now()
@@ -222,7 +228,7 @@ class HeldFace:
 
     def _settle(self) -> Array:
         """Until every encoder is still, for as long as any servo needs at most."""
-        if not self._bus.capabilities.place:
+        if not set(self._posed) <= set(self._measured):
             self.hold(_SETTLE_S)
             return self.stands_deg
         until_s = self._clock.now() + _SETTLE_S
@@ -238,16 +244,19 @@ class HeldFace:
         return self.stands_deg
 
     def _heard_deg(self) -> Array:
-        """Where the servos stand that have just said so; NaN, never still, for the others."""
+        """Where the servos stand that have just said so; NaN, never still, for the others.
+
+        Of those alone that can say it at all.
+        """
         told = self._feedback()
-        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)
+        return np.where(told.age_s == 0.0, told.positions_deg, np.nan)[self._measured]
 
     def _stands_deg(self) -> Array:
         return self._feedback().positions_deg
 
     def _feedback(self) -> Feedback:
         try:
-            return self._bus.feedback()
+            return self._driven.bus.feedback()
         except PortError as error:
             raise PortGone(
                 "the port of the servos is gone; plug it in and go on with what was kept"
@@ -260,11 +269,11 @@ class HeldFace:
         """Raises FaceStopped when a person stopped the face, once it has come to its end."""
         for time_s, late in self._ticks:
             return time_s, late
-        raise FaceStopped(self._bridge.stop_report(), self.life.signal_number)
+        raise FaceStopped(self._driven.bridge.stop_report(), self.life.signal_number)
 
     def _send(self, time_s: float, late: int) -> None:
         self._channel.publish(ServoTargets(time_s, self._goal_deg))
-        self._bridge.tick(time_s, late)
+        self._driven.bridge.tick(time_s, late)
 
 
 def _filled(columns: Array) -> Array:

@@ -6,12 +6,13 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
 from firmware_bridge.errors import BusError
+from firmware_bridge.port_names import named_ports, ports_in
 from firmware_bridge.process.control_client import RunningFace, ask, send_stop, stop_and_wait
 from firmware_bridge.process.port_holders import (
     end_hung,
@@ -78,7 +79,8 @@ class Outcome:
         if self.problem:
             return f"{self.name}: {self.problem}"
         if self.released and not self.unconfirmed:
-            return f"{self.name}: {self.released_words} ({len(self.released)} servos)"
+            also = f"; confirmed by {len(self.confirmed)} servos" if self.confirmed else ""
+            return f"{self.name}: {self.released_words} ({len(self.released)} servos){also}"
         if not self.unconfirmed:
             by = f", confirmed by all {len(self.confirmed)} servos" if self.confirmed else ""
             waits = "; it waits: `lipservo start`" if self.waits else ""
@@ -141,8 +143,7 @@ def _await_stop(
         )
     elif held:
         _LOG.warning("%s has gone without a word; its port is opened", face.name)
-        for port in held:
-            _take_over(outcome, release(port))
+        _take_over(outcome, _release_all(face.name, {each: each for each in held}, {}))
     else:
         port = outcome.port or "PORT"
         outcome.problem = f"has gone without a word; `lipservo limp --port {port}`"
@@ -167,6 +168,9 @@ def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
 
     face: whose servos must confirm too; None: all that was driven there, or whatever is there.
     """
+    named = named_ports(port)
+    if named is not None:
+        return _release_all(port, named, {} if face is None else face.alone)
     # Loaded only here: whoever stops a face that hears waits for none of it.
     from firmware_bridge.process.port_record import buses_at
 
@@ -213,18 +217,34 @@ def _released(
     return outcome
 
 
+def _release_all(
+    name: str, ports: Mapping[str, str], faces: "Mapping[str, FaceSettings]"
+) -> Outcome:
+    """The same at several ports at once, by the names of their buses; none waits for another."""
+    outcome = Outcome(name, name)
+    if len(ports) == 1:
+        ((bus, port),) = ports.items()
+        _take_over(outcome, release(port, faces.get(bus)))
+        return outcome
+    with ThreadPoolExecutor(len(ports), thread_name_prefix="release") as pool:
+        at = {bus: pool.submit(release, port, faces.get(bus)) for bus, port in ports.items()}
+        for bus, released in at.items():
+            _take_over(outcome, released.result(), bus)
+    return outcome
+
+
 def faces_at(port: str, faces: Sequence[RunningFace]) -> list[RunningFace]:
     """Those that hold this port, or say that it is theirs; all are asked at once."""
-    real = os.path.realpath(port)
+    real = {os.path.realpath(each) for each in ports_in(port)}
 
     def is_there(face: RunningFace) -> bool:
-        if real in _ports_of(face):
+        if real & set(_ports_of(face)):
             return True
         try:
             at = ask(face.path, "status", _ANSWER_S).get("port")
         except OSError:
             return False
-        return at is not None and os.path.realpath(str(at)) == real
+        return at is not None and bool(real & set(map(os.path.realpath, ports_in(str(at)))))
 
     with ThreadPoolExecutor(max(1, len(faces)), thread_name_prefix="port") as pool:
         return [face for face, there in zip(faces, pool.map(is_there, faces), strict=True) if there]
@@ -266,15 +286,17 @@ def _end_by_force(face: RunningFace, level: StopLevel, outcome: Outcome) -> Outc
     left = end_hung(pids)
     if left:
         outcome.problem = f"processes {left} cannot be killed; switch the servos' power off"
-    for port in sorted(ports):
-        outcome.port = port
-        _take_over(outcome, release(port))
+    if ports:
+        outcome.port = sorted(ports)[-1]
+        _take_over(outcome, _release_all(face.name, {each: each for each in sorted(ports)}, {}))
     return outcome
 
 
-def _take_over(outcome: Outcome, released: Outcome) -> None:
-    outcome.confirmed += released.confirmed
-    outcome.unconfirmed |= released.unconfirmed
-    outcome.released += released.released
+def _take_over(outcome: Outcome, released: Outcome, bus: str = "") -> None:
+    """bus: by which servos of several ports are told apart."""
+    at = f"{bus} " if bus else ""
+    outcome.confirmed += [at + each for each in released.confirmed]
+    outcome.unconfirmed |= {at + each: why for each, why in released.unconfirmed.items()}
+    outcome.released += [at + each for each in released.released]
     outcome.released_words = outcome.released_words or released.released_words
     outcome.problem = "; ".join(filter(None, (outcome.problem, released.problem)))

@@ -7,7 +7,7 @@ import numpy as np
 
 from firmware_bridge.clock import MonotonicClock
 from firmware_bridge.stopping import StopLevel, StopReport
-from lipservo.runtime.servos.assembly import bus_for, load_settings, wiring_of
+from lipservo.runtime.servos.assembly import allow_first_start, load_settings
 from lipservo.runtime.servos.held_face import HeldFace
 from lipsync.errors import UserError
 
@@ -16,11 +16,11 @@ from lipsync.errors import UserError
 class Moved:
     """Where every joint stood before it was let go, degrees, and what the servos said of that.
 
-    reached_deg: where it was sent to, of servos that cannot say where they stand.
+    reached_deg: where it was sent to, of servos that cannot say where they stand: not is_measured.
     """
 
     reached_deg: dict[str, float]
-    is_measured: bool
+    is_measured: dict[str, bool]
     report: StopReport
 
 
@@ -51,23 +51,20 @@ def move_to(
                 f"{name}: {angle_deg:g} deg is outside {joint.min_deg:g}..{joint.max_deg:g}"
             )
     if may_jump:
-        settings.bus_kind.allow_first_start(wiring_of(settings))
-    clock = MonotonicClock()
-    with (
-        bus_for(settings, clock) as bus,
-        HeldFace(
-            settings, bus, clock, joints=names, from_neutral=False, end=StopLevel.LIMP
-        ) as face,
-    ):
-        has_place = bus.capabilities.place
-        goal_deg = face.stands_deg if has_place else face.goal_deg
+        allow_first_start(settings)
+    can = settings.capabilities
+    has_place = [can.of(index).place for index in range(len(joints))]
+    with HeldFace(
+        settings, MonotonicClock(), joints=names, from_neutral=False, end=StopLevel.LIMP
+    ) as face:
+        goal_deg = np.where(has_place, face.stands_deg, face.goal_deg)
         if wanted_deg is None:
             goal_deg = np.zeros(len(joints))
         for name, angle_deg in (wanted_deg or {}).items():
             goal_deg[names.index(name)] = angle_deg
         face.lead(goal_deg)
         face.hold(hold_s)
-        reached_deg = face.stands_deg if has_place else face.goal_deg
+        reached_deg = np.where(has_place, face.stands_deg, face.goal_deg)
     assert face.life.report is not None
     by_name = dict(zip(names, reached_deg.tolist(), strict=True))
-    return Moved(by_name, has_place, face.life.report)
+    return Moved(by_name, dict(zip(names, has_place, strict=True)), face.life.report)

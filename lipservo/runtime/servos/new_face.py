@@ -17,7 +17,7 @@ from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
 from firmware_bridge.stopping import StopLevel
-from lipservo.runtime.servos.face_life import face_life
+from lipservo.runtime.servos.driven_face import DriveOptions, face_life
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.settings.sections import JOINT_NAME
 from lipsync.errors import UserError, shown
@@ -79,7 +79,7 @@ def nudge(tools: Any, port: str, rate: int, servo_id: int, model_name: str) -> i
     bus, joint, place = tools.lone_servo(port, rate, servo_id, model_name, NUDGE_DEG + 1.0)
     with bus:
         bridge = Bridge(bus, [joint], channel, BridgeSettings(_NUDGE_RATE_HZ))
-        with face_life("new-face", port, bridge, clock, quiet=True) as life:
+        with face_life("new-face", port, bridge, clock, DriveOptions(quiet=True)) as life:
             life.start()
             there, back = _nudge_ramps(clock.now())
             for time_s, late in life.ticks():

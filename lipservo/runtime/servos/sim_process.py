@@ -3,8 +3,10 @@
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
+from firmware_bridge.port_names import ports_text
+from lipservo.runtime.servos.assembly import load_settings
 from lipsync.errors import UserError
 
 _END_S = 5.0
@@ -43,5 +45,14 @@ def servo_port(port: str | None, sim: str | None, config: str) -> Iterator[str |
         return
     if sim != "pty" or port is not None:
         raise UserError("--sim knows `pty` only, and goes without --port")
-    with simulated_port(["--config", config]) as made:
-        yield made
+    buses = load_settings(config)[0].buses
+    if not buses:
+        with simulated_port(["--config", config]) as made:
+            yield made
+        return
+    with ExitStack() as stack:
+        ports = {
+            name: stack.enter_context(simulated_port(["--config", config, "--bus", name]))
+            for name in buses
+        }
+        yield ports_text(ports)

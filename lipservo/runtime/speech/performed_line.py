@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from lipsync.audio.file import checked_sound, log_warning, sound_chunks
+from lipsync.audio.file import checked_sound, log_once, sound_chunks
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutStream
 from lipsync.audio.source import SoundError
@@ -84,17 +84,18 @@ def performed_line(performance: Performance, path: Path) -> PerformedLine:
 
     with sound_file(sound, path) as file:
         try:
-            rate_hz, sound_s = checked_sound(
-                file, lambda line: log_warning(_with_names(line, file))
-            )
+            checked = checked_sound(file)
+            if checked.warning:
+                log_once(_with_names(checked.warning, file))
         except SoundError as error:
             raise PerformanceError(_with_names(str(error), file)) from error
+    sound_s = checked.duration_s
     if abs(performance.duration_s - sound_s) > _MOST_APART_S:
         raise PerformanceError(
             f"{path}: damaged: faces for {performance.duration_s:.2f} s, sound for {sound_s:.2f} "
             "s; render it again with `lipservo lines render`"
         )
-    return _line(performance, path.name, sounds, sound_s, rate_hz)
+    return _line(performance, path.name, sounds, sound_s, checked.sample_rate_hz)
 
 
 def line_of(

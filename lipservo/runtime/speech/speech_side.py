@@ -10,7 +10,6 @@ from firmware_bridge.gate.joint_plan import JointPlan
 from firmware_bridge.loop.targets import TargetChannel
 from lipservo.runtime.servos.assembly import Face
 from lipservo.runtime.speech.expression import expression_servos, make_expression
-from lipservo.runtime.speech.performed_line import performed_in
 from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes, SpokenPhonemes
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, LipGapOffset, Speech, SpeechOptions
 from lipservo.runtime.status.live_board import MOST_PEAKS, LiveBoard, expression_values
@@ -20,9 +19,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Frame, Synthesizer
-from lipsync.motion.closures import lip_gap_of
-from lipsync.motion.live_synthesizer import STRONGEST, FinishedSynthesizer
-from lipsync.offline.performed_motion import PerformedMotion
+from lipsync.motion.finishing import STRONGEST, FinishedSynthesizer, lip_gap_of
 from lipsync.phonemes import PHONEMES, SILENCE, LiveRecognizer
 from lipsync.recognition.own_noise import ServoSpeeds
 
@@ -299,6 +296,9 @@ def make_speech_side(
         clock = clock_for(source)
         speech = Speech(heard, clock, synthesizer, face.calibration, names, channel, options)
         return SpeechSide(speech, None, mouth, rest, watched)
+    from lipservo.runtime.speech.performed_line import performed_in
+    from lipsync.offline.performed_motion import PerformedMotion
+
     spoken = SpokenPhonemes(source, recognizer, voice)
     played = OwnPlaybackClock()
     motion = PerformedMotion(synthesizer, performed_in(source), lip_gap_of(face.model))

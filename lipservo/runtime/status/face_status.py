@@ -1,13 +1,58 @@
-"""The status of a whole face: one object that everybody reads who wants to know how it is.
+"""The status of a whole face: a record of the servos' side and one of the speech side, as one.
 
-The terminal view, `--json`, `lipservo status` and the summary read it. The bridge fills in what it
-knows of the servos, the speech side what it knows of sound and motion; what is not known at the
+The terminal view, `--json`, `lipservo status` and the summary read it. What is not known at the
 moment is None. docs/architecture.md has the same fields as a table, which a test keeps true.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeSide:
+    """What the process knows that drives the servos, or the supervisor while there is none.
+
+    name: of the face; config: its YAML, by the name of a shipped face or by its path; sounds: the
+    folder whose sound files may be played; port: of its servos, None: simulated in memory; state:
+    a `FaceState`, or what the supervisor does while no bridge runs; stopped: the stop of a person
+    that holds, and stopped_by: who requested it; stop_report: what the servos said of it
+    (`StopReport`), None before they have; can_start: whether a person can start it now; plugged:
+    whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
+    name; troubles: a line for each servo that is not driven; jogged: joints that a person jogs;
+    health: how each servo is, as `ServoHealth` has it, None for what was never heard; capabilities:
+    what the bus can do (`BusCapabilities`); n_ticks to n_rejected_targets: the counts of
+    `BridgeStatus`; *_total: how often the gate stepped in, over all servos; bridge_pid: the process
+    that drives them.
+    """
+
+    name: str = ""
+    config: str | None = None
+    sounds: str | None = None
+    port: str | None = None
+    state: str = ""
+    stopped: str | None = None
+    stopped_by: str | None = None
+    stop_report: Mapping[str, object] | None = None
+    can_start: bool | None = None
+    plugged: bool | None = None
+    torque_on: bool | None = None
+    servos: Mapping[str, str] = field(default_factory=dict)
+    troubles: Sequence[str] = ()
+    jogged: Sequence[str] = ()
+    health: Sequence[Mapping[str, object]] = ()
+    capabilities: Mapping[str, object] = field(default_factory=dict)
+    n_ticks: int | None = None
+    n_late: int | None = None
+    n_stale: int | None = None
+    n_armed: int | None = None
+    n_unplugged: int | None = None
+    n_rejected_targets: int | None = None
+    range_hits_total: int | None = None
+    rate_hits_total: int | None = None
+    rejected_total: int | None = None
+    prevented_total: int | None = None
+    bridge_pid: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,66 +73,10 @@ class SpeechStatus:
     lively it is, where it looks and what affect was set, by name.
     """
 
-    sound: str
-    recognizer: str
-    fallback_level: int
-    fallback_reasons: tuple[str, ...]
-    engine: str
-    weights: str
-    strategy: str
-    settings: Mapping[str, float]
-    delay_ms: float
-    hears: str | None = None
-    n_phonemes: int = 0
-    n_lost_sound_blocks: int = 0
-    output: str | None = None
-    output_lost: bool | None = None
-    listens_on: str | None = None
-    speaking: str | None = None
-    n_playout_underruns: int | None = None
-    arousal: float | None = None
-    is_resting: bool | None = None
-    expression: Mapping[str, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """The whole face at one moment. Nothing in it changes afterwards.
-
-    name: of the face; config: its YAML, by the name of a shipped face or by its path; sounds: the
-    folder whose sound files may be played; port: of its servos, None: simulated in memory; state:
-    a `FaceState`, or what the supervisor does while no bridge runs; stopped: the stop of a person
-    that holds, and stopped_by: who requested it; stop_report: what the servos said of it
-    (`StopReport`), None before they have; can_start: whether a person can start it now; plugged:
-    whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
-    name; troubles: a line for each servo that is not driven, and one while a lesser recogniser is
-    in use; jogged: joints that a person jogs; health: how each servo is, as `ServoHealth` has it,
-    None for what was never heard; capabilities: what the bus can do (`BusCapabilities`); n_ticks
-    to n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the gate stepped in,
-    over all servos; bridge_pid: the process that drives
-    them. The rest is that of `SpeechStatus`.
-    """
-
-    name: str = ""
-    config: str | None = None
-    sounds: str | None = None
-    port: str | None = None
-    state: str = ""
-    stopped: str | None = None
-    stopped_by: str | None = None
-    stop_report: Mapping[str, object] | None = None
-    can_start: bool | None = None
-    plugged: bool | None = None
-    torque_on: bool | None = None
-    servos: Mapping[str, str] = field(default_factory=dict)
-    troubles: tuple[str, ...] = ()
-    jogged: tuple[str, ...] = ()
-    health: tuple[Mapping[str, object], ...] = ()
-    capabilities: Mapping[str, object] = field(default_factory=dict)
     sound: str | None = None
     recognizer: str | None = None
     fallback_level: int | None = None
-    fallback_reasons: tuple[str, ...] = ()
+    fallback_reasons: Sequence[str] = ()
     engine: str | None = None
     weights: str | None = None
     strategy: str | None = None
@@ -104,46 +93,42 @@ class Status:
     arousal: float | None = None
     is_resting: bool | None = None
     expression: Mapping[str, float] = field(default_factory=dict)
-    n_ticks: int | None = None
-    n_late: int | None = None
-    n_stale: int | None = None
-    n_armed: int | None = None
-    n_unplugged: int | None = None
-    n_rejected_targets: int | None = None
-    range_hits_total: int | None = None
-    rate_hits_total: int | None = None
-    rejected_total: int | None = None
-    prevented_total: int | None = None
-    bridge_pid: int | None = None
-
-    def as_dict(self) -> dict[str, object]:
-        """For JSON."""
-        return {name: getattr(self, name) for name in _NAMES}
 
 
 #: Copied one by one, since `asdict` copies what they hold as well, in the loop of the servos.
-_NAMES = tuple(each.name for each in fields(Status))
+_BRIDGE_NAMES = tuple(each.name for each in fields(BridgeSide))
 _SPEECH_NAMES = tuple(each.name for each in fields(SpeechStatus))
+#: Of a face that nobody speaks through.
+SILENT = SpeechStatus()
 
 
-def whole_status(bridge: Mapping[str, object], speech: SpeechStatus | None) -> Status:
-    """The two parts as one. bridge: what `face_status` gives, and name and port of the face.
+@dataclass(frozen=True, slots=True)
+class Status:
+    """The whole face at one moment. Nothing in it changes afterwards."""
 
-    Raises TypeError for a part that is not in `Status`: it would be said by nobody.
+    bridge: BridgeSide
+    speech: SpeechStatus = SILENT
+
+    @property
+    def troubles(self) -> Sequence[str]:
+        """Those of the servos, and one while a lesser recogniser is in use."""
+        speech = self.speech
+        if not speech.fallback_level:
+            return self.bridge.troubles
+        reasons = "; ".join(speech.fallback_reasons)
+        return (*self.bridge.troubles, f"recogniser {speech.recognizer} in use: {reasons}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, flat: first the fields of the bridge, then those of the speech side."""
+        values = {name: getattr(self.bridge, name) for name in _BRIDGE_NAMES}
+        values["troubles"] = self.troubles
+        values.update((name, getattr(self.speech, name)) for name in _SPEECH_NAMES)
+        return values
+
+
+def whole_status(bridge: Mapping[str, Any], speech: SpeechStatus | None) -> Status:
+    """The two sides as one. bridge: what `face_status` gives, and name and port of the face.
+
+    Raises TypeError for a part that is not in `BridgeSide`: it would be said by nobody.
     """
-    if unknown := set(bridge).difference(_NAMES):
-        raise TypeError(f"no field of Status: {', '.join(sorted(unknown))}")
-    named = () if speech is None else _SPEECH_NAMES
-    parts: dict[str, object] = {name: getattr(speech, name) for name in named}
-    parts.update(bridge)
-    if speech is not None and speech.fallback_level > 0:
-        ears = f"recogniser {speech.recognizer} in use: {'; '.join(speech.fallback_reasons)}"
-        parts["troubles"] = (*_listed(bridge.get("troubles", ())), ears)
-    for name in ("troubles", "jogged", "health", "fallback_reasons"):
-        parts[name] = _listed(parts.get(name, ()))
-    return Status(**parts)  # type: ignore[arg-type]  # checked above, field by field
-
-
-def _listed(value: object) -> tuple[Any, ...]:
-    assert isinstance(value, (list, tuple))
-    return tuple(value)
+    return Status(BridgeSide(**bridge), speech or SILENT)

@@ -16,14 +16,14 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Final, Self
 
-from lipservo.runtime.status.face_status import SpeechStatus, Status, whole_status
+from lipservo.runtime.status.face_status import BridgeSide, SpeechStatus, Status, whole_status
 
 #: Version, length in bytes and checksum of a note, then its JSON.
 _HEAD: Final = struct.Struct("<QII")
 #: The reasons of a few fallbacks and a path or two; a longer note is not written.
 _NOTE_BYTES: Final = 16_384
 #: Every field of a status, with what stands for "not known".
-_UNKNOWN: Final = Status().as_dict()
+_UNKNOWN: Final = Status(BridgeSide()).as_dict()
 _SIZE: Final = 3 * _NOTE_BYTES
 
 

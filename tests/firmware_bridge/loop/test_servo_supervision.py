@@ -120,13 +120,14 @@ def test_a_hot_servo_moves_less_and_then_not_at_all():
     servos = SupervisedServos()
     feedback = Feedback(0.0, np.zeros(2), np.zeros(2), np.zeros(2, np.uint8), np.zeros(2))
     servos.values["room_degc"][:] = [40.0, 5.0]
-    np.testing.assert_allclose(HeatDerating(2).scale(feedback, Health(**servos.values)), [1.0, 0.5])
+    heat = HeatDerating([True, True])
+    np.testing.assert_allclose(heat.scale(feedback, Health(**servos.values)), [1.0, 0.5])
     servos.values["room_degc"][1] = 0.0
     assert servos.look(1.0) == ServoState.COOLING
 
 
 def test_a_joint_that_works_hard_for_minutes_moves_less():
-    servos, heat = SupervisedServos(), HeatDerating(2)
+    servos, heat = SupervisedServos(), HeatDerating([True, True])
     effort = np.array([0.2, 0.8])
     for tick in range(6000):
         feedback = Feedback(tick * 0.03, np.zeros(2), effort, np.zeros(2, np.uint8), np.zeros(2))

@@ -1,6 +1,8 @@
 """Servos that cannot say that they were let go: what is done by force, and what is said of it."""
 
 import logging
+import threading
+import time
 
 import pytest
 from hobby_bus import PULSES, WORDS, PulsePort
@@ -8,7 +10,7 @@ from simulated_supervisor import SupervisedFace
 
 from firmware_bridge.errors import PortError
 from firmware_bridge.process.lifeline import Ready
-from firmware_bridge.process.torque_release import TorqueRelease, release_port
+from firmware_bridge.process.torque_release import FaceRelease, TorqueRelease, release_port
 from firmware_bridge.stopping import ExitStatus, StopLevel
 
 
@@ -78,3 +80,52 @@ def test_a_port_that_stays_away_is_told_with_its_reason():
     release = TorqueRelease(absent, [1])
     assert not release.step()
     assert release.unconfirmed == {1: "did not answer"}
+
+
+def stepped(release):
+    """As a supervisor does it: only when there is something to do."""
+    give_up_s = time.monotonic() + 30.0
+    while time.monotonic() < give_up_s:
+        if time.monotonic() >= release.next_s and release.step():
+            return True
+        time.sleep(0.001)
+    return False
+
+
+def test_several_ports_are_let_go_by_the_names_of_their_servos():
+    lips, neck = PulsePort(), PulsePort()
+    release = FaceRelease(
+        [
+            (TorqueRelease(lambda: lips, [0, 1]), {0: "jaw", 1: "lip"}),
+            (TorqueRelease(lambda: neck, [0]), {0: "yaw"}),
+        ]
+    )
+
+    assert stepped(release)
+    assert sorted(release.let_go) == ["jaw", "lip", "yaw"]
+    assert (release.unconfirmed, release.port_error) == ({}, "")
+    release.close()
+
+
+def test_a_port_that_hangs_or_is_gone_keeps_no_other_from_being_let_go():
+    may_go, neck = threading.Event(), PulsePort()
+
+    def hanging():
+        may_go.wait(30.0)
+        raise PortError("/dev/x: no such port")
+
+    release = FaceRelease(
+        [
+            (TorqueRelease(hanging, [0]), {0: "jaw"}),
+            (TorqueRelease(lambda: neck, [0]), {0: "yaw"}),
+        ]
+    )
+    while release.let_go != ["yaw"]:
+        assert not release.step()
+    assert release.unconfirmed == {"jaw": "did not answer"}
+    may_go.set()
+    while not release.port_error:
+        assert not release.step()
+    assert release.unconfirmed == {"jaw": "/dev/x: no such port"}
+    release.close()
+    assert not neck.is_open

@@ -1,7 +1,6 @@
 """How sound becomes motion: what is typed goes before the face's YAML, and that before defaults."""
 
 from dataclasses import fields
-from typing import get_args
 
 import pytest
 import typer
@@ -14,24 +13,20 @@ from lipservo.runtime.motion_options import (
     LOW_LATENCY_S,
     ChosenMotion,
     MotionOptions,
-    make_recognizer,
     motion_options,
 )
 from lipservo.settings import motion_names as names
 from lipservo.settings.motion_names import STRATEGIES as NAMES
-from lipservo.settings.motion_names import STYLE_NAMES, Engine
+from lipservo.settings.motion_names import STYLE_NAMES
 from lipservo.settings.sections import MotionSettings
 from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipsync.animpho.selection import STRATEGIES
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import (
-    LIVE_STRATEGY,
-    LONGEST_LOOKAHEAD_S,
-    STRONGEST,
-    UNIT_STRATEGY,
-    Style,
-)
+from lipsync.motion.finishing import LONGEST_LOOKAHEAD_S, STRONGEST, Style
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY
+from lipsync.plugins import RECOGNIZERS
+from lipsync.recognition.recognizers import make_recognizer
 
 FACE = yaml.safe_load((ROOT / "config" / "face_sim.yaml").read_text())
 TYPED = {
@@ -173,7 +168,7 @@ def test_a_wrong_motion_section_is_refused_with_the_path_of_its_key(motion, said
 
 def test_the_names_and_limits_that_load_at_once_are_those_of_what_they_name():
     assert set(NAMES) == {LIVE_STRATEGY, UNIT_STRATEGY, *STRATEGIES}
-    for engine in get_args(Engine):
+    for engine in RECOGNIZERS.built_in:
         assert make_recognizer(engine).level == engine
     MotionSettings(lookahead_ms=LONGEST_LOOKAHEAD_S * 1e3, strength=STRONGEST, smoothness=1.0)
     assert names.STRONGEST == STRONGEST

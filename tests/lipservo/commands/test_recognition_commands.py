@@ -13,11 +13,11 @@ from in_process import lipservo
 from places import ROOT
 from speech import CLIP_PATH
 
-from lipservo.runtime.motion_options import make_recognizer
 from lipservo.runtime.settled_phonemes import settled_events
 from lipsync.audio.file import FileSource
 from lipsync.recognition import network as weights
 from lipsync.recognition.alignment import words_of
+from lipsync.recognition.recognizers import make_recognizer
 from lipsync.textgrid import read_tier
 
 TWIN = ROOT / "benchmarks" / "recognizer_held_out.npz"

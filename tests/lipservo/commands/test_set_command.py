@@ -21,7 +21,7 @@ from lipservo.runtime.run_request import SILENCE, RunRequest
 from lipservo.runtime.sound import open_sound
 from lipsync.audio.source import SilentSource
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import Style
+from lipsync.motion.finishing import Style
 from lipsync.recognition.energy_recognizer import EnergyRecognizer
 from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
 
@@ -89,13 +89,13 @@ def test_a_face_says_what_it_plays_and_follows_what_is_set():
     (answer,) = json.loads(in_json.stdout)["faces"]
     assert (answer["set"], answer["value"]) == ("smoothness", 1.0)
     assert "expected, lookahead_ms 50, strength 0.25, smoothness 1" in shown
-    assert after.status.settings == {
+    assert after.status.speech.settings == {
         "lookahead_ms": 50.0, "strength": 0.25, "smoothness": 1.0, "lip_gap_offset_mm": -0.5,
     }  # fmt: skip
     assert (gap.exit_code, too_far.exit_code) == (0, 1)
     assert "lip_gap_offset_mm is 4; allowed: -3 to 3" in too_far.stderr
     assert after.summary.strategy == "expected"
-    assert after.summary.recognizer == after.status.recognizer
+    assert after.summary.recognizer == after.status.speech.recognizer
 
 
 def test_a_setting_that_a_strategy_has_not_is_refused_in_one_line():
@@ -191,4 +191,5 @@ def test_a_recogniser_that_is_left_is_one_line_and_a_trouble(monkeypatch, clock)
     why = "FloatingPointError: a fault"
     assert lines == [f"recogniser network left: {why}; energy takes over"]
     assert outcome.status.troubles == (f"recogniser energy in use: network: {why}",)
-    assert (outcome.status.recognizer, outcome.status.fallback_level) == ("energy", 1)
+    speech = outcome.status.speech
+    assert (speech.recognizer, speech.fallback_level) == ("energy", 1)

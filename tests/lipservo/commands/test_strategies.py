@@ -102,7 +102,6 @@ def test_the_speech_process_of_the_daemon_plays_the_strategy_and_ends_when_told(
             *command,
             *("--board", str(board.fileno()), "--live", str(live.fileno())),
             *("--request", request_json(request)),
-            *("--control-path", "/nowhere.sock"),
         ],
         pass_fds=[its.fileno(), line.fileno(), board.fileno(), live.fileno()],
         stderr=subprocess.PIPE,

@@ -16,7 +16,7 @@ from firmware_bridge.process.control_client import ask
 from lipservo.runtime.motion_options import MotionOptions
 from lipservo.runtime.run_request import AvatarTargets, RunRequest, Sound, request_of_json
 from lipservo.runtime.servos.sim_process import simulated_port
-from lipsync.motion.live_synthesizer import Style
+from lipsync.motion.finishing import Style
 
 # Real processes in real time.
 pytestmark = pytest.mark.slow

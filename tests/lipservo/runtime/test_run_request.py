@@ -20,8 +20,9 @@ from lipservo.runtime.run_request import (
     request_json,
     request_of_json,
 )
-from lipservo.settings.motion_names import ENGINES, STRATEGIES
-from lipsync.motion.live_synthesizer import LONGEST_LOOKAHEAD_S, STRONGEST, Style
+from lipservo.settings.motion_names import STRATEGIES
+from lipsync.motion.finishing import LONGEST_LOOKAHEAD_S, STRONGEST, Style
+from lipsync.plugins import RECOGNIZERS
 
 HELD_OUT = str(ROOT / "benchmarks" / "recognizer_held_out.npz")
 #: Names of files need not be UTF-8: Python keeps such a byte as a lone surrogate.
@@ -36,7 +37,7 @@ styles = st.builds(
 )
 motions = st.builds(
     MotionOptions,
-    engine=st.sampled_from(ENGINES),
+    engine=st.sampled_from(list(RECOGNIZERS.built_in)),
     weights=st.sampled_from(["default", "grid", HELD_OUT]),
     strategy=st.sampled_from(STRATEGIES),
     style=styles,
@@ -113,7 +114,10 @@ def test_a_request_without_a_field_is_refused(name):
         ({"voice": {"volume": 1}}, "request.voice.volume: Unexpected"),
         ({"voice": {"output": None, "sounds": None}}, "request.voice.token_file: is missing"),
         ({"motion": {**WHOLE["motion"], "style": {}}}, "request.motion.style.lookahead_s: is miss"),
-        ({"motion": {**WHOLE["motion"], "engine": "ears"}}, "request.motion.engine: Input should"),
+        (
+            {"motion": {**WHOLE["motion"], "engine": "ears"}},
+            "request.motion: recogniser 'ears' is",
+        ),
         (
             {"motion": {**WHOLE["motion"], "recognizer_latency_s": 60.0}},
             "request.motion: recognizer_latency_s is 60.0; allowed: 0 to 1.0",

@@ -72,6 +72,10 @@ def add(queue, face, name, *chunks):
     return spoken
 
 
+def text(face, words):
+    return spoken_text(words, "", face.playout, "espeak")
+
+
 def settle(until):
     give_up_s = time.monotonic() + PATIENCE_S
     while not until():
@@ -83,7 +87,7 @@ def test_a_ninth_is_refused_until_the_first_was_said_whatever_they_are(face, que
     soundfile.write(tmp_path / "line.wav", tone(0.2), RATE_HZ)
     for number in range(8):
         if number % 3 == 0:
-            queue.add(spoken_text("Good morning. And good night.", "", face.playout), "text")
+            queue.add(text(face, "Good morning. And good night."), "text")
         elif number % 3 == 1:
             queue.add(spoken_file(tmp_path / "line.wav", face.playout)[0], "line.wav")
         else:
@@ -119,7 +123,7 @@ def test_of_those_that_wait_nothing_is_read(face, queue):
 def test_an_interruption_drops_all_that_came_before_it_and_nothing_after(face, queue):
     for name in "abc":
         add(queue, face, name, *[tone(1.0)] * 60)
-    queue.add(spoken_text("One. Two. Three. " * 40, "", face.playout), "text")
+    queue.add(text(face, "One. Two. Three. " * 40), "text")
     settle(lambda: face.playout.requests)
     face.ask("interrupt")
     add(queue, face, "after", tone(0.2))
@@ -156,7 +160,7 @@ def test_one_that_breaks_off_is_said_so_far_and_the_others_whole(face, queue, er
 
 def test_short_sentences_are_synthesised_a_few_ahead(face, queue):
     """Each is a request to the playout, which keeps 64 of everybody's."""
-    spoken = spoken_text("Hi. " * 200, "", face.playout)
+    spoken = text(face, "Hi. " * 200)
     queue.add(spoken, "text")
     settle(lambda: spoken.is_ahead)
     time.sleep(0.2)

@@ -26,7 +26,8 @@ from running_daemon import (
 import lipservo
 from firmware_bridge.process.control_client import ask
 from lipservo.access.token_file import read_token
-from lipservo.runtime.run_request import VoiceOptions
+from lipservo.runtime.requested_face import RequestedFace
+from lipservo.runtime.run_request import SILENCE, RunRequest, VoiceOptions
 from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.runtime.voice_agents import bound_listener, voice_agents
 from lipsync.errors import UserError
@@ -163,10 +164,11 @@ def test_nobody_is_waited_for_where_a_face_listens_nowhere():
 def test_a_speech_process_that_finds_no_token_any_more_serves_none_and_goes_on(tmp_path, caplog):
     """The folder of a login is gone once its user has logged out; the face goes on."""
     side = SimpleNamespace(voice=object(), speech=SimpleNamespace(delay=None))
-    options = VoiceOptions(token_file=str(tmp_path / "gone"))
+    voice = VoiceOptions(token_file=str(tmp_path / "gone"))
+    requested = RequestedFace(RunRequest("face_jaw", SILENCE, voice=voice))
     with (
         bound_listener("127.0.0.1:0", None) as listener,
-        voice_agents(listener, side, options, None, tmp_path) as url,
+        voice_agents(listener, side, requested) as url,
     ):
         assert url is None
     (line,) = caplog.messages

@@ -96,8 +96,8 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
             "rate_hz: 50",
             "rate_hz: 50\nvoice: 3",
             "voice: unknown setting; known here: "
-            "name, rate_hz, servos, bus, calibration, prevent, stale, tracking, motion, sound, "
-            "expression, access, avatars, start_after_power_cut, eye_distance_mm",
+            "name, rate_hz, servos, bus, buses, calibration, prevent, stale, tracking, motion, "
+            "sound, expression, access, avatars, start_after_power_cut, eye_distance_mm",
         ),
         ("name: test face", "name: 3", "name: 3 is not text"),
         ("  jaw:", "  Jaw:", "servos.Jaw: 'Jaw' does not have the form ^[a-z][a-z0-9_]*$"),

@@ -13,7 +13,7 @@ from small_model import small_model
 from firmware_bridge.gate.ramp import StaleLevel
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.bridge import TickReport
-from lipservo.runtime.status.face_status import Status
+from lipservo.runtime.status.face_status import BridgeSide, SpeechStatus, Status
 from lipservo.runtime.status.street_tick import StreetTick
 from lipservo.terminal.view import TerminalView, draw_mouth
 from lipsync.animpho.units import in_layout
@@ -64,7 +64,8 @@ def test_at_rest_the_shipped_mouth_is_closed_straight_and_symmetrical():
 
 
 STATUS = Status(
-    name="face", sound="clip", strategy="expected", recognizer="energy", fallback_level=2
+    BridgeSide(name="face"),
+    SpeechStatus(sound="clip", strategy="expected", recognizer="energy", fallback_level=2),
 )
 JOINTS = [Joint("jaw", 1, -2.0, 25.0, 300.0), Joint("lower_lip_right", 2, -40.0, 40.0, 300.0)]
 

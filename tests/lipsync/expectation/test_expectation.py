@@ -24,12 +24,15 @@ from lipservo_lab.learning.expectation.expectation_training import (
 from small_corpus import write_corpus
 from spoken_phonemes import spoken
 
-from lipsync.expectation.context import UNKNOWN, context_at, contexts, track_of
 from lipsync.expectation.expectation import (
     N_WINDOWS,
+    UNKNOWN,
     constant_expectation,
+    context_at,
+    contexts,
     timing_features,
     timing_features_at,
+    track_of,
     window_shares,
 )
 from lipsync.phonemes import PHONEMES, VISEME_CLASSES, PhonemeEvent

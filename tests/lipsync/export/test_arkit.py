@@ -18,7 +18,7 @@ from lipsync.export.arkit import (
 )
 from lipsync.face.frame import Expression, Frame
 from lipsync.markers import MARKERS_47, PointLayout
-from lipsync.motion.closures import BILABIAL_GAP_MM, lip_gap_of
+from lipsync.motion.finishing import BILABIAL_GAP_MM, lip_gap_of
 
 MODEL = load_face_with_animphos()
 MEASURED = lip_measures(MODEL)

@@ -16,7 +16,7 @@ from lipsync.export.shapes_of_motion import (
     sampling_times_s,
     shape_prototypes,
 )
-from lipsync.motion.closures import lip_gap_of
+from lipsync.motion.finishing import lip_gap_of
 
 MODEL = load_face_with_animphos()
 MEASURES = lip_measures(MODEL)

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from spoken_phonemes import spoken
 
-from lipsync.motion.live_synthesizer import STRONGEST, LiveSynthesizer, Style, StyleError
+from lipsync.motion.finishing import STRONGEST, Style, StyleError
+from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.motion.tick_plan import ADJUSTING_S, TICK_S
 from lipsync.phonemes import PhonemeUpdate
 

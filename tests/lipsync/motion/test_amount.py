@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lipsync.motion.closures import CLOSING_S
+from lipsync.motion.finishing import CLOSING_S
 from lipsync.motion.tick_plan import Amount
 
 

@@ -2,8 +2,8 @@
 
 from spoken_phonemes import spoken
 
-from lipsync.expectation.context import track_of
-from lipsync.motion.closures import OPEN, planned
+from lipsync.expectation.expectation import track_of
+from lipsync.motion.finishing import OPEN, planned
 from lipsync.phonemes import PHONEMES, PhonemeEvent
 
 MOMENTS = {PHONEMES.index("M"): 0.03, PHONEMES.index("P"): 0.03}

@@ -11,8 +11,7 @@ from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.face.frame import Expression, Frame
 from lipsync.face.model import load_face
-from lipsync.motion.closures import lip_gap_of
-from lipsync.motion.live_synthesizer import FinishedSynthesizer
+from lipsync.motion.finishing import FinishedSynthesizer, lip_gap_of
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 

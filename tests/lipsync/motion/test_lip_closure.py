@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 
-from lipsync.motion.closures import lip_gap_of
+from lipsync.motion.finishing import lip_gap_of
 
 
 @given(st.lists(st.floats(-40.0, 40.0), min_size=8, max_size=8), st.floats(0.3, 3.0))

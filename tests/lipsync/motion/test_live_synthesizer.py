@@ -10,7 +10,8 @@ from lipservo_lab.learning.motion.trained_model import load_trained_model
 from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
-from lipsync.motion.live_synthesizer import LEAD, LiveSynthesizer, Style, StyleError
+from lipsync.motion.finishing import Style, StyleError
+from lipsync.motion.live_synthesizer import LEAD, LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from spoken_phonemes import spoken
 
-from lipsync.expectation.context import context_at, track_of
+from lipsync.expectation.expectation import context_at, track_of
 from lipsync.motion.unit_motion import LONGER_S, LONGEST_S, USUAL_S, PhoneSpan, span_at
 from lipsync.phonemes import PHONEMES, stand_in
 

@@ -12,8 +12,9 @@ from small_model import small_model
 from spoken_phonemes import spoken, update_streams
 
 from lipsync.animpho.units import AnimPhoUnits, IndexLists
-from lipsync.expectation.context import track_of
-from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
+from lipsync.expectation.expectation import track_of
+from lipsync.motion.finishing import Style
+from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.motion.unit_motion import UnitMotion
 from lipsync.phonemes import PHONEMES, PhonemeUpdate

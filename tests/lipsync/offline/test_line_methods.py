@@ -11,7 +11,7 @@ from lipservo_lab.learning.offline.state_training import Recipe
 from small_corpus import write_corpus
 
 from lipsync.audio.file import read_speech
-from lipsync.expectation.context import contexts, track_of
+from lipsync.expectation.expectation import contexts, track_of
 from lipsync.offline.line_methods import Line, Speaker, heard_line
 from lipsync.offline.offline_model import cepstra
 

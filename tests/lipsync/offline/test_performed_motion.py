@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lipsync.face.frame import NO_EXPRESSION, Frame
-from lipsync.motion.closures import LipGap
+from lipsync.motion.finishing import LipGap
 from lipsync.motion.still_motion import StillMotion
 from lipsync.offline.performance import RATE_HZ, Performance, PerformedSound
 from lipsync.offline.performed_motion import EASING_S, PerformedMotion, StoredMotion

@@ -5,7 +5,7 @@ import pytest
 from small_model import small_model
 from spoken_phonemes import spoken
 
-from lipsync.motion.live_synthesizer import USED_LOOKAHEAD_S, FinishedSynthesizer
+from lipsync.motion.finishing import USED_LOOKAHEAD_S, FinishedSynthesizer
 from lipsync.offline.line_methods import PlannedMotion, shown_faces
 from lipsync.phonemes import PhonemeUpdate
 

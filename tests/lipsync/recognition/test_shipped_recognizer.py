@@ -26,12 +26,12 @@ from speech import (
     white_noise,
 )
 
-from lipservo.runtime.motion_options import make_recognizer
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, SILENCE
 from lipsync.recognition.features import LevelNormalizer, LogMelStream
 from lipsync.recognition.network import SHIPPED, StreamingNetwork, load_shipped_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
+from lipsync.recognition.recognizers import make_recognizer
 from lipsync.recognition.scripted import read_phonemes
 from lipsync.timeline import PhonemeTimeline
 

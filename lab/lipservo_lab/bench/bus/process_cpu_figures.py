@@ -175,9 +175,11 @@ def bridge_process(folder: Path, port: str, baud_rate: int) -> Iterator[Measured
         writer, reader = (stack.enter_context(end) for end in channel_pair())
         end, lifeline = lifeline_pair()
         stack.callback(lifeline.close)
-        request = RunRequest(str(face), SILENCE, port=port, rate_hz=RATE_HZ, quiet=True)
+        request = RunRequest(
+            str(face), SILENCE, port=port, rate_hz=RATE_HZ, control=control.path, quiet=True
+        )
         command = [sys.executable, "-m", "lipservo", "bridge-process"]
-        command += ["--request", request_json(request), "--control-path", str(control.path)]
+        command += ["--request", request_json(request)]
         fds = {
             "channel": reader.fileno(),
             "lifeline": end.fileno(),

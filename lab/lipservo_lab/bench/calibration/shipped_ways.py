@@ -165,7 +165,7 @@ def _practise(task: _Task) -> Calibration:
 def _port(task: _Task) -> Calibration:
     robot, settings = task.robot(), task.setup.settings
     bus, clock = simulated_wire(settings)
-    with bus, HeldFace(settings, bus, clock, speed_deg_s=_PORT_SPEED_DEG_S) as held:
+    with HeldFace(settings, clock, bus=bus, speed_deg_s=_PORT_SPEED_DEG_S) as held:
 
         def move(goal_deg: Array) -> Array:
             reached_deg = held.move(goal_deg)

@@ -26,7 +26,6 @@ import soundfile
 from numpy.typing import NDArray
 
 from firmware_bridge.process.control_client import ask
-from lipservo.runtime.motion_options import make_recognizer
 from lipservo.runtime.settled_phonemes import settled_events
 from lipsync.arrays import Array
 from lipsync.audio.file import FileSource, read_speech
@@ -35,6 +34,7 @@ from lipsync.errors import UserError
 from lipsync.face.model import load_face
 from lipsync.phonemes import SILENCE
 from lipsync.recognition.network_recognizer import NetworkRecognizer
+from lipsync.recognition.recognizers import make_recognizer
 
 RATE_HZ: Final = 100.0
 #: In each minute: when a load begins, and how long it lasts.

@@ -25,7 +25,7 @@ from lipservo_lab.evaluation.motion.recovery import ErrorRow, error_rows
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
 from lipsync.markers import CLOSED_GAP_MM, INNER_LIP_GROUP, OUTER_LIP_GROUP
-from lipsync.motion.closures import BILABIALS
+from lipsync.motion.finishing import BILABIALS
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent

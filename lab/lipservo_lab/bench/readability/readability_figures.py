@@ -48,7 +48,8 @@ from lipservo_lab.evaluation.readability.reading_scores import (
     seen_motions,
 )
 from lipservo_lab.learning.motion.trained_model import TrainedModel
-from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S, LIVE_STRATEGY
+from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.offline.line_methods import PLANNED_METHODS, LineMethod
 

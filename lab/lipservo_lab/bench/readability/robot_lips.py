@@ -36,7 +36,7 @@ from lipsync.errors import UserError
 from lipsync.face.frame import FaceWindow, Frame
 from lipsync.face.model import FaceModel
 from lipsync.markers import MARKERS_47
-from lipsync.motion.closures import lip_gap_of
+from lipsync.motion.finishing import lip_gap_of
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes

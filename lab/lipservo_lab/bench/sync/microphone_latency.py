@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from firmware_bridge.clock import ManualClock, ticks
 from firmware_bridge.simulator.bus import SimulatedBus
-from lipservo.runtime.motion_options import MotionOptions, make_recognizer, make_synthesizer
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.speech import Delay
 from lipservo.runtime.street import make_street
@@ -30,10 +30,11 @@ from lipsync.arrays import Array
 from lipsync.audio.file import FileSource
 from lipsync.audio.source import BLOCK_SAMPLES
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ, AudioBlock
-from lipsync.motion.live_synthesizer import Style
+from lipsync.motion.finishing import Style
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.network import find_weights
 from lipsync.recognition.network_recognizer import NetworkRecognizer
+from lipsync.recognition.recognizers import make_recognizer
 
 #: A piece of 10 ms is handed over when it is full and has passed the driver.
 _DRIVER_S: Final = 0.010

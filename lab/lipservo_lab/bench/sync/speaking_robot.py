@@ -17,12 +17,7 @@ from numpy.typing import NDArray
 
 from calibration.simulated.face import marker_positions_mm, simulated_face
 from firmware_bridge.loop.life_cycle import LifeCycle
-from lipservo.runtime.motion_options import (
-    MotionOptions,
-    make_recognizer,
-    make_synthesizer,
-    no_recognizer,
-)
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face, simulated_wire
 from lipservo.runtime.street import make_street
 from lipsync.arrays import Array
@@ -35,6 +30,7 @@ from lipsync.motion.still_motion import StillMotion
 from lipsync.offline.performance import Performance
 from lipsync.phonemes import SILENCE, LiveRecognizer, PhonemeEvent, PhonemeUpdate
 from lipsync.recognition.network import LATENCY_S
+from lipsync.recognition.recognizers import make_recognizer, no_recognizer
 from lipsync.text_to_speech.synthesis import SynthesizedSpeech
 
 Samples = NDArray[np.float32]

@@ -25,7 +25,7 @@ from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import PlayoutRequest, PlayoutStream
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.markers import CLOSED_GAP_MM
-from lipsync.motion.closures import BILABIALS
+from lipsync.motion.finishing import BILABIALS
 from lipsync.offline.line_methods import DEFAULT_METHOD, Line
 from lipsync.offline.performance import Performance, PerformedSound
 from lipsync.phonemes import SILENCE, PhonemeEvent

@@ -24,7 +24,7 @@ from lipservo_lab.bench.sync.speaking_robot import FACE, RATE_HZ, Deaf, Simulate
 from lipservo_lab.bench.sync.speech_timing import SpeechTiming, performances_of, speech_timing
 from lipservo_lab.bench.sync.stream_timing import barge_in, first_seen, stuck_open_s
 from lipsync.audio.playout import Playout
-from lipsync.motion.live_synthesizer import Style
+from lipsync.motion.finishing import Style
 from lipsync.text_to_speech.synthesizers import synthesizer_for
 
 SENTENCES = (

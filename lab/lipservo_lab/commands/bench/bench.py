@@ -32,11 +32,11 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 
     Without the corpora: the speeds on the bundled clip, and no miss rates.
     """
-    from lipservo.runtime.motion_options import make_recognizer
     from lipservo.runtime.settled_phonemes import settled_events
     from lipservo_lab.bench import speed_figures as measure
     from lipservo_lab.learning.motion.trained_model import load_trained_model
     from lipsync.audio.file import FileSource
+    from lipsync.recognition.recognizers import make_recognizer
 
     began_s = time.perf_counter()
     model = load_trained_model()
@@ -77,6 +77,7 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
     from lipservo_lab.bench.bus import bus_figures as measure
     from lipservo_lab.bench.bus.bus_figures import cpu_ratios
     from lipservo_lab.bench.bus.process_cpu_figures import process_ratios
+    from lipservo_lab.bench.bus.stall_figures import stall_figures
     from lipservo_lab.bench.bus.tick_cpu_figures import tick_ratios
 
     began_s = time.perf_counter()
@@ -88,6 +89,7 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
         measure.fault_figures,
         measure.silent_cycle_figures,
         measure.replug_figures,
+        stall_figures,
     )
     figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:

@@ -22,7 +22,7 @@ from lipservo.commands.options import EngineChoice, Json, Model, Quiet, WeightsC
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
 from lipservo_lab.commands.bench.recognition import Cache, Limit, Speakers
 from lipsync.errors import UserError
-from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S, check_weights, find_weights
 
 if TYPE_CHECKING:
@@ -208,9 +208,9 @@ def nonspeech(
     Through recogniser and default motion as they run live. A folder below FOLDER is a kind of
     sound, and has its own line. Files that are no sound are named and left out.
     """
-    from lipservo.runtime.motion_options import make_recognizer
     from lipservo_lab.evaluation.recognition.nonspeech_answers import nonspeech_folder, sound_files
     from lipservo_lab.learning.motion.trained_model import load_trained_model
+    from lipsync.recognition.recognizers import make_recognizer
 
     check_weights(weights)
     files = sound_files(folder)

@@ -172,7 +172,7 @@ def listening(
             waking_figures,
         )
         from lipservo_lab.learning.motion.trained_model import load_trained_model
-        from lipsync.motion.live_synthesizer import DEFAULT_LOOKAHEAD_S
+        from lipsync.motion.finishing import DEFAULT_LOOKAHEAD_S
 
         bench = ClosingBench(recognizer, load_trained_model(model), DEFAULT_LOOKAHEAD_S)
         with progress_bar(quiet=quiet) as advance:

@@ -17,14 +17,9 @@ from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.animpho.selection import STRATEGIES, SelectionStrategy
 from lipsync.animpho.synthesizer import PublishedSynthesizer
 from lipsync.arrays import Array
-from lipsync.expectation.context import contexts, track_of
-from lipsync.motion.live_synthesizer import (
-    DEFAULT_UNIT_SHARE,
-    LIVE_STRATEGY,
-    UNIT_STRATEGY,
-    LiveSynthesizer,
-    Style,
-)
+from lipsync.expectation.expectation import contexts, track_of
+from lipsync.motion.finishing import DEFAULT_UNIT_SHARE, Style
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, UNIT_STRATEGY, LiveSynthesizer
 from lipsync.motion.tick_plan import TICK_S
 from lipsync.phonemes import PHONEMES, SILENCE, PhonemeEvent, PhonemeScript, PhonemeUpdate
 from lipsync.recognition.scripted import ScriptedPhonemes

@@ -31,7 +31,8 @@ from lipsync.animpho.trajectory import (
     translate,
 )
 from lipsync.animpho.units import AnimPhoUnits
-from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer, Style
+from lipsync.motion.finishing import Style
+from lipsync.motion.live_synthesizer import LIVE_STRATEGY, LiveSynthesizer
 from lipsync.phonemes import SILENCE, PhonemeEvent, stand_in
 
 

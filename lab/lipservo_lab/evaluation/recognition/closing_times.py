@@ -23,8 +23,8 @@ from numpy.typing import NDArray
 from lipservo_lab.learning.motion.trained_model import TrainedModel
 from lipsync.arrays import Array
 from lipsync.audio_block import BLOCK_S, SAMPLE_RATE_HZ
-from lipsync.motion.closures import lip_gap_of
-from lipsync.motion.live_synthesizer import LiveSynthesizer, Style
+from lipsync.motion.finishing import Style, lip_gap_of
+from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.phonemes import SILENCE, LiveRecognizer
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 

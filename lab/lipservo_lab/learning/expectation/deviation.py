@@ -23,8 +23,7 @@ from lipservo_lab.corpus.utterance import Utterance, speech_frames
 from lipsync.arrays import Array
 from lipsync.audio.file import read_speech
 from lipsync.audio.source import SoundError
-from lipsync.expectation.context import contexts, track_of
-from lipsync.expectation.expectation import Expectation
+from lipsync.expectation.expectation import Expectation, contexts, track_of
 from lipsync.phonemes import PhonemeEvent
 from lipsync.recognition.batch import TOGETHER, settled_phonemes
 from lipsync.recognition.network import NetworkWeights

@@ -24,13 +24,16 @@ from threadpoolctl import threadpool_limits
 
 from lipservo_lab.corpus.utterance import Utterance
 from lipsync.arrays import Array
-from lipsync.expectation.context import SLOTS, UNKNOWN, contexts, track_of
 from lipsync.expectation.expectation import (
     N_WINDOWS,
+    SLOTS,
+    UNKNOWN,
     Expectation,
     Stack,
     constant_expectation,
+    contexts,
     timing_features,
+    track_of,
     window_shares,
 )
 from lipsync.phonemes import PHONEMES, SILENCE, VISEME_CLASSES, VISEME_OF, PhonemeEvent

@@ -100,7 +100,7 @@ function turn(one, name, encoder, why) {
   const share = encoder === null ? 0.5 : (encoder - least) / (most - least || 1);
   const turned = -90 + 180 * Math.min(1, Math.max(0, share));
   one.querySelector("line").setAttribute("transform", `rotate(${turned.toFixed(1)})`);
-  one.querySelector("b").textContent = encoder === null ? unread(face.status, why === null) : shown(encoder, 1, "°");
+  one.querySelector("b").textContent = encoder === null ? unread(face.status, name, why === null) : shown(encoder, 1, "°");
   one.classList.toggle("unwell", why !== null);
 }
 

@@ -41,7 +41,7 @@ class FaceServoBars extends HTMLElement {
       const at = encoder === null ? zero : place(encoder, least, most);
       bar.style.transform = `translateX(${100 * Math.min(zero, at)}%) scaleX(${Math.abs(at - zero)})`;
       goal.style.left = `${100 * place(frame.goalsDeg[i], least, most)}%`;
-      const text = encoder === null ? unread(face.status, trouble === null) : shown(encoder, 1, "°");
+      const text = encoder === null ? unread(face.status, name, trouble === null) : shown(encoder, 1, "°");
       if (value.textContent !== text) value.textContent = text;
       row.title = trouble === null ? "" : `${spoken(name)}: ${trouble}`;
     }

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from lipservo.cli import app
 from lipservo.runtime.motion_options import LOW_LATENCY_LOOKAHEAD_S, LOW_LATENCY_S, MotionOptions
-from lipsync.motion.live_synthesizer import Style
+from lipsync.motion.finishing import Style
 from lipsync.recognition.network import DEFAULT_WEIGHTS
 
 LOW_LATENCY = MotionOptions(

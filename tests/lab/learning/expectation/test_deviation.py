@@ -8,7 +8,7 @@ from lipservo_lab.corpus.utterance import Utterance, speech_frames
 from lipservo_lab.learning.expectation.deviation import SHARE, with_deviation
 from lipservo_lab.learning.motion.trained_model import load_trained_model
 
-from lipsync.expectation.context import contexts, track_of
+from lipsync.expectation.expectation import contexts, track_of
 from lipsync.phonemes import PhonemeEvent
 
 SPOKEN = ("SIL", "B", "IH", "N", "B", "L", "UW", "AE", "T", "EH", "F", "AY", "V", "SIL")

@@ -26,13 +26,13 @@ def settings_of(name="face_four", **changes):
 
 def held(settings, **options):
     face = MemoryFace(servos=mounted_servos(settings.wiring))
-    return face, HeldFace(settings, face.bus, face.clock, **options)
+    return face, HeldFace(settings, face.clock, bus=face.bus, **options)
 
 
 def test_the_mouth_is_led_slowly_and_stands_where_it_was_told():
     face, robot = held(settings_of())
     goal = np.array([10.0, -20.0, 15.0, 5.0])
-    with face.bus, robot:
+    with robot:
         began_s = face.clock.now()
         reached = robot.move(goal)
         assert face.clock.now() - began_s > 20.0 / 30.0
@@ -45,8 +45,8 @@ def test_the_mouth_is_led_slowly_and_stands_where_it_was_told():
 
 def test_no_goal_on_the_wire_leaves_the_limits_or_breaks_a_rule():
     rule = {"joints": {"jaw": 1.0, "lip_protrusion": 1.0}, "above": 20.0, "because": "they touch"}
-    face, robot = held(settings_of(prevent=[rule]), speed_deg_s=200.0)
-    with face.bus, robot:
+    _, robot = held(settings_of(prevent=[rule]), speed_deg_s=200.0)
+    with robot:
         reached = robot.move(np.array([90.0, 0.0, 0.0, 0.0]))
         assert reached[0] <= 20.0 + 2 * ENCODER_STEP_DEG
         reached = robot.move(np.array([18.0, 0.0, 0.0, 30.0]))
@@ -55,7 +55,7 @@ def test_no_goal_on_the_wire_leaves_the_limits_or_breaks_a_rule():
 
 def test_other_joints_than_the_mouth_stay_at_rest():
     face, robot = held(settings_of("face_head"), speed_deg_s=200.0)
-    with face.bus, robot:
+    with robot:
         assert robot.move(np.full(10, 5.0)).shape == (10,)
     neck = [i for i, s in enumerate(face.servos) if s.joint.name.startswith("neck")]
     assert neck
@@ -68,7 +68,7 @@ def test_other_joints_than_the_mouth_stay_at_rest():
 
 def test_a_servo_that_is_held_up_shows_in_what_it_reached():
     face, robot = held(settings_of(), speed_deg_s=200.0)
-    with face.bus, robot:
+    with robot:
         face.chain.motors.jammed[0] = True
         reached = robot.move(np.array([15.0, 10.0, 0.0, 0.0]))
         assert abs(reached[0]) < 1.0
@@ -80,7 +80,7 @@ def test_a_servo_that_says_nothing_is_not_taken_for_one_that_stands():
     settings = settings_of("face_jaw")
     mute = Fault("answers_stop", at_s=(2.2,), lasts_s=1.0)
     face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(mute,))
-    with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
+    with HeldFace(settings, face.clock, bus=face.bus) as robot:
         robot.hold(2.0 - face.clock.now())
         assert robot.move(np.array([15.0])) == pytest.approx(15.0, abs=1.0)
         assert face.clock.now() > 3.2
@@ -89,10 +89,10 @@ def test_a_servo_that_says_nothing_is_not_taken_for_one_that_stands():
 def test_lag_speed_and_bandwidth_are_found_over_the_wire():
     """The simulated servo closes its error with 40 / s, and follows the gate's 300 deg/s."""
     settings = settings_of("face_jaw")
-    face, robot = held(settings)
+    _, robot = held(settings)
     joints = [JointRange(n, s.min_deg, s.max_deg) for n, s in settings.mouth_servos.items()]
     assert robot.rate_hz == held_rate_hz(settings) == 50.0
-    with face.bus, robot:
+    with robot:
         found = identify(robot.drive, joints, np.zeros(1), rate_hz=robot.rate_hz)
     assert 0.0 <= found.lag_s[0] < 0.05
     assert found.bandwidth_hz[0] > 6.0
@@ -100,16 +100,16 @@ def test_lag_speed_and_bandwidth_are_found_over_the_wire():
 
 
 def test_a_question_is_asked_while_the_servos_are_held():
-    face, robot = held(settings_of())
+    _, robot = held(settings_of())
 
     def ask():
         time.sleep(0.05)
         return "7 8 9"
 
-    with face.bus, robot:
-        n_ticks = robot._bridge.status.n_ticks
+    with robot:
+        n_ticks = robot._driven.bridge.status.n_ticks
         assert robot.hold_while(ask) == "7 8 9"
-        assert robot._bridge.status.n_ticks > n_ticks
+        assert robot._driven.bridge.status.n_ticks > n_ticks
         with pytest.raises(EOFError, match="no more"):
             robot.hold_while(lambda: (_ for _ in ()).throw(EOFError("no more")))
 
@@ -120,7 +120,7 @@ def test_a_plug_that_is_pulled_ends_it():
     face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(pulled,))
 
     def hold():
-        with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
+        with HeldFace(settings, face.clock, bus=face.bus) as robot:
             robot.hold(2.0)
             robot.move(np.ones(4))
 
@@ -134,7 +134,7 @@ def test_a_signal_after_a_pulled_plug_is_a_stop_that_nobody_confirmed():
     face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(pulled,))
 
     def hold():
-        with face.bus, HeldFace(settings, face.bus, face.clock) as robot:
+        with HeldFace(settings, face.clock, bus=face.bus) as robot:
             robot.hold(2.0)
             os.kill(os.getpid(), signal.SIGTERM)
             robot.move(np.ones(4))
@@ -149,7 +149,7 @@ def test_a_lost_sample_at_the_start_neither_moves_a_joint_nor_keeps_it_for_ever(
     settings = settings_of()
     lost = Fault("drop_reply", probability=0.2)
     face = MemoryFace(servos=mounted_servos(settings.wiring), faults=(lost,))
-    with face.bus, HeldFace(settings, face.bus, face.clock, from_neutral=False) as robot:
+    with HeldFace(settings, face.clock, bus=face.bus, from_neutral=False) as robot:
         assert np.abs(robot.stands_deg).max() < 1.0
         robot.lead(np.array([5.0, 0.0, 0.0, 0.0]))
 
@@ -158,6 +158,6 @@ def test_a_lost_sample_at_the_start_neither_moves_a_joint_nor_keeps_it_for_ever(
 
 
 def test_another_rate_than_its_own_is_refused():
-    face, robot = held(settings_of("face_jaw"))
-    with face.bus, robot, pytest.raises(ValueError, match="driven at 50 Hz, not 100"):
+    _, robot = held(settings_of("face_jaw"))
+    with robot, pytest.raises(ValueError, match="driven at 50 Hz, not 100"):
         robot.drive(np.zeros((5, 1)), 100.0)

@@ -2,6 +2,7 @@
 
 from hobby_bus import PULSES, WORDS
 
+from firmware_bridge.capabilities import IN_MEMORY, mixed_capabilities
 from lipservo.commands.run.stop import _state
 from lipservo.dashboard.servo_remedies import told_servos
 from lipservo.runtime.servos.letting_go import Outcome
@@ -43,3 +44,18 @@ def test_a_servo_that_was_never_heard_is_told_from_one_that_measures_nothing():
     measuring = {**STATUS, "capabilities": {"heat": True}}
 
     assert [one["heard"] for one in told_servos(measuring, is_fresh=True)] == [False, False]
+
+
+def test_on_two_buses_each_servo_is_judged_by_what_its_own_can_report():
+    can = mixed_capabilities({"lips": PULSES, "neck": IN_MEMORY}, ["neck", "lips"])
+    told = told_servos({**STATUS, "capabilities": can.as_dict()}, is_fresh=True)
+
+    assert [(one["name"], one["heard"]) for one in told] == [("jaw", False), ("lip", True)]
+
+
+def test_a_stop_of_two_buses_says_what_was_confirmed_and_what_cannot_be():
+    outcome = Outcome("face", confirmed=["yaw"], released=["jaw", "lip"], released_words=WORDS)
+    report = {**REPORT, "confirmed": ["yaw"]}
+
+    assert outcome.text("limp") == f"face: {WORDS} (2 servos); confirmed by 1 servos"
+    assert f"{WORDS}; limp, confirmed by 1 servos;" in _state({**STATUS, "stop_report": report})

@@ -9,7 +9,8 @@ from spoken_phonemes import spoken
 
 from lipservo.runtime.speech.speech_side import AdjustableMouth
 from lipsync.markers import CLOSED_GAP_MM
-from lipsync.motion.live_synthesizer import STRONGEST, LiveSynthesizer
+from lipsync.motion.finishing import STRONGEST
+from lipsync.motion.live_synthesizer import LiveSynthesizer
 from lipsync.phonemes import PhonemeUpdate
 
 MODEL = load_trained_model()

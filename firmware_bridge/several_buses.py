@@ -1,0 +1,441 @@
+"""Several buses of one face as one: a thread for each, so that one that stalls delays no other.
+
+A tick hands every bus its newest goals and takes the newest that each has to report; it waits for
+none longer than a part of its period, and for one that is behind not at all. A thread speaks to its
+bus only when it was handed something: when the loop stands still, so does everything that the
+servos hear, and their watchdogs trip as with one bus.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import fields
+from functools import partial
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import Array, Feedback, Health, Readings, ServoBus
+from firmware_bridge.capabilities import mixed_capabilities
+from firmware_bridge.clock import Clock
+from firmware_bridge.errors import BusError, PortError, PortGone
+
+#: Of a tick, that it may wait for a bus; a few milliseconds where ticks are short.
+_SHARE: Final = 0.5
+_LEAST_WAIT_S: Final = 0.005
+#: So long is waited between ticks: for torque off everywhere, for places, for a port to open, for
+#: the end. What takes longer goes on, and is taken up when it is asked for again.
+_OFF_S: Final = 0.1
+_READ_S: Final = 0.5
+_OPEN_S: Final = 0.1
+_END_S: Final = 2.0
+#: A bus that stands still for so long counts as lost; its thread may hang in the kernel.
+_HUNG_S: Final = 5.0
+_BUSY: Final = "has not confirmed yet: its bus is busy"
+#: What a job is: its name, and which servo of the bus it is about.
+_Key = tuple[str, int]
+_ALL: Final = -1
+_WRITE: Final = ("write", _ALL)
+_READ: Final = ("read", _ALL)
+_FEEDBACK: Final = ("feedback", _ALL)
+_LOOK: Final = ("look after", _ALL)
+_OFF: Final = ("disable all", _ALL)
+_REOPEN: Final = ("reopen", _ALL)
+_LEAVE: Final = ("leave", _ALL)
+#: These do not wait for their turn: torque off goes before all that was handed over.
+_FIRST: Final = (_LEAVE, _OFF)
+
+
+class BusThread:
+    """One bus, spoken to by its own thread alone. Of jobs of the same name the newest counts.
+
+    at: where its servos are among those of the face. lost: why its port is gone, None: it is not.
+    is_behind: it was waited for in vain, and has not caught up since.
+    feedback, health: what came last, and when.
+    """
+
+    def __init__(self, name: str, bus: ServoBus, at: NDArray[np.intp], clock: Clock) -> None:
+        """bus: open, and touched by nobody else from now on."""
+        self.name, self.bus, self.at, self._clock = name, bus, at, clock
+        self.lost: PortError | None = None
+        self.is_behind = False
+        self.feedback: tuple[Feedback, float] | None = None
+        self.health: tuple[Health, float] | None = None
+        self._changed = threading.Condition()
+        self._jobs: dict[_Key, Callable[[], Any]] = {}
+        self._answers: dict[_Key, Any] = {}
+        self._running: _Key | None = None
+        self._since_s = 0.0
+        self._n_offs = 0
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name=f"bus {name}", daemon=True)
+        self._thread.start()
+
+    def hand(self, key: _Key, job: Callable[[], Any]) -> None:
+        """Have a job done, in place of one of this name that has not begun."""
+        with self._changed:
+            self._answers.pop(key, None)
+            self._put(key, job)
+
+    def wait(self, key: _Key, wait_s: float) -> bool:
+        """Whether a job has been done. Raises what the bus raised that is no matter of its port."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._is_settled(key), wait_s)
+            if self._error is not None:
+                error, self._error = self._error, None
+                raise error
+            return key in self._answers
+
+    def ask(self, key: _Key, job: Callable[[], Any], wait_s: float, *, holds: bool = False) -> Any:
+        """The answer to a job, None while there is none: it goes on; ask again.
+
+        Other answers about the same servo that were not taken up are forgotten. holds: the servo
+        may hold afterwards; what has not begun in time is not done later, when it may be forbidden.
+        """
+        with self._changed:
+            if key not in self._answers and key != self._running and key not in self._jobs:
+                for other in [each for each in self._answers if each[1] == key[1]]:
+                    del self._answers[other]
+                if holds and _OFF in self._answers:
+                    self._answers[_OFF][key[1]] = False
+                self._put(key, job)
+        if self.wait(key, wait_s):
+            return self.take(key)
+        if self.lost is not None:
+            raise self.lost
+        if holds:
+            with self._changed:
+                self._jobs.pop(key, None)
+        return None
+
+    @property
+    def has_hung(self) -> bool:
+        """Whether one job has taken so long that it may never end."""
+        return self._running is not None and self._clock.now() - self._since_s > _HUNG_S
+
+    def take(self, key: _Key) -> Any:
+        """The answer to a job that is done, once; None: there is none."""
+        with self._changed:
+            return self._answers.pop(key, None)
+
+    def let_go(self) -> None:
+        """Torque off is the next thing that it does, and nothing of what was handed over before."""
+        with self._changed:
+            self._jobs.clear()
+            self._answers.clear()
+            self._n_offs += 1
+            self._put(_OFF, self.bus.disable_all)
+
+    def was_let_go(self, index: int) -> bool:
+        """Whether one of its servos was, the last time that all were to be."""
+        with self._changed:
+            let_go = self._answers.get(_OFF)
+            return let_go is not None and bool(let_go[index])
+
+    def hear(self) -> None:
+        """Ask where its servos stand; in its thread."""
+        self.feedback = self.bus.feedback(), self._clock.now()
+
+    def look(self) -> None:
+        """Ask how one of its servos is; in its thread."""
+        self.health = self.bus.look_after(), self._clock.now()
+
+    def lose(self, error: PortError) -> None:
+        """Its port is gone: what was handed over is not done any more."""
+        with self._changed:
+            self.lost = PortGone(f"bus {self.name}: {error}")
+            self._jobs.clear()
+            self._answers.clear()
+            self._changed.notify_all()
+
+    def leave(self) -> None:
+        """The last job: let go and close the port, whatever is the matter with it."""
+        with self._changed:
+            self.lost = None
+            self._jobs.clear()
+            self._put(_LEAVE, partial(self.bus.__exit__, None, None, None))
+
+    def join(self, wait_s: float) -> None:
+        """Wait for the last job; a thread that hangs ends with the process."""
+        self._thread.join(wait_s)
+
+    def _put(self, key: _Key, job: Callable[[], Any]) -> None:
+        if self.lost is None or key == _REOPEN:
+            self._jobs[key] = job
+            self._changed.notify_all()
+
+    def _is_settled(self, key: _Key) -> bool:
+        is_due = key == self._running or key in self._jobs
+        return key in self._answers or not is_due or self._error is not None
+
+    def _next(self) -> tuple[_Key, Callable[[], Any], int]:
+        with self._changed:
+            if not self._jobs:
+                self.is_behind = False
+                self._changed.wait_for(lambda: self._jobs)
+            first = (each for each in _FIRST if each in self._jobs)
+            key = next(first, None) or next(iter(self._jobs))
+            self._running, self._since_s = key, self._clock.now()
+            return key, self._jobs.pop(key), self._n_offs
+
+    def _run(self) -> None:
+        key = _WRITE
+        while key != _LEAVE:
+            key, job, n_offs = self._next()
+            lost: PortError | None = None
+            error: Exception | None = None
+            answer = None
+            try:
+                answer = job()
+            except PortError as gone:
+                lost = gone
+            except Exception as other:  # for whoever asked
+                error = other
+            with self._changed:
+                self._running = None
+                if lost is not None:
+                    self.lose(lost)
+                elif error is not None:
+                    self._error = error
+                else:
+                    if key == _REOPEN:
+                        self.lost = None
+                    if n_offs == self._n_offs:
+                        self._answers[key] = answer
+                self._changed.notify_all()
+
+
+class SeveralBuses:
+    """See `ServoBus`: all servos of a face, on buses of any kind.
+
+    Goals, places and health pass through in the tick. What a single servo is told (torque on, off,
+    restart) its bus does meanwhile; where that takes longer, the caller asks again, as it does for
+    a servo that did not answer. A port that is lost makes the methods of the tick raise PortGone;
+    `disable_all` reaches all others all the same.
+    """
+
+    def __init__(
+        self, buses: Mapping[str, ServoBus], bus_of: Sequence[str], clock: Clock, rate_hz: float
+    ) -> None:
+        """buses: by name, not open. bus_of: the name of each servo's bus. rate_hz: of ticks."""
+        names, self._n_servos = np.array(bus_of), len(bus_of)
+        self.capabilities = mixed_capabilities(
+            {name: bus.capabilities for name, bus in buses.items()}, bus_of
+        )
+        self._buses, self._bus_of, self._clock = dict(buses), tuple(bus_of), clock
+        self._at = {name: np.flatnonzero(names == name) for name in buses}
+        self._number = [int((names[:n] == name).sum()) for n, name in enumerate(bus_of)]
+        self._period_s = 1.0 / rate_hz
+        self._wait_s = max(_SHARE * self._period_s, _LEAST_WAIT_S)
+        self._threads: dict[str, BusThread] = {}
+        self._remarks: list[str] = []
+
+    def write_positions(self, positions_deg: Array) -> None:
+        """Hand every bus its goals; one that has not sent its last ones sends these instead."""
+        if positions_deg.shape != (self._n_servos,):
+            raise ValueError(
+                f"expected positions of shape {(self._n_servos,)}, got {positions_deg.shape}"
+            )
+        self._check()
+        for each in self._threads.values():
+            each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))
+
+    def read(self) -> Readings:
+        """Ask every bus; of one that does not answer nothing is known."""
+        self._check()
+        n = self._n_servos
+        found = Readings(
+            time_s=self._clock.now(),
+            positions_deg=np.full(n, np.nan),
+            goals_deg=np.full(n, np.nan),
+            torque_on=np.zeros(n, dtype=np.bool_),
+            errors=np.zeros(n, dtype=np.uint8),
+            age_s=np.full(n, np.inf),
+        )
+        threads = self._threads.values()
+        for each in threads:
+            each.hand(_READ, each.bus.read)
+        until_s = time.monotonic() + _READ_S
+        for each in threads:
+            if each.wait(_READ, until_s - time.monotonic()):
+                _put(found, each.at, each.take(_READ))
+        self._check()
+        return found
+
+    def feedback(self) -> Feedback:
+        """Where every servo stands; of a bus that is behind, what it said last, and its age."""
+        n = self._n_servos
+        found = Feedback(
+            time_s=self._clock.now(),
+            positions_deg=np.full(n, np.nan),
+            effort=np.full(n, np.nan),
+            errors=np.zeros(n, dtype=np.uint8),
+            age_s=np.full(n, np.inf),
+        )
+        self._ask_all(_FEEDBACK, BusThread.hear)
+        now_s = self._clock.now()
+        for each in self._threads.values():
+            if each.feedback is not None:
+                feedback, taken_s = each.feedback
+                _put(found, each.at, feedback)
+                if now_s - taken_s > self._period_s:
+                    found.age_s[each.at] += now_s - taken_s
+        return found
+
+    def look_after(self) -> Health:
+        """How one servo of each bus is; of a bus that is behind, how long it has been silent."""
+        n = self._n_servos
+        found = Health(
+            silent_s=np.full(n, np.inf),
+            torque_on=np.zeros(n, dtype=np.bool_),
+            watchdog_tripped=np.zeros(n, dtype=np.bool_),
+            hardware_errors=np.zeros(n, dtype=np.uint8),
+            temperature_degc=np.full(n, np.nan),
+            room_degc=np.full(n, np.inf),
+            voltage_v=np.full(n, np.nan),
+            effort=np.full(n, np.nan),
+            current_ma=np.full(n, np.nan),
+            n_unanswered=np.zeros(n, dtype=np.int64),
+        )
+        self._ask_all(_LOOK, BusThread.look)
+        now_s = self._clock.now()
+        for each in self._threads.values():
+            if each.health is not None:
+                health, taken_s = each.health
+                _put(found, each.at, health)
+                if now_s - taken_s > self._period_s:
+                    found.silent_s[each.at] += now_s - taken_s
+        return found
+
+    def remarks(self) -> Sequence[str]:
+        """Those of every bus, and which of them was lost."""
+        for name, bus in self._buses.items():
+            for remark in bus.remarks():
+                self._remark(f"{name}: {remark}")
+        return self._remarks
+
+    def obstacle(self, index: int) -> str:
+        """Why one servo cannot hold its place; that its bus is busy, for one."""
+        each, n = self._on(index)
+        answer = each.ask(("obstacle", n), partial(each.bus.obstacle, n), self._wait_s)
+        return _BUSY if answer is None else str(answer)
+
+    def enable_torque(self, index: int) -> str:
+        """Let one servo hold; where that takes longer, it goes on meanwhile: ask again."""
+        self._check()
+        each, n = self._on(index)
+        enable = partial(each.bus.enable_torque, n)
+        answer = each.ask(("enable", n), enable, self._wait_s, holds=True)
+        return _BUSY if answer is None else str(answer)
+
+    def keep_torque(self, index: int) -> bool:
+        """Let a servo that holds go on holding."""
+        each, n = self._on(index)
+        keep = partial(each.bus.keep_torque, n)
+        return bool(each.ask(("keep", n), keep, self._wait_s, holds=True))
+
+    def disable_torque(self, index: int) -> bool:
+        """Let one servo go limp; False until its bus has done it."""
+        each, n = self._on(index)
+        if each.was_let_go(n):
+            return True
+        wait_s = 0.0 if each.is_behind else self._wait_s  # a tick asks again
+        return bool(each.ask(("disable", n), partial(each.bus.disable_torque, n), wait_s))
+
+    def disable_all(self) -> NDArray[np.bool_]:
+        """Every bus lets go of its servos before it does anything else, all at the same time.
+
+        Those of a bus that has not done it yet are not counted; it does it as soon as it can.
+        """
+        there = [each for each in self._opened() if each.lost is None]
+        for each in there:
+            each.let_go()
+        let_go = np.zeros(self._n_servos, dtype=np.bool_)
+        until_s = time.monotonic() + _OFF_S
+        for each in there:
+            if not each.wait(_OFF, until_s - time.monotonic()):
+                each.is_behind = True
+            let_go[each.at] = [each.was_let_go(n) for n in range(len(each.at))]
+        if all(each.lost is not None for each in there):
+            self._check()
+        return let_go
+
+    def reboot(self, index: int) -> None:
+        """Restart one servo: it comes back limp."""
+        each, n = self._on(index)
+        each.hand(("reboot", n), partial(each.bus.reboot, n))
+
+    def reopen(self) -> None:
+        """Open every port again that was lost. Raises PortError until all are open."""
+        for each in self._opened():
+            if each.lost is not None:
+                each.ask(_REOPEN, each.bus.reopen, _OPEN_S)
+                each.is_behind = False
+        self._check()
+
+    def __enter__(self) -> Self:
+        with ExitStack() as opened:
+            for name, bus in self._buses.items():
+                try:
+                    opened.enter_context(bus)
+                except BusError as error:
+                    raise type(error)(f"bus {name}: {error}") from error
+            self._threads = {
+                name: BusThread(name, bus, self._at[name], self._clock)
+                for name, bus in self._buses.items()
+            }
+            opened.pop_all()  # the threads leave them
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        threads, self._threads = self._threads.values(), {}
+        for each in threads:
+            each.leave()
+        until_s = time.monotonic() + _END_S
+        for each in threads:
+            each.join(max(0.0, until_s - time.monotonic()))
+
+    def _ask_all(self, key: _Key, ask: Callable[[BusThread], None]) -> None:
+        """All are asked, and waited for together; one that is behind is not waited for."""
+        self._check()
+        threads = self._threads.values()
+        for each in threads:
+            each.hand(key, partial(ask, each))
+        until_s = time.monotonic() + self._wait_s
+        for each in threads:
+            left_s = 0.0 if each.is_behind else until_s - time.monotonic()
+            if not each.wait(key, left_s):
+                each.is_behind = True
+        self._check()
+
+    def _check(self) -> None:
+        """Raises PortGone where a bus is lost, or has hung for too long."""
+        for each in self._opened():
+            if each.lost is None and each.has_hung:
+                each.lose(PortError(f"has stood still for {_HUNG_S:g} s"))
+            if each.lost is not None:
+                self._remark(str(each.lost))
+                raise each.lost
+
+    def _opened(self) -> Sequence[BusThread]:
+        if not self._threads:
+            raise PortError("the bus is used outside its `with` block")
+        return tuple(self._threads.values())
+
+    def _on(self, index: int) -> tuple[BusThread, int]:
+        """The bus of a servo, and which of its servos it is."""
+        self._opened()
+        return self._threads[self._bus_of[index]], self._number[index]
+
+    def _remark(self, text: str) -> None:
+        if text not in self._remarks:
+            self._remarks.append(text)
+
+
+def _put(whole: Any, at: NDArray[np.intp], part: Any) -> None:
+    """Into the arrays of all servos those of one bus."""
+    for each in fields(whole):
+        if each.name != "time_s":
+            getattr(whole, each.name)[at] = getattr(part, each.name)

@@ -1,0 +1,168 @@
+"""The servos of one face as this process drives them: bus, bridge, control socket, life cycle.
+
+Every command that moves servos gets them here, and so does the bridge process of a daemon.
+"""
+
+import logging
+import os
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.clock import Clock, ManualClock
+from firmware_bridge.loop.bridge import Bridge, face_status
+from firmware_bridge.loop.life_cycle import Heartbeat, LifeCycle, LifeCycleLinks
+from firmware_bridge.loop.targets import TargetChannel
+from firmware_bridge.process.commands import CommandQueue
+from firmware_bridge.process.control_socket import ControlSocket
+from firmware_bridge.process.logs import face_logs
+from firmware_bridge.process.runtime_folder import socket_path
+from firmware_bridge.stopping import StopRequest
+from lipservo.health.health_log import health_log
+from lipservo.runtime.servos.assembly import bridge_for, bus_for
+from lipservo.runtime.status.face_status import whole_status
+from lipservo.settings.settings import FaceSettings
+
+_LOG: Final = logging.getLogger(__name__)
+
+
+def _of_the_servos(bridge: Mapping[str, object]) -> dict[str, object]:
+    """The status of a face that nobody speaks through."""
+    return whole_status(bridge, None).as_dict()
+
+
+@dataclass(frozen=True, slots=True)
+class ControlOptions:
+    """How a face is commanded from outside.
+
+    path: of its socket; None: in the runtime folder. commands: what is asked of it. describe: makes
+    its status, for JSON, of what the bridge knows. about: what every answer says besides the face's
+    name and port. watched_fd: of the memory that a client may watch; None: there is none. waits:
+    a stop leaves a face that waits, limp, for a start; otherwise it ends.
+    """
+
+    path: Path | None = None
+    commands: CommandQueue = field(default_factory=CommandQueue)
+    describe: Callable[[Mapping[str, object]], Mapping[str, object]] = _of_the_servos
+    about: Mapping[str, object] = field(default_factory=dict)
+    watched_fd: int | None = None
+    waits: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Supervised:
+    """What a supervisor hands to the process that drives its servos.
+
+    control_fd: of the face's listening control socket. stopped: what a person had requested of the
+    bridge that died before this one. given_up: servos that stay limp, by index, and why;
+    switched_off: by a person, by index.
+    """
+
+    lifeline: Heartbeat
+    control_fd: int
+    stopped: StopRequest | None
+    given_up: Mapping[int, str]
+    switched_off: Collection[int]
+
+
+@dataclass(frozen=True, slots=True)
+class DriveOptions:
+    """How servos are driven.
+
+    rate_hz: ticks a second; None: the face's. dry_run: servos are read and never moved. quiet:
+    errors alone are logged. supervised: None: no process watches over this one, and it logs by
+    itself; under a supervisor servos may be missing.
+    """
+
+    rate_hz: float | None = None
+    dry_run: bool = False
+    quiet: bool = False
+    control: ControlOptions = field(default_factory=ControlOptions)
+    supervised: Supervised | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DrivenFace:
+    """An open bus, its bridge and its life cycle; servos are limp until `life.start`."""
+
+    bus: ServoBus
+    bridge: Bridge
+    life: LifeCycle
+
+
+@contextmanager
+def driven_face(
+    settings: FaceSettings,
+    clock: Clock,
+    channel: TargetChannel,
+    options: DriveOptions | None = None,
+    bus: ServoBus | None = None,
+) -> Iterator[DrivenFace]:
+    """Open the bus, listen for commands; whatever ends the block, servos are let go after it.
+
+    channel: of the targets. bus: not yet entered; None: the face's own. Raises what the bus raises,
+    and ControlError where no socket can be made.
+    """
+    how = options or DriveOptions()
+    watched = how.supervised
+    if bus is None:
+        bus = bus_for(settings, clock, strict=watched is None)
+    bridge = bridge_for(
+        settings,
+        bus,
+        channel,
+        rate_hz=how.rate_hz,
+        tolerant=watched is not None,
+        dry_run=how.dry_run,
+        given_up=None if watched is None else watched.given_up,
+        switched_off=() if watched is None else watched.switched_off,
+    )
+    with bus, face_life(settings.name, settings.servo_port, bridge, clock, how) as life:
+        yield DrivenFace(bus, bridge, life)
+
+
+@contextmanager
+def face_life(
+    name: str, port: str | None, bridge: Bridge, clock: Clock, options: DriveOptions
+) -> Iterator[LifeCycle]:
+    """The life cycle of a bridge, with its logs, its health log and its control socket.
+
+    port: of its servos, None: simulated in memory. A clock of its own has nobody who could stop it.
+    """
+    if isinstance(clock, ManualClock):
+        with LifeCycle(bridge, clock) as life:
+            yield life
+        return
+    control, watched = options.control, options.supervised
+    about = {**control.about, "name": name, "port": port}
+    path = control.path or socket_path(name)
+    answers = (about, control.commands, control.describe, control.watched_fd)
+    with ExitStack() as stack:
+        if watched is None:
+            stack.enter_context(face_logs(name, quiet=options.quiet))
+            listener = stack.enter_context(ControlSocket.bind(path, *answers))
+            for line in bridge.capabilities.warnings():
+                _LOG.warning("%s", line)
+        else:
+            listener = ControlSocket.adopt(watched.control_fd, path, *answers)
+            stack.enter_context(listener)
+            words = bridge.capabilities.released_words
+            for index, reason in watched.given_up.items():
+                _LOG.warning("stays %s: %s: %s", words, bridge.names[index], reason)
+        healths = health_log(name, port, os.environ)
+        if healths is not None:
+            stack.enter_context(healths)
+        links = LifeCycleLinks(
+            listener,
+            None if watched is None else watched.lifeline,
+            partial(face_status, bridge),
+            None if healths is None else healths.offer,
+        )
+        stopped = None if watched is None else watched.stopped
+        yield stack.enter_context(
+            LifeCycle(bridge, clock, links, stopped=stopped, waits=control.waits)
+        )

@@ -1,0 +1,414 @@
+"""The finishing step of every motion: AnimPhos, strength, rest in pauses, and lips that must touch.
+
+Live motion, the paper's method and scripted lines pass it alike, in this order, in one frame. A
+closure asks that the inner lips come within a distance, when the phonemes say so. The face is moved
+by the change that is likeliest to go with such a change of the gap in the recordings (the
+conditional mean of a Gaussian, Bishop, "Pattern Recognition and Machine Learning", 2006, eq. 2.81),
+and only as far as needed.
+"""
+
+import math
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lipsync.arrays import Array
+from lipsync.errors import UserError
+from lipsync.expectation.expectation import PhonemeTrack, context_at
+from lipsync.face.frame import FaceWindow, Frame, Motion
+from lipsync.face.model import FaceModel
+from lipsync.motion.tick_plan import AT_REST, TICK_S, Amount, EasedSetting, TickPlan, planned_rest
+from lipsync.phonemes import PHONEMES, PhonemeEvent, PhonemeUpdate
+
+if TYPE_CHECKING:
+    from lipsync.motion.unit_motion import UnitMotion
+
+#: Lips pressed together show this gap, mm. The bar is 1.0; the rest leaves room for the sampling
+#: of a face between two ticks. Closer costs accuracy (docs/motion.md).
+BILABIAL_GAP_MM = 0.7
+#: Closer lips touch, in the recordings and where closures are counted.
+TOUCHING_MM = 1.0
+#: What no change of the gap can be told from, as a share of its variance: keeps the inverse finite.
+_RIDGE = 1e-6
+#: Rounds the corner where the correction sets in, mm, so that the motion keeps its speed there.
+_CORNER_MM = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class LipGap:
+    """The vector from lower to upper inner lip, linear in the face, and what moves with it.
+
+    at_mean_mm: (3,); per_face: (n_components, 3); response: (3, n_components), the change of the
+    face that goes with a change of the gap.
+    """
+
+    at_mean_mm: Array
+    per_face: Array
+    response: Array
+
+    def begin_to_touch(self, faces: Array) -> NDArray[np.bool_]:
+        """Which of the faces (n, n_components) of a motion are the first with lips that touch."""
+        widths_mm = np.linalg.norm(self.at_mean_mm + faces @ self.per_face, axis=1)
+        touch = widths_mm <= TOUCHING_MM
+        return np.asarray(touch & ~np.insert(touch[:-1], 0, touch[0]))
+
+    def shut(self, face: Array) -> Array:
+        """The face (n_components,) with its lips pressed together."""
+        return self.narrowed(face, BILABIAL_GAP_MM, 1.0)
+
+    def narrowed(self, face: Array, distance_mm: float, amount: float) -> Array:
+        """The face (n_components,) with its gap brought to at most `distance_mm`.
+
+        amount: 0 leaves the face alone, 1 does it all; in between the share of the excess. The
+        result follows face, distance and amount without a jump in value or speed.
+        """
+        if amount <= 0.0:
+            return face
+        gap_mm = self.at_mean_mm + face @ self.per_face
+        width_mm = math.sqrt(float(gap_mm @ gap_mm))
+        excess_mm = width_mm - distance_mm + _CORNER_MM
+        soft_mm = (excess_mm + math.sqrt(excess_mm**2 + _CORNER_MM**2)) / 2.0
+        share = min(amount, 1.0) * soft_mm / math.sqrt(width_mm**2 + _CORNER_MM**2)
+        return np.asarray(face - (share * gap_mm) @ self.response)
+
+
+def lip_gap_of(model: FaceModel) -> LipGap:
+    """The gap of a model's face, with the response that its recordings show."""
+    basis = model.basis.reshape(model.n_components, -1, 3)
+    upper, lower = model.layout.upper_lip, model.layout.lower_lip
+    per_face = basis[:, upper] - basis[:, lower]
+    spread = model.covariance @ per_face
+    gap_covariance = per_face.T @ spread
+    ridge = _RIDGE * np.trace(gap_covariance) * np.eye(3)
+    response = np.linalg.solve(gap_covariance + ridge, spread.T)
+    at_mean_mm = model.mean_mm[upper] - model.mean_mm[lower] - model.lips_touching_mm
+    return LipGap(at_mean_mm, per_face, response)
+
+
+#: Lips shut, and lower lip at the upper teeth.
+BILABIALS = ("P", "B", "M")
+LABIODENTALS = ("F", "V")
+
+#: Lips take this long to close, and to part. Chosen on inner splits of the training part
+#: (docs/motion.md): shorter is more abrupt, longer closes the vowels around as well.
+CLOSING_S = 0.04
+PARTING_S = 0.04
+#: They touch this long at least, around the moment at which the recordings are tightest.
+HOLD_S = 0.02
+#: While an M sounds the lips stay shut, from its onset until they must part for what follows.
+_HUMMED = PHONEMES.index("M")
+_HUM_ENDS_S = 0.03
+#: Sums of the same times differ by less.
+_ROUNDING_S = 1e-9
+
+
+OPEN = Amount(0.0, PARTING_S, 0.0, 0.0, 0.0)
+
+
+def planned(
+    now: Amount,
+    moments_s: Mapping[int, float],
+    track: PhonemeTrack,
+    time_s: float,
+    known_until_s: float,
+) -> Amount:
+    """What the amount does from `time_s` on. Once begun, a closure is completed before it ends.
+
+    moments_s: for each phoneme that closes, when after its onset it is tightest.
+    """
+    if now.goal == 1.0 and time_s < now.start_s + now.duration_s:
+        return now
+    if _is_due(now.touched_s, moments_s, track, time_s, known_until_s):
+        goal, duration_s, touched_s = 1.0, CLOSING_S, time_s + CLOSING_S
+    else:
+        goal, duration_s, touched_s = 0.0, PARTING_S, now.touched_s
+    if goal == now.goal:
+        return replace(now, touched_s=time_s) if goal == 1.0 else now
+    return Amount(time_s, duration_s, *now.at(time_s), goal, touched_s)
+
+
+def _is_due(
+    touched_s: float,
+    moments_s: Mapping[int, float],
+    track: PhonemeTrack,
+    time_s: float,
+    known_until_s: float,
+) -> bool:
+    """Whether the lips should be closing or closed, by all that is known."""
+    return any(
+        from_s - CLOSING_S <= time_s + _ROUNDING_S and time_s < until_s - _ROUNDING_S
+        for from_s, until_s in closures(touched_s, moments_s, track, time_s, known_until_s)
+    )
+
+
+def closures(
+    touched_s: float,
+    moments_s: Mapping[int, float],
+    track: PhonemeTrack,
+    time_s: float,
+    known_until_s: float,
+) -> Iterator[tuple[float, float]]:
+    """From when until when lips touch, for each closing phoneme around and after `time_s`.
+
+    touched_s: when they touched last; the rest as `planned` has it.
+    """
+    # A tightest moment is at most so far from its onset, before or after.
+    first = bisect_right(track.starts_s, time_s) - 2
+    for i in range(max(0, first), len(track.phonemes)):
+        start_s, end_s = track.starts_s[i], track.ends_s[i]
+        if start_s > known_until_s + _ROUNDING_S:
+            return
+        if track.phonemes[i] in moments_s:
+            # In the recordings an M lasts long; a short one is tightest in its middle, not its end.
+            moment_s = min(start_s + moments_s[track.phonemes[i]], (start_s + end_s) / 2.0)
+            from_s, until_s = moment_s - HOLD_S / 2.0, moment_s + HOLD_S / 2.0
+            if track.phonemes[i] == _HUMMED:
+                from_s = min(from_s, start_s + HOLD_S)
+                until_s = max(until_s, min(end_s, known_until_s) - _HUM_ENDS_S)
+            if touched_s < start_s - HOLD_S:
+                until_s = max(until_s, end_s)  # told late: close late, as long as it goes on
+            yield from_s, until_s
+
+
+def closed_share(spans_s: Sequence[tuple[float, float]], time_s: float) -> float:
+    """How far lips are expected to be closed: 1 within a closure, 0 apart from all of them."""
+    share = 0.0
+    for from_s, until_s in spans_s:
+        apart = max((from_s - time_s) / CLOSING_S, (time_s - until_s) / PARTING_S, 0.0)
+        share = max(share, 1.0 - min(apart, 1.0))
+    return share * share * (3.0 - 2.0 * share)
+
+
+DEFAULT_LOOKAHEAD_S = 0.1
+LONGEST_LOOKAHEAD_S = 1.0
+STRONGEST = 1.5
+#: Chosen on inner splits (decisions/0028).
+DEFAULT_UNIT_SHARE = 0.25
+
+
+#: A window shows the face so long after its frame, and where a closure is complete. Finer steps
+#: change no plan of joints by more than their noise (docs/decisions/0043).
+_WINDOW_S: Final = (0.05, 0.1, 0.15, 0.2)
+
+
+class StyleError(UserError):
+    """A strength, smoothness or look-ahead outside what is allowed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Style:
+    """What the user may set.
+
+    lookahead_s: how much later than its sound a face may be shown, for the sake of what comes next;
+    strength: 0 keeps the mouth closed, 1 moves as the speaker did, 1.5 is as far as it goes;
+    smoothness: 0 follows at once, 1 is as slow as it gets. unit_share: of AnimPhos in the motion,
+    where a synthesiser has any: 0 plays the expectation, 1 AnimPhos alone.
+    """
+
+    lookahead_s: float = DEFAULT_LOOKAHEAD_S
+    strength: float = 1.0
+    smoothness: float = 0.0
+    unit_share: float = DEFAULT_UNIT_SHARE
+
+    def __post_init__(self) -> None:
+        limits = {
+            "lookahead_s": LONGEST_LOOKAHEAD_S,
+            "strength": STRONGEST,
+            "smoothness": 1.0,
+            "unit_share": 1.0,
+        }
+        for name, most in limits.items():
+            value = getattr(self, name)
+            if not 0.0 <= value <= most:
+                raise StyleError(f"{name} is {value}; allowed: 0 to {most}")
+
+
+#: More look-ahead than this is allowed but not used: the model has learned no more.
+USED_LOOKAHEAD_S = 0.2
+
+
+class TrackedSynthesizer(Motion, Protocol):
+    """What the finishing step is put around: motion whose phonemes it can see."""
+
+    @property
+    def track(self) -> PhonemeTrack:
+        """The phonemes as they are believed now, end to end."""
+
+    def faces_after(self, frame: Frame, times_s: Array) -> Array:
+        """The faces (k, n_components) expected at sound times (k,) after the newest frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Finish:
+    """What is decided for one tick: how far the mouth is at rest, and its lips are closed."""
+
+    rest: Amount = AT_REST
+    bilabial: Amount = OPEN
+    labiodental: Amount = OPEN
+
+
+class FinishedSynthesizer:
+    """The finishing step around a synthesiser: AnimPhos, strength, rest in pauses, closures."""
+
+    def __init__(
+        self,
+        model: FaceModel,
+        inner: TrackedSynthesizer,
+        strength: float = 1.0,
+        *,
+        known_s: float | None = None,
+        adjust_inner: Mapping[str, Callable[[float], None]] | None = None,
+        units: "UnitMotion | None" = None,
+        unit_share: float = DEFAULT_UNIT_SHARE,
+    ) -> None:
+        """strength: 0 keeps the mouth at rest, 1 changes nothing.
+
+        known_s: how far beyond its tick a decision may look, s; None for what the look-ahead of
+        `inner` allows. adjust_inner: how `inner` takes a new value of its own settings, by name.
+        units: AnimPhos to mix in, None for none; unit_share: 0 leaves them out, 1 shows them alone.
+        """
+        self._inner = inner
+        self._known_s = min(inner.lookahead_s, USED_LOOKAHEAD_S) if known_s is None else known_s
+        self._rest = model.rest
+        self._gap = lip_gap_of(model)
+        self._labiodental_gap_mm = model.labiodental_gap_mm
+        self._bilabial_s = _tightest_s(model, BILABIALS)
+        self._labiodental_s = _tightest_s(model, LABIODENTALS)
+        self._units = units
+        self._strength = EasedSetting(strength, STRONGEST)
+        self._unit_share = EasedSetting(unit_share, 1.0)
+        self._ticks = TickPlan(_Finish())
+        self._adjust = {**(adjust_inner or {}), "strength": self._changing(self._strength)}
+        if units is not None:
+            self._adjust["unit_share"] = self._changing(self._unit_share)
+
+    @property
+    def is_resting(self) -> bool:
+        """Whether the mouth is at rest, or on its way there, because nobody speaks."""
+        return self._ticks.newest.rest.goal == 1.0
+
+    @property
+    def strength(self) -> float:
+        """As it was set last."""
+        return self._strength.goal
+
+    @property
+    def adjustable(self) -> Set[str]:
+        """Names of the settings that may change while the mouth moves."""
+        return self._adjust.keys()
+
+    @property
+    def phonemes_planned(self) -> int:
+        """How many phonemes have moved the mouth."""
+        return self._inner.phonemes_planned
+
+    @property
+    def lookahead_s(self) -> float:
+        """How much sound after an instant must have been heard before its frame is asked for."""
+        return self._inner.lookahead_s
+
+    def reset(self) -> None:
+        """Forget everything but the settings; the mouth is closed at sound time 0."""
+        self._inner.reset()
+        if self._units is not None:
+            self._units.reset()
+        self._strength.settle()
+        self._unit_share.settle()
+        self._ticks = TickPlan(_Finish())
+
+    def push(self, update: PhonemeUpdate) -> None:
+        """Take a revision of the phonemes; what has been shown stays as it is."""
+        self._inner.push(update)
+
+    def event_at(self, time_s: float) -> PhonemeEvent | None:
+        """The phoneme believed at a time, for displays."""
+        return self._inner.event_at(time_s)
+
+    def adjust(self, name: str, value: float) -> None:
+        """Set a setting from the newest face on, eased in over `ADJUSTING_S`.
+
+        What was shown stays as it was. Raises StyleError for a setting that it has not, or beyond
+        its limits.
+        """
+        if name not in self._adjust:
+            raise StyleError(f"{name} cannot be adjusted; {', '.join(sorted(self._adjust))} can")
+        Style(**{name: value})
+        self._adjust[name](value)
+
+    def frame_at(self, time_s: float) -> Frame:
+        """The frame at sound time `time_s`; the same time gives the same frame."""
+        frame = self._inner.frame_at(time_s)
+        face = frame.coefficients
+        if self._units is not None:
+            face = self._mixed(face, self._units, time_s)
+        strength = self._strength.at(time_s)
+        if strength != 1.0:
+            face = self._rest + strength * (face - self._rest)
+        finish = self._ticks.at(time_s, self._decide)
+        if finish is not None:
+            face = self._rest + (1.0 - finish.rest.smooth(time_s)) * (face - self._rest)
+            labiodental = finish.labiodental.smooth(time_s)
+            face = self._gap.narrowed(face, self._labiodental_gap_mm, labiodental)
+            face = self._gap.narrowed(face, BILABIAL_GAP_MM, finish.bilabial.smooth(time_s))
+        return replace(frame, coefficients=face)
+
+    def window_after(self, frame: Frame) -> FaceWindow:
+        """What is expected after the newest frame by the phonemes known; decides nothing."""
+        now_s, finish = frame.time_s, self._ticks.newest
+        until_s = now_s + self._known_s
+        track, lips, teeth = self._inner.track, finish.bilabial, finish.labiodental
+        closing = [
+            (gap_mm, list(closures(amount.touched_s, moments_s, track, now_s, until_s)))
+            for amount, moments_s, gap_mm in (
+                (teeth, self._labiodental_s, self._labiodental_gap_mm),
+                (lips, self._bilabial_s, BILABIAL_GAP_MM),
+            )
+        ]
+        begins_s = {from_s for _, spans_s in closing for from_s, _ in spans_s}
+        steps_s = (now_s + step_s for step_s in _WINDOW_S if step_s <= self._known_s)
+        times_s = sorted({*steps_s, *(s for s in begins_s if now_s < s <= until_s)})
+        strength = self._strength.goal
+        faces = self._inner.faces_after(frame, np.array(times_s)) if times_s else ()
+        rows, closed = [frame.coefficients], [max(lips.at(now_s)[0], teeth.at(now_s)[0]) == 1.0]
+        for time_s, face in zip(times_s, faces, strict=True):
+            moved = (1.0 - finish.rest.smooth(time_s)) * strength * (face - self._rest)
+            face = self._rest + moved
+            shares = [closed_share(spans_s, time_s) for _, spans_s in closing]
+            for (gap_mm, _), share in zip(closing, shares, strict=True):
+                face = self._gap.narrowed(face, gap_mm, share)
+            rows.append(face)
+            closed.append(max(shares) == 1.0)
+        offsets_s = np.array([now_s, *times_s]) - now_s
+        shut = self._gap.shut(frame.coefficients)
+        return FaceWindow(offsets_s, np.array(rows), np.array(closed), shut)
+
+    def _mixed(self, face: Array, units: "UnitMotion", time_s: float) -> Array:
+        """The weighted mean of a face (n_components,) and that of the AnimPhos."""
+        of_units = units.at(time_s, self._inner.track)
+        share = self._unit_share.at(time_s)
+        if of_units is None or share == 0.0:
+            return face
+        return face + share * (of_units - face)
+
+    def _decide(self, time_s: float, last: _Finish) -> _Finish:
+        """Rest and closures of the tick that ends at `time_s`, from what is known then."""
+        track, begin_s, until_s = self._inner.track, time_s - TICK_S, time_s + self._known_s
+        context = context_at(track, time_s, until_s)
+        return _Finish(
+            planned_rest(last.rest, *context, begin_s, self._known_s),
+            planned(last.bilabial, self._bilabial_s, track, begin_s, until_s),
+            planned(last.labiodental, self._labiodental_s, track, begin_s, until_s),
+        )
+
+    def _changing(self, setting: EasedSetting) -> Callable[[float], None]:
+        return lambda value: setting.change(self._ticks.decided_until_s, value)
+
+
+def _tightest_s(model: FaceModel, phonemes: tuple[str, ...]) -> dict[int, float]:
+    """By number in `PHONEMES`: when after its onset the lips are nearest."""
+    numbers = [PHONEMES.index(phoneme) for phoneme in phonemes]
+    return {number: float(model.tightest_s[number]) for number in numbers}

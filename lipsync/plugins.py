@@ -1,0 +1,81 @@
+"""What comes with lipservo under a name, and what other packages bring under another.
+
+Built-in ones are a table of strings, loaded at first use. Entry points of installed packages are
+looked up only for a name that is not in it, so that nothing is searched where nothing was added.
+"""
+
+import importlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, Final
+
+from lipsync.errors import UserError, shown
+
+
+class PluginError(UserError):
+    """A name that nothing installed has, or one that cannot be loaded; one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plugins:
+    """The plug-ins of one kind.
+
+    group: of the entry points. what: one of them, in words. built_in: `module:attribute` by name.
+    """
+
+    group: str
+    what: str
+    built_in: Mapping[str, str]
+
+    def names(self) -> list[str]:
+        """Every one that is installed, those that come with lipservo first."""
+        others = sorted(point.name for point in entry_points(group=self.group))
+        return list(dict.fromkeys([*self.built_in, *others]))
+
+    def check(self, name: str) -> str:
+        """The name; nothing is loaded. Raises PluginError: what there is, and what to install."""
+        if name not in self.built_in and not entry_points(group=self.group, name=name):
+            raise PluginError(
+                f"{self.what} {shown(name)} is not known here; use one of "
+                f"{', '.join(self.names())}, or install the package that brings it (entry point "
+                f"{self.group})"
+            )
+        return name
+
+    def load(self, name: str) -> Any:
+        """What the entry names. Raises PluginError: an unknown name, or one that fails to load."""
+        if (target := self.built_in.get(name)) is not None:
+            module, _, attribute = target.partition(":")
+            return getattr(importlib.import_module(module), attribute)
+        self.check(name)
+        (point, *_) = entry_points(group=self.group, name=name)
+        try:
+            return point.load()
+        except Exception as error:  # whatever another package may raise
+            raise PluginError(
+                f"{self.what} {name}: {point.value} cannot be loaded: {error}"
+            ) from error
+
+
+#: A `RecognizerKind` each; ours from the best down. Energy, the jaw by loudness, is for the
+#: smallest computers.
+RECOGNIZERS: Final = Plugins(
+    "lipservo.recognizers",
+    "recogniser",
+    {
+        "network": "lipsync.recognition.network_recognizer:NETWORK",
+        "energy": "lipsync.recognition.energy_recognizer:ENERGY",
+    },
+)
+DEFAULT_RECOGNIZER: Final = "network"
+#: What makes a `lipsync.text_to_speech.synthesis.Synthesizer` when called.
+SYNTHESIZERS: Final = Plugins(
+    "lipservo.voices",
+    "synthesiser",
+    {
+        "espeak": "lipsync.text_to_speech.espeak:Espeak",
+        "flite": "lipsync.text_to_speech.flite:Flite",
+    },
+)
+DEFAULT_SYNTHESIZER: Final = "espeak"

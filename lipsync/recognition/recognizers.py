@@ -1,0 +1,44 @@
+"""Live recognisers by name, and the ladder that each of them begins."""
+
+from collections.abc import Callable
+from functools import partial
+
+from lipsync.phonemes import RecognizerKind
+from lipsync.plugins import DEFAULT_RECOGNIZER, RECOGNIZERS, PluginError
+from lipsync.recognition.fallback import FallbackLevel, FallbackRecognizer
+from lipsync.recognition.network import DEFAULT_WEIGHTS, LATENCY_S
+
+
+def recognizer_kind(name: str) -> RecognizerKind:
+    """The kind of this name, loaded. Raises PluginError."""
+    kind = RECOGNIZERS.load(name)
+    if not isinstance(kind, RecognizerKind):
+        raise PluginError(f"recogniser {name}: what is installed under this name is none")
+    return kind
+
+
+def make_recognizer(
+    engine: str = DEFAULT_RECOGNIZER,
+    timer_s: Callable[[], float] | None = None,
+    weights: str = DEFAULT_WEIGHTS,
+    latency_s: float = LATENCY_S,
+) -> FallbackRecognizer:
+    """The live recogniser: the engine's, and those of ours below it; all are below another's.
+
+    timer_s: a clock in seconds, to leave a level that does not keep up with its sound, and to try
+    better ones again; None where nobody waits for it. latency_s: raised to what the slowest level
+    needs. Raises PluginError.
+    """
+    ours = list(RECOGNIZERS.built_in)
+    names = ours[ours.index(engine) :] if engine in ours else [engine, *ours]
+    kinds = {name: recognizer_kind(name) for name in names}
+    levels = [
+        FallbackLevel(name, partial(kind.make, weights, latency_s)) for name, kind in kinds.items()
+    ]
+    longest_s = max([latency_s, *(kind.latency_s for kind in kinds.values())])
+    return FallbackRecognizer(levels, longest_s, timer_s)
+
+
+def no_recognizer() -> FallbackRecognizer:
+    """Nobody listens: all is known."""
+    return FallbackRecognizer((), 0.0)
