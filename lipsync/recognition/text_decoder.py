@@ -46,12 +46,17 @@ class TextError(UserError):
 
 
 @runtime_checkable
-class TextFollower(Protocol):
-    """A recogniser that finds words in the sound which it is told."""
+class MouthMover(Protocol):
+    """A source of phonemes that says where it has them from."""
 
     @property
-    def moved_by(self) -> MovedBy:
-        """Whether what is settled now was found in the text, or heard."""
+    def moved_by(self) -> MovedBy | None:
+        """What moves the mouth, of what is settled now; None where that is not known."""
+
+
+@runtime_checkable
+class TextFollower(MouthMover, Protocol):
+    """A recogniser that finds words in the sound which it is told."""
 
     def tell(self, words: Sequence[PronouncedWord]) -> None:
         """What is said next, after all that was told; before its sound, with it or late.
@@ -79,12 +84,12 @@ class TextSettings:
     pause: float = 1.0
     left_out: float = 8.0
     again: float = 12.0
-    escape: float = 1.0
-    leave: float = 10.0
-    resume: float = 20.0
+    escape: float = 1.2
+    leave: float = 20.0
+    resume: float = 25.0
     least_frames: int = 2
     late_s: float = 0.15
-    late: float = 40.0
+    late: float = 100.0
 
 
 FOLLOWING: Final = TextSettings()
