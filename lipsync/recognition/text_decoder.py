@@ -128,7 +128,7 @@ class TextDecoder:
         window = self._words.window(0)
         scores = np.full(window.n_states, _NEVER)
         scores[0] = 0.0
-        self._newest = _Front(window, scores, np.float32(0.0), -1)
+        self._newest = _Front(window, scores, np.float32(0.0))
         n_kept = settings.settled_frames - self._delays[-1] + 1
         self._kept: deque[_Front] = deque([self._newest], maxlen=n_kept + 1)
         self._place = 0.0
@@ -190,11 +190,14 @@ class TextDecoder:
         if window is not front.window:
             scores = window.taken_over(front)
         row = self._recent[frame % len(self._recent), self._heads[age - self._delays[0]]]
-        begins = self._begins(window, scores, front.escape, frame)
+        begins = self._begins(window, scores, front.escape)
         entered = np.empty_like(scores)
         entered[1:] = scores[:-1]
         entered[window.silences] = begins - self._pause
         into_first = np.maximum(begins, scores.take(window.silences))
+        if window.has_times:
+            apart = np.abs(window.start_frames - np.float32(frame + self._first_frame))
+            into_first -= np.fmax(np.float32(0.0), apart - self._tolerated) * self._late
         entered[window.firsts] = into_first.take(window.word_of_first)
         found = np.maximum(scores + window.stays, entered)
         found += row.take(window.phonemes)
@@ -204,19 +207,14 @@ class TextDecoder:
             best = max(found.max(), escape)
             found -= best
             escape -= best
-        return _Front(window, found, escape, frame)
+        return _Front(window, found, escape)
 
-    def _begins(
-        self, window: "_Window", scores: Array32, escape: np.float32, frame: int
-    ) -> Array32:
+    def _begins(self, window: "_Window", scores: Array32, escape: np.float32) -> Array32:
         """(n_words,): the best score with which each word may begin in a frame."""
         ends = np.empty(window.ends.shape[1] + 1, np.float32)
         scores.take(window.ends).max(axis=0, out=ends[:-1])
         ends[-1] = escape
         begins: Array32 = (ends[:, None] + window.between).max(axis=0)
-        if window.has_times:
-            apart = np.abs(window.start_frames - np.float32(frame + self._first_frame))
-            begins -= np.fmax(np.float32(0.0), apart - self._tolerated) * self._late
         return begins
 
     def _path(self, fronts: "list[_Front]") -> list[int]:
@@ -253,7 +251,7 @@ class TextDecoder:
         if kind == _WITHIN:
             return False, (state if stay >= scores[state - 1] else state - 1) + shift
         word = int(window.words[state])
-        begins = self._begins(window, scores, before.escape, front.frame)
+        begins = self._begins(window, scores, before.escape)
         if kind == _SILENT:
             if stay >= begins[word] - np.float32(self._settings.pause):
                 return False, state + shift
@@ -317,7 +315,6 @@ class _Front:
     window: _Window
     scores: Array32
     escape: np.float32
-    frame: int
 
 
 _WITHIN, _SILENT, _FIRST = 0, 1, 2
