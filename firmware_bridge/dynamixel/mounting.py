@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_bridge.bus import Array
-from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_kinds import Wiring, other_kind_at
 from firmware_bridge.dynamixel.control_table import (
     CENTER_PULSE,
     PULSES_PER_DEG,
@@ -175,6 +175,10 @@ def identify_all(
     """
     said = [identify(line, servo) for servo in servos]
     silent = [servo for servo, answer in zip(servos, said, strict=True) if answer is None]
+    if len(silent) == len(servos) and isinstance(line.transport, Transport):
+        other = other_kind_at(line.transport, [s.joint.servo_id for s in servos], "dynamixel")
+        if other:
+            raise ServoError(other)
     bearable = not strict and len(silent) < len(servos)
     bearable = bearable and not any(servo.joint.critical for servo in silent)
     lines = []

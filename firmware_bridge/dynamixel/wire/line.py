@@ -1,7 +1,7 @@
 """One half-duplex line: questions to servos and their answers, who may speak when, deadlines."""
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.wire import codec
@@ -16,6 +16,7 @@ from firmware_bridge.dynamixel.wire.codec import (
 )
 
 
+@runtime_checkable
 class Transport(Protocol):
     """An open port. Every method raises PortError when the port is gone."""
 
