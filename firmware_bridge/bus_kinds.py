@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
     from firmware_bridge.bus_settings import BusServo, BusSettings
     from firmware_bridge.clock import Clock
-    from firmware_bridge.dynamixel.wire.line import Transport
+    from firmware_bridge.transport import Transport
 
 GROUP: Final = "lipservo.buses"
 _BUILT_IN: Final = {

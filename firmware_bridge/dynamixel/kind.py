@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.clock import Clock
-    from firmware_bridge.dynamixel.wire.line import Transport
+    from firmware_bridge.transport import Transport
 
 #: Without a tick for so many of them, or so long, servos stop by themselves.
 _WATCHDOG_TICKS: Final = 3.0

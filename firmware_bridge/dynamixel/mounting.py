@@ -15,9 +15,10 @@ from firmware_bridge.dynamixel.control_table import (
     model_by_number,
     register,
 )
-from firmware_bridge.dynamixel.wire.line import Line, Transport
+from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import Joint, named
+from firmware_bridge.transport import Transport
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,6 @@ from firmware_bridge.bus import (
     any_set,
 )
 from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
-from firmware_bridge.dynamixel.wire.line import Transport
 from firmware_bridge.errors import PortError
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, Status, statuses_in
@@ -32,6 +31,7 @@ from firmware_bridge.feetech.mounting import MountedServo, Mounting, identify_al
 from firmware_bridge.feetech.state_cache import ServoStateCache
 from firmware_bridge.feetech.torque import TorqueSwitch
 from firmware_bridge.joints import named
+from firmware_bridge.transport import Transport
 
 #: What computer and adapter add to a question; one USB frame.
 _TURNAROUND_S: Final = 0.001

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.clock import Clock
-    from firmware_bridge.dynamixel.wire.line import Transport
+    from firmware_bridge.transport import Transport
 
 
 class FeetechKind(BusKind):
@@ -65,8 +65,7 @@ class FeetechKind(BusKind):
         from firmware_bridge.feetech.control_table import baud_rates
         from firmware_bridge.feetech.torque import LineRelease
 
-        known = wiring is not None
-        rates = (wiring.settings.baud_rate,) if known else tuple(baud_rates().values())
+        rates = tuple(baud_rates().values()) if wiring is None else (wiring.settings.baud_rate,)
         opener = SameAdapter(port, rates[0])
         return lambda: LineRelease(opener(), rates)
 
@@ -89,7 +88,7 @@ class FeetechKind(BusKind):
         with unhurried_line(wiring.settings.port, wiring.settings.baud_rate) as line:
             found = identify_all(line, mounted_servos(wiring), strict=False)
         return [
-            each and {"homing_offset": 0, "drive_mode": each.eeprom["phase"]} | each.eeprom
+            {"homing_offset": 0, "drive_mode": each.eeprom["phase"]} | each.eeprom if each else None
             for each in found
         ]
 

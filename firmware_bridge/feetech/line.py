@@ -1,10 +1,10 @@
 """One half-duplex line of Feetech servos: questions and answers, who may speak when, deadlines."""
 
 from collections.abc import Callable, Sequence
-from typing import Final, TypeVar
+from typing import Any, Final
 
 from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
-from firmware_bridge.dynamixel.wire.line import LearntLatency, PendingAnswers, Transport
+from firmware_bridge.dynamixel.wire.line import LearntLatency, PendingAnswers
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.codec import (
     EMPTY_SIZE,
@@ -14,8 +14,10 @@ from firmware_bridge.feetech.codec import (
     packets_in,
     statuses_in,
 )
+from firmware_bridge.transport import Transport
 
-_Taken = TypeVar("_Taken")
+#: Of several servos: one undisturbed stream of all, or those that came whole, one by one.
+Answers = bytes | list[Status]
 
 #: Return delay as the longest that the register holds: 254 x 2 us.
 LONGEST_RETURN_DELAY_S: Final = 0.00051
@@ -76,7 +78,7 @@ class Line:
             fitting = (s for s in found if s.servo_id == servo_id and len(s.data) == wide)
             return next(fitting, None)
 
-        status = self._transact(request, wide + EMPTY_SIZE, take, 1, extra_wait_s)
+        status: Status | None = self._transact(request, wide + EMPTY_SIZE, take, 1, extra_wait_s)
         if status is None:
             self._pending.note(servo_id, wide, request, self._clock.now())
             return None
@@ -94,28 +96,28 @@ class Line:
         """Send what nobody answers."""
         self._send(request)
 
-    def sync_read(self, span: SpanRead) -> bytes | list[Status]:
+    def sync_read(self, span: SpanRead) -> Answers:
         """The answers of all as one stream, undisturbed; or those that came whole, one by one."""
         wide = span
         if self._pending.any and self._pending.expire(self._clock.now()):
             size = self._pending.free_size(span.ids, span.size)
             wide = span if size == span.size else SpanRead(span.ids, span.address, size)
 
-        def take(stream: bytes) -> bytes | list[Status] | None:
+        def take(stream: bytes) -> Answers | None:
             if wide.is_undisturbed(stream):
                 return stream
             found = self._salvaged(wide, stream)
             return found if len(found) == len(wide.ids) else None
 
         n = len(span.ids)
-        found = self._transact(wide.request, wide.reply_size, take, n)
-        if found is None:
-            found = self._salvaged(wide, self._heard)
-            for missing in {*wide.ids} - {status.servo_id for status in found}:
+        taken: Answers | None = self._transact(wide.request, wide.reply_size, take, n)
+        if isinstance(taken, bytes) and wide is span:
+            return taken
+        if taken is None:
+            taken = self._salvaged(wide, self._heard)
+            for missing in {*wide.ids} - {status.servo_id for status in taken}:
                 self._pending.note(missing, wide.size, wide.request, self._clock.now())
-        if wide is span or (isinstance(found, bytes) and wide.size == span.size):
-            return found
-        statuses = statuses_in(found) if isinstance(found, bytes) else found
+        statuses = statuses_in(taken) if isinstance(taken, bytes) else taken
         return [status._replace(data=status.data[: span.size]) for status in statuses]
 
     def scan(self, ids: Sequence[int] = range(MAX_ID + 1)) -> dict[int, list[bytes]]:
@@ -159,11 +161,11 @@ class Line:
         self,
         request: bytes,
         reply_size: int,
-        take: Callable[[bytes], _Taken | None],
+        take: Callable[[bytes], Any],
         n_turns: int,
         extra_wait_s: float = 0.0,
-    ) -> _Taken | None:
-        """Send, then read until `take` is content or the time of the reply is over."""
+    ) -> Any:
+        """Send, then read until `take` makes something of it; None: until the reply's time is over."""
         transport, clock, latency = self.transport, self._clock, self._latency
         extra_wait_s = max(extra_wait_s, self._extra_wait_s)
         transport.discard_input()
@@ -210,13 +212,13 @@ class Group:
         self.leaves_out = False
         self._span = SpanRead(self.ids, self._address, self._size)
 
-    def ask(self, line: Line) -> bytes | list[Status]:
+    def ask(self, line: Line) -> Answers:
         """A stream of all answers in the order of the ids; else the answers that came."""
         self._n_asked += 1
         if self.leaves_out and self._n_asked % _RETRY_EVERY in (0, 1):
             self._prepare(retry=self._n_asked % _RETRY_EVERY == 0)
         span = self._span
-        found: bytes | list[Status]
+        found: Answers
         if self._sync:
             found = line.sync_read(span)
         else:

@@ -188,7 +188,7 @@ class SimulatedServo:
         if address <= lock < end and not self.stays_locked:
             self.table[lock] = data[lock - address]
         if address < EEPROM_SIZE and not self["lock"]:
-            self.stored = self.table[:EEPROM_SIZE]
+            self.stored = bytes(self.table[:EEPROM_SIZE])
         if address <= TORQUE_ENABLE < end:
             self._set_torque(data[TORQUE_ENABLE - address])
         goal = self.dialect.registers["goal_position"].address

@@ -74,7 +74,7 @@ class ServoStateCache:
         high_byte = EMPTY_SIZE - (0 if dialect.byte_order == "little" else 1)
         self._high_bytes = slice(high_byte, None, self._step)
         self._seen = b""
-        self.pulses = np.full(n, np.nan)
+        self.pulses: Array = np.full(n, np.nan)
         self.goals = np.full(n, np.nan)
         self.effort = np.zeros(n)
         self.no_errors = _read_only(np.zeros(n, dtype=np.uint8))
@@ -121,9 +121,7 @@ class ServoStateCache:
                 self.heard_s[n] = now_s
             ages_s = self.ages([status.servo_id for status in found], now_s)
             self.unanswered = _read_only(self.unanswered + (ages_s > 0.0))
-        pulses = self._positions.astype(np.float64)
-        if self._signed and max(self._frame[self._high_bytes]) & 0x80:
-            pulses = np.where(pulses >= 0x8000, 0x8000 - pulses, pulses)
+        pulses = self._places()
         self.effort = (self._loads & 0x3FF) * 1e-3
         self._take_conditions()
         if not self._all_heard:
@@ -136,6 +134,12 @@ class ServoStateCache:
             pulses = np.where(ever, pulses, np.nan)
         self.pulses = pulses
         return ages_s
+
+    def _places(self) -> Array:
+        places: Array = self._positions.astype(np.float64)
+        if self._signed and max(self._frame[self._high_bytes]) & 0x80:
+            return np.where(places >= 0x8000, 0x8000 - places, places)
+        return places
 
     def _take_conditions(self) -> None:
         """Volts, warmth and trouble, which hardly ever change from tick to tick."""

@@ -6,7 +6,6 @@ from typing import Final
 import numpy as np
 
 from firmware_bridge.bus_kinds import NOT_SEEN
-from firmware_bridge.dynamixel.wire.line import Transport
 from firmware_bridge.feetech import codec
 from firmware_bridge.feetech.control_table import CONTROL, SOFT_START_S, TORQUE_ENABLE
 from firmware_bridge.feetech.line import Line
@@ -18,6 +17,7 @@ from firmware_bridge.feetech.mounting import (
     mismatches,
 )
 from firmware_bridge.feetech.state_cache import ServoStateCache
+from firmware_bridge.transport import Transport
 
 _WRITE_TRIES: Final = 3
 #: A servo whose torque has just come on goes no faster, and pulls no harder, for a while.
