@@ -131,8 +131,8 @@ class BusKind:
         """Whether what is plugged in at a port says by itself that it is of this kind."""
         return False
 
-    def answers_at(self, _transport: "Transport", _ids: Sequence[int]) -> bool:
-        """Whether servos of this kind, with one of these ids, answer at an open port."""
+    def answers_at(self, _transport: "Transport") -> bool:
+        """Whether servos of this kind answer at an open port; asks, and sets nothing."""
         return False
 
     def port_release(self, _port: str, _wiring: Wiring | None) -> Callable[[], PortRelease]:
@@ -192,16 +192,15 @@ def bus_kind(name: str) -> BusKind:
     return kind
 
 
-def other_kind_at(transport: "Transport", ids: Sequence[int], own: str) -> str:
+def other_kind_at(transport: "Transport", own: str) -> str:
     """In words, which other kind answers where nobody of the kind `own` does; empty: none.
 
     Raises PortError when the port fails.
     """
     for name in _BUILT_IN:
         kind = bus_kind(name)
-        if own not in (name, kind.at_port) and kind.answers_at(transport, ids):
-            there = kind.at_port or name
-            return f"no servo answers as `kind: {own}`, but as `kind: {there}`; correct the YAML"
+        if not kind.at_port and name != own and kind.answers_at(transport):
+            return f"no servo answers as `kind: {own}`, but as `kind: {name}`; correct the YAML"
     return ""
 
 

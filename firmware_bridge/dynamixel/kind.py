@@ -64,12 +64,11 @@ class DynamixelKind(BusKind):
 
         return budget(len(wiring.servos), wiring.settings.baud_rate, rate_hz)
 
-    def answers_at(self, transport: "Transport", ids: Sequence[int]) -> bool:
-        """By a ping of each."""
+    def answers_at(self, transport: "Transport") -> bool:
+        """By a ping to everybody."""
         from firmware_bridge.dynamixel.wire.line import Line
 
-        line = Line(transport)
-        return any(line.ping(each) is not None for each in ids)
+        return bool(Line(transport).ping_all())
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """At the face's rate; where that is not known, at all usual ones."""

@@ -177,7 +177,7 @@ def identify_all(
     said = [identify(line, servo) for servo in servos]
     silent = [servo for servo, answer in zip(servos, said, strict=True) if answer is None]
     if len(silent) == len(servos) and isinstance(line.transport, Transport):
-        other = other_kind_at(line.transport, [s.joint.servo_id for s in servos], "dynamixel")
+        other = other_kind_at(line.transport, "dynamixel")
         if other:
             raise ServoError(other)
     bearable = not strict and len(silent) < len(servos)

@@ -43,7 +43,7 @@ def examine(line: Line, servos: Sequence[MountedServo], rate_hz: float) -> Itera
             break
     line.baud_rate = wanted_rate
     if not at_rate and not spoilt:
-        other = other_kind_at(line.transport, ids, "feetech")
+        other = other_kind_at(line.transport, "feetech")
         tried = ", ".join(f"{rate:,}" for rate in dict.fromkeys(rates))
         what = other or f"no servo answers at any of {tried} baud"
         yield Finding(Severity.BAD, what, "" if other else "check power and data cable")

@@ -53,11 +53,11 @@ class FeetechKind(BusKind):
 
         return budget(mounted_servos(wiring), wiring.settings.baud_rate, rate_hz)
 
-    def answers_at(self, transport: "Transport", ids: Sequence[int]) -> bool:
-        """By a read of the model number."""
+    def answers_at(self, transport: "Transport") -> bool:
+        """By a read of every id's model number."""
         from firmware_bridge.feetech.line import Line
 
-        return bool(Line(transport).scan(ids))
+        return bool(Line(transport).scan())
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """At the face's rate; where that is not known, at all usual ones."""

@@ -165,7 +165,7 @@ class Line:
         n_turns: int,
         extra_wait_s: float = 0.0,
     ) -> Any:
-        """Send, then read until `take` makes something of it; None: until the reply's time is over."""
+        """Send, then read until `take` makes something of it, or None: the reply's time is over."""
         transport, clock, latency = self.transport, self._clock, self._latency
         extra_wait_s = max(extra_wait_s, self._extra_wait_s)
         transport.discard_input()

@@ -170,8 +170,7 @@ def identify_all(
     found = [identify(line, servo) for servo in servos]
     silent = [servo for servo, each in zip(servos, found, strict=True) if each is None]
     if len(silent) == len(servos):
-        ids = [servo.joint.servo_id for servo in servos]
-        other = other_kind_at(line.transport, ids, "feetech")
+        other = other_kind_at(line.transport, "feetech")
         if other:
             raise ServoError(other)
     bearable = not strict and len(silent) < len(servos)

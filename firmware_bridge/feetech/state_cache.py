@@ -76,7 +76,7 @@ class ServoStateCache:
         self._seen = b""
         self.pulses: Array = np.full(n, np.nan)
         self.goals = np.full(n, np.nan)
-        self.effort = np.zeros(n)
+        self.effort: Array = np.zeros(n)
         self.no_errors = _read_only(np.zeros(n, dtype=np.uint8))
         self._no_age_s = _read_only(np.zeros(n))
         self.errors = self.no_errors
@@ -87,8 +87,8 @@ class ServoStateCache:
         self.driven = np.zeros(n, dtype=np.bool_)
         self._never = _read_only(np.zeros(n, dtype=np.bool_))
         self.hardware = self.no_errors
-        self.temperature_degc = np.full(n, np.nan)
-        self.voltage_v = np.full(n, np.nan)
+        self.temperature_degc: Array = np.full(n, np.nan)
+        self.voltage_v: Array = np.full(n, np.nan)
         self.unanswered = _read_only(np.zeros(n, dtype=np.int64))
 
     def set_one(self, name: str, index: int, value: float) -> None:
@@ -121,16 +121,15 @@ class ServoStateCache:
                 self.heard_s[n] = now_s
             ages_s = self.ages([status.servo_id for status in found], now_s)
             self.unanswered = _read_only(self.unanswered + (ages_s > 0.0))
-        pulses = self._places()
+        pulses: Array = self._places()
         self.effort = (self._loads & 0x3FF) * 1e-3
         self._take_conditions()
         if not self._all_heard:
             ever = np.isfinite(self.pulses)
             ever[np.flatnonzero(ages_s == 0.0)] = True
             self._all_heard = bool(ever.all())
-            for name, unknown in (("voltage_v", np.nan), ("temperature_degc", np.nan)):
-                setattr(self, name, np.where(ever, getattr(self, name), unknown))
-            self.effort = np.where(ever, self.effort, 0.0)
+            self.voltage_v = np.where(ever, self.voltage_v, np.nan)
+            self.temperature_degc = np.where(ever, self.temperature_degc, np.nan)
             pulses = np.where(ever, pulses, np.nan)
         self.pulses = pulses
         return ages_s

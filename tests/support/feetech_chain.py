@@ -18,14 +18,14 @@ def on_feetech(face, model="STS3215", **bus):
     """The YAML of a face with the joints of another, as if their servos were Feetech's."""
     servos = {
         joint.name: {
-            "id": joint.servo_id,
+            "id": n,
             "model": model,
             "positive": "opens",
             "min_deg": joint.min_deg,
             "max_deg": joint.max_deg,
             "max_speed_deg_s": min(joint.max_speed_deg_s, 260.0),
         }
-        for joint in face.joints()
+        for n, joint in enumerate(face.joints(), start=1)
     }
     bus = {"kind": "feetech", "port": "/dev/x"} | bus
     face = {"name": "feetech", "rate_hz": 50, "bus": bus, "servos": servos}
