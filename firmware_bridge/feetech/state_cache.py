@@ -122,7 +122,7 @@ class ServoStateCache:
             ages_s = self.ages([status.servo_id for status in found], now_s)
             self.unanswered = _read_only(self.unanswered + (ages_s > 0.0))
         pulses: Array = self._places()
-        self.effort = (self._loads & 0x3FF) * 1e-3
+        self.effort = np.asarray((self._loads & 0x3FF) * 1e-3, np.float64)
         self._take_conditions()
         if not self._all_heard:
             ever = np.isfinite(self.pulses)
