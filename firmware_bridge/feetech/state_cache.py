@@ -27,6 +27,8 @@ _HARDWARE: Final = np.array(
     [sum({error for bit, error in _MEANINGS.items() if bit & bits}) for bits in range(256)],
     dtype=np.uint8,
 )
+#: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.
+_ROOM_DEGC: Final = 45.0
 
 
 def hardware_errors(status: int) -> int:
@@ -88,6 +90,7 @@ class ServoStateCache:
         self._never = _read_only(np.zeros(n, dtype=np.bool_))
         self.hardware = self.no_errors
         self.temperature_degc: Array = np.full(n, np.nan)
+        self.room_degc: Array = np.full(n, _ROOM_DEGC)
         self.voltage_v: Array = np.full(n, np.nan)
         self.unanswered = _read_only(np.zeros(n, dtype=np.int64))
 
@@ -104,6 +107,7 @@ class ServoStateCache:
         self.low[index] = found.eeprom["min_position_limit"]
         self.high[index] = found.eeprom["max_position_limit"]
         self.hottest[index] = found.eeprom["max_temperature"]
+        self._seen = b""
         self.heard_s[index] = now_s
 
     def take_state(self, found: bytes | list[Status], now_s: float) -> Array:
@@ -130,6 +134,7 @@ class ServoStateCache:
             self._all_heard = bool(ever.all())
             self.voltage_v = np.where(ever, self.voltage_v, np.nan)
             self.temperature_degc = np.where(ever, self.temperature_degc, np.nan)
+            self.room_degc = np.where(ever, self.room_degc, _ROOM_DEGC)
             pulses = np.where(ever, pulses, np.nan)
         self.pulses = pulses
         return ages_s
@@ -149,6 +154,7 @@ class ServoStateCache:
         self._seen = seen
         self.voltage_v = of["voltage"] * 0.1
         self.temperature_degc = of["temperature"].astype(np.float64)
+        self.room_degc = self.hottest - self.temperature_degc
         now = _HARDWARE[of["status"] & _STATUS_BITS]
         self.hardware = _read_only(self.hardware | now)
 
@@ -175,16 +181,12 @@ class ServoStateCache:
             watchdog_tripped=self._never,
             hardware_errors=self.hardware,
             temperature_degc=self.temperature_degc,
-            room_degc=np.nan_to_num(self.hottest - self.temperature_degc, nan=_ROOM_DEGC),
+            room_degc=self.room_degc,
             voltage_v=self.voltage_v,
             effort=self.effort,
             current_ma=current_ma,
             n_unanswered=self.unanswered,
         )
-
-
-#: Until a servo has been asked: as if freshly switched on in a warm room, 25 degC under 70.
-_ROOM_DEGC: Final = 45.0
 
 
 def _read_only(array: NDArray[_Kind]) -> NDArray[_Kind]:
