@@ -1,4 +1,4 @@
-"""A jaw on simulated servos of other kinds speaks: lips meet at its shaft as they do on a Dynamixel."""
+"""A jaw on simulated servos of other kinds speaks: its lips meet as they do on a Dynamixel."""
 
 import numpy as np
 import pytest
