@@ -1,6 +1,6 @@
 """A simulated chain of Feetech servos, to the byte; in memory or behind a terminal.
 
-What the servos are told of torque and goals is logged by the simulator alone: tests judge by that.
+Every change of torque and goal is logged by the simulator alone: tests judge by that.
 """
 
 import json
@@ -97,7 +97,7 @@ def read_faults(text: str | None) -> tuple[ChainFault, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class ServoChange:
     """A change of torque or goal at one servo, and where its shaft stood then; in its steps."""
 
     time_s: float
@@ -267,7 +267,7 @@ class _Reply:
 
 
 class SimulatedChain:
-    """A `SimulatedDevice`: servos on one half-duplex wire. `told` is what tests look at.
+    """A `SimulatedDevice`: servos on one half-duplex wire. `changes` is what tests look at.
 
     n_spoken_over: how often somebody spoke while another did.
     """
@@ -280,9 +280,9 @@ class SimulatedChain:
         faults: Sequence[ChainFault] = (),
         wakes_up_stiff: bool = False,
         environment: Environment | None = None,
-        on_told: Callable[[Told], None] = lambda _told: None,
+        on_change: Callable[[ServoChange], None] = lambda _change: None,
     ) -> None:
-        """Fresh from the factory but for the ids. on_told: gets every change, besides `told`."""
+        """Fresh from the factory but for the ids. on_change: gets each one, besides `changes`."""
         self.motors = Motors(models, environment or Environment())
         self.servos = [
             SimulatedServo(model, n, self.motors, wakes_up_stiff=wakes_up_stiff)
@@ -290,9 +290,9 @@ class SimulatedChain:
         ]
         for servo, servo_id in zip(self.servos, ids, strict=True):
             servo["id"] = servo_id
-        self.told: deque[Told] = deque(maxlen=100_000)
+        self.changes: deque[ServoChange] = deque(maxlen=100_000)
         self.n_spoken_over = 0
-        self._on_told = on_told
+        self._on_change = on_change
         self._logged: dict[int, tuple[int, int]] = {}
         self._faults = [(fault.at_s, fault) for fault in faults]
         self._until_s = {"lost": -1.0, "spoilt": -1.0, "unplug": -1.0}
@@ -448,9 +448,9 @@ class SimulatedChain:
         now = servo.table[TORQUE_ENABLE], servo["goal_position"]
         if self._logged.get(servo.index) != now:
             self._logged[servo.index] = now
-            told = Told(self._now_s, servo["id"], *now, servo.place)
-            self.told.append(told)
-            self._on_told(told)
+            change = ServoChange(self._now_s, servo["id"], *now, servo.place)
+            self.changes.append(change)
+            self._on_change(change)
 
 
 def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
@@ -503,7 +503,7 @@ def serve(
         raise ServoError(f"ids {first_id}..{last_id}: a servo's id is at most {BROADCAST_ID - 1}")
     options: dict[str, Any] = {"faults": read_faults(faults)}
     if log is not None:
-        options["on_told"] = _writer(log)
+        options["on_change"] = _writer(log)
     if wiring is not None:
         rate = baud_rate or wiring.settings.baud_rate
         return PtyHost(chain_for(mounted_servos(wiring), rate, **options), link)
@@ -515,14 +515,14 @@ def serve(
     return PtyHost(chain, link)
 
 
-def _writer(log: Path) -> Callable[[Told], None]:
+def _writer(log: Path) -> Callable[[ServoChange], None]:
     try:
         file = log.open("w", buffering=1, encoding="utf-8")
     except OSError as error:
         raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
 
-    def write(told: Told) -> None:
-        row = [round(told.time_s, 6), told.servo_id, told.torque, told.goal, told.place]
+    def write(change: ServoChange) -> None:
+        row = [round(change.time_s, 6), change.servo_id, change.torque, change.goal, change.place]
         file.write(json.dumps(row) + "\n")
 
     return write

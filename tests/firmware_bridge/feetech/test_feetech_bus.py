@@ -88,7 +88,7 @@ def test_nothing_ever_writes_more_than_0_or_1_to_torque_nor_a_goal_to_a_limp_ser
     wanted = set(range(N)) if stiff else set()
     with on.bus as bus:
         for act, index, value in acts:
-            before = len(on.chain.told)
+            before = len(on.chain.changes)
             if act == "enable":
                 wanted |= {index}
                 bus.enable_torque(index)
@@ -106,8 +106,8 @@ def test_nothing_ever_writes_more_than_0_or_1_to_torque_nor_a_goal_to_a_limp_ser
                 bus.reopen()
             else:
                 run(on, 0.2)
-            stiff_now = {told.servo_id - 1 for told in on.chain.told if told.torque}
-            assert stiff or stiff_now <= wanted, (act, list(on.chain.told)[before:])
+            stiff_now = {change.servo_id - 1 for change in on.chain.changes if change.torque}
+            assert stiff or stiff_now <= wanted, (act, list(on.chain.changes)[before:])
     torques = {
         data[40 - address]
         for _, address, data in writes(on.frames)
@@ -170,7 +170,7 @@ def test_servos_that_wake_up_stiff_are_told_of_and_held_where_they_stand_before_
         assert [f"servo {s.joint.name!r}" in r for s, r in zip(on.servos, remarks, strict=True)]
         assert all("its torque was on before the start" in remark for remark in remarks)
         enabled(on)
-        assert {told.goal for told in on.chain.told} == {2048}
+        assert {change.goal for change in on.chain.changes} == {2048}
     assert not any(servo["torque_enable"] for servo in on.chain.servos)
 
 
@@ -182,9 +182,9 @@ def test_after_a_brown_out_that_brings_torque_back_a_servo_is_let_go_and_starts_
         run(on, 2.0, 2.0)
         assert bus.at_full_strength
         run(on, 2.0, 2.0)
-        told = [each for each in on.chain.told if each.servo_id == 2 and each.time_s > 3.0]
+        changes = [each for each in on.chain.changes if each.servo_id == 2 and each.time_s > 3.0]
 
-        assert told[-1].torque == 0
+        assert changes[-1].torque == 0
         assert not bus.read().torque_on[1]
         assert bus.enable_torque(1) == ""
         assert on.chain.servos[1]["torque_limit"] == 300

@@ -115,7 +115,7 @@ def test_doctor_has_nothing_bad_to_say_of_a_face_that_is_set_up_and_writes_nothi
 
     assert [each.what for each in found if each.severity is Severity.BAD] == []
     assert "no watchdog" in found[-1].what
-    assert not on.chain.told
+    assert not on.chain.changes
 
 
 @pytest.mark.parametrize(

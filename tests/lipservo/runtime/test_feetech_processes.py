@@ -1,4 +1,4 @@
-"""A jaw on a Feetech driven by real processes: what its servo was told, after every end.
+"""A jaw on a Feetech driven by real processes: what its servo was sent, after every end.
 
 Judged by the simulator's own log of torque and goals, which no lipservo process writes.
 """
@@ -27,25 +27,25 @@ FACE = "face_jaw_feetech"
 def jaw(tmp_path, monkeypatch):
     """A servo behind a link, and its log."""
     own_folder(monkeypatch)
-    log, link = tmp_path / "told.jsonl", tmp_path / "port"
+    log, link = tmp_path / "changes.jsonl", tmp_path / "port"
     arguments = ["--config", FACE, "--log", str(log), "--link", str(link)]
     with simulated_port(arguments) as port:
         yield SimpleNamespace(port=port, log=log, folder=tmp_path)
 
 
-def told(jaw):
+def changes(jaw):
     """(torque, goal) at each change."""
     return [json.loads(line)[2:4] for line in jaw.log.read_text().splitlines()]
 
 
 def is_limp(jaw):
-    return told(jaw)[-1:] and told(jaw)[-1][0] == 0
+    return changes(jaw)[-1:] and changes(jaw)[-1][0] == 0
 
 
 @contextlib.contextmanager
 def driven(jaw, *arguments):
     with running(jaw.port, jaw.folder, "--config", FACE, "--wav", CLIP, *arguments) as daemon:
-        wait_for(lambda: all_driven(daemon) and len(told(jaw)) > 20)
+        wait_for(lambda: all_driven(daemon) and len(changes(jaw)) > 20)
         yield daemon
 
 
@@ -58,24 +58,24 @@ def test_after_a_signal_the_servo_is_limp_and_has_confirmed_it(jaw, number):
 
     assert is_limp(jaw)
     assert "confirmed by 1 servo" in said or "confirmed by all 1 servos" in said
-    assert told(jaw)[-2][1] == pytest.approx(2048, abs=3)  # eased to neutral before
-    assert {torque for torque, _ in told(jaw)} == {0, 1}
+    assert changes(jaw)[-2][1] == pytest.approx(2048, abs=3)  # eased to neutral before
+    assert {torque for torque, _ in changes(jaw)} == {0, 1}
 
 
 def test_a_bridge_that_is_shot_leaves_the_servo_limp_and_goes_on(jaw):
     with driven(jaw) as daemon:
-        before = len(told(jaw))
+        before = len(changes(jaw))
         os.kill(child(daemon, "bridge"), signal.SIGKILL)
-        wait_for(lambda: 0 in [torque for torque, _ in told(jaw)[before:]])
+        wait_for(lambda: 0 in [torque for torque, _ in changes(jaw)[before:]])
         wait_for(lambda: all_driven(daemon) and not is_limp(jaw))
     assert is_limp(jaw)
 
 
 def test_a_speech_that_is_shot_lets_the_servo_hold_or_go_and_comes_back(jaw):
     with driven(jaw) as daemon:
-        before = len(told(jaw))
+        before = len(changes(jaw))
         os.kill(child(daemon, "speech"), signal.SIGKILL)
-        wait_for(lambda: all_driven(daemon) and len(told(jaw)) > before + 20)
+        wait_for(lambda: all_driven(daemon) and len(changes(jaw)) > before + 20)
     assert is_limp(jaw)
 
 
@@ -115,9 +115,9 @@ def test_a_frozen_face_holds_where_it_stands(jaw):
     with driven(jaw) as daemon:
         assert run("stop", "--freeze").returncode == 0
         wait_for(lambda: time.sleep(0.3) or True)
-        before = told(jaw)
+        before = changes(jaw)
         time.sleep(0.3)
-        assert told(jaw) == before
+        assert changes(jaw) == before
         assert not is_limp(jaw)
     assert is_limp(jaw)
     assert daemon.returncode == 0
@@ -125,13 +125,13 @@ def test_a_frozen_face_holds_where_it_stands(jaw):
 
 def test_a_plug_that_was_out_starts_where_the_servo_stands(tmp_path, monkeypatch):
     own_folder(monkeypatch)
-    log, link, faults = tmp_path / "told.jsonl", tmp_path / "port", tmp_path / "faults.yaml"
+    log, link, faults = tmp_path / "changes.jsonl", tmp_path / "port", tmp_path / "faults.yaml"
     faults.write_text("faults: [{kind: unplug, at_s: 8.0, lasts_s: 0.7}]")
     arguments = ["--config", FACE, "--log", str(log), "--link", str(link), "--faults", str(faults)]
     with simulated_port(arguments):
         jaw = SimpleNamespace(port=str(link), log=log, folder=tmp_path)
         with driven(jaw) as daemon:
             wait_for(lambda: "port of the servos is gone" in daemon.said.read_text())
-            before = len(told(jaw))
-            wait_for(lambda: all_driven(daemon) and len(told(jaw)) > before + 5)
+            before = len(changes(jaw))
+            wait_for(lambda: all_driven(daemon) and len(changes(jaw)) > before + 5)
         assert is_limp(jaw)
