@@ -130,13 +130,13 @@ class FeetechBus:
         pulses = self._mounting.pulses(positions_deg)
         taken = (cache.low <= pulses) & (pulses <= cache.high)
         if all_set(taken):
-            cache.errors, cache.goals = cache.no_errors, pulses
+            self._cache.errors, self._cache.goals = cache.no_errors, pulses
             if all_set(cache.driven):
                 line.tell(self._goal_write.request(pulses))
                 return
         else:
-            cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
-            cache.goals = np.where(taken, pulses, cache.goals)
+            self._cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
+            self._cache.goals = np.where(taken, pulses, cache.goals)
         sent = taken & cache.driven
         if any_set(sent):
             encode = self._dialect.encode

@@ -41,9 +41,16 @@ class Line:
     extra_wait_s: how long beyond its time an answer is waited for; for commands outside the loop.
     """
 
-    def __init__(self, transport: Transport, *, extra_wait_s: float = 0.0) -> None:
+    def __init__(
+        self,
+        transport: Transport,
+        return_delay_s: float = LONGEST_RETURN_DELAY_S,
+        *,
+        extra_wait_s: float = 0.0,
+    ) -> None:
+        """return_delay_s: the slowest servo's; it lengthens deadlines, not the wire."""
         self.transport = transport
-        self.return_delay_s = LONGEST_RETURN_DELAY_S
+        self.return_delay_s = return_delay_s
         self.byte_s = BITS_PER_BYTE / transport.baud_rate
         self.spoilt = False
         self.echoes = False

@@ -484,13 +484,12 @@ def serve(
     first_id: int,
     baud_rate: int | None,
     faults: str | None,
-    log: Path | None,
-    **_of: Any,
+    **others: Any,
 ) -> PtyHost:
     """Servos behind a terminal that any program can open: a face's, or `n_servos` of one model.
 
-    link: a path that leads to it. faults: the text of a script. log: a file that gets every change
-    of torque and goal as a line of JSON.
+    link: a path that leads to it. faults: the text of a script. others: log, a file that gets
+    every change of torque and goal as a line of JSON.
     Raises ServoError for what no chain can have, ValueError, and PortError where no terminal can
     be made.
     """
@@ -502,8 +501,8 @@ def serve(
     if last_id >= BROADCAST_ID:
         raise ServoError(f"ids {first_id}..{last_id}: a servo's id is at most {BROADCAST_ID - 1}")
     options: dict[str, Any] = {"faults": read_faults(faults)}
-    if log is not None:
-        options["on_change"] = _writer(log)
+    if others["log"] is not None:
+        options["on_change"] = _writer(others["log"])
     if wiring is not None:
         rate = baud_rate or wiring.settings.baud_rate
         return PtyHost(chain_for(mounted_servos(wiring), rate, **options), link)
