@@ -8,7 +8,6 @@ import numpy as np
 
 from firmware_bridge.bus import Array
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.dynamixel.wire.line import Transport
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.maestro.protocol import (
     GET_ERRORS,
@@ -29,6 +28,7 @@ from firmware_bridge.maestro.protocol import (
 )
 from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_servos import PulseScale
+from firmware_bridge.transport import Transport
 
 #: USB answers within two milliseconds; a computer that is busy has more.
 _ANSWER_S: Final = 0.02
