@@ -66,7 +66,7 @@ class PulseController(Protocol):
         """Open the way to it, again after it was lost; sends no pulse."""
 
     def close(self) -> None:
-        """Give the port back; pulses go on as they are."""
+        """Give it back for good; pulses go on as they are."""
 
     def send(self, pulses_us: Array) -> None:
         """The pulse of each servo, (n_servos,), in one write; 0: none."""
@@ -306,7 +306,6 @@ class PulseBus:
     def reopen(self) -> None:
         """Open the way to the controller again; what it sends meanwhile goes on."""
         self._check_open()
-        self._controller.close()
         self._open()
 
     def _open(self) -> None:

@@ -156,6 +156,7 @@ class MaestroController:
 
     def open(self) -> None:
         """Nothing is set before the first pulses."""
+        self.close()
         self._commands = None
         maestro = self._maestro = Maestro(self._open_transport(), self._settings)
         try:

@@ -1,5 +1,6 @@
 """A PCA9685 as what makes the pulses of a face: `PulseController`."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -7,8 +8,9 @@ import numpy as np
 
 from firmware_bridge.bus import Array, any_set
 from firmware_bridge.clock import Clock
-from firmware_bridge.errors import PortError
+from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.pca9685.i2c import I2cChip
+from firmware_bridge.pca9685.oe_guard import OeGuard
 from firmware_bridge.pca9685.registers import (
     ALL_OFF,
     IDENTITY,
@@ -41,10 +43,11 @@ class Pca9685:
         timing: Timing,
         channels: Sequence[int],
         clock: Clock,
+        guard: OeGuard | None = None,
     ) -> None:
-        """channels: of each servo."""
+        """channels: of each servo. guard: of the OE pin; None: nothing holds it."""
         self._open_chip, self._timing, self._clock = open_chip, timing, clock
-        self._channels = tuple(channels)
+        self._channels, self._guard = tuple(channels), guard
         self._messages = PulseMessages(channels)
         self._chip: I2cChip | None = None
         self._is_set_up = False
@@ -53,34 +56,45 @@ class Pca9685:
 
     def open(self) -> None:
         """Find the chip; only reads. Raises PortError where another chip has its address."""
+        self._give_back()
         self._chip = chip = self._open_chip()
         self._is_set_up = self._any_lost = False
         self._lost[:] = False
         try:
             check_identity(chip)
+            if self._guard is not None:
+                self._guard.start()
         except PortError:
-            self.close()
+            self._give_back()
             raise
 
     def close(self) -> None:
-        """Give the bus back; pulses go on as they are."""
-        if self._chip is not None:
-            self._chip.close()
-            self._chip = None
+        """Give the bus back; pulses go on as they are, unless there is a guard."""
+        self._give_back()
+        if self._guard is not None:
+            self._guard.close()
 
     def send(self, pulses_us: Array) -> None:
         """All channels of the face in one transfer; all of the board off by one byte."""
+        guard = self._guard
+        if guard is not None and guard.has_lapsed:
+            self._any_lost, self._lost[:] = True, True
         if self._any_lost:
             self._lost &= pulses_us > 0.0
             self._any_lost = bool(self._lost.any())
             pulses_us = np.where(self._lost, 0.0, pulses_us)
         counts = self._timing.counts(pulses_us)
         if not any_set(counts):
+            if guard is not None:
+                with contextlib.suppress(ServoError):  # told in the next look
+                    guard.beat(passes=False)
             self._opened.write([ALL_OFF])
             return
         if not self._is_set_up:
             self._set_up()
         self._opened.write(self._messages.of(counts))
+        if guard is not None:
+            self._beat(guard, passes=True)
 
     def sending(self, index: int) -> float:
         """What the registers of its channel make; none while the chip is asleep or set otherwise.
@@ -88,6 +102,8 @@ class Pca9685:
         A supply that broke down leaves the chip as at power-up, and all servos without pulses.
         """
         chip = self._opened
+        if self._guard is not None:
+            self._beat(self._guard, passes=self._guard.passes)
         mode = chip.read(Register.MODE1)[0]
         if mode != RUNNING or self._lost[index]:
             if self._is_set_up and mode != RUNNING:
@@ -98,13 +114,26 @@ class Pca9685:
 
     def remarks(self) -> Sequence[str]:
         """What a person must know who starts the face."""
-        return [NO_GUARD]
+        return [] if self._guard is not None else [NO_GUARD]
 
     @property
     def _opened(self) -> I2cChip:
         if self._chip is None:
             raise PortError("the I2C bus is not open")
         return self._chip
+
+    def _give_back(self) -> None:
+        if self._chip is not None:
+            self._chip.close()
+            self._chip = None
+
+    def _beat(self, guard: OeGuard, *, passes: bool) -> None:
+        """Raises ServoError, with all pulses off, where nothing would end them any more."""
+        try:
+            guard.beat(passes=passes)
+        except ServoError:
+            self._opened.write([ALL_OFF])
+            raise
 
     def _set_up(self) -> None:
         """Prescaler and modes, unless they are so already: then pulses of before go on.

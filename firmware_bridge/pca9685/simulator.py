@@ -1,12 +1,14 @@
 """A simulated PCA9685 with hobby servos: takes messages to the byte, and logs every pulse.
 
 Modelled by the data sheet: addresses, auto-increment and its roll-overs, sleep and restart, the
-prescaler, power-up values, registers that count from the next cycle on. Not modelled: time on the
-wire, outputs inverted or changed on ACK, open-drain outputs.
+prescaler, power-up values, registers that count from the next cycle on, the OE pin. Not modelled:
+time on the wire, outputs inverted or changed on ACK, open-drain outputs.
 """
 
+import contextlib
 import errno
 import json
+import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -20,9 +22,10 @@ from pydantic import ValidationError
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import Clock, ManualClock
-from firmware_bridge.errors import ServoError
+from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.pca9685.i2c import ANSWER, COUNT, MESSAGE, READ, I2cChip, Message
 from firmware_bridge.pca9685.kind import PCA9685, controller_of
+from firmware_bridge.pca9685.oe_guard import is_stand_in
 from firmware_bridge.pca9685.registers import (
     CYCLE,
     FULL,
@@ -143,9 +146,13 @@ class SimulatedPca9685:
         faults: Sequence[ChipFault] = (),
         cuts_pulses: bool = False,
         on_pulse: Callable[[Pulse], None] | None = None,
+        oe_is_high: Callable[[], bool] = lambda: False,
         n_remembered: int = 200_000,
     ) -> None:
-        """servos: by channel. on_pulse: gets every pulse that is over, besides `pulses`."""
+        """servos: by channel. on_pulse: gets every pulse that is over, besides `pulses`.
+
+        oe_is_high: the OE pin, at which no pulse comes out while it is.
+        """
         self.address, self._clock_hz = address, clock_hz
         self.servos = dict(servos or {})
         self.pulses: deque[Pulse] = deque(maxlen=n_remembered)
@@ -153,6 +160,7 @@ class SimulatedPca9685:
         self.nacks, self.cut_after = 0, -1
         self.registers = bytearray(256)
         self._on_pulse, self._cuts_pulses = on_pulse, cuts_pulses
+        self._oe_is_high, self._is_blocked = oe_is_high, oe_is_high()
         self._faults, self._n_begun = faults, [0] * len(faults)
         self._now_s = 0.0
         self._cycle_s: float | None = None  # when the next cycle begins; None: asleep
@@ -201,6 +209,9 @@ class SimulatedPca9685:
         while self._cycle_s is not None and self._cycle_s <= self._now_s:
             self._begin_cycle(self._cycle_s)
             self._cycle_s += CYCLE * self.count_us * 1e-6
+        self._is_blocked = self._oe_is_high()
+        if self._is_blocked:
+            self._cut(range(N_CHANNELS))
 
     def _suffers(self, kind: str) -> bool:
         return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
@@ -308,7 +319,7 @@ class SimulatedPca9685:
             self._order(pulse)
             self._note(pulse)
         self._under_way.clear()
-        if self._awaits_restart:
+        if self._awaits_restart or self._is_blocked:
             return
         for channel in range(N_CHANNELS):
             counts = self._counts(channel)
@@ -416,10 +427,34 @@ def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
     return messages, data[at:]
 
 
+class PinFifo:
+    """A FIFO that a guard of the OE pin drives in place of a GPIO, with the pull-up of the board.
+
+    Its end of the FIFO closed, as by the guard's death, the pin is an input, and high.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises PortError where it can neither be found nor made."""
+        try:
+            if not is_stand_in(str(path)):
+                os.mkfifo(path, 0o600)
+            self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise PortError(f"gpio_chip {path}: no FIFO can be made: {error.strerror}") from error
+        self._is_high = True
+
+    def is_high(self) -> bool:
+        """Just now."""
+        with contextlib.suppress(BlockingIOError):
+            self._is_high = os.read(self._fd, 4096)[-1:] != b"0"
+        return self._is_high
+
+
 def chip_for(
     wiring: Wiring,
     faults: Sequence[ChipFault] = (),
     on_pulse: Callable[[Pulse], None] | None = None,
+    oe_is_high: Callable[[], bool] = lambda: False,
 ) -> SimulatedPca9685:
     """The board of a face with its servos at neutral."""
     servos = {each.channel: HobbyServo(each.us_per_deg, each.neutral_us) for each in wiring.servos}
@@ -430,6 +465,7 @@ def chip_for(
         servos=servos,
         faults=faults,
         on_pulse=on_pulse,
+        oe_is_high=oe_is_high,
     )
 
 
@@ -452,8 +488,12 @@ def serve(
     """
     if wiring is None:
         raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
+    script, settings = read_faults(faults), wiring.settings
     on_pulse = None if log is None else _writer(log)
-    return PtyHost(TerminalChip(chip_for(wiring, read_faults(faults), on_pulse)), link)
+    # That of a real computer is left alone: then the OE pin leads nowhere.
+    has_pin = settings.oe_gpio is not None and not settings.gpio_chip.startswith("/dev/")
+    oe = {"oe_is_high": PinFifo(Path(settings.gpio_chip)).is_high} if has_pin else {}
+    return PtyHost(TerminalChip(chip_for(wiring, script, on_pulse, **oe)), link)
 
 
 def _writer(log: Path) -> Callable[[Pulse], None]:
