@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import (
+    CATCH_UP_DEG_S,
     GOAL_OUT_OF_RANGE,
     Array,
     Feedback,
@@ -35,8 +36,6 @@ from firmware_bridge.pulse_servos import PulseScale, PulseServo
 PULSES_OFF: Final = "pulses off; a digital servo may hold"
 #: One servo at a time: so long a servo pulls at its hardest to where its first pulse sends it.
 _STAGGER_S: Final = 0.25
-#: A servo that has come on goes no faster until it has caught up.
-_SLOW_DEG_S: Final = 60.0
 #: The controller is asked so often what it sends, one channel at a time.
 _LOOK_EVERY_S: Final = 0.2
 #: A shorter silence is none: it is only asked now and then.
@@ -164,7 +163,7 @@ class PulseBus:
         self._scale = scale = PulseScale(servos)
         self._controller, self._clock, self._may_jump = controller, clock, may_jump
         self._kept = kept or KeptPulses(None)
-        self._slow_us_s = np.minimum(_SLOW_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
+        self._slow_us_s = np.minimum(CATCH_UP_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
         self._held = np.zeros(n, dtype=np.bool_)
         self._slow = np.zeros(n, dtype=np.bool_)
         self._fresh = np.zeros(n, dtype=np.bool_)  # on, and not seen to be so yet
@@ -222,11 +221,11 @@ class PulseBus:
         )
 
     def feedback(self) -> Feedback:
-        """Nothing comes back from them."""
+        """Nothing comes back from them; whose turn has come."""
         self._check_open()
-        return Feedback(
-            self._clock.now(), self._unknown, self._unknown, self._errors, self._nothing
-        )
+        now_s = self._clock.now()
+        ready = None if self._is_steady else self._held & (self._on_s <= now_s)
+        return Feedback(now_s, self._unknown, self._unknown, self._errors, self._nothing, ready)
 
     def remarks(self) -> Sequence[str]:
         """Those of the controller."""

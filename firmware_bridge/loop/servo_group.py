@@ -116,6 +116,7 @@ class ServoGroup:
     def disable_all(self, time_s: float = 0.0, why: str = "") -> None:
         """Switch everybody off; nobody is driven any more."""
         self.torque_off.begin()
+        self._note_ready()
         self.supervision.mark_all_waiting(time_s, why)
 
     def read(self) -> Readings:
@@ -147,6 +148,7 @@ class ServoGroup:
             why_not = _asked_often(self.gate.enable, index)
             self.supervision.note_attempt(index, why_not, time_s)
             found.append((index, why_not))
+        self._note_ready()
         self._refuse(found)
 
     def keep_holding(self, time_s: float) -> None:
@@ -199,9 +201,16 @@ class ServoGroup:
 
     def _start_here(self, index: int) -> None:
         """Who holds now goes on from where it stands; where nobody knows, from its last goal."""
-        here_deg = float(self._bus.feedback().positions_deg[index])
-        if math.isfinite(here_deg) or self._has_place:
-            self.limiter.start_one(index, here_deg)
+        if self._has_place:
+            self.limiter.start_one(index, float(self._bus.feedback().positions_deg[index]))
+        else:
+            self.limiter.start_one(index, float(self._bus.read().goals_deg[index]))
+            self._note_ready()
+
+    def _note_ready(self) -> None:
+        """Where nobody knows where servos stand: those whose turn has not come stay."""
+        if not self._has_place:
+            self.limiter.hold_back(self._bus.feedback().ready)
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
         """Who was heard just now, and where each comes to a stand, given where it goes."""
@@ -223,6 +232,8 @@ class ServoGroup:
         self.scale = self._heat.scale(feedback, health)
         if self._has_place:
             self.supervision.check_tracking(goals_deg, feedback)
+        else:
+            self.limiter.hold_back(feedback.ready)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)
         enabled = self.supervision.act(health, time_s, self.gate)

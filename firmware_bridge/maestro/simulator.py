@@ -47,6 +47,8 @@ _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
 _SHAFT_US_S: Final = 4_400.0
 #: Answers come with the next frame of USB.
 _USB_S: Final = 0.001
+#: It is another device on USB after it has started anew: its port is gone for so long. Ours.
+_RESTART_S: Final = 0.5
 _FOREVER: Final = float("inf")
 
 
@@ -221,8 +223,8 @@ class SimulatedMaestro:
         return said
 
     def brown_out(self) -> None:
-        """Its supply fails for a moment: it starts anew, and sends no pulses."""
-        self._message.clear()
+        """Its supply fails for a moment: it starts anew, and sends no pulses; USB finds it again."""
+        self.unplug(_RESTART_S)
         self.errors = 0
         for number, channel in enumerate(self.channels):
             channel.target = channel.speed = channel.acceleration = 0

@@ -25,7 +25,7 @@ def pin(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def guard(pin, tmp_path):
+def guard(pin, tmp_path):  # noqa: ARG001 - makes the FIFO
     guard = OeGuard(str(tmp_path / "oe"), 17, MonotonicClock())
     guard.start()
     yield guard
@@ -94,9 +94,7 @@ def bridge(pin, tmp_path):
         process.kill()
 
 
-def test_a_bridge_that_is_killed_leaves_the_pin_high_until_the_next_takes_it(
-    bridge, pin, tmp_path
-):
+def test_a_bridge_that_is_killed_leaves_the_pin_high_until_the_next_takes_it(bridge, pin, tmp_path):
     bridge.kill()
     bridge.wait()
     wait_for(pin.is_high)

@@ -75,6 +75,7 @@ def test_after_all_are_killed_pulses_end_and_a_start_brings_them_back(daemon, bo
     assert NO_GUARD not in log(daemon)
     kill_all(daemon)
     wait_for(lambda: not has_pulses(board))
+    daemon.control.unlink()  # of a face that is no more
     (folder := board.folder / "again").mkdir()
     with running(board.port, folder, "--config", board.face) as again:
         wait_for(lambda: all_driven(again) and has_pulses(board, 0.2))

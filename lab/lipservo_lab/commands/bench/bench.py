@@ -5,7 +5,7 @@
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -72,15 +72,18 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
     """Measure a bridge's process, its tick, and the bare line, on simulated servos.
 
-    Against the wire and dynamixel-sdk; against rustypot too, when that is installed.
+    Against the wire and dynamixel-sdk; against rustypot too, when that is installed. Hobby servos
+    against a loop by hand, with smbus2 installed.
     """
+    from importlib.util import find_spec
+
     from lipservo_lab.bench.bus import bus_figures as measure
     from lipservo_lab.bench.bus.bus_figures import cpu_ratios
     from lipservo_lab.bench.bus.process_cpu_figures import process_ratios
     from lipservo_lab.bench.bus.tick_cpu_figures import tick_ratios
 
     began_s = time.perf_counter()
-    parts = (
+    parts: list[Callable[[], dict[str, float]]] = [
         process_ratios,
         tick_ratios,
         cpu_ratios,
@@ -88,7 +91,11 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
         measure.fault_figures,
         measure.silent_cycle_figures,
         measure.replug_figures,
-    )
+    ]
+    if find_spec("smbus2") is not None:
+        from lipservo_lab.bench.bus.pulse_tick_figures import pulse_tick_ratios
+
+        parts.append(pulse_tick_ratios)
     figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("bus", total=len(parts))
