@@ -31,7 +31,7 @@ def all_set(flags: NDArray[np.bool_]) -> bool:
     return 0 not in flags.tobytes()
 
 
-#: A servo of which nobody knows where it stands goes no faster until it has caught up with its goal.
+#: A servo of which nobody knows where it stands is no faster until it has caught up with its goal.
 CATCH_UP_DEG_S: Final = 60.0
 #: In `errors` of a servo that was given a goal outside its range; of Dynamixel's, and for all.
 GOAL_OUT_OF_RANGE: Final = 6

@@ -67,8 +67,12 @@ class PulseController(Protocol):
     def close(self) -> None:
         """Give it back for good; pulses go on as they are."""
 
-    def send(self, pulses_us: Array) -> None:
-        """The pulse of each servo, (n_servos,), in one write; 0: none."""
+    def send(self, pulses_us: Array) -> bool:
+        """The pulse of each servo, (n_servos,), in one write; 0: none.
+
+        False: it has lost all since the last write, as after a break of its supply, and none is
+        made.
+        """
 
     def sending(self, index: int) -> float:
         """The pulse that goes to one servo just now, in us, 0: none; NaN: it does not answer."""
@@ -211,10 +215,11 @@ class PulseBus:
     def read(self) -> Readings:
         """What they were told; nothing comes back from them."""
         self._check_open()
+        told_us = np.where(self._slow, self._last_us, self._goal_us)
         return Readings(
             time_s=self._clock.now(),
             positions_deg=self._unknown,
-            goals_deg=self._scale.joints_deg(self._goal_us),
+            goals_deg=self._scale.joints_deg(told_us),
             torque_on=self._held.copy(),
             errors=self._errors,
             age_s=self._nothing,
@@ -351,9 +356,11 @@ class PulseBus:
         """The pulse of each servo whose turn has come; the others get none."""
         now_s = self._clock.now()
         if self._is_steady:
-            self._last_us[:] = self._goal_us
             self._sent_s = now_s
-            self._controller.send(self._goal_us)
+            if self._controller.send(self._goal_us):
+                self._last_us[:] = self._goal_us
+            else:
+                self._lose_all()
             return
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
@@ -367,9 +374,17 @@ class PulseBus:
         else:
             sent_us = self._goal_us
         self._sent_s, self._has_sent = now_s, True
+        if not self._controller.send(np.where(on, sent_us, 0.0)):
+            self._lose_all()
+            return
         np.copyto(self._last_us, sent_us, where=on)
-        self._controller.send(np.where(on, sent_us, 0.0))
         self._is_steady = all_set(on) and not any_set(self._slow)
+
+    def _lose_all(self) -> None:
+        """No servo has pulses any more; each starts anew where it was sent last."""
+        self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
+        self._on_s[:] = np.inf
+        self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
         """At the servo that came on last, else at the next in turn."""

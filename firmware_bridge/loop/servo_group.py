@@ -158,8 +158,8 @@ class ServoGroup:
         and its watchdog, which tripped meanwhile, protects nothing until it was set again.
         """
         self._to_keep.clear()
-        here_deg = self._bus.feedback().positions_deg if self._has_place else self.limiter.sent_deg
-        self.limiter.start_from(np.nan_to_num(here_deg), time_s)
+        here_deg = self._bus.read().start_deg(self._bus.capabilities)
+        self.limiter.start_from(here_deg, time_s)
         for index in self._not_off(range(len(self._joints))):
             why_not = "" if self.gate.keep(index) else "lost its torque; not again"
             self.supervision.note_attempt(index, why_not, time_s)
@@ -173,10 +173,12 @@ class ServoGroup:
         brakes. Who was not heard just now keeps its goal until it is, for where it stands is not
         known: `stay_on`.
         """
+        if not self._has_place:
+            self.limiter.start_from(self._bus.read().goals_deg, time_s)
+            return
         heard, near_deg = self._stopping_places()
         self.limiter.start_from(np.where(heard, near_deg, self.limiter.sent_deg), time_s)
-        if self._has_place:
-            self._to_stay = ~heard
+        self._to_stay = ~heard
 
     def stay_on(self, time_s: float) -> Limited:
         """The goals of a frozen face again; those not heard then stop as soon as they are.
@@ -198,6 +200,14 @@ class ServoGroup:
         limited = self.limiter.unchanged()
         self.send(limited, time_s)
         return limited
+
+    def drop_waiting(self, time_s: float) -> None:
+        """A person stops the face: a servo whose turn has not come gets none."""
+        ready = self._bus.feedback().ready
+        if ready is not None:
+            for index in np.flatnonzero(self.supervision.driven & ~ready).tolist():
+                self.gate.disable(index)
+                self.supervision.note_attempt(index, "was stopped before its turn", time_s)
 
     def _start_here(self, index: int) -> None:
         """Who holds now goes on from where it stands; where nobody knows, from its last goal."""

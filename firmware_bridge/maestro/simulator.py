@@ -8,11 +8,13 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
+import numpy as np
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
+from firmware_bridge.bus import Array, ServoBus
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import ManualClock
@@ -39,7 +41,8 @@ from firmware_bridge.maestro.protocol import (
 )
 from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_bus import PulseBus
-from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
+from firmware_bridge.pulse_servos import PulseScale
+from firmware_bridge.simulator.ports import MemoryTransport, PtyHost, WatchedServos
 
 #: As it comes: https://www.pololu.com/docs/0J40/4.b .
 _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
@@ -59,6 +62,10 @@ class PulseFault(Strict):
     at_s: Annotated[float, within(0.0, 1e9)]
     every_s: Annotated[float, within(0.01, 1e9)] | None = None
     lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
+
+
+#: Kinds of faults.
+FAULTS: Final = get_args(PulseFault.model_fields["kind"].annotation)
 
 
 class _Script(Strict):
@@ -223,7 +230,7 @@ class SimulatedMaestro:
         return said
 
     def brown_out(self) -> None:
-        """Its supply fails for a moment: it starts anew, and sends no pulses; USB finds it again."""
+        """Its supply fails for a moment: it starts anew, without pulses; USB finds it again."""
         self.unplug(_RESTART_S)
         self.errors = 0
         for number, channel in enumerate(self.channels):
@@ -338,12 +345,31 @@ def maestro_for(
     )
 
 
-def simulated_wire(wiring: Wiring) -> tuple[PulseBus, ManualClock]:
-    """The servos of a face in memory, and the clock that moves them."""
-    maestro, clock = maestro_for(wiring), ManualClock()
+def watched_servos(
+    wiring: Wiring,
+    faults: Sequence[PulseFault] = (),
+    on_pulse: Callable[[Pulse], None] | None = None,
+) -> WatchedServos:
+    """The servos of a face in memory, and what can be seen of them."""
+    maestro, clock = maestro_for(wiring, faults, on_pulse), ManualClock()
     controller = MaestroController(wiring, lambda: MemoryTransport(maestro, clock, BAUD_RATE))
-    can = MAESTRO.capabilities(wiring.settings)
-    return PulseBus(wiring.servos, controller, clock, can, may_jump=True), clock
+    can, scale = MAESTRO.capabilities(wiring.settings), PulseScale(wiring.servos)
+    bus = PulseBus(wiring.servos, controller, clock, can, may_jump=True)
+
+    def shafts_deg() -> Array:
+        maestro.advance(clock.now())
+        places = [maestro.channels[each.channel].shaft.place_us for each in wiring.servos]
+        return scale.joints_deg(np.array(places))
+
+    return WatchedServos(
+        bus, clock, maestro, shafts_deg, lambda: maestro.plugged and not maestro.deaf
+    )
+
+
+def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
+    """The servos of a face in memory, and the clock that moves them."""
+    watched = watched_servos(wiring)
+    return watched.bus, watched.clock
 
 
 def serve(

@@ -64,6 +64,12 @@ class I2cChip:
         """Each begins with its register; they take effect together."""
         self._transfer([(self._address, 0, message) for message in messages])
 
+    def exchange(self, messages: Sequence[bytes | bytearray], register: int) -> bytes:
+        """The same, and what is in one register then, in one transfer."""
+        address = self._address
+        written: list[Message] = [(address, 0, message) for message in messages]
+        return self._transfer([*written, (address, 0, bytes((register,))), (address, READ, 1)])
+
     def read(self, register: int, n_bytes: int = 1) -> bytes:
         """From one register on."""
         address = self._address

@@ -14,11 +14,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
+import numpy as np
 import yaml
 from pydantic import ValidationError
 
+from firmware_bridge.bus import Array, ServoBus
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import Clock, ManualClock
@@ -39,7 +41,7 @@ from firmware_bridge.pca9685.registers import (
     counts_of,
 )
 from firmware_bridge.pulse_bus import PulseBus
-from firmware_bridge.simulator.ports import PtyHost
+from firmware_bridge.simulator.ports import PtyHost, WatchedServos
 
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
 #: Of auto-increment: behind these comes register 0.
@@ -71,6 +73,10 @@ class ChipFault(Strict):
         """How often it has begun by a time."""
         since_s = now_s - self.at_s
         return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
+
+
+#: Kinds of faults.
+FAULTS: Final = get_args(ChipFault.model_fields["kind"].annotation)
 
 
 class _Script(Strict):
@@ -173,9 +179,16 @@ class SimulatedPca9685:
         """Whether the computer has the bus."""
         return not self._suffers("unplug")
 
+    @property
+    def is_reachable(self) -> bool:
+        """Whether a transfer would get through just now."""
+        return self.plugged and not self._suffers("stuck") and not self._suffers("nack")
+
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
         """Error number and what was read."""
         self.advance(time_s)
+        if not self.plugged:
+            return errno.ENODEV, b""
         if self._suffers("stuck"):
             return errno.ETIMEDOUT, b""
         if self.nacks or self._suffers("nack"):
@@ -469,12 +482,28 @@ def chip_for(
     )
 
 
-def simulated_wire(wiring: Wiring) -> tuple[PulseBus, ManualClock]:
-    """The servos of a face in memory, at neutral, and the clock that moves them."""
-    chip, clock = chip_for(wiring), ManualClock()
+def watched_servos(
+    wiring: Wiring,
+    faults: Sequence[ChipFault] = (),
+    on_pulse: Callable[[Pulse], None] | None = None,
+) -> WatchedServos:
+    """The servos of a face in memory, at neutral, and what can be seen of them."""
+    chip, clock = chip_for(wiring, faults, on_pulse), ManualClock()
     opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
     controller, can = controller_of(wiring, opener, clock), PCA9685.capabilities(wiring.settings)
-    return PulseBus(wiring.servos, controller, clock, can, may_jump=True), clock
+    bus = PulseBus(wiring.servos, controller, clock, can, may_jump=True)
+
+    def shafts_deg() -> Array:
+        places = chip.places_deg(clock.now())
+        return np.array([places[each.channel] for each in wiring.servos])
+
+    return WatchedServos(bus, clock, chip, shafts_deg, lambda: chip.is_reachable)
+
+
+def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
+    """The servos of a face in memory, at neutral, and the clock that moves them."""
+    watched = watched_servos(wiring)
+    return watched.bus, watched.clock
 
 
 def serve(
