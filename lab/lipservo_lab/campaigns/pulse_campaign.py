@@ -184,10 +184,11 @@ class PulseAuditor:
             self.armed_wrongly += step_us > self._top_us_s * self._period_s + _ROUNDING_US
             self.armed_late += time_s > self._stopped_s + _LAST_PULSE_S
             return
-        # Of a message that was lost the step is made with the next one, and that of a Maestro, which
-        # follows at its own speed, was not finished before.
-        seconds = min(max(time_s - before_s, self._period_s), 3.0 * self._period_s)
-        self.steps_too_long += step_us > self._top_us_s * seconds + _ROUNDING_US
+        # The step of a message that was lost is made with the next one; at a Maestro, which goes to
+        # a target at its own speed, that of the message before may not have been finished.
+        n_periods = 3.0 if off_s < math.inf and not comes_again else 1.0
+        reach_us = self._top_us_s * n_periods * self._period_s
+        self.steps_too_long += step_us > reach_us + _ROUNDING_US
         is_late = time_s > self._stopped_s + _BRAKES_S
         self.moved_frozen += self._is_frozen and is_late and step_us > _ROUNDING_US
 

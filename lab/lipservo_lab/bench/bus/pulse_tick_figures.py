@@ -244,16 +244,16 @@ class CannedI2c(smbus2.SMBus):
 
     def __init__(self) -> None:
         super().__init__()
-        self._registers, self._pointer = bytearray(256), 0
-        self._registers[Register.SUBADR1 : Register.ALLCALLADR + 1] = IDENTITY
-        self._registers[Register.PRE_SCALE] = 0x1E
+        self.registers, self._pointer = bytearray(256), 0
+        self.registers[Register.SUBADR1 : Register.ALLCALLADR + 1] = IDENTITY
+        self.registers[Register.PRE_SCALE] = 0x1E
 
     def i2c_rdwr(self, *messages: Any) -> None:
         """As smbus2 makes them ready for the kernel."""
         smbus2.smbus2.i2c_rdwr_ioctl_data.create(*messages)
         for each in messages:
             if each.flags & READ:
-                found = self._registers[self._pointer : self._pointer + each.len]
+                found = self.registers[self._pointer : self._pointer + each.len]
                 for n, value in enumerate(found):
                     each.buf[n] = value
                 continue
@@ -261,12 +261,12 @@ class CannedI2c(smbus2.SMBus):
             self._pointer = written[0]
             end = self._pointer + len(written) - 1
             if self._pointer == Register.MODE1 and len(written) > 1:
-                self._registers[0] = written[1] & ~Mode1.RESTART
+                self.registers[0] = written[1] & ~Mode1.RESTART
             elif self._pointer == Register.ALL_LED_OFF_H:
                 for channel in range(16):
-                    self._registers[Register.LED0_ON_L + 4 * channel + 3] |= FULL
+                    self.registers[Register.LED0_ON_L + 4 * channel + 3] |= FULL
             else:
-                self._registers[self._pointer : end] = written[1:]
+                self.registers[self._pointer : end] = written[1:]
 
 
 @contextmanager

@@ -151,6 +151,7 @@ def faults(
             help="Signals to every command that moves servos instead, on real processes, 8 s each.",
         ),
     ] = False,
+    bus: Annotated[str, typer.Option(help="Which kind of bus.")] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -160,6 +161,7 @@ def faults(
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
+        CAMPAIGN_BUSES,
         campaign_figures,
         signal_campaign_figures,
         stop_campaign_figures,
@@ -167,6 +169,11 @@ def faults(
 
     if stops + signals + whole > 1:
         raise UserError("--stops, --signals and --whole: give one of them")
+    if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals)):
+        raise UserError(
+            f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops and --signals are of "
+            "dynamixel"
+        )
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("cases", total=None)
@@ -179,7 +186,7 @@ def faults(
         elif signals:
             figures, broken = signal_campaign_figures(every, advance)
         else:
-            figures, broken = campaign_figures(every, advance, whole=whole)
+            figures, broken = campaign_figures(every, advance, bus=bus, whole=whole)
     for line in broken:
         MESSAGES.print(line, soft_wrap=True)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)
