@@ -67,6 +67,7 @@ def test_the_step_of_the_mouth_is_looked_for_where_recognisers_meet():
     assert found["widest_step_in_speech_mm"] == pytest.approx(9.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_ending_the_bench_ends_its_load_and_its_face(number):
     folder = short_folder()
