@@ -3,22 +3,17 @@
 What goes out on the wires to the servos is logged by the simulator alone: tests judge by that.
 """
 
-import json
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
-import yaml
-from pydantic import TypeAdapter, ValidationError
 
 from firmware_bridge.bus import Array, ServoBus
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.errors import ServoError
 from firmware_bridge.maestro.controller import MaestroController, check_channels
 from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
 from firmware_bridge.maestro.protocol import (
@@ -43,6 +38,7 @@ from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.pulse_servos import PulseScale
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost, WatchedServos
+from firmware_bridge.simulator.pulse_device import TimedFault, parse_faults, pulse_log
 
 #: As it comes: https://www.pololu.com/docs/0J40/4.b .
 _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
@@ -55,36 +51,19 @@ _RESTART_S: Final = 0.5
 _FOREVER: Final = float("inf")
 
 
-class PulseFault(Strict):
-    """What goes wrong, and when: once at at_s, or again and again; unplug lasts for lasts_s."""
+class PulseFault(TimedFault):
+    """Its kinds; unplug lasts for lasts_s."""
 
     kind: Literal["brown-out", "deaf", "truncate", "corrupt", "unplug"]
-    at_s: Annotated[float, within(0.0, 1e9)]
-    every_s: Annotated[float, within(0.01, 1e9)] | None = None
-    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
 
 
 #: Kinds of faults.
 FAULTS: Final = get_args(PulseFault.model_fields["kind"].annotation)
 
 
-class _Script(Strict):
-    faults: tuple[PulseFault, ...]
-
-
-def read_faults(text: str | None) -> tuple[PulseFault, ...]:
+def read_faults(text: str | None) -> Sequence[PulseFault]:
     """Faults of a script. Raises ValueError for whatever is not allowed in it."""
-    if text is None:
-        return ()
-    try:
-        content = yaml.safe_load(text)
-        return TypeAdapter(_Script).validate_python(content, strict=False).faults
-    except yaml.YAMLError as error:
-        raise ValueError("not YAML") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"{where}: {first['msg']}") from error
+    return parse_faults(text, PulseFault)
 
 
 class Shaft:
@@ -383,20 +362,12 @@ def serve(
     be made.
     """
     script = read_faults(faults)
-    on_pulse = None if log is None else _writer(log)
+    write = pulse_log(log)
+
+    def on_pulse(pulse: Pulse) -> None:
+        if write is not None:
+            write((round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us))
+
     if wiring is None:
         wiring = Wiring(MaestroSettings(model=WITHOUT_SET_TARGETS), (), (), 50.0)
     return PtyHost(maestro_for(wiring, script, on_pulse), link)
-
-
-def _writer(log: Path) -> Callable[[Pulse], None]:
-    try:
-        file = log.open("w", buffering=1, encoding="utf-8")
-    except OSError as error:
-        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
-
-    def write(pulse: Pulse) -> None:
-        row = [round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us]
-        file.write(json.dumps(row) + "\n")
-
-    return write

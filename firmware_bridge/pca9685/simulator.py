@@ -7,22 +7,18 @@ time on the wire, outputs inverted or changed on ACK, open-drain outputs.
 
 import contextlib
 import errno
-import json
 import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
-import yaml
-from pydantic import ValidationError
 
 from firmware_bridge.bus import Array, ServoBus
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.pca9685.i2c import ANSWER, COUNT, MESSAGE, READ, I2cChip, Message
@@ -42,6 +38,7 @@ from firmware_bridge.pca9685.registers import (
 )
 from firmware_bridge.pulse_bus import PulseBus
 from firmware_bridge.simulator.ports import PtyHost, WatchedServos
+from firmware_bridge.simulator.pulse_device import TimedFault, parse_faults, pulse_log
 
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
 #: Of auto-increment: behind these comes register 0.
@@ -50,17 +47,14 @@ _LAST: Final = (Register.LED15_OFF_H, Register.PRE_SCALE)
 _SHORTEST_US, _LONGEST_US = 400.0, 2600.0
 
 
-class ChipFault(Strict):
-    """What goes wrong, and when: once at at_s, or again and again.
+class ChipFault(TimedFault):
+    """Its kinds.
 
     nack: nobody acknowledges; stuck: a line is held low; unplug: the computer has no such bus: for
     lasts_s. cut: of the next transfer two bytes arrive; brown-out: as after power-up.
     """
 
     kind: Literal["nack", "stuck", "cut", "brown-out", "unplug"]
-    at_s: Annotated[float, within(0.0, 1e9)]
-    every_s: Annotated[float, within(0.01, 1e9)] | None = None
-    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
 
     def is_on(self, now_s: float) -> bool:
         """Whether it lasts at a time."""
@@ -79,19 +73,9 @@ class ChipFault(Strict):
 FAULTS: Final = get_args(ChipFault.model_fields["kind"].annotation)
 
 
-class _Script(Strict):
-    faults: list[ChipFault]
-
-
 def read_faults(text: str | None) -> Sequence[ChipFault]:
     """Faults of a script. Raises ValueError for whatever is not allowed in it."""
-    try:
-        return () if text is None else _Script.model_validate(yaml.safe_load(text)).faults
-    except yaml.YAMLError as error:
-        raise ValueError("not YAML") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    return parse_faults(text, ChipFault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -518,21 +502,13 @@ def serve(
     if wiring is None:
         raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
     script, settings = read_faults(faults), wiring.settings
-    on_pulse = None if log is None else _writer(log)
+    write = pulse_log(log)
+
+    def on_pulse(pulse: Pulse) -> None:
+        if write is not None:
+            write((round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)))
+
     # That of a real computer is left alone: then the OE pin leads nowhere.
     has_pin = settings.oe_gpio is not None and not settings.gpio_chip.startswith("/dev/")
     oe = {"oe_is_high": PinFifo(Path(settings.gpio_chip)).is_high} if has_pin else {}
     return PtyHost(TerminalChip(chip_for(wiring, script, on_pulse, **oe)), link)
-
-
-def _writer(log: Path) -> Callable[[Pulse], None]:
-    try:
-        file = log.open("w", buffering=1, encoding="utf-8")
-    except OSError as error:
-        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
-
-    def write(pulse: Pulse) -> None:
-        row = [round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)]
-        file.write(json.dumps(row) + "\n")
-
-    return write
