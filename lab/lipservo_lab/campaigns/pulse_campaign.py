@@ -135,7 +135,7 @@ class PulseAuditor:
 
     goals_outside: outside the range of the joint, or where no servo is. steps_too_long: farther
     from the one before than top speed allows. armed_wrongly: the first after a pause elsewhere than
-    the last, by more than it was under way in a period.
+    the last, by more than it was under way in two periods.
     armed_late: the first after a pause, after a person's stop. moved_frozen: other than the one
     before, later than a tenth of a second after a person froze the face.
     """
@@ -181,7 +181,9 @@ class PulseAuditor:
         self.goals_outside += not low_us - _ROUNDING_US <= pulse_us <= high_us + _ROUNDING_US
         step_us = abs(pulse_us - before_us)
         if time_s - off_s > _ENDED_S:
-            self.armed_wrongly += step_us > self._top_us_s * self._period_s + _ROUNDING_US
+            # The last order before a break of the supply may have been cut short.
+            reach_us = 2.0 * self._top_us_s * self._period_s
+            self.armed_wrongly += step_us > reach_us + _ROUNDING_US
             self.armed_late += time_s > self._stopped_s + _LAST_PULSE_S
             return
         # The step of a message that was lost is made with the next one; at a Maestro, which goes to
