@@ -87,6 +87,9 @@ class OeGuard:
                 [*command, self._chip, str(self._line), str(end.fileno())],
                 pass_fds=[end.fileno()],
                 stdin=subprocess.DEVNULL,
+                # It may outlive this process, and would keep a pipe of its reader open.
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
                 start_new_session=True,
             )
         self._link.settimeout(_START_S)
