@@ -37,6 +37,11 @@ class Pca9685Settings(BusSettings):
     gpio_chip: Text = "/dev/gpiochip0"
 
     @property
+    def board(self) -> str:
+        """Its address on the I2C bus."""
+        return f"{self.address:#04x}"
+
+    @property
     def timing(self) -> Timing:
         """Of its pulses."""
         return Timing.at(self.clock_hz, self.frequency_hz)

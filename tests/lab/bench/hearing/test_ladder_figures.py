@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.hearing.ladder_figures import Load, Ticks, figures_of
+from lipservo_lab.bench.hearing.ladder_figures import Load, Ticks, crowd_figures, figures_of
 from places import short_folder
 
 PATIENCE_S = 60.0
@@ -85,6 +85,14 @@ def test_ending_the_bench_ends_its_load_and_its_face(number):
     if number == signal.SIGTERM:
         assert said.strip() == "lipservo: stopped before the end: no figures"
         assert list(folder.iterdir()) == []
+
+
+@pytest.mark.campaign
+def test_after_ten_faces_on_few_cores_those_that_go_on_have_the_network_again():
+    """It was lost for the life of each process."""
+    found = crowd_figures(10, 30.0, short_folder(), lambda: False)
+
+    assert found["kept_back"] == found["kept"]
 
 
 def children_of(pid):
