@@ -59,7 +59,8 @@ class Feedback:
 
     positions_deg: NaN for a servo that never answered, or cannot say. effort: share of the stall
     torque, 0..1; NaN where it is not measured. age_s: 0 = answered just now, or cannot say.
-    ready: of servos that start without a place, those that go to their goals by now; None: all.
+    ready: of servos that start without a place, those that go to their goals by now, and sent_deg:
+    where each was sent last, short of its goal while it catches up; None: all are, at their goals.
     """
 
     time_s: float
@@ -68,6 +69,7 @@ class Feedback:
     errors: NDArray[np.uint8]
     age_s: Array
     ready: NDArray[np.bool_] | None = None
+    sent_deg: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

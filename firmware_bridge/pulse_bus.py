@@ -215,11 +215,10 @@ class PulseBus:
     def read(self) -> Readings:
         """What they were told; nothing comes back from them."""
         self._check_open()
-        told_us = np.where(self._slow, self._last_us, self._goal_us)
         return Readings(
             time_s=self._clock.now(),
             positions_deg=self._unknown,
-            goals_deg=self._scale.joints_deg(told_us),
+            goals_deg=self._scale.joints_deg(self._goal_us),
             torque_on=self._held.copy(),
             errors=self._errors,
             age_s=self._nothing,
@@ -229,8 +228,13 @@ class PulseBus:
         """Nothing comes back from them; whose turn has come."""
         self._check_open()
         now_s = self._clock.now()
-        ready = None if self._is_steady else self._held & (self._on_s <= now_s)
-        return Feedback(now_s, self._unknown, self._unknown, self._errors, self._nothing, ready)
+        ready = sent_deg = None
+        if not self._is_steady:
+            ready = self._held & (self._on_s <= now_s)
+            sent_us = np.where(self._slow, self._last_us, self._goal_us)
+            sent_deg = self._scale.joints_deg(sent_us)
+        unknown = self._unknown
+        return Feedback(now_s, unknown, unknown, self._errors, self._nothing, ready, sent_deg)
 
     def remarks(self) -> Sequence[str]:
         """Those of the controller."""

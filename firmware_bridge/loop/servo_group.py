@@ -174,7 +174,8 @@ class ServoGroup:
         known: `stay_on`.
         """
         if not self._has_place:
-            self.limiter.start_from(self._bus.read().goals_deg, time_s)
+            sent_deg = self._bus.feedback().sent_deg
+            self.limiter.start_from(self.limiter.sent_deg if sent_deg is None else sent_deg, time_s)
             return
         heard, near_deg = self._stopping_places()
         self.limiter.start_from(np.where(heard, near_deg, self.limiter.sent_deg), time_s)
