@@ -41,6 +41,7 @@ EXTRA_OF = {
     "espeakng_loader": "lipservo[say]",
     "dtaidistance": "lipservo[offline]",
     "smbus2": "lipservo[pca9685]",
+    "gpiod": "lipservo[pca9685]",
     "joblib": "lipservo-lab[offline]",
     "distributed": "lipservo-lab[cluster]",
     "pipecat": "lipservo-client[pipecat]",

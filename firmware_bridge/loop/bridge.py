@@ -293,6 +293,7 @@ class Bridge:
             return
         self._jog.clear()
         self._servos.gate.close(_by_a_person(level))
+        self._act_now(self._servos.drop_waiting)
         if level is StopLevel.FREEZE:
             self._freeze()
         elif level is StopLevel.LIMP or not self._can_ease():

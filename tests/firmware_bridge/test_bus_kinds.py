@@ -180,7 +180,8 @@ def test_what_a_stop_does_is_the_table_of_the_page():
     ways = [way.strip("`") for way in rows[0][1:]]
     told = {row[0].strip("`"): dict(zip(ways, row[1:], strict=True)) for row in rows[2:]}
 
-    for name in ("simulated", "dynamixel", "pca9685", "feetech"):
-        kind = bus_kind(name)
-        can = kind.capabilities(kind.settings(kind=name, port="/dev/x"))
+    for name in ("simulated", "dynamixel", "feetech", "pca9685", "pca9685 with oe_gpio"):
+        kind = bus_kind(name.split()[0])
+        pin = {"oe_gpio": 17} if "oe_gpio" in name else {}
+        can = kind.capabilities(kind.settings(kind=kind.name, port="/dev/x", **pin))
         assert told[name] == dict(can.stop_table())
