@@ -17,6 +17,7 @@ from firmware_bridge.bus import (
     Readings,
     ServoBus,
     ServoHealth,
+    any_set,
 )
 from firmware_bridge.errors import ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
@@ -97,6 +98,9 @@ class ServoGroup:
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
         self.scale = np.ones(len(self._joints))
+        #: Whether a person has led a joint beyond its limits, to find them.
+        self.is_wide = False
+        self._wide = np.zeros(len(self._joints), dtype=np.bool_)
         self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
         self._to_keep: deque[int] = deque(maxlen=len(self._joints))  # frozen, may hold or not
         self._health: Health | None = None
@@ -209,6 +213,13 @@ class ServoGroup:
         sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
         near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
         return (feedback.age_s == 0.0) & np.isfinite(places_deg), near_deg
+
+    def widen(self, low_deg: Array, high_deg: Array) -> None:
+        """The range of each joint from now on, (n_joints,), as `Limiter.widen` has it."""
+        wide = self.limiter.widen(low_deg, high_deg)
+        if wide.tobytes() != self._wide.tobytes():
+            self._wide, self.is_wide = wide, any_set(wide)
+            self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
         """Goals to those that are driven; then hear how all are, and help one of them."""

@@ -62,7 +62,8 @@ class Status:
     whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
     name; troubles: a line for each servo that is not driven, and one while a lesser recogniser is
     in use; jogged: joints that a person jogs; health: how each servo is, as `ServoHealth` has it,
-    None for what was never heard; capabilities: what the bus can do (`BusCapabilities`); n_ticks
+    None for what was never heard; capabilities: what the bus can do (`BusCapabilities`);
+    pulses: of each hobby servo, by name, its limits and what it was sent last; n_ticks
     to n_rejected_targets: the counts of `BridgeStatus`; *_total: how often the gate stepped in,
     over all servos; bridge_pid: the process that drives
     them. The rest is that of `SpeechStatus`.
@@ -84,6 +85,7 @@ class Status:
     jogged: tuple[str, ...] = ()
     health: tuple[Mapping[str, object], ...] = ()
     capabilities: Mapping[str, object] = field(default_factory=dict)
+    pulses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     sound: str | None = None
     recognizer: str | None = None
     fallback_level: int | None = None
