@@ -47,7 +47,6 @@ EXTRA_OF = {
     "fastapi": "lipservo[dashboard]",
     "nicegui": "lipservo[dashboard]",
     "prometheus_client": "lipservo[dashboard]",
-    "ruamel": "lipservo[dashboard]",
     "starlette": "lipservo[dashboard]",
     "uvicorn": "lipservo[dashboard]",
 }

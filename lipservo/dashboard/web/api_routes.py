@@ -10,7 +10,13 @@ from fastapi.responses import JSONResponse
 from lipservo_client.protocol import FaceError
 from starlette.requests import ClientDisconnect
 
-from lipservo.dashboard.face_files import own_yaml, saved_settings, told_calibration, with_settings
+from lipservo.dashboard.face_files import (
+    face_errors,
+    own_yaml,
+    saved_settings,
+    told_calibration,
+    with_settings,
+)
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.servo_remedies import is_stopped, told_servos
 from lipservo.dashboard.sound_lines import MOST_BYTES, SoundLines, Uploads, checked_name
@@ -222,7 +228,8 @@ async def change_settings(link: FaceLink, values: dict[str, float], *, save: boo
     if now:
         await link.change(now)
     try:
-        await asyncio.to_thread(file.write)
+        with face_errors():
+            await asyncio.to_thread(file.write)
     except FaceError:
         if now:
             await link.change({name: float(live[name]) for name in now})
