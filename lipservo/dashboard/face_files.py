@@ -6,13 +6,16 @@ line: refused, not_saved, not_available.
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from lipservo_client.protocol import FaceError
 
 from lipservo.runtime.speech.expression import ExpressionWishes
+from lipservo.settings import found_limits
 from lipservo.settings.edited_yaml import EditedYaml, Place, edited, read_face_text
+from lipservo.settings.found_limits import PulseLimit
 from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipsync.errors import UserError
@@ -22,10 +25,25 @@ def own_yaml(config: str | None) -> Path:
     """The file of a face that is the user's own. Raises FaceError for one that is shipped."""
     if config is None:
         raise FaceError("refused", "the face does not say where its YAML is")
-    if not (config.endswith((".yaml", ".yml")) or "/" in config):
-        hint = "make one of your own with `lipservo new-face`, and start that"
-        raise FaceError("refused", f"{config} is shipped with lipservo and stays as it is; {hint}")
-    return Path(config)
+    try:
+        return found_limits.own_yaml(config)
+    except UserError as error:
+        raise FaceError("refused", str(error)) from error
+
+
+def set_pulse_limit(
+    config: str | None, servo: str, limit: PulseLimit, pulse_us: float
+) -> dict[str, Any]:
+    """Write one limit of a hobby servo into the face's YAML: the numbers of all, and what next."""
+    path = own_yaml(config)
+    with face_errors():
+        edit = found_limits.with_pulse_limit(path, servo, limit, pulse_us)
+        edit.write()
+        after = parse_face(edit.text, path.name).servos[servo]
+    degrees = {"min_deg": after.min_deg, "max_deg": after.max_deg}
+    assert after.pulse is not None  # checked by `with_pulse_limit`
+    pulse = asdict(after.pulse)
+    return {"servo": servo, "set": {**pulse, **degrees}, "note": found_limits.what_next(edit)}
 
 
 def saved_settings(config: str | None) -> dict[str, Any]:

@@ -64,6 +64,8 @@ def edited(path: Path, values: Mapping[Place, float]) -> EditedYaml:
     wanted = _told(parse_face(before, path.name))
     text: str | None = before
     for place, value in values.items():
+        if _at(wanted, place) == value:
+            continue
         text = None if text is None else _with_value(text, place, f"{value:g}")
         _put(wanted, place, float(f"{value:g}"))
     if text is None or not _is_yaml(text) or _told(parse_face(text, path.name)) != wanted:
@@ -79,6 +81,12 @@ def lines_by_hand(place: Place, value: float) -> str:
 
 def _told(face: FaceSettings) -> dict[str, Any]:
     return face.model_dump(exclude_none=True)
+
+
+def _at(told: Any, place: Place) -> Any:
+    for key in place:
+        told = told.get(key) if isinstance(told, dict) else None
+    return told
 
 
 def _put(told: dict[str, Any], place: Place, value: float) -> None:

@@ -1,4 +1,4 @@
-"""`jog`, `neutral`, `new-face`: a builder's first hour."""
+"""`new-face`: the servos that there are become the YAML of a face."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
@@ -15,36 +15,6 @@ from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:
     from lipservo.runtime.servos.moving import Moved
-
-
-def jog(
-    joint: Annotated[str, typer.Argument(help="Which joint.")],
-    deg: Annotated[float, typer.Argument(help="Where to, joint degrees.")],
-    port: Port = None,
-    config: Config = DEFAULT_FACE,
-    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="How long to stay.")] = 1.0,
-) -> None:
-    """Move one joint, the others held, through the safety gate; then all go limp."""
-    from lipservo.runtime.servos.moving import move_to
-
-    _say_if_simulated(port, config)
-    moved = move_to(config, port, {joint: deg}, hold_s)
-    _finish(moved, [joint])
-
-
-def neutral(
-    port: Port = None,
-    config: Config = DEFAULT_FACE,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Servos that have had no pulse yet may jump to neutral.")
-    ] = False,
-) -> None:
-    """Bring every joint to its neutral, through the safety gate; then all go limp."""
-    from lipservo.runtime.servos.moving import move_to
-
-    _say_if_simulated(port, config)
-    moved = move_to(config, port, None, 0.5, may_jump=yes)
-    _finish(moved, moved.reached_deg)
 
 
 def new_face(
@@ -112,25 +82,9 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
     tools.clear_foreign_settings(port, rate, found, foreign)
 
 
-def _finish(moved: "Moved", joints: Iterable[str]) -> None:
-    where = "stands at" if moved.is_measured else "was sent to"
-    for joint in joints:
-        RESULTS.print(f"{joint} {where} {moved.reached_deg[joint]:.1f} deg")
-    status = exit_status(moved.report, None)
-    if status:
-        raise typer.Exit(status)
-
-
 def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
     """An answer to the question for a joint's name; asked again where it cannot be one."""
     try:
         return check(text, taken)
     except UserError as error:
         raise typer.BadParameter(str(error)) from None
-
-
-def _say_if_simulated(port: str | None, config: str) -> None:
-    from lipservo.runtime.servos.assembly import load_settings
-
-    if port is None and load_settings(config)[0].capabilities.in_memory:
-        say_simulated()

@@ -14,6 +14,7 @@ from lipservo.dashboard.face_files import (
     face_errors,
     own_yaml,
     saved_settings,
+    set_pulse_limit,
     told_calibration,
     with_settings,
 )
@@ -25,6 +26,7 @@ from lipservo.dashboard.web.api_models import (
     JogBody,
     LookBody,
     PlayBody,
+    PulseLimitBody,
     SayBody,
     ServoBody,
     SettingsBody,
@@ -44,6 +46,7 @@ _COUNTS = (
 def face_routes(link: FaceLink) -> APIRouter:
     """Status, commands, servos, faults, calibration."""
     routes = APIRouter(prefix="/api")
+    one_at_a_time = asyncio.Lock()
 
     @routes.get("/status")
     async def status() -> Told:
@@ -101,13 +104,29 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.post("/jog")
     async def jog(body: JogBody) -> Told:
-        """Move single servos by hand, within their limits; ends 3 s after the last request."""
+        """Move single servos by hand, within their limits; ends 3 s after the last request.
+
+        By its pulse a hobby servo goes beyond them, at most 10 us at a time: docs/hardware.md.
+        """
         if body.action != "move":
             return dict(await (link.jog_arm() if body.action == "arm" else link.jog_end()))
-        if body.servo is None or body.deg is None:
-            raise FaceError("refused", "move needs servo and deg")
+        if body.servo is None or (body.deg is None) == (body.pulse_us is None):
+            raise FaceError("refused", "move needs servo, and either deg or pulse_us")
         _check_known(link, body.servo)
+        if body.pulse_us is not None:
+            return dict(await link.jog_pulse(body.servo, body.pulse_us))
+        assert body.deg is not None  # one of both
         return dict(await link.jog(body.servo, body.deg))
+
+    @routes.post("/pulse-limits")
+    async def pulse_limits(body: PulseLimitBody) -> Told:
+        """Write the pulse that was found for a hobby servo into the face's own YAML."""
+        _check_known(link, body.servo)
+        config = (link.status or {}).get("config")
+        async with one_at_a_time:
+            return await asyncio.to_thread(
+                set_pulse_limit, config, body.servo, body.limit, body.pulse_us
+            )
 
     @routes.get("/faults")
     async def faults() -> Told:
