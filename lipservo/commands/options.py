@@ -289,5 +289,5 @@ def port_of(given: str | None, of_the_face: str | None) -> str:
     """The port to open. Raises UserError when there is none."""
     port = given or of_the_face
     if port is None:
-        raise UserError("no port: give --port, or write `bus: {kind: dynamixel, port: ...}`")
+        raise UserError("no port: give --port, or write `port:` under `bus:` in the face's YAML")
     return port
