@@ -38,8 +38,6 @@ Port = Annotated[
         show_default=False,
     ),
 ]
-#: Where no face says it.
-RequiredPort = Annotated[str, typer.Option(help="Serial port of the servos.")]
 Sim = Annotated[
     str | None,
     typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),

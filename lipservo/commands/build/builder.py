@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Port, RequiredPort
+from lipservo.commands.options import DEFAULT_FACE, Config, Port
 from lipservo.runtime.servos.face_stopped import exit_status
 from lipservo.terminal.output import MESSAGES, RESULTS, say_simulated
 from lipsync.errors import UserError
