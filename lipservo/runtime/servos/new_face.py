@@ -1,6 +1,6 @@
 """The parts of `lipservo new-face`: find servos, nudge one, write the YAML."""
 
-import json
+import math
 import os
 import re
 from collections.abc import Sequence
@@ -259,6 +259,8 @@ def check_wiring(text: str, file_name: str) -> FaceSettings:
 
 
 def _quoted(text: str) -> str:
-    """As a YAML value: a JSON text is one, whatever stands in it."""
+    """As a YAML value, whatever stands in it."""
     is_plain = re.fullmatch(_PLAIN, text) and isinstance(yaml.safe_load(text), str)
-    return text if is_plain else json.dumps(text, ensure_ascii=False)
+    if is_plain:
+        return text
+    return yaml.safe_dump(text, default_style='"', width=math.inf).rstrip("\n")
