@@ -149,8 +149,8 @@ STEPS: Final = (
         "lipservo calibrate practise 3 -o /tmp/practice.yaml",
     ),
     (
-        "limits", "Find the limits", "The servos are let go: turn each joint by hand to both of its "
-        "ends. Their places are shown; w writes the limits into the YAML, 2 degrees inside.",
+        "limits", "Find the limits", "The servos are let go: turn each joint by hand to both of "
+        "its ends. Their places are shown; w writes the limits into the YAML, 2 degrees inside.",
         "lipservo jog --limp --config {face} --port DEV",
     ),
     (
@@ -182,8 +182,8 @@ PULSE_STEPS: Final = {
         "lipservo jog --dashboard --config {face} --port DEV",
     ),
     "late": (
-        "late", "How late each servo is", "These servos cannot say it. Film one with a telephone in "
-        "slow motion beside the pulse that jog prints, count, and type the milliseconds.",
+        "late", "How late each servo is", "These servos cannot say it. Film one with a telephone "
+        "in slow motion beside the pulse that jog prints, count, and type the milliseconds.",
         "lipservo calibrate lags mine.yaml --config {face} --lag-ms jaw=60",
     ),
 }  # fmt: skip
