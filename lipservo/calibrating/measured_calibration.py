@@ -325,7 +325,8 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
     fitted = CalibrationResult(
         fit_calibration(setup.model, servos.joints, servos.face_checksum, rules=servos.rules)
     )
-    if not (setup.lags and setup.settings.capabilities.in_memory):
+    can = setup.settings.capabilities
+    if not (setup.lags and can.in_memory and can.place):
         return fitted
     bus, clock = simulated_wire(setup.settings)
     with bus, HeldFace(setup.settings, bus, clock) as face:

@@ -181,6 +181,11 @@ PULSE_STEPS: Final = {
         "where it should stop, slowly. Set as min, neutral and max write it into the YAML.",
         "lipservo jog --dashboard --config {face} --port DEV",
     ),
+    "look": (
+        "look", "Begin with a drawn face", "A map for a face of usual shape with your limits: the "
+        "robot speaks, coarsely, and single shapes are trimmed by eye.",
+        "lipservo calibrate fit --config {face} -o mine.yaml",
+    ),
     "late": (
         "late", "How late each servo is", "These servos cannot say it. Film one with a telephone "
         "in slow motion beside the pulse that jog prints, count, and type the milliseconds.",

@@ -159,3 +159,11 @@ def test_lags_of_servos_without_an_encoder_are_typed(tmp_path, typed, words):
 def test_a_board_that_is_no_word_is_refused():
     with pytest.raises(UserError, match="is no model of a maestro"):
         pulse_face_yaml("x", bus_kind("maestro"), None, "", [WiredJoint("jaw", 0, "opens")])
+
+
+def test_a_face_of_hobby_servos_gets_a_first_calibration_and_no_lags_that_nobody_measured(face):
+    path = face.parent / "mine.calibration.yaml"
+    done = lipservo("calibrate", "fit", "--config", face, "-o", path)
+
+    assert done.returncode == 0, done.stderr
+    assert "lag_s" not in path.read_text()
