@@ -191,6 +191,12 @@ class ServoBus(Protocol):
         Raises ValueError for any other shape.
         """
 
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """Take goals of these, (n_servos,), as far as a person may find limits (`Joint.pulse`).
+
+        Of all others within their limits. A bus without pulses takes no notice.
+        """
+
     def read(self) -> Readings:
         """Ask every servo where it stands, where it is going, and whether it holds."""
 

@@ -108,6 +108,10 @@ class BusKind:
     #: What stands under `bus:`, and under `servos:` for each servo, with the checks of both.
     settings: "type[BusSettings]"
     servo: "type[BusServo]"
+    #: Of a bus whose servos cannot be found by asking: the key under `bus:` that says which board
+    #: they hang on, and the board that most have; empty: they are found.
+    board_key: str = ""
+    usual_board: str = ""
     #: The kind that the same servos have at a port; empty: this one.
     at_port: str = ""
     #: See the methods `workshop` and `simulator`; empty: it has none.

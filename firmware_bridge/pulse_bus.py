@@ -167,6 +167,7 @@ class PulseBus:
         self._scale = scale = PulseScale(servos)
         self._controller, self._clock, self._may_jump = controller, clock, may_jump
         self._kept = kept or KeptPulses(None)
+        self._low_us, self._high_us = scale.min_us, scale.max_us
         self._slow_us_s = np.minimum(CATCH_UP_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
         self._held = np.zeros(n, dtype=np.bool_)
         self._slow = np.zeros(n, dtype=np.bool_)
@@ -202,7 +203,7 @@ class PulseBus:
         self._check_open()
         scale = self._scale
         pulses_us = scale.pulses_us(positions_deg)
-        above, below = pulses_us >= scale.min_us, pulses_us <= scale.max_us
+        above, below = pulses_us >= self._low_us, pulses_us <= self._high_us
         if all_set(above) and all_set(below):
             self._errors = self._no_errors
         else:
@@ -211,6 +212,12 @@ class PulseBus:
             self._errors = np.where(taken, self._no_errors, np.uint8(GOAL_OUT_OF_RANGE))
         self._goal_us = pulses_us
         self._send()
+
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """These go beyond min_us..max_us, to 500 and 2500 us."""
+        low_us, high_us = self._scale.reach_us.T
+        self._low_us = np.where(joints, low_us, self._scale.min_us)
+        self._high_us = np.where(joints, high_us, self._scale.max_us)
 
     def read(self) -> Readings:
         """What they were told; nothing comes back from them."""

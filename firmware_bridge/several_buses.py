@@ -42,6 +42,7 @@ _READ: Final = ("read", _ALL)
 _FEEDBACK: Final = ("feedback", _ALL)
 _LOOK: Final = ("look after", _ALL)
 _OFF: Final = ("disable all", _ALL)
+_WIDEN: Final = ("widen", _ALL)
 _REOPEN: Final = ("reopen", _ALL)
 _LEAVE: Final = ("leave", _ALL)
 #: These do not wait for their turn: torque off goes before all that was handed over.
@@ -241,6 +242,11 @@ class SeveralBuses:
         self._check()
         for each in self._threads.values():
             each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))
+
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """Have every bus take goals beyond the limits of those of its servos."""
+        for each in self._threads.values():
+            each.hand(_WIDEN, partial(each.bus.widen, joints[each.at]))
 
     def read(self) -> Readings:
         """Ask every bus; of one that does not answer nothing is known."""

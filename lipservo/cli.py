@@ -33,7 +33,7 @@ COMMANDS = MappingProxyType(
             f"{_BUILD}.setup_servos:setup_servos", "Give new servos their ids and limits.", _ROBOT
         ),
         "doctor": Command(f"{_BUILD}.doctor:doctor", "Check the port and its servos.", _ROBOT),
-        "jog": Command(f"{_BUILD}.builder:jog", "Move one joint.", _ROBOT, True),
+        "jog": Command(f"{_BUILD}.jogging:jog", "Move one joint.", _ROBOT, True),
         "servo": Command(f"{_RUN}.servo:servo", "Switch one servo off or on.", _ROBOT),
         "calibrate": Command(
             "lipservo.commands.calibrate.app:app", "Teach the robot a speaker's mouth.", _ROBOT

@@ -48,7 +48,6 @@ EXTRA_OF = {
     "fastapi": "lipservo[dashboard]",
     "nicegui": "lipservo[dashboard]",
     "prometheus_client": "lipservo[dashboard]",
-    "ruamel": "lipservo[dashboard]",
     "starlette": "lipservo[dashboard]",
     "uvicorn": "lipservo[dashboard]",
 }

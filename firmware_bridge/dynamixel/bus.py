@@ -176,6 +176,9 @@ class DynamixelBus:
         blocks = [(self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)]
         line.tell(codec.sync_write(_GOAL, 4, blocks))
 
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """These servos keep their limits themselves."""
+
     def read(self) -> Readings:
         """Two questions to all: goals and places, then torque."""
         line = self.line

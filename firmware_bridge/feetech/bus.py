@@ -151,6 +151,9 @@ class FeetechBus:
                 )
             )
 
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """These servos keep their limits themselves."""
+
     def read(self) -> Readings:
         """One question to all: torque, goals and places. A limp servo's goal is the one kept."""
         line, cache = self.line, self._cache

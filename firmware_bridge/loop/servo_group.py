@@ -19,6 +19,7 @@ from firmware_bridge.bus import (
     ServoBus,
     ServoHealth,
     ServoState,
+    any_set,
 )
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
@@ -105,6 +106,9 @@ class ServoGroup:
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
         self.scale = np.ones(len(self._joints))
+        #: Whether a person has led a joint beyond its limits, to find them.
+        self.is_wide = False
+        self._wide = np.zeros(len(self._joints), dtype=np.bool_)
         self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
         self._to_keep: deque[int] = deque(maxlen=len(self._joints))  # frozen, may hold or not
         self._health: Health | None = None
@@ -231,9 +235,6 @@ class ServoGroup:
                 self.supervision.note_attempt(index, "was stopped before its turn", time_s)
 
     def _start_here(self, index: int) -> None:
-        """Who holds now goes on from where it stands; where nobody knows, from its last goal."""
-
-    def _start_here(self, index: int) -> None:
         """Who holds now goes on from where it stands; where nobody knows, from where it was sent.
 
         A bus that does not say that either goes on from the goal sent last.
@@ -257,6 +258,13 @@ class ServoGroup:
         sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
         near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
         return (feedback.age_s == 0.0) & np.isfinite(places_deg), near_deg
+
+    def widen(self, low_deg: Array, high_deg: Array) -> None:
+        """The range of each joint from now on, (n_joints,), as `Limiter.widen` has it."""
+        wide = self.limiter.widen(low_deg, high_deg)
+        if wide.tobytes() != self._wide.tobytes():
+            self._wide, self.is_wide = wide, any_set(wide)
+            self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
         """Goals to those that are driven; then hear how all are, and help one of them."""

@@ -35,6 +35,8 @@ class Pca9685Kind(BusKind):
     name = "pca9685"
     settings = Pca9685Settings
     servo = Pca9685Servo
+    board_key = "address"
+    usual_board = "0x40"
     simulator_module = "firmware_bridge.pca9685.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:

@@ -27,7 +27,6 @@ OF_THE_CARD = {"numpy", "scikit-learn", "pyserial", "dynamixel-sdk", "sounddevic
 DISTRIBUTION_OF = {
     "cv2": "opencv-python-headless",
     "pipecat": "pipecat-ai",
-    "ruamel": "ruamel.yaml",
     "serial": "pyserial",
     "sklearn": "scikit-learn",
     "yaml": "pyyaml",

@@ -18,7 +18,7 @@ from firmware_bridge.dynamixel.mounting import MountedServo
 from firmware_bridge.joints import Joint
 from firmware_bridge.simulator.chain import chain_for
 from firmware_bridge.simulator.ports import MemoryTransport, WatchedServos
-from lipservo.runtime.motion_options import MotionOptions, make_recognizer, make_synthesizer
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import Face, assemble_face, simulated_wire
 from lipservo.runtime.street import make_street
 from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
@@ -27,6 +27,7 @@ from lipsync.audio.file import FileSource
 from lipsync.errors import UserError
 from lipsync.markers import MARKERS_47
 from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.recognizers import make_recognizer
 
 _BILABIALS: Final = ("P", "B", "M")
 #: A closure counts from so long before its phoneme until so long after it.
