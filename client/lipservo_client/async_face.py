@@ -4,6 +4,9 @@ import asyncio
 import contextlib
 import itertools
 import json
+import random
+import weakref
+from collections import deque
 from collections.abc import AsyncGenerator, Callable
 from http import HTTPStatus
 from typing import Any, Final, Literal, Self
@@ -27,6 +30,16 @@ from lipservo_client.protocol import (
 _PIECE_BYTES: Final = 1 << 16
 #: An answer that takes longer will not come.
 PATIENCE_S: Final = 10.0
+#: A text's first sentence is synthesised before the answer; a file is read.
+_READING_S: Final = 60.0
+#: Five minutes of speech may wait in a face. When nothing of a stream was heard for longer, the
+#: face stands still.
+STILL_S: Final = 310.0
+#: Between a lost connection and the next try, doubled from try to try; half of it by chance, so
+#: that many clients of one face do not come at once.
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 5.0
+#: A peer that is gone is noticed after both and the time for hanging up: ten seconds.
+_PING_S, _PONG_S, _CLOSING_S = 3.0, 6.0, 1.0
 #: Events that a slow reader of `events` finds; the oldest are lost beyond it.
 _MOST_EVENTS: Final = 1024
 
@@ -62,9 +75,12 @@ class Wire:
 
     async def _send(self, message: str | bytes) -> None:
         try:
-            await self._socket.send(message)
+            async with asyncio.timeout(PATIENCE_S):
+                await self._socket.send(message)
         except ConnectionClosed as error:
             raise _gone(error) from error
+        except TimeoutError as error:
+            raise FaceError("not_answering", "the face takes nothing any more") from error
 
     async def _read(self) -> None:
         try:
@@ -118,7 +134,9 @@ async def _opened(url: str, token: str | None, patience_s: float) -> ClientConne
             additional_headers=headers,
             compression=None,
             open_timeout=patience_s,
-            close_timeout=patience_s,
+            ping_interval=_PING_S,
+            ping_timeout=_PONG_S,
+            close_timeout=_CLOSING_S,
         )
     except InvalidStatus as error:
         answer = error.response
@@ -155,6 +173,8 @@ class AsyncSpeech:
         loop = asyncio.get_running_loop()
         self._ready: asyncio.Future[float] = loop.create_future()
         self._heard: asyncio.Future[Played] = loop.create_future()
+        self._wire = face.wire
+        self._played_s, self._moved_s = 0.0, loop.time()
         self.stream = stream
         self.delay_ms = 0.0
 
@@ -171,22 +191,22 @@ class AsyncSpeech:
         self._raise_error()
         if self.is_over:
             return False
-        await self._face.wire.send_audio(pcm_bytes(samples))
+        await self._wire.send_audio(pcm_bytes(samples))
         return True
 
     async def mark(self, name: str) -> None:
         """Ask for a `mark` event when all that was written until now has been heard."""
-        await self._face.wire.send("mark", name=name)
+        await self._wire.send("mark", name=name)
 
     async def report_played(self, played_s: float) -> None:
         """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""
-        await self._face.wire.send("position", stream=self.stream, played_s=played_s)
+        await self._wire.send("position", stream=self.stream, played_s=played_s)
 
     async def end(self) -> None:
         """No more comes; what was written is said to its end."""
         if not self._is_complete:
             self._is_complete = True
-            await self._face.wire.send("end")
+            await self._wire.send("end")
 
     async def wait(self) -> Played:
         """End it, and wait until it was heard or cut off. Raises FaceError."""
@@ -196,12 +216,22 @@ class AsyncSpeech:
         return played
 
     async def heard(self) -> Played:
-        """Wait until it was heard or cut off, without ending it."""
-        return await asyncio.shield(self._heard)
+        """Wait until it was heard or cut off, without ending it.
+
+        Raises FaceError: the connection is gone, or nothing was heard for `STILL_S`.
+        """
+        loop = asyncio.get_running_loop()
+        while not self._heard.done():
+            still_s = self._moved_s + STILL_S - loop.time()
+            if still_s <= 0.0:
+                still = f"nothing of {self.stream} was heard for {STILL_S:g} s"
+                raise FaceError("not_answering", still)
+            await asyncio.wait([self._heard], timeout=still_s)
+        return self._heard.result()
 
     async def __aenter__(self) -> Self:
-        await self._face.wire.send("start", stream=self.stream, **self._start)
         try:
+            await self._wire.send("start", stream=self.stream, **self._start)
             async with asyncio.timeout(PATIENCE_S):
                 self.delay_ms = await self._ready
         except TimeoutError as error:
@@ -215,10 +245,13 @@ class AsyncSpeech:
                 await self.end()
             elif not self.is_over:
                 self._is_complete = True
-                await self._face.wire.send("interrupt")
+                await self._wire.send("interrupt")
 
     def hear(self, event: Event) -> None:
         """What the face tells of this stream."""
+        if float(event.get("played_s", 0.0)) > self._played_s:
+            self._played_s = float(event["played_s"])
+            self._moved_s = asyncio.get_running_loop().time()
         match event["type"]:
             case "ready" if not self._ready.done():
                 self._ready.set_result(float(event["delay_ms"]))
@@ -255,48 +288,91 @@ class AsyncSpeech:
             raise error
 
 
+class Events:
+    """What a face tells, in order, from when it was made until the face is left.
+
+    A reader that is slow, or never reads, keeps the newest 1,024.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        self._filled = asyncio.Event()
+        self._is_over = False
+
+    def put(self, event: Event) -> None:
+        """One more."""
+        self._waiting.append(event)
+        self._filled.set()
+
+    def end(self) -> None:
+        """No more come."""
+        self._is_over = True
+        self._filled.set()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Event:
+        while not self._waiting:
+            if self._is_over:
+                raise StopAsyncIteration
+            self._filled.clear()
+            await self._filled.wait()
+        return self._waiting.popleft()
+
+
 class AsyncFace:
-    """A connection to a face; from `lipservo.connect_async`."""
+    """A connection to a face; from `lipservo.connect_async`.
+
+    A connection that is lost is opened again, later and later up to every five seconds, until the
+    face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`. What
+    was being said then is over: its stream raises FaceError, and nothing of it is sent again.
+    """
 
     def __init__(self, url: str, token: str | None) -> None:
         self._url = url.rstrip("/")
         self._token = token
         self._numbers = itertools.count(1)
         self._speeches: dict[str, AsyncSpeech] = {}
-        self._listeners: list[asyncio.Queue[Event | None]] = []
-        self._lost: FaceError | None = None
+        self._events: weakref.WeakSet[Events] = weakref.WeakSet()
         self._greeting: asyncio.Future[object] | None = None
+        self._connection: Wire | None = None
         self._control: Wire | None = None
         self._connecting = asyncio.Lock()
+        self._reconnecting: asyncio.Task[None] | None = None
         self._asked: dict[int, asyncio.Future[dict[str, Any]]] = {}
-        self.wire: Wire
+        self._spoken: dict[int, asyncio.Future[Event]] = {}
+
+    @property
+    def wire(self) -> Wire:
+        """The connection for speech. Raises FaceError while there is none."""
+        if self._connection is None:
+            raise FaceError("disconnected", f"{self._url}: not connected; it is tried again")
+        return self._connection
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether speech can be sent."""
+        return self._connection is not None
 
     async def __aenter__(self) -> Self:
         """Raises FaceError: unauthorized, refused, not_answering, bad_protocol."""
-        url = f"{self._url}/stream"
-        self._greeting = asyncio.get_running_loop().create_future()
-        self.wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
-        try:
-            await self.wire.send("hello", protocol=PROTOCOL)
-            async with asyncio.timeout(PATIENCE_S):
-                version = await self._greeting
-            if version != PROTOCOL:
-                differ = f"the face speaks protocol {version}, this lipservo-client {PROTOCOL}"
-                remedy = "install the lipservo-client of the face's version"
-                raise FaceError("bad_protocol", f"{url}: {differ}; {remedy}")
-        except TimeoutError as error:
-            await self.wire.close()
-            raise FaceError("not_answering", f"{url}: the face does not answer") from error
-        except BaseException:
-            await self.wire.close()
-            raise
+        await self._connect()
         return self
 
     async def __aexit__(self, *exc: object) -> None:
         """Hang up. What was ended is said to its end; what was not is cut off."""
-        for wire in (self._control, self.wire):
-            if wire is not None:
-                await wire.close()
+        if self._reconnecting is not None:
+            self._reconnecting.cancel()
+            await asyncio.gather(self._reconnecting, return_exceptions=True)
+        wires = [wire for wire in (self._control, self._connection) if wire is not None]
+        self._control = self._connection = None
+        for wire in wires:
+            await wire.close()
+        for speech in self._speeches.values():
+            speech.lose(FaceError("disconnected", "the face was left"))
+        for events in self._events:
+            events.end()
 
     def stream(
         self,
@@ -306,35 +382,47 @@ class AsyncFace:
     ) -> AsyncSpeech:
         """A new stream of speech. playback: "client" where this program plays the sound itself.
 
-        stream: its id, of your own; streams of one face are told apart by it.
+        stream: its id, of your own; streams of one face are told apart by it. Raises FaceError:
+        disconnected, stream_open.
         """
         name = stream or f"speech {next(self._numbers)}"
-        speech = AsyncSpeech(self, name, {"sample_rate": sample_rate, "playback": playback})
         self._speeches = {key: each for key, each in self._speeches.items() if not each.is_over}
+        if name in self._speeches:
+            raise FaceError("stream_open", f"stream {name!r} is said or waits already")
+        speech = AsyncSpeech(self, name, {"sample_rate": sample_rate, "playback": playback})
         self._speeches[name] = speech
         return speech
 
     async def interrupt(self) -> Played | None:
-        """Barge-in: silence now. What was heard of all that was not finished; None: nothing was."""
-        unfinished = [each.heard() for each in self._speeches.values() if not each.is_over]
+        """Barge-in: silence now. What was heard of all that was not finished; None: nothing was.
+
+        Raises FaceError.
+        """
+        unfinished = [each for each in self._speeches.values() if not each.is_over]
         await self.wire.send("interrupt")
         if not unfinished:
             return None
-        async with asyncio.timeout(PATIENCE_S):
-            played = await asyncio.gather(*unfinished)
+        async with _patience("the interruption"):
+            played = await asyncio.gather(*(each.heard() for each in unfinished))
         return Played(
             all(each.finished for each in played),
             sum(each.played_s for each in played),
             sum(each.dropped_s for each in played),
         )
 
-    def events(self) -> AsyncGenerator[Event, None]:
-        """Whatever the face tells from now on, until the connection ends."""
-        queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_EVENTS)
-        self._listeners.append(queue)
-        if self._lost is not None:
-            queue.put_nowait(None)
-        return self._listen(queue)
+    async def pause(self) -> None:
+        """Silence now; what was not heard is kept, up to a minute, until `resume`."""
+        await self.wire.send("pause")
+
+    async def resume(self) -> None:
+        """Speech goes on where it was paused."""
+        await self.wire.send("resume")
+
+    def events(self) -> Events:
+        """Whatever the face tells from now on, until the face is left."""
+        events = Events()
+        self._events.add(events)
+        return events
 
     async def status(self) -> dict[str, Any]:
         """How the face is: the fields of docs/architecture.md, "Status". Raises FaceError."""
@@ -360,54 +448,92 @@ class AsyncFace:
         """Change a setting while it runs, as `strength`. Raises FaceError."""
         return await self._ask("set", name=name, value=value)
 
-    async def say(self, text: str) -> dict[str, Any]:
-        """Say a text with the face's own voice. Raises FaceError."""
-        return await self._ask("say", text=text)
+    async def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
+        """Say a text with the face's own voice. Raises FaceError.
 
-    async def play(self, file: str) -> dict[str, Any]:
-        """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
-
-        Returns once it is read and waits for its turn. Of a performance the answer has `stream`, as
-        the face's status calls it in `speaking`, and `duration_s`.
+        Returns `stream`, as the face's status calls it in `speaking`, and `duration_s` of what is
+        synthesised; `is_whole`: of all of it. wait: until it was heard or dropped; then also
+        `finished` (it was heard whole) and `played_s`.
         """
-        return await self._ask("play", file=file)
+        return await self._let_speak("say", wait=wait, text=text)
 
-    async def _ask(self, kind: str, **fields: object) -> dict[str, Any]:
-        async with self._connecting:
-            if self._control is None:
-                url = f"{self._url}/control"
-                take, lose = self._take_result, self._lose_control
-                self._control = await connected(url, self._token, take, lose, PATIENCE_S)
+    async def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
+        """Play a sound file or a performance (.perf) of the face's folder; else as `say`."""
+        return await self._let_speak("play", wait=wait, file=file)
+
+    async def _let_speak(self, kind: str, *, wait: bool, **fields: object) -> dict[str, Any]:
         number = next(self._numbers)
+        heard: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
+        self._spoken[number] = heard
+        try:
+            answer = await self._ask(kind, number, _READING_S, **fields)
+            if not wait:
+                return answer
+            done, _ = await asyncio.wait([heard], timeout=STILL_S + answer["duration_s"])
+            if not done:
+                raise FaceError("not_answering", f"{kind}: its end was not told")
+            event = heard.result()
+        finally:
+            del self._spoken[number]
+        ended = {"finished": event["type"] == "finished", "played_s": event["played_s"]}
+        return {**answer, **ended, "duration_s": event["duration_s"], "is_whole": True}
+
+    async def _ask(
+        self, kind: str, number: int | None = None, limit_s: float = PATIENCE_S, **fields: object
+    ) -> dict[str, Any]:
+        number = next(self._numbers) if number is None else number
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._asked[number] = answer
         try:
-            await self._control.send(kind, id=number, **fields)
-            return await answer
+            async with _patience(kind, limit_s):
+                async with self._connecting:
+                    if self._control is None:
+                        url, take, lose = f"{self._url}/control", self._take, self._lose_control
+                        self._control = await connected(url, self._token, take, lose, limit_s)
+                await self._control.send(kind, id=number, **fields)
+                return await answer
         finally:
             del self._asked[number]
 
-    async def _listen(self, queue: asyncio.Queue[Event | None]) -> AsyncGenerator[Event, None]:
-        try:
-            while (event := await queue.get()) is not None:
-                yield event
-        finally:
-            self._listeners.remove(queue)
+    async def _connect(self) -> None:
+        url = f"{self._url}/stream"
+        self._greeting = asyncio.get_running_loop().create_future()
+        async with _patience(url):
+            wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
+            try:
+                await wire.send("hello", protocol=PROTOCOL)
+                version = await self._greeting
+                if version != PROTOCOL:
+                    differ = f"the face speaks protocol {version}, this lipservo-client {PROTOCOL}"
+                    remedy = "install the lipservo-client of the face's version"
+                    raise FaceError("bad_protocol", f"{url}: {differ}; {remedy}")
+            except BaseException:
+                await wire.close()
+                raise
+        self._connection = wire
 
-    def _take_result(self, event: Event) -> None:
-        answer = self._asked.get(event.get("id") or 0)
-        if answer is None or answer.done():
-            return
-        if event["type"] == "error":
-            answer.set_exception(error_of(event))
+    async def _reconnect(self) -> None:
+        wait_s = _FIRST_WAIT_S
+        while self._connection is None:
+            await asyncio.sleep(wait_s * random.uniform(0.5, 1.0))
+            wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
+            with contextlib.suppress(FaceError):
+                await self._connect()
+        self._hand_on({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
+
+    def _take(self, event: Event) -> None:
+        number = event.get("id") or 0
+        if event["type"] in ("finished", "dropped"):
+            _settle(self._spoken.get(number), event)
         elif event["type"] == "result":
-            answer.set_result(event.get("result") or {})
+            _settle(self._asked.get(number), event.get("result") or {})
+        elif event["type"] == "error":
+            _settle(self._asked.get(number), error_of(event))
 
     def _lose_control(self, error: FaceError) -> None:
         self._control = None
-        for answer in self._asked.values():
-            if not answer.done():
-                answer.set_exception(error)
+        for waiting in (*self._asked.values(), *self._spoken.values()):
+            _settle(waiting, error)
 
     def _hear(self, event: Event) -> None:
         if self._greeting is not None and not self._greeting.done():
@@ -426,15 +552,36 @@ class AsyncFace:
         self._hand_on(event)
 
     def _lose(self, error: FaceError) -> None:
-        self._lost = error
-        if self._greeting is not None and not self._greeting.done():
-            self._greeting.set_exception(error)
+        _settle(self._greeting, error)
+        if self._connection is None:  # left, or never greeted
+            return
+        self._connection = None
         for speech in self._speeches.values():
             speech.lose(error)
-        self._hand_on(None)
+        self._hand_on({"type": "disconnected", "code": error.code, "message": str(error)})
+        self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
 
-    def _hand_on(self, event: Event | None) -> None:
-        for queue in self._listeners:
-            if queue.full():
-                queue.get_nowait()
-            queue.put_nowait(event)
+    def _hand_on(self, event: Event) -> None:
+        for events in self._events:
+            events.put(event)
+
+
+def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
+    """Give the answer, or raise it where it is an error, if it is still waited for."""
+    if waiting is None or waiting.done():
+        return
+    if isinstance(answer, FaceError):
+        waiting.set_exception(answer)
+        waiting.exception()  # nobody need wait for it
+    else:
+        waiting.set_result(answer)
+
+
+@contextlib.asynccontextmanager
+async def _patience(what: str, limit_s: float = PATIENCE_S) -> AsyncGenerator[None, None]:
+    """Raises FaceError where the block takes longer."""
+    try:
+        async with asyncio.timeout(limit_s):
+            yield
+    except TimeoutError as error:
+        raise FaceError("not_answering", f"{what}: no answer within {limit_s:g} s") from error

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
 #: The version that this client speaks; a face of another says so, and so do we, in one line.
-PROTOCOL: Final = 1
+PROTOCOL: Final = 2
 #: A message of the face, as docs/agents.md lists them.
 Event = dict[str, Any]
 _FULL_SCALE = 32_767

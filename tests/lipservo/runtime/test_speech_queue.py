@@ -63,7 +63,8 @@ def tone(duration_s):
 
 
 def sound(face, name, *chunks):
-    return spoken_chunks(iter(chunks), PlayoutStream(name, RATE_HZ, face.playout.output_rate_hz))
+    stream = PlayoutStream(name, RATE_HZ, face.playout.output_rate_hz)
+    return spoken_chunks(iter(chunks), stream, sum(map(len, chunks)) / RATE_HZ)
 
 
 def add(queue, face, name, *chunks):
@@ -85,7 +86,7 @@ def test_a_ninth_is_refused_until_the_first_was_said_whatever_they_are(face, que
         if number % 3 == 0:
             queue.add(spoken_text("Good morning. And good night.", "", face.playout), "text")
         elif number % 3 == 1:
-            queue.add(spoken_file(tmp_path / "line.wav", face.playout)[0], "line.wav")
+            queue.add(spoken_file(tmp_path / "line.wav", face.playout), "line.wav")
         else:
             add(queue, face, "chunks", tone(0.2))
 
@@ -146,7 +147,7 @@ def test_one_that_breaks_off_is_said_so_far_and_the_others_whole(face, queue, er
         raise error
 
     stream = PlayoutStream("broken", RATE_HZ, face.playout.output_rate_hz)
-    queue.add(spoken_chunks(broken(), stream), "broken")
+    queue.add(spoken_chunks(broken(), stream, 1.0), "broken")
     add(queue, face, "whole", tone(0.3))
     face.play(lambda: face.playout.is_over)
     assert face.finished() == ["broken", "whole"]
@@ -176,7 +177,7 @@ def test_when_it_is_closed_nothing_more_is_read_and_its_thread_ends(face):
     queue = SpeechQueue(face.playout)
     for _ in range(3):
         stream = PlayoutStream("a", RATE_HZ, face.playout.output_rate_hz)
-        queue.add(spoken_chunks(endless(), stream), "a")
+        queue.add(spoken_chunks(endless(), stream, 1.0), "a")
     settle(lambda: read)
     before = threading.active_count()
     queue.close()
