@@ -28,6 +28,10 @@ from lipservo_client.protocol import (
 
 #: A chunk is sent in pieces: the face takes messages of up to 1 MB.
 _PIECE_BYTES: Final = 1 << 16
+#: Less is kept until more comes: a face reads 2,000 messages a second of a client.
+_LEAST_PIECE_S: Final = 0.005
+#: A writer waits when so much of a stream was not heard; eight of them are less than a face keeps.
+_AHEAD_S: Final = 30.0
 #: An answer that takes longer will not come.
 PATIENCE_S: Final = 10.0
 #: A text's first sentence is synthesised before the answer; a file is read.
@@ -64,9 +68,8 @@ class Wire:
         await self._send(json.dumps({"type": kind, **given}))
 
     async def send_audio(self, data: bytes) -> None:
-        """Samples; waits while the face takes them slower. Raises FaceError."""
-        for first in range(0, len(data), _PIECE_BYTES):
-            await self._send(data[first : first + _PIECE_BYTES])
+        """Samples, a message of them. Raises FaceError."""
+        await self._send(data)
 
     async def close(self) -> None:
         """Hang up; what was said whole is said to its end."""
@@ -162,7 +165,8 @@ class AsyncSpeech:
     """One stream of speech, from `async with face.stream() as speech`.
 
     delay_ms: how long after its sound is sent it is seen on the face; who plays the sound itself
-    plays it so much later.
+    plays it so much later. rate_hz: of its samples. n_sent, n_played: samples that were written,
+    and that were heard of them, as the face told last.
     """
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
@@ -174,7 +178,11 @@ class AsyncSpeech:
         self._ready: asyncio.Future[float] = loop.create_future()
         self._heard: asyncio.Future[Played] = loop.create_future()
         self._wire = face.wire
-        self._played_s, self._moved_s = 0.0, loop.time()
+        self.rate_hz = int(str(start["sample_rate"]))
+        self._small = b""
+        self._moved_s, self._moved = loop.time(), asyncio.Event()
+        self._n_bytes = 0
+        self.n_sent = self.n_played = 0
         self.stream = stream
         self.delay_ms = 0.0
 
@@ -183,19 +191,34 @@ class AsyncSpeech:
         """It was heard to its end, or cut off: by us or by somebody else."""
         return self._heard.done()
 
+    @property
+    def was_heard(self) -> bool:
+        """It was heard to its end."""
+        is_told = self.is_over and self._heard.exception() is None
+        return is_told and self._heard.result().finished
+
     async def write(self, samples: Pcm) -> bool:
         """Send samples at any pace; False once it was cut off, and no more are wanted.
 
-        Raises FaceError for what the face refused, ValueError for arrays that are no mono sound.
+        Waits while half a minute was written and not heard. Raises FaceError for what the face
+        refused, ValueError for arrays that are no mono sound.
         """
-        self._raise_error()
-        if self.is_over:
-            return False
-        await self._wire.send_audio(pcm_bytes(samples))
+        data = self._small + pcm_bytes(samples)
+        self._small = b""
+        if len(data) < 2 * self.rate_hz * _LEAST_PIECE_S:
+            self._small = data
+            data = b""
+        for first in range(0, max(1, len(data)), _PIECE_BYTES):
+            self._raise_error()
+            if not await self._has_room():
+                return False
+            if data:
+                await self._send(data[first : first + _PIECE_BYTES])
         return True
 
     async def mark(self, name: str) -> None:
         """Ask for a `mark` event when all that was written until now has been heard."""
+        await self._send_small()
         await self._wire.send("mark", name=name)
 
     async def report_played(self, played_s: float) -> None:
@@ -206,6 +229,7 @@ class AsyncSpeech:
         """No more comes; what was written is said to its end."""
         if not self._is_complete:
             self._is_complete = True
+            await self._send_small()
             await self._wire.send("end")
 
     async def wait(self) -> Played:
@@ -222,11 +246,7 @@ class AsyncSpeech:
         """
         loop = asyncio.get_running_loop()
         while not self._heard.done():
-            still_s = self._moved_s + STILL_S - loop.time()
-            if still_s <= 0.0:
-                still = f"nothing of {self.stream} was heard for {STILL_S:g} s"
-                raise FaceError("not_answering", still)
-            await asyncio.wait([self._heard], timeout=still_s)
+            await asyncio.wait([self._heard], timeout=self._patience_s(loop.time()))
         return self._heard.result()
 
     async def __aenter__(self) -> Self:
@@ -249,14 +269,16 @@ class AsyncSpeech:
 
     def hear(self, event: Event) -> None:
         """What the face tells of this stream."""
-        if float(event.get("played_s", 0.0)) > self._played_s:
-            self._played_s = float(event["played_s"])
+        if event.get("n_played", 0) > self.n_played:
+            self.n_played = int(event["n_played"])
             self._moved_s = asyncio.get_running_loop().time()
+            self._moved.set()
         match event["type"]:
             case "ready" if not self._ready.done():
                 self._ready.set_result(float(event["delay_ms"]))
             case "finished" | "interrupted" if not self.is_over:
                 self._heard.set_result(played_of(event))
+                self._moved.set()
             case "error":
                 self.fail(error_of(event))
 
@@ -276,11 +298,40 @@ class AsyncSpeech:
         if not self.is_over:
             self._heard.set_exception(error)
             self._heard.exception()  # nobody need wait for it
+            self._moved.set()
 
     @property
     def is_starting(self) -> bool:
         """Whether the face has not answered yet."""
         return not self._ready.done()
+
+    async def _has_room(self) -> bool:
+        """Wait until so little is unheard that more may be sent; False once it was cut off."""
+        loop = asyncio.get_running_loop()
+        while not self.is_over and self.n_sent - self.n_played > _AHEAD_S * self.rate_hz:
+            self._moved.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._patience_s(loop.time())):
+                    await self._moved.wait()
+        return not self.is_over
+
+    def _patience_s(self, now_s: float) -> float:
+        """How long something of it may still be awaited. Raises FaceError: no longer."""
+        still_s = self._moved_s + STILL_S - now_s
+        if still_s <= 0.0:
+            still = f"nothing of {self.stream} was heard for {STILL_S:g} s"
+            raise FaceError("not_answering", still)
+        return still_s
+
+    async def _send(self, data: bytes) -> None:
+        await self._wire.send_audio(data)
+        self._n_bytes += len(data)
+        self.n_sent = self._n_bytes // 2
+
+    async def _send_small(self) -> None:
+        data, self._small = self._small, b""
+        if data and not self.is_over:
+            await self._send(data)
 
     def _raise_error(self) -> None:
         error, self._error = self._error, None
@@ -402,7 +453,7 @@ class AsyncFace:
         await self.wire.send("interrupt")
         if not unfinished:
             return None
-        async with _patience("the interruption"):
+        async with _patience("the interruption", PATIENCE_S):
             played = await asyncio.gather(*(each.heard() for each in unfinished))
         return Played(
             all(each.finished for each in played),
@@ -417,6 +468,10 @@ class AsyncFace:
     async def resume(self) -> None:
         """Speech goes on where it was paused."""
         await self.wire.send("resume")
+
+    def keep_trying(self) -> None:
+        """Connect as soon as a face is there, in place of entering it. Of who may wait for it."""
+        self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
 
     def events(self) -> Events:
         """Whatever the face tells from now on, until the face is left."""
@@ -479,9 +534,10 @@ class AsyncFace:
         return {**answer, **ended, "duration_s": event["duration_s"], "is_whole": True}
 
     async def _ask(
-        self, kind: str, number: int | None = None, limit_s: float = PATIENCE_S, **fields: object
+        self, kind: str, number: int | None = None, limit_s: float | None = None, **fields: object
     ) -> dict[str, Any]:
         number = next(self._numbers) if number is None else number
+        limit_s = PATIENCE_S if limit_s is None else limit_s
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._asked[number] = answer
         try:
@@ -498,7 +554,7 @@ class AsyncFace:
     async def _connect(self) -> None:
         url = f"{self._url}/stream"
         self._greeting = asyncio.get_running_loop().create_future()
-        async with _patience(url):
+        async with _patience(url, PATIENCE_S):
             wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
             try:
                 await wire.send("hello", protocol=PROTOCOL)
@@ -578,7 +634,7 @@ def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
 
 
 @contextlib.asynccontextmanager
-async def _patience(what: str, limit_s: float = PATIENCE_S) -> AsyncGenerator[None, None]:
+async def _patience(what: str, limit_s: float) -> AsyncGenerator[None, None]:
     """Raises FaceError where the block takes longer."""
     try:
         async with asyncio.timeout(limit_s):

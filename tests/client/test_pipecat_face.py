@@ -13,6 +13,7 @@ with warnings.catch_warnings():
     pytest.importorskip("pipecat", reason="pip install 'lipservo-client[pipecat]', 512 MB")
     from lipservo_client.pipecat_face import PipecatFace
     from pipecat.frames.frames import (
+        BotSpeakingFrame,
         BotStartedSpeakingFrame,
         BotStoppedSpeakingFrame,
         ErrorFrame,
@@ -58,6 +59,8 @@ def test_what_the_tts_says_is_heard_at_the_face_before_the_pipeline_ends(channel
     assert {TTSStartedFrame, TTSStoppedFrame, TextFrame} <= set(kinds(down))
     for frames in (down, up):
         told = [each for each in kinds(frames) if "Bot" in each.__name__]
+        assert BotSpeakingFrame in told
+        told = [each for each in told if each is not BotSpeakingFrame]
         assert told == [BotStartedSpeakingFrame, BotStoppedSpeakingFrame]
 
 
