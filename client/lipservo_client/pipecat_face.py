@@ -123,8 +123,10 @@ class PipecatFace(_FaceProcessor):
         self._line: list[_Unheard] = []
         self._releasing = asyncio.Lock()
         self._marks: set[str] = set()
-        #: Of a TTS context: sample and time (of the pipeline's clock, ns) of its first sound.
+        #: Of a TTS context: the sample, and the time in ns, from which its words are timed. As
+        #: Pipecat has it, that is when its sound came, or the last word before if that is later.
         self._contexts: dict[str | None, tuple[int, int]] = {}
+        self._last_word_ns = 0
         self._is_speaking = False
         self._is_complete = False
         #: Nothing more of what is being said is wanted: it was cut off at the face.
@@ -171,7 +173,8 @@ class PipecatFace(_FaceProcessor):
         pcm = _mono(frame)
         try:
             speech = await self._stream(frame.sample_rate)
-            self._contexts.setdefault(frame.context_id, (self._n, self.get_clock().get_time()))
+            from_ns = max(self._last_word_ns, self.get_clock().get_time())
+            self._contexts.setdefault(frame.context_id, (self._n, from_ns))
             self._n += len(pcm) // 2
             self._line.append(_Unheard(speech, self._n, frame))
             self._is_cut = not await speech.write(pcm)
@@ -199,7 +202,9 @@ class PipecatFace(_FaceProcessor):
         """Put a frame behind the sound that came before it, or where in the sound its time is."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
         context = self._contexts.get(getattr(frame, "context_id", None))
-        if frame.pts and context is not None and speech is not None and speech is self._speech:
+        is_word = isinstance(frame, TextFrame) and frame.pts
+        if is_word and context is not None and speech is not None and speech is self._speech:
+            self._last_word_ns = max(self._last_word_ns, frame.pts)
             n = context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz)
             place = len(self._line)
             while place and self._line[place - 1].speech is speech and self._line[place - 1].n > n:
@@ -264,7 +269,7 @@ class PipecatFace(_FaceProcessor):
                     await self.push_frame(each.frame)
                 elif not (each.is_heard or each.frame.interruptible or everything):
                     (again if is_cut else self._line).append(each)
-            self._is_cut, self._transport_until_s = False, 0.0
+            self._is_cut, self._transport_until_s, self._last_word_ns = False, 0.0, 0
             self._speech = None if is_cut else self._speech
         for _ in range(_SETTLING_TURNS):
             await asyncio.sleep(0.0)

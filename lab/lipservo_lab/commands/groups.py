@@ -56,6 +56,7 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
             ),
             "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
+            "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
             "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
         }
     )
