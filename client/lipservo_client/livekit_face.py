@@ -67,7 +67,7 @@ class LiveKitFace(AudioOutput):
                     await self._face.pause()
             self._is_cut = not await speech.write(_mono(frame))
         except FaceError:
-            is_told = self._speech is not None and self._speech.is_started
+            is_told = self._speech is not None and not self._speech.is_starting
             self._is_cut = True
             if not is_told:  # nobody follows its end
                 self.on_playback_finished(playback_position=0.0, interrupted=True)

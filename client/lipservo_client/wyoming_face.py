@@ -6,11 +6,10 @@ extra `wyoming`.
 
 import asyncio
 import logging
-from contextlib import suppress
 from functools import partial
 from typing import Final
 
-from wyoming.audio import AudioChunk, AudioChunkConverter, AudioStart, AudioStop
+from wyoming.audio import AudioChunk, AudioChunkConverter, AudioFormat, AudioStart, AudioStop
 from wyoming.event import Event
 from wyoming.info import Attribution, Describe, Info, SndProgram
 from wyoming.server import AsyncEventHandler, AsyncTcpServer
@@ -20,78 +19,75 @@ from lipservo_client.async_face import AsyncFace, AsyncSpeech
 from lipservo_client.protocol import FaceError
 
 _LOG: Final = logging.getLogger(__name__)
-_ABOUT: Final = Attribution(name="lipservo", url="https://github.com/rhasspy/wyoming")
+_ABOUT: Final = Attribution(name="lipservo", url="")
+_FORMAT: Final = AudioFormat(rate=22_050, width=2, channels=1)
 
 
 class _Handler(AsyncEventHandler):
     """One client: `audio-start`, `audio-chunk` and `audio-stop`, answered by `played`."""
 
     def __init__(
-        self, face: AsyncFace, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
+        self,
+        url: str,
+        token: str | None,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
     ) -> None:
         super().__init__(reader, writer)
-        self._face = face
+        self._face = AsyncFace(url, token)
         self._speech: AsyncSpeech | None = None
+        self._is_entered = self._is_refused = False
         self._convert = AudioChunkConverter(width=2, channels=1)
 
     async def handle_event(self, event: Event) -> bool:
-        """Do what it asks for; a face that refuses is logged, and the sound is not heard."""
-        if Describe.is_type(event.type):
-            await self.write_event(_info().event())
-        elif AudioStart.is_type(event.type):
-            await self._leave()
-        elif AudioChunk.is_type(event.type):
-            chunk = self._convert.convert(AudioChunk.from_event(event))
-            with suppress(FaceError):
-                await self._say(chunk)
-        elif AudioStop.is_type(event.type):
-            await self._end()
-            await self.write_event(Played().event())
+        """Do what it asks for; what the face refuses is logged once, and is not heard."""
+        try:
+            await self._handle(event)
+        except FaceError as error:
+            if not self._is_refused:
+                _LOG.warning("not said: %s", error)
+            self._speech, self._is_refused = None, True
+            if AudioStop.is_type(event.type):
+                await self.write_event(Played().event())
+        except (KeyError, TypeError, ValueError) as error:
+            _LOG.warning("an event of a client cannot be read: %s", error)
+            return False
         return True
 
     async def disconnect(self) -> None:
         """The client has gone: in the middle of a word, silence."""
-        await self._leave()
+        await self._face.__aexit__()
+
+    async def _handle(self, event: Event) -> None:
+        if Describe.is_type(event.type):
+            await self.write_event(_info().event())
+        elif AudioStart.is_type(event.type):
+            self._is_refused = False
+        elif AudioChunk.is_type(event.type) and not self._is_refused:
+            await self._say(self._convert.convert(AudioChunk.from_event(event)))
+        elif AudioStop.is_type(event.type):
+            speech, self._speech = self._speech, None
+            if speech is not None:
+                await speech.wait()
+            await self.write_event(Played().event())
 
     async def _say(self, chunk: AudioChunk) -> None:
         if self._speech is None:
+            if not self._is_entered:
+                await self._face.__aenter__()
+                self._is_entered = True
             speech = self._face.stream(chunk.rate)
-            try:
-                await speech.__aenter__()
-            except FaceError as error:
-                _LOG.warning("not said: %s", error)
-                raise
+            await speech.__aenter__()
             self._speech = speech
         await self._speech.write(chunk.audio)
 
-    async def _end(self) -> None:
-        speech, self._speech = self._speech, None
-        if speech is not None:
-            try:
-                await speech.wait()
-            except FaceError as error:
-                _LOG.warning("not said to its end: %s", error)
 
-    async def _leave(self) -> None:
-        speech, self._speech = self._speech, None
-        if speech is not None and not speech.is_over:
-            with suppress(FaceError):
-                await self._face.interrupt()
+async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> None:
+    """Serve `snd` at an address until cancelled, or SIGTERM.
 
-
-class WyomingFace:
-    """Serves `snd` at an address while `run` runs."""
-
-    def __init__(self, host: str, port: int, url: str, token: str | None) -> None:
-        """url, token: of the face, as for `lipservo.connect`."""
-        self._server = AsyncTcpServer(host, port)
-        self._url = url
-        self._token = token
-
-    async def run(self) -> None:
-        """Serve until cancelled. Raises FaceError at first, and OSError for the address."""
-        async with AsyncFace(self._url, self._token) as face:
-            await self._server.run(partial(_Handler, face))
+    url, token: of the face, as for `lipservo.connect`. Raises OSError for the address.
+    """
+    await AsyncTcpServer(host, port).run(partial(_Handler, url, token))
 
 
 def _info() -> Info:
@@ -101,6 +97,6 @@ def _info() -> Info:
         installed=True,
         description="Sound and lips of a robot face",
         version=None,
-        snd_format=None,
+        snd_format=_FORMAT,
     )
     return Info(snd=[program])

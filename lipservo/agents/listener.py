@@ -81,7 +81,7 @@ def bind_listener(spec: str, token: str | None) -> socket.socket:
 
     Raises UserError: no such address, one beyond loopback without a token, one that is taken.
     """
-    host, port = _host_and_port(spec)
+    host, port = host_and_port(spec)
     if not is_loopback(host) and not token:
         beyond = "can be reached from other computers and needs a token"
         raise UserError(f"{spec}: {beyond}; give one, or listen at 127.0.0.1:{port}")
@@ -106,7 +106,8 @@ def url_of(listener: socket.socket) -> str:
     return f"ws://[{host}]:{port}" if ":" in host else f"ws://{host}:{port}"
 
 
-def _host_and_port(spec: str) -> tuple[str, int]:
+def host_and_port(spec: str) -> tuple[str, int]:
+    """Of `HOST:PORT`; an IPv6 address stands in brackets. Raises UserError."""
     host, colon, port = spec.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
     is_port = port.isascii() and port.isdigit() and int(port) <= _HIGHEST_PORT
