@@ -57,6 +57,7 @@ class BenchGroup(LazyGroup):
             ),
             "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
             "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
+            "day": Command(f"{_BENCH}.agents:day", "An agent and a face all day.", _OTHER),
             "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
         }
     )

@@ -18,7 +18,7 @@ def agent(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Let a Pipecat agent speak, and be interrupted, on a virtual clock, and compare what it remembers."""
+    """Let a Pipecat agent speak and be interrupted, and compare what it remembers."""
     if barge_ins > turns:
         raise typer.BadParameter("at most one barge-in a turn")
     check_extra("pipecat", "`bench agent`")
@@ -26,6 +26,25 @@ def agent(
 
     with progress_bar(quiet=quiet) as advance:
         figures = agent_figures(turns, barge_ins, lambda done, of: advance("turns", done, of))
+    _print({**figures, "machine": machine_class()}, as_json=as_json)
+
+
+def day(
+    minutes: Annotated[
+        float, typer.Option(min=1.0, help="How long; fewer than twelve bring less trouble.")
+    ] = 12.0,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Let an agent and a face run through loads, restarts, pulled cables, stops and starts.
+
+    On real processes, with a PulseAudio sink in place of a loudspeaker.
+    """
+    check_extra("pipecat", "`bench day`")
+    from lipservo_lab.bench.agents.day_figures import day_figures
+
+    with progress_bar(quiet=quiet) as advance:
+        figures = day_figures(minutes, lambda done, of: advance("events", done, of))
     _print({**figures, "machine": machine_class()}, as_json=as_json)
 
 
