@@ -139,8 +139,9 @@ def live_link_packet(values: Array, subject: str, time_s: float) -> bytes:
 
 
 _VALUE, _APPLY = "/VMC/Ext/Blend/Val", "/VMC/Ext/Blend/Apply"
-#: The receivers' port in the VMC protocol.
-VMC_PORT = 39539
+#: Where programs that draw an avatar take what others add to it (in the VMC protocol a performer
+#: hears an assistant); at 39539 they would have to share the port with whoever draws for them.
+VMC_PORT = 39540
 #: "Immediately", section "OSC Bundles".
 _BUNDLE_HEAD = b"#bundle\x00" + struct.pack(">Q", 1)
 #: A datagram of this size passes an Ethernet unbroken (1500 bytes less IPv6's and UDP's headers).

@@ -77,7 +77,7 @@ def test_a_face_that_does_not_answer_is_told():
 
 
 def test_a_text_that_cannot_be_said_is_refused_in_the_faces_words():
-    def say(text, name):
+    def say(_text, _name):
         raise UserError("text: no such words")
 
     with ServedFace(say=say) as face:
@@ -146,7 +146,7 @@ def test_a_text_waits_for_no_agent_that_speaks_where_one_speaks_at_a_time():
 def test_a_request_of_an_unknown_type_is_answered_with_its_id_and_an_id_in_use_is_refused():
     go_on = threading.Event()
 
-    def say(text, name):
+    def say(_text, _name):
         go_on.wait(60.0)
         raise UserError("text: no such words")
 
@@ -193,7 +193,7 @@ def test_a_wrong_command_is_told_with_its_id(kind, fields, code):
 def test_a_stop_waits_for_no_synthesiser_and_too_many_commands_are_refused():
     go_on = threading.Event()
 
-    def say(text, name):
+    def say(_text, _name):
         go_on.wait(60.0)
         raise UserError("text: no such words")
 

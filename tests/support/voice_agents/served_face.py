@@ -76,7 +76,7 @@ class ServedFace:
     A text is said, where there is a voice, as a tone of 0.1 s a character.
     """
 
-    def __init__(self, settings=None, sound=KeptSound, *, has_voice=False, **given):
+    def __init__(self, settings=None, sound=KeptSound, *, has_voice=False, port=0, **given):
         self.settings = settings or AgentSettings(position_s=0.02)
         self.sound = sound() if sound is not None else None
         self.playout = Playout(self.sound)
@@ -91,7 +91,7 @@ class ServedFace:
         self._stands = threading.Event()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        listener = bind_listener("127.0.0.1:0", self.settings.policy.token)
+        listener = bind_listener(f"127.0.0.1:{port}", self.settings.policy.token)
         self.path = short_folder() / "face.sock"
         self.server = AgentServer(
             listener,

@@ -74,9 +74,12 @@ def day_figures(minutes: float, progress: Callable[[int, int], None]) -> dict[st
 
     Raises UserError where PulseAudio or what it needs is missing.
     """
-    with tempfile.TemporaryDirectory(prefix="lipservo-day-") as folder, _sink(Path(folder)) as env:
-        with _Day(Path(folder), env) as day:
-            return day.run(minutes, progress)
+    with (
+        tempfile.TemporaryDirectory(prefix="lipservo-day-") as folder,
+        _sink(Path(folder)) as environment,
+        _Day(Path(folder), environment) as day,
+    ):
+        return day.run(minutes, progress)
 
 
 class _Day:
