@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import gc
 import warnings
 
 import numpy as np
@@ -21,6 +22,13 @@ with warnings.catch_warnings():
 
 # It leaves closed connections to the garbage collector.
 pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(autouse=True)
+def _collected():
+    """Its connections go with the test that they belong to."""
+    yield
+    gc.collect()
 
 
 @contextlib.asynccontextmanager
