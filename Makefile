@@ -13,8 +13,9 @@ BIN := $(VENV)/bin
 run: $(VENV)/.installed
 	$(BIN)/lipservo run --config face_head --dashboard --open
 
+# Half of what the tests of processes do is waiting: two workers a core.
 test: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder --durations 15
+	$(BIN)/python -m pytest --numprocesses $$((2 * $$(getconf _NPROCESSORS_ONLN))) --dist loadfile --no-loadscope-reorder --durations 15
 
 traces: $(VENV)/.installed-dev
 	$(BIN)/python tests/support/make_reference_traces.py

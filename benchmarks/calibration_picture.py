@@ -53,7 +53,7 @@ def main(path: Path) -> None:
     for n, phoneme in enumerate(SHOWN):
         frames = model.animphos.samples[model.animphos.of_phoneme(phoneme), 2]
         frame = frames[np.abs(frames - np.median(frames, axis=0)).sum(axis=1).argmin()]
-        robot.move(backlash.feed(fit.calibration.positions_deg(frame)))
+        robot.move(backlash.feed(fit.calibration.poses_deg(frame[None]))[0])
         copy_mm = draw.face.neutral_mm + fit.retargeting.scale * (
             model.markers_mm(frame[None]) - rest_mm
         )

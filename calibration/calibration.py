@@ -68,24 +68,6 @@ class Following:
     top_speed_deg_s: Array
     bandwidth_hz: Array
 
-    def spread(self, own: Indices, n_servos: int) -> "Following":
-        """The same for a face with more servos: `own` (k,) numbers those that were measured.
-
-        Of the others nothing is known: they count as in time, as tight, and as fast as need be.
-        """
-
-        def wide(values: Array, unknown: float) -> Array:
-            spread = np.full(n_servos, unknown)
-            spread[own] = values
-            return spread
-
-        return Following(
-            wide(self.lag_s, 0.0),
-            wide(self.backlash_deg, 0.0),
-            wide(self.top_speed_deg_s, np.inf),
-            wide(self.bandwidth_hz, np.inf),
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class Touch:
@@ -168,16 +150,22 @@ class Calibration:
 
     def positions_deg(self, coefficients: Array) -> Array:
         """(n_components,) -> (n_servos,) joint degrees, in the order of `servo_names`."""
-        x = np.minimum(np.maximum(coefficients - self.rest, self.x_range[0]), self.x_range[1])
-        free_deg = self.rest_deg + self.weights @ x
+        return np.asarray(self.poses_deg(coefficients[None])[0])
+
+    def poses_deg(self, faces: Array) -> Array:
+        """(k, n_components) -> (k, n_servos): `positions_deg` of each, in hardly more time."""
+        x = np.minimum(np.maximum(faces - self.rest, self.x_range[0]), self.x_range[1])
+        free_deg = self.rest_deg + x @ self.weights.T
         if self.quadratic_weights.shape[1]:
-            first, second = pairs(len(x))
-            free_deg = free_deg + self.quadratic_weights @ (x[first] * x[second])
+            first, second = pairs(x.shape[1])
+            free_deg = free_deg + (x[:, first] * x[:, second]) @ self.quadratic_weights.T
         if len(self.centres):
-            apart = x - self.centres
-            free_deg = free_deg + self.centre_weights @ np.sqrt((apart * apart).sum(axis=1))
+            apart = x[:, None] - self.centres
+            free_deg = free_deg + np.sqrt((apart * apart).sum(axis=2)) @ self.centre_weights.T
         kept_deg: Array = np.minimum(np.maximum(free_deg, self.min_deg), self.max_deg)
-        return keep_rules(self.rules, kept_deg)
+        if not self.rules:
+            return kept_deg
+        return np.array([keep_rules(self.rules, pose_deg) for pose_deg in kept_deg])
 
 
 @lru_cache

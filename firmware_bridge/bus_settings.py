@@ -50,6 +50,11 @@ class BusSettings(Strict):
     kind: str = "simulated"
     port: Text | None = None
 
+    @property
+    def board(self) -> str:
+        """Tells its board from others that share the port; empty: no other can."""
+        return ""
+
 
 class BusServo(Strict):
     """One servo and the joint it drives, in joint degrees: 0 = the joint's neutral.

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.calibration import Calibration, CalibrationError, Following
+from calibration.calibration import Calibration, CalibrationError
 from lipsync.arrays import Array
 from lipsync.phonemes import VISEME_CLASSES, VISEME_OF
 
@@ -20,29 +20,35 @@ _TURN_DEG = 0.35
 class BacklashCompensation:
     """Shifts every goal by half the backlash, to the side the joint is moving to.
 
-    feed: one goal after another; the horn then stands at the goal, not half a backlash behind it.
+    feed: one pose after another; the horn then stands there, not half a backlash behind it.
     """
 
     def __init__(self, backlash_deg: Array) -> None:
         """backlash_deg: (n_servos,), the whole width of the backlash."""
         self._half_deg = backlash_deg / 2
+        self._any = bool(backlash_deg.any())
         self._side = np.ones(len(backlash_deg))
         self._furthest_deg: Array | None = None
 
-    def feed(self, positions_deg: Array) -> Array:
-        """(n_servos,) where the horns should be -> (n_servos,) goals that bring them there."""
-        if self._furthest_deg is None:
-            self._furthest_deg = positions_deg.copy()
-        beyond = (positions_deg - self._furthest_deg) * self._side
-        turned = beyond < -_TURN_DEG
-        self._side = np.where(turned, -self._side, self._side)
-        self._furthest_deg = np.where(turned | (beyond > 0), positions_deg, self._furthest_deg)
-        return np.asarray(positions_deg + self._side * self._half_deg)
+    def feed(self, poses_deg: Array) -> Array:
+        """Where the horns should be now and later, (k, n_servos) -> goals (k, n_servos).
 
-    def reset(self) -> None:
-        """Forget which way the joints were moving."""
-        self._side = np.ones(len(self._half_deg))
-        self._furthest_deg = None
+        Of what comes later nothing is remembered: it may be revised.
+        """
+        if not self._any:
+            return poses_deg
+        side = self._side
+        furthest_deg = poses_deg[0] if self._furthest_deg is None else self._furthest_deg
+        sides = np.empty_like(poses_deg)
+        for n, pose_deg in enumerate(poses_deg):
+            beyond_deg = (pose_deg - furthest_deg) * side
+            turned = beyond_deg < -_TURN_DEG
+            side = np.where(turned, -side, side)
+            furthest_deg = np.where(turned | (beyond_deg > 0), pose_deg, furthest_deg)
+            sides[n] = side
+            if n == 0:
+                self._side, self._furthest_deg = side, furthest_deg
+        return np.asarray(poses_deg + sides * self._half_deg)
 
 
 class LagCompensation:
@@ -73,39 +79,6 @@ class LagCompensation:
         later = self._recent[(self._newest - self._whole) % self._length, self._joints]
         earlier = self._recent[(self._newest - self._whole - 1) % self._length, self._joints]
         return np.asarray(later + self._part * (earlier - later))
-
-    def reset(self) -> None:
-        """Forget earlier poses."""
-        self._recent = None
-        self._newest = 0
-
-
-class Follower:
-    """Lag and backlash together, as a calibration knows them; without a `Following`, no change."""
-
-    def __init__(
-        self, following: Following | None, n_servos: int, period_s: float, *, look_ahead_s: float
-    ) -> None:
-        """look_ahead_s: how much earlier than shown a pose may be asked for."""
-        nothing = np.zeros(n_servos)
-        lag_s = nothing if following is None else following.lag_s
-        backlash_deg = nothing if following is None else following.backlash_deg
-        self._lag = LagCompensation(lag_s, period_s, look_ahead_s=look_ahead_s)
-        self._backlash = BacklashCompensation(backlash_deg)
-
-    @property
-    def advance_s(self) -> float:
-        """How much earlier than shown a pose must be fed."""
-        return self._lag.advance_s
-
-    def feed(self, positions_deg: Array) -> Array:
-        """(n_servos,) -> goals (n_servos,); within the limits they are kept by the last gate."""
-        return self._backlash.feed(self._lag.feed(positions_deg))
-
-    def reset(self) -> None:
-        """Start anew."""
-        self._lag.reset()
-        self._backlash.reset()
 
 
 #: Trims come and go with this time constant: within a phone of 80 ms, without a step that the

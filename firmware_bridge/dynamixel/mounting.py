@@ -15,6 +15,7 @@ from firmware_bridge.dynamixel.control_table import (
     model_by_number,
     register,
 )
+from firmware_bridge.dynamixel.wire.codec import Status
 from firmware_bridge.dynamixel.wire.line import Line, Transport
 from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import Joint, named
@@ -92,9 +93,10 @@ class Mounting:
 
 #: The EEPROM from id to shutdown in one read.
 _FIRST, _LAST = register("id").address, register("shutdown").end
-#: A servo that is there answers one of five questions even on a bad line; waited for longer each
-#: time, for a busy computer may be late with all of them. Nothing moves yet, so there is time.
-_EXTRA_WAITS_S = (0.0, 0.0, 0.01, 0.03, 0.1)
+#: A servo that is there answers two of twelve questions even where a fifth of all packets is lost
+#: either way (one in ten thousand does not); at last waited for longer, for a busy computer may be
+#: late with every answer. Nothing moves yet, so there is time.
+_EXTRA_WAITS_S = (*[0.0] * 9, 0.01, 0.03, 0.1)
 _TRIES = len(_EXTRA_WAITS_S)
 _SETUP = "run `lipservo setup-servos`"
 _DOCTOR = "`lipservo doctor` shows every difference between the servos and the YAML"
@@ -117,9 +119,11 @@ class ServoIdentity:
 def identify(line: Line, servo: MountedServo, tries: int = _TRIES) -> ServoIdentity | None:
     """Ping and read one servo's settings; None when it does not answer so many times."""
     servo_id = servo.joint.servo_id
+    pong: Status | None = None
     for extra_wait_s in _EXTRA_WAITS_S[:tries]:
-        pong = line.ping(servo_id, extra_wait_s)
+        pong = pong or line.ping(servo_id, extra_wait_s)
         if pong is None or len(pong.data) != 3:
+            pong = None
             continue
         answer = line.read(servo_id, _FIRST, _LAST - _FIRST, extra_wait_s)
         if answer is None or len(answer.data) != _LAST - _FIRST:

@@ -253,6 +253,8 @@ class Limiter:
         reached_deg = _clip(reached_deg, before_deg - step_deg, before_deg + step_deg)
         sent_deg = self._prevention.cut(before_deg, reached_deg)
         self._acceleration.sent(before_deg, sent_deg, elapsed_s)
+        # In the moment of the start no joint has had the time to move: none is slowed.
+        slowed_deg = in_range_deg if since_s else reached_deg
 
         if rejected is not no_joint:
             self._rejected += rejected
@@ -262,7 +264,7 @@ class Limiter:
         return Limited(
             positions_deg=sent_deg,
             range_hits=self._hits(in_range_deg, wanted_deg, self._range_hits),
-            rate_hits=self._hits(reached_deg, in_range_deg, self._rate_hits),
+            rate_hits=self._hits(reached_deg, slowed_deg, self._rate_hits),
             rejected=rejected,
             prevented=self._hits(sent_deg, reached_deg, self._prevented),
         )

@@ -31,6 +31,11 @@ class MaestroSettings(BusSettings):
         return {"serial_timeout_s": 0.5, **told} if is_pico else told
 
     @property
+    def board(self) -> str:
+        """Its number, where it has one."""
+        return "" if self.device is None else f"device {self.device}"
+
+    @property
     def n_channels(self) -> int:
         """How many servos it has room for."""
         return N_CHANNELS[self.model]

@@ -44,6 +44,11 @@ class Pca9685Settings(BusSettings):
     oe_gpio: Annotated[int | None, AfterValidator(_check_oe)] = None
 
     @property
+    def board(self) -> str:
+        """Its address on the I2C bus."""
+        return f"{self.address:#04x}"
+
+    @property
     def timing(self) -> Timing:
         """Of its pulses."""
         return Timing.at(self.clock_hz, self.frequency_hz)

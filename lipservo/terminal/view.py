@@ -5,6 +5,7 @@ from rest, on a mouth that is closed, straight and as wide on the left as on the
 own mouth is, nor is a head held quite level.
 """
 
+import threading
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -50,6 +51,8 @@ _LABEL_COLUMNS, _GAP_COLUMNS = 10, 11
 #: A widely opened mouth; 99 % of the frames of grid_s1 stay below.
 _WIDEST_GAP_MM = 18.0
 _PHONEMES_SHOWN = 12
+#: A terminal that stands still is waited for so long: whoever stopped the face waits for its end.
+_LAST_PICTURE_S = 0.5
 
 
 def draw_mouth(
@@ -182,7 +185,10 @@ class TerminalView:
             report = replace(tick.report, sent_deg=np.zeros(len(self._joints)))
             rest = Frame(tick.sound_s, self._model.rest)
             self.observe(replace(tick, phoneme=SILENCE, frame=rest, report=report))
-        self._live.stop()
+        # In a thread, for rich's lock may be held by a picture that the terminal does not take.
+        last = threading.Thread(target=self._live.stop, name="last picture", daemon=True)
+        last.start()
+        last.join(_LAST_PICTURE_S)
 
     def _draw(self) -> RenderableType:
         if self._console.size != self._size:

@@ -21,12 +21,8 @@ from numpy.typing import NDArray
 
 from lipsync.ipa import phones_of_ipa
 from lipsync.phonemes import SILENCE
-from lipsync.text_to_speech.espeak_library import (
-    PhonemeMark,
-    Synthesis,
-    WordMark,
-    espeak_library,
-)
+from lipsync.text_to_speech.espeak_library import PhonemeMark, Synthesis, WordMark
+from lipsync.text_to_speech.espeak_process import espeak
 from lipsync.text_to_speech.synthesis import (
     DEFAULT_VOICE,
     SpokenWord,
@@ -155,11 +151,11 @@ class Espeak:
     longest_text = 5000
 
     def __init__(self) -> None:
-        self._library = espeak_library()
+        self._process = espeak()
 
     def languages(self) -> tuple[str, ...]:
         """Language tags as espeak-ng has them: `en-us`, `de`, `pt-br`."""
-        return self._library.languages()
+        return self._process.languages()
 
     def voices(self) -> tuple[str, ...]:
         """None: a language is a voice."""
@@ -169,7 +165,7 @@ class Espeak:
         """See `Synthesizer`; one text at a time in a process, others wait."""
         written = checked_text(text, self.longest_text)
         self._check_voice(voice)
-        spoken = self._library.synthesize(written, voice)
+        spoken = self._process.synthesize(written, voice)
         phonemes, guessed = _timed_phones(spoken)
         if all(each.phones == (SILENCE,) for each in phonemes):
             raise UnspeakableTextError(
@@ -188,7 +184,7 @@ class Espeak:
     def _check_voice(self, voice: Voice) -> None:
         if voice.name:
             raise SynthesisError(f"espeak-ng has no voice {voice.name!r}; choose a language")
-        known = self._library.languages()
+        known = self._process.languages()
         if voice.language not in known:
             near = difflib.get_close_matches(voice.language, known, 3, 0.0)
             raise SynthesisError(

@@ -1,14 +1,12 @@
 """espeak-ng's C library by ctypes: text in, sound and events out.
 
 Names and numbers are those of espeak-ng/speak_lib.h, version 1.51. The library has one state for
-the whole process and is not thread safe: one lock guards every call. Why no package of Python's:
-docs/decisions/0018-text-to-speech.md.
+the whole process and is not thread safe: one thread of a process of its own uses it
+(`espeak_process`). Why no package of Python's: docs/decisions/0018-text-to-speech.md.
 """
 
 import ctypes
-import threading
 from dataclasses import dataclass
-from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -94,11 +92,10 @@ class Synthesis:
 
 
 class EspeakLibrary:
-    """The loaded library; there is one a process (`espeak_library`)."""
+    """The loaded library; one a process, for one thread."""
 
     def __init__(self, library: ctypes.CDLL, data_path: str | None) -> None:
         self._library = library
-        self._lock = threading.Lock()
         self._chunks: list[NDArray[np.int16]] = []
         self._marks: list[PhonemeMark | WordMark] = []
         library.espeak_ListVoices.restype = ctypes.POINTER(ctypes.POINTER(_VoiceRecord))
@@ -129,18 +126,17 @@ class EspeakLibrary:
     def synthesize(self, text: str, voice: Voice) -> Synthesis:
         """Speak a text without control characters in a language of `languages()`."""
         encoded = ctypes.create_string_buffer(text.encode("utf-8"))
-        with self._lock:
-            self._chunks, self._marks = [], []
-            self._check(self._library.espeak_SetVoiceByName(self._voice_of[voice.language]))
-            self._check(self._library.espeak_SetParameter(_RATE, voice.rate_wpm, 0))
-            self._check(self._library.espeak_SetParameter(_PITCH, voice.pitch, 0))
-            size = ctypes.sizeof(encoded)
-            flags = _CHARS_UTF8 | _ENDPAUSE
-            self._check(
-                self._library.espeak_Synth(encoded, size, 0, _POS_CHARACTER, 0, flags, None, None)
-            )
-            chunks, marks = self._chunks, tuple(self._marks)
-            self._chunks, self._marks = [], []
+        self._chunks, self._marks = [], []
+        self._check(self._library.espeak_SetVoiceByName(self._voice_of[voice.language]))
+        self._check(self._library.espeak_SetParameter(_RATE, voice.rate_wpm, 0))
+        self._check(self._library.espeak_SetParameter(_PITCH, voice.pitch, 0))
+        size = ctypes.sizeof(encoded)
+        flags = _CHARS_UTF8 | _ENDPAUSE
+        self._check(
+            self._library.espeak_Synth(encoded, size, 0, _POS_CHARACTER, 0, flags, None, None)
+        )
+        chunks, marks = self._chunks, tuple(self._marks)
+        self._chunks, self._marks = [], []
         samples = np.concatenate([np.zeros(0, np.int16), *chunks])
         return Synthesis((samples / _FULL_SCALE).astype(np.float32), self._sample_rate_hz, marks)
 
@@ -184,20 +180,6 @@ def _languages(address: int) -> list[tuple[str, int]]:
         found.append((tag.decode("utf-8", "replace"), priority))
         address += len(tag) + 2
     return found
-
-
-_loading = threading.Lock()
-
-
-def espeak_library() -> EspeakLibrary:
-    """The one of this process, loaded at the first call. Raises as `load_library` does."""
-    with _loading:
-        return _loaded_once()
-
-
-@cache
-def _loaded_once() -> EspeakLibrary:
-    return load_library()
 
 
 def load_library() -> EspeakLibrary:

@@ -47,7 +47,7 @@ def table_of(voice_file, known):
 
 def main():
     espeak_library._CHARS_UTF8 = 1 | PHONEMES_IN_BRACKETS
-    library = espeak_library.espeak_library()
+    library = espeak_library.load_library()
     known, found = tables(), set()
     for voice_file in sorted((DATA / "lang").rglob("*")):
         if voice_file.is_dir():

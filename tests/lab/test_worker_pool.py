@@ -48,6 +48,7 @@ def settle(until):
         time.sleep(0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("program", "n_processes"),
     [(["-c", STUBBORN], 5), (LIPSERVO, 3), ([*LIPSERVO, "--stops"], 7)],

@@ -26,6 +26,8 @@ from firmware_bridge.process.runtime_folder import knock
 from firmware_bridge.stopping import StopLevel, named_by_reason
 
 if TYPE_CHECKING:
+    from firmware_bridge.bus_kinds import BusKind, Wiring
+    from firmware_bridge.bus_settings import BusSettings
     from lipservo.settings.settings import FaceSettings
 
 #: Easing takes 2 s, a bridge that hangs in it is noticed and its servos let go in as much again.
@@ -163,19 +165,36 @@ def _troubles_of(face: RunningFace) -> list[str]:
 def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
     """Torque off at a port, whoever of us holds it; verified by every servo that is there.
 
-    face: whose servos must confirm too; None: of what is there nothing is known.
+    face: whose servos must confirm too; None: all that was driven there, or whatever is there.
     """
     # Loaded only here: whoever stops a face that hears waits for none of it.
-    from firmware_bridge.bus_kinds import AT_A_PORT, Wiring
-    from firmware_bridge.bus_settings import BusSettings
-    from firmware_bridge.process.port_record import bus_at
-    from firmware_bridge.process.torque_release import release_port
+    from firmware_bridge.process.port_record import buses_at
 
     outcome = Outcome(port, port)
     _free(port)
-    kind, driven = bus_at(port) if face is None else (face.bus_kind, face.bus)
-    wiring = None if face is None else face.wiring
-    if face is None and driven is not None and kind.name != AT_A_PORT:
+    buses = buses_at(port) if face is None else [(face.bus_kind, face.bus)]
+    for kind, driven in buses:
+        wiring = None if face is None else face.wiring
+        _take_over(outcome, _released(port, kind, driven, wiring, shared=len(buses) > 1))
+    return outcome
+
+
+def _released(
+    port: str,
+    kind: "BusKind",
+    driven: "BusSettings | None",
+    wiring: "Wiring | None",
+    *,
+    shared: bool,
+) -> Outcome:
+    """Of one board. shared: others hang on the same port, so each is named with its servos."""
+    from firmware_bridge.bus_kinds import AT_A_PORT, Wiring
+    from firmware_bridge.bus_settings import BusSettings
+    from firmware_bridge.process.torque_release import release_port
+
+    outcome = Outcome(port, port)
+    board = f" at {driven.board}" if shared and driven is not None else ""
+    if wiring is None and driven is not None and kind.name != AT_A_PORT:
         wiring = Wiring(driven, (), (), 1.0)  # its servos are all that it has
     ids = [] if wiring is None else [joint.servo_id for joint in wiring.joints]
     try:
@@ -183,14 +202,14 @@ def release(port: str, face: "FaceSettings | None" = None) -> Outcome:
     except BusError as error:
         outcome.problem = str(error)
         return outcome
-    outcome.confirmed = [f"id {each}" for each in found.confirmed]
-    outcome.unconfirmed = {f"id {each}": why for each, why in found.unconfirmed.items()}
+    outcome.confirmed = [f"id {each}{board}" for each in found.confirmed]
+    outcome.unconfirmed = {f"id {each}{board}": why for each, why in found.unconfirmed.items()}
     if found.released:
-        outcome.released = [f"{kind.servo.address_key} {each}" for each in found.released]
+        outcome.released = [f"{kind.servo.address_key} {each}{board}" for each in found.released]
         can = kind.capabilities(driven or BusSettings(kind=kind.name, port=port))
         outcome.released_words = can.released_words
     if not (found.confirmed or found.unconfirmed or found.released):
-        outcome.problem = "no servo answers there"
+        outcome.problem = f"no servo answers there{board}"
     return outcome
 
 
@@ -258,4 +277,4 @@ def _take_over(outcome: Outcome, released: Outcome) -> None:
     outcome.unconfirmed |= released.unconfirmed
     outcome.released += released.released
     outcome.released_words = outcome.released_words or released.released_words
-    outcome.problem = outcome.problem or released.problem
+    outcome.problem = "; ".join(filter(None, (outcome.problem, released.problem)))

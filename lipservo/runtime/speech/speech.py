@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from calibration.calibration import Calibration
-from calibration.run.compensation import Follower, VisemeTrim
+from calibration.run.compensation import BacklashCompensation, LagCompensation, VisemeTrim
 from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
 from firmware_bridge.loop.targets import ServoTargets, TargetChannel
 from lipservo.runtime.speech.expression import ExpressionLayer
@@ -17,7 +17,7 @@ from lipservo.settings.motion_names import LIP_GAP_OFFSET
 from lipsync.arrays import Array
 from lipsync.audio.playback_clock import PlaybackClock
 from lipsync.audio_block import BLOCK_S
-from lipsync.face.frame import NO_EXPRESSION, Expression, FaceWindow, Frame, Synthesizer
+from lipsync.face.frame import NO_EXPRESSION, Expression, Frame, Synthesizer, frame_alone
 from lipsync.face.model import FaceModel
 from lipsync.motion.closures import lip_gap_of
 from lipsync.phonemes import (
@@ -81,12 +81,13 @@ JOINING_S = 0.08
 class CutOff:
     """Poses of all servos, one each period; positions are joint angles in degrees (n_servos,)."""
 
-    def __init__(self, period_s: float) -> None:
+    def __init__(self, n_servos: int, period_s: float) -> None:
+        """The mouth comes from neutral, where a face begins."""
         self._period_s = period_s
-        self._start_deg: Array = np.zeros(0)
-        self._rest_deg: Array = np.zeros(0)
+        self._start_deg: Array = np.zeros(n_servos)
+        self._rest_deg: Array = np.zeros(n_servos)
         self._closed = 1.0
-        self._joined = 1.0
+        self._joined = 0.0
         #: Sound that comes before it is not shown.
         self.until_s = -np.inf
         self.is_closing = False
@@ -143,7 +144,7 @@ class LipGapOffset:
         self.wanted_mm = settings.get(LIP_GAP_OFFSET, self.wanted_mm)
 
     def feed(self, face: Array) -> Array:
-        """The face (n_components,) of the next period."""
+        """Faces (..., n_components) of the next period."""
         if self._shown_mm != self.wanted_mm:
             self._halfway_mm += self._share * (self.wanted_mm - self._halfway_mm)
             self._shown_mm += self._share * (self._halfway_mm - self._shown_mm)
@@ -154,7 +155,7 @@ class LipGapOffset:
         return self.shifted(face)
 
     def shifted(self, face: Array) -> Array:
-        """The face as it would be shown now."""
+        """Faces (..., n_components) as they would be shown now."""
         if self._shown_mm == 0.0:
             return face
         return np.asarray(face + self._shown_mm * self._per_mm)
@@ -221,23 +222,22 @@ class Speech:
         #: The numbers of the calibrated servos among those of the face.
         self.mouth = self._layers.indices(calibration.servo_names)
         self._trim = VisemeTrim(calibration.trim, len(self.mouth), PUBLISH_PERIOD_S)
-        following = calibration.following
-        self._follower = Follower(
-            following and following.spread(self.mouth, n_servos),
-            n_servos,
-            PUBLISH_PERIOD_S,
-            look_ahead_s=_MOST_ADVANCE_S,
-        )
+        lag_s, backlash_deg = np.zeros(n_servos), np.zeros(len(self.mouth))
+        if calibration.following is not None:
+            lag_s[self.mouth] = calibration.following.lag_s
+            backlash_deg = calibration.following.backlash_deg
+        self._lag = LagCompensation(lag_s, PUBLISH_PERIOD_S, look_ahead_s=_MOST_ADVANCE_S)
+        self._backlash = BacklashCompensation(backlash_deg)
         self.delay = Delay(
             phonemes.latency_s,
             synthesizer.lookahead_s,
-            actuation_s=self._follower.advance_s,
+            actuation_s=self._lag.advance_s,
         ).at_least(options.least_delay_s)
-        self._cut_off = CutOff(PUBLISH_PERIOD_S)
+        self._cut_off = CutOff(len(self.mouth), PUBLISH_PERIOD_S)
         self.expression = options.expression
         self.lip_gap = options.lip_gap
         self._plan = options.plan
-        self._newest_mouth_deg = np.zeros(len(self.mouth))
+        self._goals_deg = self._mouth_deg = np.zeros(len(self.mouth))
         # The first sound is shown a delay late; until then the closed mouth is published.
         self._n_published = -round(self.delay.total_s / PUBLISH_PERIOD_S)
         self._newest_asked_s, self._newest_sound_s = -math.inf, -self.delay.total_s
@@ -305,7 +305,7 @@ class Speech:
         rest_deg = self._calibration.positions_deg(
             rest if self.lip_gap is None else self.lip_gap.shifted(rest)
         )
-        self._cut_off.begin(self._newest_mouth_deg, rest_deg, until_s)
+        self._cut_off.begin(self._mouth_deg, rest_deg, until_s)
         # Targets may have been dated ahead of this moment.
         self._newest_asked_s = min(self._newest_asked_s, now_s)
 
@@ -345,44 +345,40 @@ class Speech:
         # Every period counts, also where ticks are farther apart: it closes in the same time.
         while self._newest_asked_s < now_s + PUBLISH_PERIOD_S / 2:
             self._newest_asked_s += PUBLISH_PERIOD_S
-            self._newest_mouth_deg = self._planned(self._cut_off.close())
+            self._plan_mouth(TargetWindow(_NOW, self._cut_off.close()[None], _FREE))
             shown_s = self._newest_asked_s + self.delay.actuation_s
             pose_deg = self._compose(self._newest_sound_s, shown_s, SILENCE, NO_EXPRESSION)
-            goals_deg = self._follower.feed(pose_deg)
+            goals_deg = self._lag.feed(pose_deg)
             self._publish(ServoTargets(self._newest_asked_s, goals_deg))
 
     def _targets(self, sound_s: float) -> ServoTargets:
         phoneme, frame = self.shown_at(sound_s)
-        face = frame.coefficients if self.lip_gap is None else self.lip_gap.feed(frame.coefficients)
-        trim_deg = self._trim.feed(phoneme)
-        mouth_deg = self._cut_off.join(self._calibration.positions_deg(face) + trim_deg)
-        window = None if self._plan is None else self._synthesizer.window_after(frame)
-        self._newest_mouth_deg = self._planned(mouth_deg, window, trim_deg)
+        window = frame_alone(frame) if self._plan is None else self._synthesizer.window_after(frame)
+        faces = np.concatenate([window.faces, window.shut[None]])
+        if self.lip_gap is not None:
+            faces = self.lip_gap.feed(faces)
+        poses_deg = self._calibration.poses_deg(faces) + self._trim.feed(phoneme)
+        poses_deg[0] = self._cut_off.join(poses_deg[0])
+        self._plan_mouth(TargetWindow(window.times_s, poses_deg[:-1], window.closed, poses_deg[-1]))
         shown_s = self._clock.monotonic_s(sound_s) + self.delay.total_s
         # Servos are asked before the face is shown, by as much as they are late.
         asked_s = shown_s - self.delay.actuation_s
         self._newest_asked_s, self._newest_sound_s = asked_s, sound_s
         pose_deg = self._compose(sound_s, shown_s, phoneme, frame.expression)
-        return ServoTargets(asked_s, self._follower.feed(pose_deg))
+        return ServoTargets(asked_s, self._lag.feed(pose_deg))
 
-    def _planned(
-        self, mouth_deg: Array, window: FaceWindow | None = None, trim_deg: Array | float = 0.0
-    ) -> Array:
-        """What the mouth's servos can do of a pose (n,) that is wanted now, and of what follows.
+    def _plan_mouth(self, wanted: TargetWindow) -> None:
+        """Goals for poses of the mouth that are wanted now and later.
 
-        window: what follows; None where nothing is known.
+        Backlash is made up for before the plan, which so knows of every turn, and keeps the limits
+        of the servos, not those of the horns.
         """
-        if self._plan is None:
-            return mouth_deg
-        if window is None:
-            return self._plan.step(TargetWindow(_NOW, mouth_deg[None], _FREE))
-        faces, shut = window.faces, window.shut
-        if self.lip_gap is not None:
-            faces, shut = self.lip_gap.shifted(faces), self.lip_gap.shifted(shut)
-        later_deg = [self._calibration.positions_deg(face) + trim_deg for face in faces[1:]]
-        positions_deg = np.array([mouth_deg, *later_deg])
-        shut_deg = self._calibration.positions_deg(shut) + trim_deg
-        return self._plan.step(TargetWindow(window.times_s, positions_deg, window.closed, shut_deg))
+        ahead = replace(wanted, positions_deg=self._backlash.feed(wanted.positions_deg))
+        self._goals_deg = ahead.positions_deg[0]
+        if self._plan is not None:
+            self._goals_deg = self._plan.step(ahead)
+        # The pose to which these goals bring the mouth.
+        self._mouth_deg = self._goals_deg - (ahead.positions_deg[0] - wanted.positions_deg[0])
 
     def _compose(
         self, sound_s: float, shown_s: float, phoneme: str, performed: Expression
@@ -391,7 +387,7 @@ class Speech:
 
         performed: what a performance says of head and eyes.
         """
-        mouth = Claim(Layer.LIPS, self.mouth, self._newest_mouth_deg)
+        mouth = Claim(Layer.LIPS, self.mouth, self._goals_deg)
         if self.expression is None:
             return self._layers.compose([mouth])
         is_speaking = phoneme != SILENCE

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
-from calibration.calibration import CalibrationError, Following
+from calibration.calibration import CalibrationError
 from calibration.fit.servo_response import chirp_deg, identify, lag_between_s
 from calibration.mouth_servos import JointRange
-from calibration.run.compensation import BacklashCompensation, Follower, LagCompensation
+from calibration.run.compensation import BacklashCompensation, LagCompensation
 from calibration.simulated.servos import SimulatedServos
 
 JOINTS = [JointRange("jaw", -2.0, 25.0), JointRange("lip", -30.0, 30.0)]
@@ -79,30 +79,20 @@ def test_compensated_servos_are_in_time():
     """Goals through servos that are 50 and 80 ms late arrive together, within 10 ms."""
     times_s = np.arange(0.0, 6.0, 0.01)
     wanted = 5.0 * np.sin(2 * np.pi * 2.0 * times_s) + 3.0 * np.sin(2 * np.pi * 0.7 * times_s)
-    follower = Follower(
-        Following(SERVOS.lag_s, np.zeros(2), np.full(2, np.inf), np.full(2, np.inf)),
-        2, 0.01, look_ahead_s=0.2,
-    )  # fmt: skip
-    goals = np.array([follower.feed(np.full(2, pose)) for pose in wanted])
+    lag = LagCompensation(SERVOS.lag_s, 0.01, look_ahead_s=0.2)
+    goals = np.array([lag.feed(np.full(2, pose)) for pose in wanted])
     shafts = SERVOS.shafts_deg(goals, 100.0)
     for shaft in shafts.T:
-        assert abs(lag_between_s(wanted, shaft, 100.0) - follower.advance_s) < 0.010
+        assert abs(lag_between_s(wanted, shaft, 100.0) - lag.advance_s) < 0.010
 
 
-def test_a_follower_that_knows_nothing_changes_nothing():
-    follower = Follower(None, 3, 0.01, look_ahead_s=0.2)
+def test_servos_in_time_and_without_play_get_the_poses_as_they_are():
+    lag = LagCompensation(np.zeros(3), 0.01, look_ahead_s=0.2)
+    backlash = BacklashCompensation(np.zeros(3))
     poses = np.random.default_rng(0).normal(size=(20, 3))
-    assert follower.advance_s == 0.0
-    assert np.array_equal([follower.feed(pose) for pose in poses], poses)
-
-
-def test_after_a_reset_nothing_is_left_of_earlier_poses():
-    following = Following(np.array([0.05, 0.0]), np.ones(2), np.ones(2), np.ones(2))
-    follower = Follower(following, 2, 0.01, look_ahead_s=0.2)
-    poses = np.random.default_rng(1).normal(size=(20, 2))
-    first = [follower.feed(pose) for pose in poses]
-    follower.reset()
-    assert np.array_equal([follower.feed(pose) for pose in poses], first)
+    assert lag.advance_s == 0.0
+    assert np.array_equal([lag.feed(pose) for pose in poses], poses)
+    assert np.array_equal(backlash.feed(poses), poses)
 
 
 @settings(deadline=None)  # machines are shared
@@ -114,7 +104,7 @@ def test_horns_behind_play_stand_where_they_should_once_moving(seed, backlash_de
     compensation = BacklashCompensation(np.array([backlash_deg]))
     horn = wanted[0] - backlash_deg / 2
     for n, angle in enumerate(wanted):
-        (goal,) = compensation.feed(np.array([angle]))
+        ((goal,),) = compensation.feed(np.array([[angle]]))
         horn = np.clip(horn, goal - backlash_deg / 2, goal + backlash_deg / 2)
         assert abs(horn - angle) <= backlash_deg + 1e-9
         if n and abs(angle - wanted[n - 1]) > 0.5:
@@ -123,5 +113,16 @@ def test_horns_behind_play_stand_where_they_should_once_moving(seed, backlash_de
 
 def test_small_turns_are_not_made_up_for():
     compensation = BacklashCompensation(np.array([1.0]))
-    goals = [compensation.feed(np.array([a]))[0] for a in (0.0, 1.0, 0.9, 1.0, 0.95, 0.3)]
+    goals = [compensation.feed(np.array([[a]]))[0, 0] for a in (0.0, 1.0, 0.9, 1.0, 0.95, 0.3)]
     assert goals == pytest.approx([0.5, 1.5, 1.4, 1.5, 1.45, -0.2])
+
+
+def test_a_turn_that_comes_later_is_taken_into_account_and_not_remembered():
+    """Poses of a window get the goals that they would get one after another."""
+    poses = np.array([[0.0], [2.0], [1.0], [3.0]])
+    one_by_one, at_once = (BacklashCompensation(np.array([1.0])) for _ in range(2))
+
+    expected = [one_by_one.feed(pose[None])[0] for pose in poses]
+    assert at_once.feed(poses) == pytest.approx(np.array(expected))
+    assert np.array(expected)[:, 0] == pytest.approx([0.5, 2.5, 0.5, 3.5])
+    assert at_once.feed(poses[:1]) == pytest.approx(np.array([[0.5]]))

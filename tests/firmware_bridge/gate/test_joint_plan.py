@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import optimize
 
 from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
 
@@ -59,6 +60,18 @@ def test_a_step_is_begun_before_it_is_due():
 
     assert half_way(0) == pytest.approx(34.5, abs=0.5)
     assert 29.5 <= half_way(20) <= 32.0
+
+
+def test_what_is_too_fast_is_mended_by_the_least_squares():
+    """By SciPy's solver, within what three sweeps leave, of poses 10 ms apart."""
+    wanted_deg = np.array([0.0, 3.0, 9.0, 2.0, 2.0])
+    between = optimize.LinearConstraint(np.diff(np.eye(5), axis=0), -1.98, 1.98)
+    best = optimize.minimize(
+        lambda x: np.sum((x - wanted_deg) ** 2), wanted_deg, constraints=between, method="SLSQP"
+    )
+    found_deg = plan_of().step(window(wanted_deg, n_ahead=4)(0))
+
+    assert found_deg[0] == pytest.approx(best.x[0], abs=0.4)
 
 
 def test_a_mouth_opens_no_farther_than_it_can_close_with_the_notice_it_gets():

@@ -1,11 +1,14 @@
 """Single servos in a face's life: given up, exchanged, silent, critical; who gets torque again."""
 
+import numpy as np
 import pytest
 from driven_robot import Robot
-from dynamixel_chain import mounted
+from dynamixel_chain import MemoryFace, mounted
 
 from firmware_bridge.errors import ServoError
-from firmware_bridge.loop.report import FaceState
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import BridgeSettings, FaceState
+from firmware_bridge.loop.targets import MemoryTargetChannel
 from firmware_bridge.simulator.faults import Fault
 
 
@@ -142,3 +145,36 @@ def test_a_critical_servo_that_fails_stops_the_face_and_says_why():
 
     assert robot.stiff == []
     assert robot.bridge.state is FaceState.ENDED
+
+
+LOSSES = [Fault(kind, probability=0.2) for kind in ("drop_instruction", "drop_reply")]
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_start_succeeds_where_a_fifth_of_all_packets_is_lost_either_way(seed):
+    """Four starts in ten were refused; who holds does so where it stood."""
+    face = MemoryFace(10, faults=LOSSES, seed=seed)
+    bridge = Bridge(face.bus, face.joints, MemoryTargetChannel(), BridgeSettings(100.0))
+    with face.bus:
+        stood = face.chain.motors.position.copy()
+        bridge.start()
+        face.clock.sleep_until(face.clock.now() + 0.05)
+
+        assert bridge.state is FaceState.DRIVEN
+        assert [servo["torque_enable"] for servo in face.chain.servos] == [1] * 10
+        goals = [servo["goal_position"] for servo in face.chain.servos]
+        np.testing.assert_allclose(goals, stood, atol=1.0)
+        np.testing.assert_allclose(face.chain.motors.position, stood, atol=1.0)
+
+
+def test_where_one_servo_never_answers_a_start_ends_soon_and_nobody_holds():
+    """The tries that make up for lost packets have an end."""
+    face = MemoryFace(10, faults=[*LOSSES, Fault("silence", servos=(3,), at_s=(0.0,))], seed=1)
+    bridge = Bridge(face.bus, face.joints, MemoryTargetChannel(), BridgeSettings(100.0))
+    face.clock.advance(0.01)
+    begun_s = face.clock.now()
+    with pytest.raises(ServoError, match=r"'joint_4' \(id 4\) does not answer"), face.bus:
+        bridge.start()
+
+    assert face.clock.now() - begun_s < 2.0
+    assert [servo["torque_enable"] for servo in face.chain.servos] == [0] * 10

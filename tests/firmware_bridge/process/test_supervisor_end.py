@@ -3,9 +3,11 @@
 import signal
 
 import pytest
+from simulated_supervisor import SupervisedFace
 
-from firmware_bridge.process.lifeline import Stopped
-from firmware_bridge.stopping import StopLevel
+from firmware_bridge.process.lifeline import Ready, Stopped
+from firmware_bridge.process.stop_record import StopRecord
+from firmware_bridge.stopping import StopLevel, StopRequest
 
 
 def test_a_failed_critical_servo_ends_the_face_limp_with_status_4(face):
@@ -116,3 +118,28 @@ def test_a_silent_servo_is_named_and_the_status_says_it(face):
     assert face.exit_status == 3
     assert report.confirmed == ("jaw", "right")
     assert report.unconfirmed == {"left": "did not answer"}
+
+
+@pytest.mark.parametrize("way", ["stop --end", "a signal"])
+def test_a_stop_that_ends_the_daemon_outlives_it_and_a_signal_does_not(tmp_path, way):
+    """systemd may start it again at once: what a person stopped then waits for a person."""
+    path = tmp_path / "stops" / "face.json"
+    record = StopRecord(path)
+    face = SupervisedFace(tmp_path / "face.sock", record)
+    with face.control:
+        face.play()
+        face.bridge.said.append(Ready())
+        face.play()
+        if way == "a signal":
+            face.n_signals = 1
+        else:
+            face.bridge.said.append(Stopped(StopLevel.SOFT, True, "process 7 of user 1000"))
+        face.play()
+        face.bridge.status = 0
+        assert face.play(5.0).complete
+        record.close()
+    left = StopRecord(path).stopped
+
+    assert face.exit_status == 0
+    expected = StopRequest(StopLevel.LIMP, "process 7 of user 1000")
+    assert left == (expected if way == "stop --end" else None)

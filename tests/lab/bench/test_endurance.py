@@ -18,6 +18,7 @@ def figures_of(n_cycles, resume, stop_after=10**9):
     return endurance_figures(n_cycles, done.append, lambda: max(done) >= stop_after, resume)
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_from_its_file_until_all_cycles_are_done(tmp_path):
     file = tmp_path / "endurance.json"
 
@@ -50,6 +51,7 @@ def test_a_run_that_is_killed_has_lost_a_hundredth_at_most(tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["endurance.json"]
 
 
+@pytest.mark.slow
 def test_what_any_session_saw_counts_and_growth_is_that_of_the_worst(tmp_path):
     file = tmp_path / "endurance.json"
     figures_of(1_000, file)

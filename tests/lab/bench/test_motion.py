@@ -69,6 +69,7 @@ def test_without_a_model_every_method_is_cross_validated(folder):
     )
 
 
+@pytest.mark.slow
 def test_the_papers_tables_stand_beside_the_printed_numbers_with_each_recogniser(folder, model):
     paper = bench("--corpus", folder, "--model", model, "--lookahead-ms", "0")["paper"]
     assert set(paper) == {"table_2", "table_3", "figure_6"}

@@ -12,6 +12,7 @@ from firmware_bridge.simulator.faults import KINDS
 from firmware_bridge.stopping import StopLevel
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["drop_reply", "unplug", "overload", "reboot", "encoder_fault"])
 def test_a_fault_is_survived_without_a_wrong_goal(kind):
     outcome = play(Case(kind, 1, 5, 30.0))

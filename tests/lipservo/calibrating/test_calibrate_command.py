@@ -243,6 +243,7 @@ def test_c3d_files_become_a_calibration(tmp_path):
     assert json.loads(done.stdout)["gap_correlation"] > 0.95
 
 
+@pytest.mark.slow
 def test_a_plan_is_refined_where_speech_will_be_and_a_picture_drawn(tmp_path):
     pytest.importorskip("matplotlib", reason="pictures need matplotlib, the extra `plots`")
     servos = ["jaw", "corner_left_out", "corner_right_out", "lip_protrusion"]

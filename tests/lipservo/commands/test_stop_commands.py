@@ -38,8 +38,11 @@ def own_folder(monkeypatch):
     return session
 
 
+SERVOS = {"servos": {"jaw": "driven", "left": "cooling"}, "troubles": []}
+
+
 @contextmanager
-def face(name, unconfirmed=None):
+def face(name, unconfirmed=None, status=SERVOS):
     """A face that listens and ends when told; no servos behind it."""
     over = threading.Event()
     path = runtime_folder() / f"{name}-{os.getpid()}.sock"
@@ -48,7 +51,7 @@ def face(name, unconfirmed=None):
     def loop(control):
         while not over.wait(0.001):
             request = control.poll()
-            control.answer(lambda: {"servos": {"jaw": "driven", "left": "cooling"}, "troubles": []})
+            control.answer(lambda: status)
             if request is not None:
                 heard.append(request.level)
                 if request.level is not StopLevel.FREEZE:
@@ -268,6 +271,17 @@ def test_status_shows_servos_and_no_dead_faces(own_folder):
     assert shown.startswith("tom ")
     assert "1 of 2 servos driven" in shown
     assert "tim" not in shown
+
+
+def test_status_of_a_face_without_its_plug_counts_no_servos():
+    """It said "driven, 0 of 10 servos driven"."""
+    servos = dict.fromkeys(["jaw", "left"], "waiting")
+    unplugged = {"state": "driven", "plugged": False, "servos": servos, "troubles": []}
+    with face("tom", status=unplugged):
+        shown = invoke("status").stdout
+
+    assert "its port is gone: no servo can be reached" in shown
+    assert "0 of 2" not in shown
 
 
 @pytest.fixture(scope="module")

@@ -30,6 +30,7 @@ def messages(stderr):
     return [json.loads(line)["message"] for line in stderr.splitlines()]
 
 
+@pytest.mark.slow
 def test_a_run_says_in_json_what_it_says_to_people(sound):
     plain = run("run", "--wav", sound)
     as_json = run("--log-json", "run", "--wav", sound)
@@ -50,6 +51,7 @@ def test_a_complaint_is_json_too():
     assert "no_such.wav: no such file" in line["message"]
 
 
+@pytest.mark.slow
 def test_in_detail_it_says_more_and_who_says_it(sound):
     plain, detailed = run("run", "--wav", sound), run("-v", "run", "--wav", sound)
 

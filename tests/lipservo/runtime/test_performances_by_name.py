@@ -52,6 +52,7 @@ def refusal(face, file, code="refused"):
     return str(raised.value)
 
 
+@pytest.mark.slow
 def test_performances_are_played_by_name_refused_in_one_line_and_cut_off(tmp_path, monkeypatch):
     own_folder(monkeypatch)
     short = written_performance(tmp_path / "short.perf", 0.3)

@@ -16,6 +16,8 @@ from two_servo_face import FACE
 
 from lipservo.settings.settings import load_face
 
+pytestmark = pytest.mark.slow
+
 RATE_HZ = 16_000
 PLAYED_S = 1.5
 

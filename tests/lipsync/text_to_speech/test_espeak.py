@@ -1,17 +1,20 @@
 """espeak-ng through its library: what it says, and what it does with odd texts."""
 
 import ctypes
+import os
+import signal
 import subprocess
 import sys
 import threading
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from spoken_phonemes import check_spoken, closures
 
 from lipsync.text_to_speech import espeak_library
 from lipsync.text_to_speech.espeak import Espeak
+from lipsync.text_to_speech.espeak_process import EspeakProcess
 from lipsync.text_to_speech.synthesis import SynthesisError, UnspeakableTextError, Voice
 
 #: Said in its own words by nearly every voice.
@@ -133,6 +136,18 @@ def test_two_threads_each_get_their_own_text(espeak):
     assert wrong == []
 
 
+def test_a_text_at_which_espeak_ng_dies_costs_no_other():
+    process = EspeakProcess()
+    process.synthesize("a baby", Voice())
+    os.kill(process.pid, signal.SIGSTOP)
+    threading.Timer(0.2, os.kill, (process.pid, signal.SIGKILL)).start()
+
+    with pytest.raises(SynthesisError, match="unusual characters"):
+        process.synthesize("a baby", Voice())
+    assert process.synthesize("a baby", Voice()).marks
+    process.close()
+
+
 def test_a_missing_library_is_one_line_that_names_the_package(monkeypatch):
     def missing(name):
         raise OSError(f"{name}: cannot open shared object file")
@@ -155,7 +170,12 @@ def spoken_if_speakable(text, voice):
         return None
 
 
+#: The C library of espeak-ng 1.51 ends the process that speaks this.
+CRASHES = "\u0e58-\u0248"
+
+
 @settings(max_examples=50, deadline=None)
+@example(text=CRASHES, language="hi")
 @given(text=st.text(max_size=80), language=st.sampled_from(["en-us", "de", "ru", "hi", "cmn"]))
 def test_any_text_is_spoken_or_refused_in_one_line(text, language):
     spoken = spoken_if_speakable(text, Voice(language))
@@ -188,6 +208,8 @@ def test_every_phoneme_of_every_language_is_in_the_table(espeak):
 
 WITHOUT_DEBIANS = """
 import ctypes
+import os
+import signal
 import subprocess
 import sys
 system = ctypes.CDLL
@@ -197,6 +219,7 @@ def without(name, *rest, **options):
     return system(name, *rest, **options)
 ctypes.CDLL = without
 from lipsync.text_to_speech.espeak import Espeak
+from lipsync.text_to_speech.espeak_process import EspeakProcess
 print(" ".join(each.phoneme for each in Espeak().speak("Thumbs up!").phonemes))
 """
 

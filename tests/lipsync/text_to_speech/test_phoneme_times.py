@@ -8,7 +8,8 @@ from scipy.signal import butter, sosfiltfilt
 from spoken_phonemes import closures
 
 from lipsync.text_to_speech.espeak import Espeak
-from lipsync.text_to_speech.espeak_library import PhonemeMark, espeak_library
+from lipsync.text_to_speech.espeak_library import PhonemeMark
+from lipsync.text_to_speech.espeak_process import espeak as espeak_process
 from lipsync.text_to_speech.synthesis import Voice
 
 VOWELS = "AEIOU"
@@ -34,17 +35,17 @@ STOP_LETTERS = (*"ptkbd", "\N{LATIN SMALL LETTER SCRIPT G}")
 def speak(espeak, text):
     """What is said, and where espeak-ng itself says that each stop begins, in seconds.
 
-    Of one call: the library does not say a text twice to the sample.
+    Of one call: espeak-ng does not say a text twice to the sample.
     """
-    library, kept = espeak_library(), []
-    synthesize = library.synthesize
+    process, kept = espeak_process(), []
+    synthesize = process.synthesize
 
     def keep(*arguments):
         kept.append(synthesize(*arguments))
         return kept[-1]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(library, "synthesize", keep)
+        patch.setattr(process, "synthesize", keep)
         spoken = espeak.speak(text)
     return spoken, [
         mark.sample / spoken.sample_rate_hz

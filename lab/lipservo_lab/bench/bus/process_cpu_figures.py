@@ -7,7 +7,6 @@ import ctypes
 import mmap
 import os
 import signal
-import statistics
 import struct
 import subprocess
 import sys
@@ -15,7 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -33,7 +32,9 @@ from lipservo.runtime.servos.sim_process import simulated_port
 from lipservo.runtime.status.live_board import FACE_STATES, BoardLayout, LiveBoard
 from lipservo.runtime.status.status_board import StatusBoard
 from lipservo_lab.bench.bus import servo_clients
+from lipservo_lab.bench.bus.host_witness import HostWitness
 from lipservo_lab.bench.bus.servo_clients import canned_peer
+from lipsync.errors import UserError
 
 N_SERVOS: Final = 10
 RATE_HZ: Final = 100.0
@@ -67,25 +68,28 @@ class Rounds(Protocol):
 
 @dataclass(slots=True)
 class MeasuredProcess:
-    """A process that stands still but in its turns. spent_us: CPU a round, of each turn."""
+    """A process that stands still but in its turns."""
 
     pid: int
     channel: SocketTargetChannel
     rounds: Rounds
     lifeline: LifelineWatch | None = None
-    spent_us: list[float] = field(default_factory=list)
-    n_rounds: int = 0
 
-    def take_turn(self) -> None:
-        """Run for a while, counted but for its beginning; then stand still again."""
-        clock = _cpu_clock(self.pid)
+    def take_turn(self, witness: HostWitness) -> float:
+        """Run for a while, then stand still again: CPU a round in us, but for the beginning.
+
+        NaN: its servos were not driven, or the computer stood still meanwhile.
+        """
+        clock, turn_s = _cpu_clock(self.pid), time.monotonic()
         self.run(_SETTLES_S, stop=False)
         began_s, began_n = time.clock_gettime(clock), self.rounds.n
         self.run(_COUNTED_S)
         spent_s, n = time.clock_gettime(clock) - began_s, self.rounds.n - began_n
-        if n and self.rounds.is_driven:
-            self.n_rounds += n
-            self.spent_us.append(spent_s / n * 1e6)
+        ended_s = time.monotonic()
+        witness.settle()
+        if not (n and self.rounds.is_driven) or witness.saw_stall(turn_s, ended_s):
+            return float("nan")
+        return spent_s / n * 1e6
 
     def run(self, seconds: float, *, stop: bool = True) -> None:
         """Run with targets that move, as the speech side publishes them."""
@@ -287,29 +291,43 @@ def process_ratios() -> dict[str, float]:
     temperature of all read (`GroupSyncRead`; `all_fast`: in one frame, too), or, `in_turn`, the
     very reads of our tick: one servo's health; no gate, no stop, no status.
 
-    User and system time of all threads of a process, by its own clock; medians of the turns, each
-    of some sixty ticks, while the others stand still; `least`: of the least turns. Each has a peer
-    of its own, which answers at once, with real-time scheduling where permitted. dynamixel-sdk
-    polls while it waits for it, which is in its figures; `waiting`: with a port that sleeps
-    instead, which is not the SDK's. `wire`: with simulated servos that take the time of 1 Mbaud, as
-    real ones do; the SDK polls all the while.
+    User and system time of all threads of a process, by its own clock, in turns of some sixty
+    ticks, while the others stand still. Ratios are of two turns of the same round; their median and
+    quartiles. Turns in which a core stood still are left out; `kept`: the share of the rounds that
+    have both of the first ratio. Each has a peer of its own, which answers at once, with real-time
+    scheduling where permitted. dynamixel-sdk polls while it waits for it, which is in its figures;
+    `waiting`: with a port that sleeps instead, which is not the SDK's. `wire`: with simulated
+    servos that take the time of 1 Mbaud, as real ones do; the SDK polls all the while.
+
+    Raises UserError where the computer stood still in all rounds.
     """
-    at_once, on_the_wire = _turns_us(AT_ONCE), _turns_us(ON_THE_WIRE)
-    figures = {
-        "cpu_process_us": statistics.median(at_once["own"]),
-        "cpu_process_wire_us": statistics.median(on_the_wire["own"]),
-        "cpu_process_ratio_least": min(at_once["own"]) / min(at_once["sdk"]),
-    }
-    for turns_us, comparison in ((at_once, AT_ONCE), (on_the_wire, ON_THE_WIRE)):
-        own_us = statistics.median(turns_us["own"])
-        for kind, name in comparison.loops.items():
-            if kind in turns_us:
-                figures[name] = own_us / statistics.median(turns_us[kind])
+    figures: dict[str, float] = {}
+    with HostWitness.watching() as witness:
+        for comparison, suffix in ((AT_ONCE, ""), (ON_THE_WIRE, "_wire")):
+            turns_us = _turns_us(comparison, witness)
+            figures[f"cpu_process{suffix}_us"] = _quartiles(turns_us["own"])[1]
+            for kind, name in comparison.loops.items():
+                if kind not in turns_us:
+                    continue
+                low, middle, high = _quartiles(turns_us["own"] / turns_us[kind])
+                figures[name] = middle
+                if kind == "sdk":
+                    figures |= {f"{name}_q1": low, f"{name}_q3": high}
+                    kept = np.isfinite(turns_us["own"] / turns_us[kind]).mean()
+                    figures[f"cpu_process{suffix}_kept"] = float(kept)
     return figures
 
 
-def _turns_us(comparison: Comparison) -> dict[str, list[float]]:
-    """CPU a tick of every turn in which servos were driven, by loop, ours called `own`."""
+def _quartiles(values: np.ndarray) -> tuple[float, float, float]:
+    """First quartile, median and third of what is not NaN."""
+    if not np.isfinite(values).any():
+        raise UserError("the computer stood still in every round; run it on a quieter one")
+    low, middle, high = np.nanquantile(values, [0.25, 0.5, 0.75]).tolist()
+    return low, middle, high
+
+
+def _turns_us(comparison: Comparison, witness: HostWitness) -> dict[str, np.ndarray]:
+    """CPU a tick of every turn, (n_turns,), by loop, ours called `own`; as `take_turn`."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="lipservo-bench-"))
         port, rate = stack.enter_context(comparison.peer()), comparison.baud_rate
@@ -319,7 +337,7 @@ def _turns_us(comparison: Comparison) -> dict[str, list[float]]:
             if "rustypot" not in kind or find_spec("rustypot") is not None:
                 port = stack.enter_context(comparison.peer())
                 loops[kind] = stack.enter_context(client_process(kind, port, rate))
-        for _ in range(comparison.n_turns):
-            for each in loops.values():
-                each.take_turn()
-        return {kind: each.spent_us for kind, each in loops.items() if each.spent_us}
+        rounds = [
+            [each.take_turn(witness) for each in loops.values()] for _ in range(comparison.n_turns)
+        ]
+        return dict(zip(loops, np.array(rounds).T, strict=True))

@@ -8,12 +8,12 @@ How far the mouth is from its sound on servos that are late, with and without co
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calibration.calibration import Calibration, CalibrationError
+from calibration.calibration import Calibration, CalibrationError, Following
 from calibration.fit.guided import CLOSED, fit_guided, landmark_poses
 from calibration.fit.measured import MeasuredFit, fit_measured, lips_apart_mm
 from calibration.fit.procedure import Procedure
@@ -21,7 +21,7 @@ from calibration.fit.retargeting import MOST_EXAGGERATION, PRESS_MM, nearest_pos
 from calibration.fit.servo_response import identify, lag_between_s
 from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import JointRange, MouthServos
-from calibration.run.compensation import BacklashCompensation, Follower
+from calibration.run.compensation import BacklashCompensation, LagCompensation
 from calibration.simulated.face import JAW
 from calibration.simulated.robot import RobotDraw, SimulatedRobot, draw_robot, true_markers_mm
 from calibration.simulated.servos import SimulatedServos
@@ -55,23 +55,23 @@ class SyncErrors:
 def sync_errors(
     model: FaceWithAnimPhos,
     calibration: Calibration,
+    following: Following,
     draw: RobotDraw,
     servos: SimulatedServos,
     seed: int,
 ) -> SyncErrors:
-    """Twenty seconds of AnimPhos, through map, follower, late servos and backlash."""
+    """Twenty seconds of AnimPhos, through map, compensation, late servos and backlash."""
     motion = _motion(model, np.random.default_rng([seed, 3]))
     wanted_mm = np.array([model.lip_gap_mm(frame) for frame in motion])
-    poses_deg = np.array([calibration.positions_deg(frame) for frame in motion])
+    poses_deg = calibration.poses_deg(motion)
     before_mm = _gap_mm(draw, servos, poses_deg)
-    follower = Follower(
-        calibration.following, poses_deg.shape[1], 1.0 / _RATE_HZ, look_ahead_s=LOOK_AHEAD_S
-    )
-    goals_deg = np.array([follower.feed(pose) for pose in poses_deg])
+    backlash = BacklashCompensation(following.backlash_deg)
+    lag = LagCompensation(following.lag_s, 1.0 / _RATE_HZ, look_ahead_s=LOOK_AHEAD_S)
+    goals_deg = np.array([lag.feed(backlash.feed(pose[None])[0]) for pose in poses_deg])
     # Fed in advance: what is asked for at one instant is shown so much later.
-    early = round(follower.advance_s * _RATE_HZ)
+    early = round(lag.advance_s * _RATE_HZ)
     after_mm = _gap_mm(draw, servos, goals_deg)
-    late_s = _lags_s(wanted_mm, after_mm) - follower.advance_s
+    late_s = _lags_s(wanted_mm, after_mm) - lag.advance_s
     shown = slice(early, None)
     return SyncErrors(
         before_rms_ms=_rms(_lags_s(wanted_mm, before_mm)) * 1e3,
@@ -175,9 +175,8 @@ def measure_seed(model: FaceWithAnimPhos, settings: FaceSettings, seed: int) -> 
     following = identify(late_servos.encoders_deg, joints, fit.face.backlash_deg)
     procedure_s = time.perf_counter() - began_s
 
-    fit = replace(fit, calibration=replace(fit.calibration, following=following))
     shapes = _score_shapes(model, fit, draw, servos, seed)
-    sync = sync_errors(model, fit.calibration, draw, late_servos, seed)
+    sync = sync_errors(model, fit.calibration, following, draw, late_servos, seed)
     return _figures(shapes, sync, _map_time_us(model, fit), procedure_s)
 
 
@@ -270,7 +269,7 @@ def _score_shapes(
     backlash = BacklashCompensation(fit.face.backlash_deg)
     seen_mm = np.empty_like(targets_mm)
     for frame, coefficients in enumerate(fit.held_out):
-        robot.move(backlash.feed(fit.calibration.positions_deg(coefficients)))
+        robot.move(backlash.feed(fit.calibration.poses_deg(coefficients[None]))[0])
         seen_mm[frame] = robot.true_markers_mm()
     rest_mm = model.markers_mm(model.rest[None])
     copies_mm = draw.face.neutral_mm + fit.retargeting.scale * (

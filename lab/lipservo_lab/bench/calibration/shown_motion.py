@@ -191,7 +191,7 @@ def played(face: ElasticFace, calibration: Calibration, frames: Array) -> Array:
     backlash = BacklashCompensation(
         np.zeros(n_servos) if following is None else following.backlash_deg
     )
-    goals = [backlash.feed(calibration.positions_deg(frame)) for frame in frames]
+    goals = [backlash.feed(pose_deg[None])[0] for pose_deg in calibration.poses_deg(frames)]
     return behind_play(face, np.array(goals))
 
 

@@ -15,7 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
@@ -220,6 +220,68 @@ def ladder_figures(
     return {**figures_of(ticks.until(seconds), loads, is_speech), "fallback_s": fallback_s}
 
 
+#: Faces that go on alone have the network back within this, or not at all: a try that fails is
+#: repeated after 8 s at the latest (docs/recognition.md), and takes over within 8 s.
+_COMES_BACK_S: Final = 120.0
+
+
+def crowd_figures(
+    n_faces: int, seconds: float, folder: Path, is_over: Callable[[], bool]
+) -> dict[str, object]:
+    """So many faces hear speech at once for so long; then all but one for each core end.
+
+    lost: how many left the network while all ran. kept: how many go on, those that lost it first;
+    kept_back: how many of these have it again; kept_back_worst_s: the last one, from the end of the
+    others. Raises LadderError.
+    """
+    whole_s = seconds + _STARTS_S + _COMES_BACK_S
+    sound, _ = _speech(folder / "speech.wav", whole_s)
+    with ExitStack() as stack:
+        faces: list[tuple[Path, subprocess.Popen[bytes], ExitStack]] = []
+        for n in range(n_faces):
+            own, own_stack = folder / str(n), stack.enter_context(ExitStack())
+            (own / "session").mkdir(parents=True, mode=0o700)
+            face = _face(_RUN, own, sound, own / "trace.jsonl")
+            faces.append((own, own_stack.enter_context(face), own_stack))
+        for own, process, _ in faces:
+            _first_tick_s(own, process, is_over, n_asked=1)
+        losers: set[int] = set()
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            _wait_until(time.monotonic() + 1.0, faces[0][1], is_over)
+            losers |= {n for n, face in enumerate(faces) if _level(face[0])}
+        order = sorted(range(n_faces), key=lambda n: (n not in losers, n))
+        n_kept = min(n_faces, os.cpu_count() or 1)
+        for n in order[n_kept:]:
+            faces[n][1].terminate()
+        for n in order[n_kept:]:
+            faces[n][2].close()
+        ended_s = time.monotonic()
+        back_s: dict[int, float] = {}
+        while len(back_s) < n_kept and time.monotonic() < ended_s + _COMES_BACK_S:
+            for n in order[:n_kept]:
+                _wait_until(time.monotonic() + 0.1, faces[n][1], is_over)
+                if n not in back_s and _level(faces[n][0]) == 0:
+                    back_s[n] = time.monotonic() - ended_s
+    return {
+        "lost": len(losers),
+        "kept": n_kept,
+        "kept_back": len(back_s),
+        "kept_back_worst_s": max(back_s.values(), default=None),
+    }
+
+
+def _level(folder: Path) -> int | None:
+    """How many recognisers better than the one in use a face has; None: it does not answer."""
+    for path in (folder / "session").glob("**/*.sock"):
+        try:
+            status = ask(path, "status")
+        except OSError:
+            continue
+        return int(status["fallback_level"])
+    return None
+
+
 def slow_the_network(times: float) -> None:
     """In this process the network takes `times` as long as its sound lasts, busy all the while."""
     prepare = NetworkRecognizer.prepare
@@ -353,12 +415,15 @@ def _hogs(n_processes: int) -> Iterator[Callable[[float], None]]:
 
 
 def _first_tick_s(
-    folder: Path, process: subprocess.Popen[bytes], is_over: Callable[[], bool]
+    folder: Path,
+    process: subprocess.Popen[bytes],
+    is_over: Callable[[], bool],
+    n_asked: int = _N_ASKED,
 ) -> float:
     """The monotonic time of the face's first tick, of its counts: to some 10 ms."""
     give_up_s = time.monotonic() + _STARTS_S
     found_s: list[float] = []
-    while len(found_s) < _N_ASKED:
+    while len(found_s) < n_asked:
         if time.monotonic() > give_up_s or process.poll() is not None:
             said = (folder / "log").read_text(errors="replace").strip().splitlines()
             raise LadderError(f"the face did not start: {said[-1] if said else 'says nothing'}")

@@ -9,6 +9,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Final
 
@@ -18,17 +19,22 @@ from scipy.interpolate import CubicSpline
 
 from calibration.grade import CLOSED_GAP_MM
 from calibration.mouth_servos import MouthServos
+from calibration.run.compensation import BacklashCompensation
 from calibration.simulated.elastic_family import elastic_robot_of
 from calibration.simulated.elastic_robot import N_PAIRS, ElasticFace
 from calibration.simulated.practice_robot import USUAL_SEED, family_of, markers_of_face
 from calibration.simulated.robot_family import RobotFamily
+from firmware_bridge.clock import ManualClock
 from firmware_bridge.gate.joint_plan import JointPlan, TargetWindow
 from firmware_bridge.gate.limits import Limiter
 from firmware_bridge.joints import Joint
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.calibrating.calibration_setup import CalibrationSetup
+from lipservo.runtime.face_runtime import run_face
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
+from lipservo.runtime.run_request import RunRequest, Sound
 from lipservo.runtime.servos.assembly import Face, assemble_face
+from lipservo.runtime.sound import open_sound
 from lipservo.runtime.speech.speech import PUBLISH_PERIOD_S, Speech, SpeechOptions
 from lipservo.runtime.speech.speech_side import mouth_plan
 from lipservo_lab.bench.calibration.shown_motion import wanted_shapes
@@ -49,6 +55,9 @@ from lipsync.recognition.scripted import ScriptedPhonemes
 SPEEDS_DEG_S: Final = (400.0, 300.0, 200.0, 150.0)
 #: Those that ship with a calibration.
 FACES: Final = ("face_sim", "face_lips", "face_eight", "face_four", "face_jaw")
+#: Those that are run, at this rate.
+RUN: Final = ("face_head", *FACES)
+_RUN_HZ: Final = 100.0
 #: Their robots have lips: a foreign one, whose lips stop each other, and our own.
 ROBOTS: Final = ("face_eight", "face_lips", "face_sim")
 _TOUCH_MM: Final = 0.02
@@ -82,13 +91,14 @@ class Sentence:
 
 @dataclass(frozen=True, slots=True)
 class Shafts:
-    """Where the shafts of a mouth were, (n, n_servos) degrees, at sound times k / 100 s from 0.
+    """What joints of a mouth did, (n, n_servos) degrees, at sound times k / 100 s from 0.
 
-    asked_deg: what the plan asked for. n_rate_hits: goals that the last gate slowed down.
+    asked_deg: what the plan asked for; horn_deg: where it brought the horns, behind the play of
+    the gears. n_rate_hits: goals that the last gate slowed down.
     """
 
     asked_deg: Array
-    shaft_deg: Array
+    horn_deg: Array
     n_rate_hits: int
 
 
@@ -113,19 +123,18 @@ def shafts_of(
     synthesizer: Synthesizer,
     plan: JointPlan | None,
     speeds_deg_s: Array,
+    play_deg: Array,
 ) -> Shafts:
     """What the joints of a mouth do while a synthesiser follows a sentence's phonemes.
 
-    speeds_deg_s: of the shafts, (n_servos,), infinite for those without limits. Servos that are
-    late or have play are another matter and left out.
+    speeds_deg_s: of the shafts, (n_servos,), infinite for those without limits; play_deg: of their
+    gears, (n_servos,).
     """
     names = face.calibration.servo_names
-    calibration = replace(face.calibration, following=None)
     channel = MemoryTargetChannel(4096)
     phonemes = ScriptedPhonemes(sentence.phones)
-    speech = Speech(
-        phonemes, SteadyClock(), synthesizer, calibration, names, channel, SpeechOptions(plan=plan)
-    )
+    options = SpeechOptions(plan=plan)
+    speech = Speech(phonemes, SteadyClock(), synthesizer, face.calibration, names, channel, options)
     speech.begin(0.0)
     asked: list[Array] = []
     n_ticks = round((sentence.end_s + _AFTER_S + speech.delay.total_s) / PUBLISH_PERIOD_S)
@@ -148,7 +157,30 @@ def shafts_of(
     gate.start_from(asked_deg[0], -PUBLISH_PERIOD_S)
     sent = [gate.apply(goal_deg, n * PUBLISH_PERIOD_S) for n, goal_deg in enumerate(asked_deg)]
     n_hits = int(gate.counts.rate_hits.sum())
-    return Shafts(asked_deg, np.array([each.positions_deg for each in sent]), n_hits)
+    return Shafts(asked_deg, _behind(play_deg, [each.positions_deg for each in sent]), n_hits)
+
+
+def _behind(play_deg: Array, shafts_deg: Sequence[Array]) -> Array:
+    """Where horns stand whose shafts (n_servos,) turn so; in the middle of their play at first."""
+    horn_deg, horns_deg = shafts_deg[0], []
+    for shaft_deg in shafts_deg:
+        horn_deg = np.clip(horn_deg, shaft_deg - play_deg / 2, shaft_deg + play_deg / 2)
+        horns_deg.append(horn_deg)
+    return np.array(horns_deg)
+
+
+def exact(face: Face) -> Face:
+    """The same with servos that are neither late nor loose, and nothing made up for."""
+    return replace(face, calibration=replace(face.calibration, following=None))
+
+
+def in_time(face: Face) -> Face:
+    """The same with servos that are loose, but not late: the shafts of `shafts_of` are not."""
+    following = face.calibration.following
+    if following is None:
+        return face
+    following = replace(following, lag_s=np.zeros_like(following.lag_s))
+    return replace(face, calibration=replace(face.calibration, following=following))
 
 
 def plan_at(speeds_deg_s: Array) -> JointPlan:
@@ -206,8 +238,11 @@ class RobotLips:
         self._model = model
         neutral_mm = model.markers_mm(model.rest[None])[0]
         self._elastic = None
+        #: Of the gears, which the calibration knows as it has measured them, (n_servos,).
+        self.play_deg = np.zeros(len(self.servos.names))
         if family_of(self.servos) is RobotFamily.ELASTIC:
             self._elastic = ElasticFace(elastic_robot_of(neutral_mm, self.servos, USUAL_SEED))
+            self.play_deg = self._elastic.backlash_deg
         self._markers_mm = markers_of_face(neutral_mm, self.servos)
 
     def touch(self, shafts: Shafts) -> NDArray[np.bool_]:
@@ -219,8 +254,8 @@ class RobotLips:
     def gap_mm(self, shafts: Shafts) -> Array:
         """Between the edges of the lips in their middle, (n,)."""
         if self._elastic is None:
-            return self._model.lip_gaps_mm(self._markers_mm(shafts.shaft_deg))
-        return self._elastic.state(shafts.shaft_deg).gaps_mm[:, N_PAIRS // 2]
+            return self._model.lip_gaps_mm(self._markers_mm(shafts.horn_deg))
+        return self._elastic.state(shafts.horn_deg).gaps_mm[:, N_PAIRS // 2]
 
     def wanted_mm(self, sentence: Sentence) -> Array:
         """Shapes (n, 47, 3) of the nearest poses to every `_SPARSE`th recorded face.
@@ -234,7 +269,7 @@ class RobotLips:
 
     def error_mm(self, wanted_mm: Array, shafts: Shafts) -> Array:
         """Distance of the lips' markers from shapes that are wanted, (n, n_lips)."""
-        shown_mm = self._markers_mm(shafts.shaft_deg[::_SPARSE][: len(wanted_mm)])
+        shown_mm = self._markers_mm(shafts.horn_deg[::_SPARSE][: len(wanted_mm)])
         off_mm = (shown_mm - wanted_mm)[:, list(MARKERS_47.lips)]
         return np.asarray(np.linalg.norm(off_mm, axis=2))
 
@@ -272,6 +307,7 @@ def speed_figures(corpus: Path, n_sentences: int, advance: Advance) -> dict[str,
     for n, name in enumerate(FACES):
         advance(name, n, n_steps)
         by_face[name] = _asked_of(assemble_face(name, None), sentences, model)
+    figures["rate_limits_per_s_run"] = {name: _limits_per_s(name) for name in RUN}
     robots = [assemble_face(name, None) for name in ROBOTS]
     lips = [RobotLips(face, model) for face in robots]
     step = len(FACES)
@@ -300,18 +336,19 @@ def _at_speeds(
 ) -> dict[str, Array]:
     """For each of `SPEEDS_DEG_S`, with the plan and with the gate alone."""
     n_servos = len(face.calibration.servo_names)
-    unlimited = np.full(n_servos, math.inf)
-    free = [shafts_of(face, s, make(s, model), None, unlimited) for s in sentences]
+    unlimited, ideal, loose = np.full(n_servos, math.inf), exact(face), in_time(face)
+    play_deg = lips.play_deg
+    free = [shafts_of(ideal, s, make(s, model), None, unlimited, play_deg) for s in sentences]
     free_gaps_mm = [lips.gap_mm(each) for each in free]
     n_free = _n_met(sentences, [lips.touch(each) for each in free])
     rows: dict[str, list[float]] = {}
     for speed_deg_s in SPEEDS_DEG_S:
         speeds = np.full(n_servos, speed_deg_s)
         for way in ("", "_gate_alone"):
-            shafts = [
-                shafts_of(face, s, make(s, model), None if way else plan_at(speeds), speeds)
-                for s in sentences
-            ]
+            shafts = []
+            for s in sentences:
+                plan = None if way else plan_at(speeds)
+                shafts.append(shafts_of(loose, s, make(s, model), plan, speeds, play_deg))
             n_met = _n_met(sentences, [lips.touch(each) for each in shafts])
             gaps_mm = zip(shafts, free_gaps_mm, strict=True)
             late_s = float(np.median([shift_s(lips.gap_mm(a), b) for a, b in gaps_mm]))
@@ -332,19 +369,21 @@ def _error_ratios(
     n_servos = len(face.calibration.servo_names)
     wanted_mm = [lips.wanted_mm(sentence) for sentence in sentences]
 
-    def error_mm(plan_of: Callable[[Array], JointPlan | None], speeds: Array) -> float:
+    def error_mm(plan_of: Callable[[Array], JointPlan | None], speeds: Array, shown: Face) -> float:
         made = [
-            shafts_of(face, s, recorded_motion(s, model), plan_of(speeds), speeds)
+            shafts_of(shown, s, recorded_motion(s, model), plan_of(speeds), speeds, lips.play_deg)
             for s in sentences
         ]
         off_mm = [lips.error_mm(w, each) for w, each in zip(wanted_mm, made, strict=True)]
         return float(np.sqrt(np.mean(np.concatenate(off_mm) ** 2)))
 
-    free_mm = error_mm(no_plan, np.full(n_servos, math.inf))
+    free_mm, loose = error_mm(no_plan, np.full(n_servos, math.inf), exact(face)), in_time(face)
     found: dict[str, object] = {"lip_error_mm": round(free_mm, 3)}
     limits = [np.full(n_servos, speed_deg_s) for speed_deg_s in SPEEDS_DEG_S]
-    found["lip_error_ratio"] = [round(error_mm(plan_at, each) / free_mm, 3) for each in limits]
-    alone = [error_mm(no_plan, each) / free_mm for each in limits]
+    found["lip_error_ratio"] = [
+        round(error_mm(plan_at, each, loose) / free_mm, 3) for each in limits
+    ]
+    alone = [error_mm(no_plan, each, loose) / free_mm for each in limits]
     found["lip_error_ratio_gate_alone"] = np.round(alone, 3).tolist()
     return found
 
@@ -355,6 +394,7 @@ def _asked_of(
     """What a face's plan asks of joints that have the speeds of its YAML."""
     servos = [face.settings.servos[name] for name in face.calibration.servo_names]
     speeds = np.array([servo.max_speed_deg_s for servo in servos])
+    tight_deg = np.zeros(len(servos))
     figures = {}
     motions: dict[str, Motion] = {"recorded": recorded_motion, "live": live_motion}
     for method, make in motions.items():
@@ -362,7 +402,8 @@ def _asked_of(
             shafts = []
             for sentence in sentences:
                 plan = None if way else mouth_plan(face)
-                shafts.append(shafts_of(face, sentence, make(sentence, model), plan, speeds))
+                motion = make(sentence, model)
+                shafts.append(shafts_of(face, sentence, motion, plan, speeds, tight_deg))
             seconds = sum(len(each.asked_deg) for each in shafts) * PUBLISH_PERIOD_S
             hits = sum(each.n_rate_hits for each in shafts)
             figures[f"over_speed_share_{method}{way}"] = round(over_speed_share(shafts, speeds), 4)
@@ -370,11 +411,24 @@ def _asked_of(
     return figures
 
 
+def _limits_per_s(face: str) -> float:
+    """Goals that the gate slows in a second of the bundled clip, replayed as users run it."""
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        request = RunRequest(face, Sound("file", str(clip)), rate_hz=_RUN_HZ, quiet=True)
+        with open_sound(request.sound) as source:
+            summary = run_face(request, source, ManualClock()).summary
+    return round(summary.rate_limits_hit / summary.duration_s, 3)
+
+
 def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict[str, float]:
-    """What one tick's window, its poses and its plan take together."""
+    """What one tick's window, its poses, backlash and plan take together."""
     synthesizer = live_motion(sentence, model)
     phonemes = ScriptedPhonemes(sentence.phones)
-    plan = plan_at(np.full(len(face.calibration.servo_names), SPEEDS_DEG_S[0]))
+    n_servos, following = len(face.calibration.servo_names), face.calibration.following
+    plan = plan_at(np.full(n_servos, SPEEDS_DEG_S[0]))
+    backlash = BacklashCompensation(
+        np.zeros(n_servos) if following is None else following.backlash_deg
+    )
     took_ms = []
     for n in range(round(sentence.end_s / PUBLISH_PERIOD_S)):
         for update in phonemes.updates(n * PUBLISH_PERIOD_S + synthesizer.lookahead_s):
@@ -382,9 +436,11 @@ def _plan_times(face: Face, sentence: Sentence, model: FaceWithAnimPhos) -> dict
         frame = synthesizer.frame_at(n * PUBLISH_PERIOD_S)
         began_s = time.perf_counter()
         window = synthesizer.window_after(frame)
-        poses_deg = np.array([face.calibration.positions_deg(each) for each in window.faces])
-        shut_deg = face.calibration.positions_deg(window.shut)
-        plan.step(TargetWindow(window.times_s, poses_deg, window.closed, shut_deg))
+        *poses_deg, shut_deg = face.calibration.poses_deg(
+            np.concatenate([window.faces, window.shut[None]])
+        )
+        goals_deg = backlash.feed(np.array(poses_deg))
+        plan.step(TargetWindow(window.times_s, goals_deg, window.closed, shut_deg))
         took_ms.append(1e3 * (time.perf_counter() - began_s))
     p50, p99 = np.percentile(took_ms, [50, 99])
     return {"plan_ms_p50": round(float(p50), 3), "plan_ms_p99": round(float(p99), 3)}

@@ -256,16 +256,25 @@ def ladder(
     programs: Annotated[
         int, typer.Option(min=1, max=64, help="How many programs are busy for each core.")
     ] = 2,
+    faces: Annotated[
+        int,
+        typer.Option(
+            min=1,
+            max=64,
+            help="More than one: so many listen at once, then one for each core goes on.",
+        ),
+    ] = 1,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure who listens while every core is busy for 1, 2 and 5 s of every minute.
 
     On a whole `lipservo run` in real time; and how soon loudness takes over from a recogniser that
-    takes ten times as long as its sound.
+    takes ten times as long as its sound. With --faces these are the load themselves, and measured
+    is whether those that go on have the network again.
     """
     from firmware_bridge.stop_signals import SignalCounter
-    from lipservo_lab.bench.hearing.ladder_figures import ladder_figures
+    from lipservo_lab.bench.hearing.ladder_figures import crowd_figures, ladder_figures
 
     began_s = time.perf_counter()
     with (
@@ -278,13 +287,18 @@ def ladder(
         def advance(done_s: float, whole_s: float) -> None:
             progress.update(steps, completed=done_s, total=whole_s)
 
-        figures = ladder_figures(
-            minutes, programs, Path(folder), advance, lambda: signals.count > 0
-        )
+        def is_over() -> bool:
+            return signals.count > 0
+
+        if faces > 1:
+            figures = crowd_figures(faces, minutes * 60.0, Path(folder), is_over)
+        else:
+            figures = ladder_figures(minutes, programs, Path(folder), advance, is_over)
+    load = {"faces": faces} if faces > 1 else {"programs_per_core": programs}
     result = {
         **figures,
         "minutes": minutes,
-        "programs_per_core": programs,
+        **load,
         "machine": machine_class(),
         "seconds": time.perf_counter() - began_s,
     }

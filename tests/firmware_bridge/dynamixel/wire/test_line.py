@@ -232,7 +232,7 @@ def test_a_servo_behind_a_computer_that_is_late_with_everything_is_found_before_
     assert [each.model_number for each in said] == [1200, 1200]
 
 
-def test_a_servo_that_is_not_there_is_not_waited_for_longer_than_a_quarter_second():
+def test_a_servo_that_is_not_there_is_not_waited_for_longer_than_half_a_second():
     face = MemoryFace(2, faults=[Fault("silence", servos=(1,), at_s=(0.0,))])
     line = Line(face.open())
     face.clock.advance(0.01)
@@ -240,7 +240,7 @@ def test_a_servo_that_is_not_there_is_not_waited_for_longer_than_a_quarter_secon
 
     assert identify(line, face.servos[1]) is None
 
-    assert face.clock.now() - begun_s < 0.3
+    assert face.clock.now() - begun_s < 0.5
 
 
 def test_a_line_that_remembers_no_late_answers_gives_wrong_values(monkeypatch):

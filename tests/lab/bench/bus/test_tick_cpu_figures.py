@@ -89,6 +89,7 @@ def test_the_figures_of_a_tick_have_the_names_that_are_promised(monkeypatch):
     assert all(value > 0.0 for value in figures.values())
 
 
+@pytest.mark.slow
 def test_the_figures_of_the_bare_line_have_kept_their_names(monkeypatch):
     monkeypatch.setattr(bus_cpu_figures, "_ROUNDS", 1)
     monkeypatch.setattr(bus_cpu_figures, "_CALLS", 2)

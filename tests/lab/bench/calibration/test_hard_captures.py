@@ -24,6 +24,7 @@ def test_a_healthy_robot_of_ten_weak_servos_is_refused_before_none():
     assert told == {"15 markers": None, "1 mm of noise": None, "1 % of outliers": None}
 
 
+@pytest.mark.slow
 def test_a_dead_joint_is_refused_before_all_and_named(monkeypatch):
     face, servos = drawn(109, 4)
     dead = servos.names.index("m4_smile")

@@ -10,6 +10,7 @@ from lipservo_lab.bench.face.streams import clients, processor_s
 from served_dashboard import served
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", ["/api/twin", "/api/state"])
 def test_what_one_of_several_clients_is_sent_a_second(path):
     """About thirty messages of a hundred bytes, whatever the computer does besides."""

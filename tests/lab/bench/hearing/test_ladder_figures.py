@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lipservo_lab.bench.hearing.ladder_figures import Load, Ticks, figures_of
+from lipservo_lab.bench.hearing.ladder_figures import Load, Ticks, crowd_figures, figures_of
 from places import short_folder
 
 PATIENCE_S = 60.0
@@ -67,6 +67,7 @@ def test_the_step_of_the_mouth_is_looked_for_where_recognisers_meet():
     assert found["widest_step_in_speech_mm"] == pytest.approx(9.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_ending_the_bench_ends_its_load_and_its_face(number):
     folder = short_folder()
@@ -84,6 +85,14 @@ def test_ending_the_bench_ends_its_load_and_its_face(number):
     if number == signal.SIGTERM:
         assert said.strip() == "lipservo: stopped before the end: no figures"
         assert list(folder.iterdir()) == []
+
+
+@pytest.mark.campaign
+def test_after_ten_faces_on_few_cores_those_that_go_on_have_the_network_again():
+    """It was lost for the life of each process."""
+    found = crowd_figures(10, 30.0, short_folder(), lambda: False)
+
+    assert found["kept_back"] == found["kept"]
 
 
 def children_of(pid):

@@ -46,6 +46,7 @@ def test_a_corpus_of_one_speaker_has_that_speakers_figures(corpus):
     assert 0.0 <= group["labiodental_precision"] <= 1.0
 
 
+@pytest.mark.slow
 def test_without_by_there_are_no_groups_and_with_a_table_the_tables(corpus, tmp_path):
     table = tmp_path / "speakers.csv"
     table.write_text("speaker,group,gender\nreader,adult,f\n")

@@ -62,6 +62,7 @@ def bench(*arguments: object) -> dict:
     return json.loads(done.stdout)
 
 
+@pytest.mark.slow
 def test_every_method_look_ahead_and_reader_has_a_row_and_the_headline_is_that_of_100_ms(
     folder, models, tmp_path
 ):

@@ -17,6 +17,7 @@ from lipservo_lab.bench.stops.signal_campaign import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "case",
     [

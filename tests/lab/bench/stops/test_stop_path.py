@@ -142,6 +142,7 @@ def test_the_files_of_all_processes_are_counted_once_and_the_calls_each_time():
     assert found["walk"]["bridge-process"] == ["b.py:three", "c.py:CommandQueue.stop"]
 
 
+@pytest.mark.slow
 def test_a_stop_passes_few_files_and_calls_of_ours_until_it_is_in_the_queue():
     figures = stop_path_figures((StopLevel.FREEZE,))
 

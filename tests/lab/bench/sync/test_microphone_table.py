@@ -61,6 +61,7 @@ def test_a_run_with_low_latency_declares_what_the_table_says(tmp_path, monkeypat
     assert [row[2] for row in documented_rows() if row[:2] == point] == [declared_ms]
 
 
+@pytest.mark.slow
 def test_a_goal_follows_the_microphone_within_150_ms_of_low_latency():
     assert 0.0 < clip_to_bus_s(LOW_LATENCY, 1).max() <= 0.150
 

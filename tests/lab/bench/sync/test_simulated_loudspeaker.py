@@ -38,6 +38,7 @@ def error_s(speaker, told):
     return sound_s - timeline_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("skew", [200e-6, -200e-6])
 def test_after_ten_minutes_on_a_skewed_clock_lips_and_sound_are_within_5_ms(skew):
     """Of 10 minutes 200 parts in a million are 120 ms. Callbacks and reports jitter by 8 ms."""

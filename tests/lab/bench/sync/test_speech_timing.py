@@ -20,6 +20,7 @@ def texts():
     return [voice.speak(text) for text in ("Happy Bob.", "Maybe.")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_rendered", [False, True], ids=["said", "performed"])
 def test_lips_close_and_part_with_the_sound_of_two_short_sentences(texts, is_rendered):
     performances = performances_of(texts) if is_rendered else None

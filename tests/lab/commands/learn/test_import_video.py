@@ -28,6 +28,7 @@ def lipservo(capsys, *arguments):
     return (end.value.code, *capsys.readouterr())
 
 
+@pytest.mark.slow
 def test_a_folder_becomes_a_corpus_with_a_picture_sheet(tmp_path, capsys):
     clips, corpus = tmp_path / "clips", tmp_path / "corpus"
     clips.mkdir()

@@ -215,6 +215,7 @@ def test_a_wrong_phoneme_is_forgotten_and_sooner_when_it_is_put_right():
     assert (never.intervals[:, 0] <= never.shares + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_the_deeper_the_errors_the_worse_the_motion():
     model, ours = load_trained_model(), all_methods()[LIVE_STRATEGY]
     rows = error_rows(model, [made_by_ours(SENTENCE)], [ours], lookahead_s=0.1)
@@ -279,6 +280,7 @@ def test_moments_of_closure_are_read_off_the_recording():
     assert many.tightest_s[PHONEMES.index("AA")] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [25.0, 30.0, 60.0, 120.0])
 def test_every_method_scores_at_every_frame_rate(rate_hz):
     scores = Scores()

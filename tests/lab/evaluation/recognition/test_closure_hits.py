@@ -32,6 +32,7 @@ def test_lips_alone_and_lip_with_teeth_are_counted_apart():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_the_closures_of_the_bundled_clip_are_those_that_were_spoken():
     done = CliRunner().invoke(app, ["bench", "closures", "--json", "-q"])
     assert done.exit_code == 0, done.output

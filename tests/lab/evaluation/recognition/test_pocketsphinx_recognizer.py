@@ -67,6 +67,7 @@ def test_it_hears_most_visemes_that_the_synthetic_voice_spoke(clip_updates):
     assert viseme_accuracy(phoneme_frames(events_of(clip_updates), n_frames), truth) > 0.55
 
 
+@pytest.mark.slow
 def test_it_hears_most_visemes_of_a_real_speaker(corpus_dir):
     accuracies = []
     for path in sorted((corpus_dir / "grid_s1" / "labels").glob("*.TextGrid"))[::250]:
@@ -121,6 +122,7 @@ def test_an_event_keeps_its_start_when_the_border_passes_it(clip_updates):
     assert starts_told <= {event.start_s for event in events_of(clip_updates)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_block", [1, 37, 1_600])
 def test_the_size_of_the_blocks_does_not_matter(clip, n_block):
     samples = clip[:40_000]
@@ -144,6 +146,7 @@ def test_updates_without_new_sound_say_nothing(clip):
     assert recognizer.updates() == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gap_s", [0.5, 0.503, 4.0, 7_200.0])
 def test_a_gap_is_silence_and_what_follows_is_at_its_own_time(clip, gap_s):
     half = clip[:32_000]

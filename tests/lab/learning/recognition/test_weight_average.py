@@ -30,6 +30,7 @@ def arrays(weights):
     return [*layers, weights.output, weights.output_bias]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start_share", [0.0, 0.3, 1.0])
 def test_every_array_lies_between_in_proportion(start_share):
     mean = averaged(moved(np.float32(0.5)), START, start_share)

@@ -15,8 +15,7 @@ LIMP = "at rest and limp, confirmed by 16 servos"
 #: The second click of a double click is no answer: the page waits so long for one.
 SURE_MS = 600
 
-#: Half a minute of a real browser; CI runs them once.
-long = pytest.mark.slow
+pytestmark = pytest.mark.slow
 
 
 def reads(page, place, text):
@@ -52,7 +51,7 @@ def wait_for(page, is_so):
     pytest.fail("it did not come to that")
 
 
-@pytest.mark.parametrize("has_bridge", [False, pytest.param(True, marks=long)])
+@pytest.mark.parametrize("has_bridge", [False, True])
 def test_every_page_says_what_was_confirmed_and_raises_no_alarm(opened, startable, has_bridge):
     startable.has_bridge = has_bridge
     other, page = opened("/calibrate"), opened()
@@ -151,7 +150,6 @@ def test_a_start_that_overtakes_a_later_stop_is_stopped_again(opened, context, f
     context.unroute("**/api/start")
 
 
-@long
 def test_why_a_face_does_not_start(opened, startable):
     page = opened("/lines")
     stopped(page)
@@ -174,7 +172,6 @@ def test_why_a_face_does_not_start(opened, startable):
     reads(page, LINE, "Stopped. Limp, confirmed by 16 servos")
 
 
-@long
 def test_two_pages_end_with_the_same_word(opened, startable):
     one, other = opened("/lines"), opened("/settings")
     stopped(one)
@@ -196,7 +193,6 @@ def test_two_pages_end_with_the_same_word(opened, startable):
         page.locator(LINE).wait_for(state="hidden", timeout=8000)
 
 
-@long
 def test_servos_that_did_not_confirm_are_named_on_every_page(opened, startable):
     startable.unconfirmed = {"jaw": "does not answer"}
     page = opened("/servos")
@@ -213,7 +209,6 @@ def test_servos_that_did_not_confirm_are_named_on_every_page(opened, startable):
     reads(later, LINE, "NOT confirmed to be limp: jaw (does not answer)")
 
 
-@long
 def test_sliders_of_a_stopped_face_are_disabled_with_the_reason(opened, startable):
     page = opened("/servos")
     stopped(page)
@@ -275,7 +270,6 @@ def test_a_word_is_forgotten_however_often_stop_is_pressed(opened, startable):
     page.unroute("**/api/stop")
 
 
-@long
 def test_a_face_that_has_ended_was_confirmed_limp_and_how_to_start_it(browser, face, served):
     face.is_daemon = False
     with served(face.path, "--listen", "127.0.0.1:0") as (address, process):

@@ -4,6 +4,8 @@ import pytest
 
 REPORT = "#face-stop-report"
 
+pytestmark = pytest.mark.slow
+
 
 def reported(page, text):
     page.locator(REPORT, has_text=text).wait_for(timeout=8000)

@@ -9,6 +9,8 @@ import pytest
 from acted_face import ActedFace
 from places import short_folder
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def locked(chromium):

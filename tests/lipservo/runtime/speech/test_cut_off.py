@@ -14,7 +14,7 @@ STEEPEST_SHARE = 1.5 * PERIOD_S / min(CLOSING_S, JOINING_S)
 
 
 def begun(shown_deg=OPEN_DEG, until_s=1.0):
-    cut_off = CutOff(PERIOD_S)
+    cut_off = CutOff(2, PERIOD_S)
     cut_off.begin(shown_deg, REST_DEG, until_s)
     return cut_off
 
@@ -39,8 +39,12 @@ def test_it_joins_speech_from_rest_and_then_is_speech():
     assert joined_deg[n_joining - 1 :] == 4 * [OPEN_DEG[0]]
 
 
-def test_speech_that_was_never_cut_off_passes_as_it_is():
-    np.testing.assert_array_equal(CutOff(PERIOD_S).join(OPEN_DEG), OPEN_DEG)
+def test_a_mouth_that_begins_comes_from_neutral_and_then_passes_speech_as_it_is():
+    cut_off = CutOff(2, PERIOD_S)
+    poses_deg = np.array([cut_off.join(OPEN_DEG) for _ in range(10)])
+
+    assert np.abs(poses_deg[0]).max() < 1.0
+    np.testing.assert_array_equal(poses_deg[round(JOINING_S / PERIOD_S) :], 2 * [OPEN_DEG])
 
 
 def test_a_second_cut_while_it_closes_lengthens_the_silence_and_moves_nothing():
@@ -64,7 +68,7 @@ def test_a_second_cut_while_it_closes_lengthens_the_silence_and_moves_nothing():
 )
 def test_whatever_happens_when_the_mouth_never_jumps(actions, phase):
     """Speech itself moves by at most 0.5 degrees a period here."""
-    cut_off, shown_deg, n = CutOff(PERIOD_S), None, 0
+    cut_off, shown_deg, n = CutOff(2, PERIOD_S), None, 0
     for action, times in actions:
         for _ in range(times):
             n += 1

@@ -1,6 +1,7 @@
 """A robot that nobody speaks to for long lets its servos go, and gets up without a jump."""
 
 import numpy as np
+import pytest
 from lipservo_lab.bench.sync.speaking_robot import Deaf
 
 from firmware_bridge.clock import ManualClock
@@ -28,6 +29,7 @@ def quick_to_rest():
     return type(face)(settings, face.model, face.calibration, face.joints)
 
 
+@pytest.mark.slow
 def test_servos_are_let_go_in_a_long_silence_and_driven_again_for_a_word():
     clock, playout, face = ManualClock(), Playout(), quick_to_rest()
     stream = PlayoutStream("word", 16_000, playout.output_rate_hz, SENTENCE)

@@ -5,11 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from firmware_bridge.gate.joint_plan import JointPlan
 from firmware_bridge.loop.targets import MemoryTargetChannel
 from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
 from lipservo.runtime.servos.assembly import assemble_face
 from lipservo.runtime.speech.phoneme_sources import RecognizedPhonemes
-from lipservo.runtime.speech.speech import Speech
+from lipservo.runtime.speech.speech import Speech, SpeechOptions
 from lipservo.runtime.speech.speech_side import SpeechSide, make_speech_side
 from lipsync.audio.playback_clock import SteadyClock, clock_for
 from lipsync.audio_block import SAMPLE_RATE_HZ, AudioBlock
@@ -115,14 +116,20 @@ def test_a_device_that_hears_the_servos_is_told_of_them_and_a_file_is_not(is_liv
     assert sound_s == pytest.approx(card.now_s - 0.02 - 0.05, abs=0.03)
 
 
-def targets_of(name: str, until_s: float = 2.0) -> tuple[list[str], np.ndarray]:
-    """Servo names, and all targets of a face that is told AA between silences: (n, n_servos)."""
+AA = (PhonemeEvent("SIL", 0.0, 0.4), PhonemeEvent("AA", 0.4, 0.8))
+
+
+def targets_of(
+    name: str, until_s: float = 2.0, events=AA, plan=None
+) -> tuple[list[str], np.ndarray]:
+    """Servo names, and all targets of a face that shows events: (n, n_servos)."""
     face = assemble_face(name, None)
-    events = [PhonemeEvent("SIL", 0.0, 0.4), PhonemeEvent("AA", 0.4, 0.8)]
     names, channel = list(face.settings.servos), MemoryTargetChannel()
     synthesizer = make_synthesizer(face.model, MotionOptions())
     script = ScriptedPhonemes(events)
-    speech = Speech(script, SteadyClock(), synthesizer, face.calibration, names, channel)
+    options = SpeechOptions(plan=plan)
+    clock = SteadyClock()
+    speech = Speech(script, clock, synthesizer, face.calibration, names, channel, options)
     found = []
     for n in range(round(until_s * 100)):
         speech.advance(n * 0.01)
@@ -139,6 +146,19 @@ def test_a_face_with_neck_and_eyes_moves_its_mouth_as_one_without_and_keeps_the_
     others = [n for n in range(len(names)) if n not in own]
     assert len(others) == 6
     assert not whole[:, others].any()
+
+
+def test_play_of_the_gears_is_taken_up_without_asking_a_servo_beyond_its_speed():
+    """`face_eight` has a degree of play; at 150 deg/s its joints are at their limits often."""
+    spans = [("SIL", 0.4), ("AA", 0.5), ("P", 0.58), ("IY", 0.7), ("M", 0.78), ("AA", 0.9)]
+    starts_s = [0.0, *(end_s for _, end_s in spans)]
+    events = [PhonemeEvent(name, at, end) for (name, end), at in zip(spans, starts_s, strict=False)]
+    plan = JointPlan(np.full(8, 150.0), np.full(8, np.inf), 0.01)
+    _, asked_deg = targets_of("face_eight", events=events, plan=plan)
+    steps_deg = np.abs(np.diff(asked_deg, axis=0))
+
+    assert steps_deg.max() <= 1.5
+    assert np.count_nonzero(steps_deg > 1.48) > 20
 
 
 def test_a_calibrated_servo_that_the_face_has_not_is_refused():
