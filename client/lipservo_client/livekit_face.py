@@ -9,12 +9,11 @@ from collections.abc import Coroutine
 from contextlib import suppress
 from typing import Any, Self
 
-import numpy as np
 from livekit import rtc
 from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import FaceError
+from lipservo_client.protocol import FaceError, mono_pcm
 
 
 class LiveKitFace(AudioOutput):
@@ -65,7 +64,7 @@ class LiveKitFace(AudioOutput):
                 self._begin(self._tell_end(speech))
                 if self._is_paused:
                     await self._face.pause()
-            self._is_cut = not await speech.write(_mono(frame))
+            self._is_cut = not await speech.write(mono_pcm(frame.data, frame.num_channels))
         except FaceError:
             is_told = self._speech is not None and not self._speech.is_starting
             self._is_cut = True
@@ -83,7 +82,7 @@ class LiveKitFace(AudioOutput):
         """Silence now."""
         self._is_cut = self._speech is not None
         if self._face.is_connected:
-            self._then(self._interrupt())
+            self._then(self._face.interrupt())
 
     def pause(self) -> None:
         """Silence now; what was not heard is kept, up to a minute."""
@@ -103,19 +102,11 @@ class LiveKitFace(AudioOutput):
     def _is_saying(self) -> bool:
         return self._face.is_connected and self._pending_playback_count > 0
 
-    async def _interrupt(self) -> None:
-        await self._face.interrupt()
-
     async def _tell_end(self, speech: AsyncSpeech) -> None:
-        try:
-            played = await speech.heard()
-        except FaceError:
-            played_s = speech.n_played / speech.rate_hz
-            self.on_playback_finished(playback_position=played_s, interrupted=True)
-        else:
-            self.on_playback_finished(
-                playback_position=played.played_s, interrupted=not played.finished
-            )
+        with suppress(FaceError):
+            await speech.heard()
+        played_s, is_whole = speech.n_played / speech.rate_hz, speech.was_heard
+        self.on_playback_finished(playback_position=played_s, interrupted=not is_whole)
 
     async def _follow(self) -> None:
         async for event in self._face.events():
@@ -128,7 +119,7 @@ class LiveKitFace(AudioOutput):
         task.add_done_callback(self._working.discard)
         return task
 
-    def _then(self, work: Coroutine[Any, Any, None]) -> None:
+    def _then(self, work: Coroutine[Any, Any, object]) -> None:
         """Do it once what was begun before is done: an end, then an interruption."""
         before = self._last
 
@@ -139,11 +130,3 @@ class LiveKitFace(AudioOutput):
                 await work
 
         self._last = self._begin(done())
-
-
-def _mono(frame: rtc.AudioFrame) -> bytes:
-    """One channel of s16le."""
-    if frame.num_channels == 1:
-        return bytes(frame.data)
-    channels = np.frombuffer(frame.data, dtype="<i2").reshape(-1, frame.num_channels)
-    return bytes(np.rint(channels.mean(axis=1)).astype("<i2").tobytes())

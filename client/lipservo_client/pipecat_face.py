@@ -11,24 +11,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-import numpy as np
-from pipecat.frames.frames import (
-    BotSpeakingFrame,
-    BotStartedSpeakingFrame,
-    BotStoppedSpeakingFrame,
-    CancelFrame,
-    Frame,
-    InterruptionFrame,
-    StartFrame,
-    SystemFrame,
-    TextFrame,
-    TTSAudioRawFrame,
-    TTSStoppedFrame,
-)
+from pipecat.frames import frames
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import Event, FaceError, Played
+from lipservo_client.protocol import Event, FaceError, Played, mono_pcm
 
 #: A face keeps 64 marks of a stream; beyond these, positions tell what was heard.
 _MOST_MARKS: Final = 48
@@ -89,12 +76,12 @@ class _Unheard:
 
     speech: AsyncSpeech | None
     n: int
-    frame: Frame
+    frame: frames.Frame
     is_timed: bool = False
 
     @property
     def is_sound(self) -> bool:
-        return isinstance(self.frame, TTSAudioRawFrame)
+        return isinstance(self.frame, frames.TTSAudioRawFrame)
 
     @property
     def is_heard(self) -> bool:
@@ -134,32 +121,32 @@ class PipecatFace(_FaceProcessor):
         self._transport_until_s = 0.0
         self.last_played: Played | None = None
 
-    async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
+    async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
         """Take the sound; hand on everything else, once what is before it was heard."""
         await super().process_frame(frame, direction)
-        if isinstance(frame, StartFrame):
+        if isinstance(frame, frames.StartFrame):
             await self._connect(self._follow(), self._ask_positions())
-        elif isinstance(frame, (InterruptionFrame, CancelFrame)):
-            await self._interrupt(everything=isinstance(frame, CancelFrame))
-        elif not isinstance(frame, SystemFrame) and direction == FrameDirection.DOWNSTREAM:
+        elif isinstance(frame, (frames.InterruptionFrame, frames.CancelFrame)):
+            await self._interrupt(everything=isinstance(frame, frames.CancelFrame))
+        elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
             await self._take(frame)
             return
         await self.push_frame(frame, direction)
 
-    async def _take(self, frame: Frame) -> None:
-        if isinstance(frame, TTSAudioRawFrame):
+    async def _take(self, frame: frames.Frame) -> None:
+        if isinstance(frame, frames.TTSAudioRawFrame):
             await self._say(frame)
             return
-        if self._is_cut and isinstance(frame, TextFrame):
+        if self._is_cut and isinstance(frame, frames.TextFrame):
             return
         self._wait_in_line(frame)
-        if isinstance(frame, TTSStoppedFrame):
+        if isinstance(frame, frames.TTSStoppedFrame):
             self._is_complete, self._is_cut = True, False
         await self._mark()
         # An interruption cancels this task; what was heard goes on nevertheless.
         await asyncio.shield(self._release())
 
-    async def _say(self, frame: TTSAudioRawFrame) -> None:
+    async def _say(self, frame: frames.TTSAudioRawFrame) -> None:
         now_s = asyncio.get_running_loop().time()
         seconds = len(frame.audio) / (2 * frame.num_channels * frame.sample_rate)
         self._is_complete = False
@@ -170,7 +157,7 @@ class PipecatFace(_FaceProcessor):
             self._transport_until_s = max(now_s, self._transport_until_s) + seconds
             await self.push_frame(frame)
             return
-        pcm = _mono(frame)
+        pcm = mono_pcm(frame.audio, frame.num_channels)
         try:
             speech = await self._stream(frame.sample_rate)
             from_ns = max(self._last_word_ns, self.get_clock().get_time())
@@ -198,11 +185,11 @@ class PipecatFace(_FaceProcessor):
             await speech.__aenter__()
         return speech
 
-    def _wait_in_line(self, frame: Frame) -> None:
+    def _wait_in_line(self, frame: frames.Frame) -> None:
         """Put a frame behind the sound that came before it, or where in the sound its time is."""
         speech = self._speech or (self._line[-1].speech if self._line else None)
         context = self._contexts.get(getattr(frame, "context_id", None))
-        is_word = isinstance(frame, TextFrame) and frame.pts
+        is_word = isinstance(frame, frames.TextFrame) and frame.pts
         if is_word and context is not None and speech is not None and speech is self._speech:
             self._last_word_ns = max(self._last_word_ns, frame.pts)
             n = context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz)
@@ -232,7 +219,7 @@ class PipecatFace(_FaceProcessor):
         async with self._releasing:
             while self._line and (self._line[0].is_heard or self._line[0].is_lost):
                 first = self._line.pop(0)
-                is_text = isinstance(first.frame, TextFrame)
+                is_text = isinstance(first.frame, frames.TextFrame)
                 if not first.is_sound and not (is_text and first.is_lost):
                     await self.push_frame(first.frame)
             speech = self._speech
@@ -251,17 +238,17 @@ class PipecatFace(_FaceProcessor):
         """The pipeline learns when the face is heard, as it would from an output transport."""
         if is_speaking != self._is_speaking:
             self._is_speaking = is_speaking
-            kind = BotStartedSpeakingFrame if is_speaking else BotStoppedSpeakingFrame
+            kind = frames.BotStartedSpeakingFrame if is_speaking else frames.BotStoppedSpeakingFrame
             await self.broadcast_frame(kind)
 
     async def _interrupt(self, *, everything: bool) -> None:
         """Silence, but for what may not be interrupted; what was heard goes on first."""
-        sound = [each for each in self._line if each.is_sound and not each.is_heard]
-        kept = [each for each in sound if not (each.frame.interruptible or everything)]
-        is_said = bool(sound) or self._speech is not None
-        is_cut = is_said and self._face.is_connected and (not kept or len(kept) < len(sound))
-        self.last_played = await self._interrupted() if is_cut else None
         async with self._releasing:
+            sound = [each for each in self._line if each.is_sound and not each.is_heard]
+            kept = [each for each in sound if not (each.frame.interruptible or everything)]
+            is_said = bool(sound) or self._speech is not None
+            is_cut = is_said and self._face.is_connected and (not kept or len(kept) < len(sound))
+            self.last_played = await self._interrupted() if is_cut else None
             line, self._line = self._line, []
             again: list[_Unheard] = []
             for each in line:
@@ -286,7 +273,7 @@ class PipecatFace(_FaceProcessor):
             if event["type"] == "started":
                 await self._tell_speaking(True)
             elif event["type"] == "position" and self._is_speaking:
-                await self.broadcast_frame(BotSpeakingFrame)
+                await self.broadcast_frame(frames.BotSpeakingFrame)
             elif event["type"] == "mark":
                 self._marks.discard(str(event["name"]))
                 await self._mark()
@@ -311,30 +298,30 @@ class PipecatFollower(_FaceProcessor):
         super().__init__(url, token)
         self._speech: AsyncSpeech | None = None
         #: (when it goes on, frame), and the streams that the transport has not played.
-        self._line: deque[tuple[float, Frame]] = deque()
+        self._line: deque[tuple[float, frames.Frame]] = deque()
         self._unplayed: deque[AsyncSpeech] = deque()
         self._came = asyncio.Event()
         self._began_s: float | None = None
 
-    async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
+    async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
         """Show the sound; hand everything on, later by the face's delay."""
         await super().process_frame(frame, direction)
         now_s = asyncio.get_running_loop().time()
-        if isinstance(frame, StartFrame):
+        if isinstance(frame, frames.StartFrame):
             await self._connect(self._hand_on(), self._report())
-        elif isinstance(frame, (InterruptionFrame, CancelFrame)):
+        elif isinstance(frame, (frames.InterruptionFrame, frames.CancelFrame)):
             self._line = deque(each for each in self._line if not each[1].interruptible)
             self._speech, self._began_s = None, None
             self._unplayed.clear()
             if self._face.is_connected:
                 await self._interrupted()
-        elif isinstance(frame, BotStartedSpeakingFrame):
+        elif isinstance(frame, frames.BotStartedSpeakingFrame):
             self._began_s = now_s
-        elif isinstance(frame, BotStoppedSpeakingFrame):
+        elif isinstance(frame, frames.BotStoppedSpeakingFrame):
             self._began_s = None
             if self._unplayed:
                 await self._told(self._unplayed.popleft(), whole=True)
-        elif not isinstance(frame, SystemFrame) and direction == FrameDirection.DOWNSTREAM:
+        elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
             with suppress(FaceError):
                 await self._show(frame)
             delay_s = 1e-3 * self._unplayed[-1].delay_ms if self._unplayed else 0.0
@@ -344,17 +331,17 @@ class PipecatFollower(_FaceProcessor):
             return
         await self.push_frame(frame, direction)
 
-    async def _show(self, frame: Frame) -> None:
-        if isinstance(frame, TTSStoppedFrame) and self._speech is not None:
+    async def _show(self, frame: frames.Frame) -> None:
+        if isinstance(frame, frames.TTSStoppedFrame) and self._speech is not None:
             speech, self._speech = self._speech, None
             await speech.end()
-        elif isinstance(frame, TTSAudioRawFrame) and self._face.is_connected:
+        elif isinstance(frame, frames.TTSAudioRawFrame) and self._face.is_connected:
             if self._speech is None:
                 speech = self._face.stream(frame.sample_rate, "client")
                 await speech.__aenter__()
                 self._speech = speech
                 self._unplayed.append(speech)
-            await self._speech.write(_mono(frame))
+            await self._speech.write(mono_pcm(frame.audio, frame.num_channels))
 
     async def _hand_on(self) -> None:
         loop = asyncio.get_running_loop()
@@ -380,17 +367,11 @@ class PipecatFollower(_FaceProcessor):
             await speech.report_played(min(sent_s, played_s))
 
 
-def _mono(frame: TTSAudioRawFrame) -> bytes:
-    """One channel of s16le."""
-    if frame.num_channels == 1:
-        return bytes(frame.audio)
-    channels = np.frombuffer(frame.audio, dtype="<i2").reshape(-1, frame.num_channels)
-    return bytes(np.rint(channels.mean(axis=1)).astype("<i2").tobytes())
-
-
-def _rest_of(sound: _Unheard) -> TTSAudioRawFrame:
+def _rest_of(sound: _Unheard) -> frames.TTSAudioRawFrame:
     """What was not heard of a frame of sound."""
     width = 2 * sound.frame.num_channels
     n_played = 0 if sound.speech is None else sound.speech.n_played
     n_rest = min(sound.n - n_played, len(sound.frame.audio) // width)
-    return replace(sound.frame, audio=sound.frame.audio[-n_rest * width :])
+    rest = replace(sound.frame, audio=sound.frame.audio[-n_rest * width :])
+    rest.interruptible = sound.frame.interruptible
+    return rest

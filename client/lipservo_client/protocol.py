@@ -76,3 +76,13 @@ def pcm_bytes(samples: Pcm) -> bytes:
     elif array.dtype != np.int16:
         raise ValueError(f"samples of type {array.dtype}: int16 or float in [-1, 1] are possible")
     return bytes(array.astype("<i2").tobytes())
+
+
+def mono_pcm(data: bytes | memoryview, n_channels: int) -> bytes:
+    """s16le of one channel: the mean of those that lie side by side in `data`."""
+    if n_channels == 1:
+        return bytes(data)
+    import numpy as np
+
+    mean = np.frombuffer(data, dtype="<i2").reshape(-1, n_channels).mean(axis=1)
+    return bytes(np.rint(mean).astype("<i2").tobytes())

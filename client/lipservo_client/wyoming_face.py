@@ -4,8 +4,8 @@ Sound only. Wyoming knows no token: whoever reaches the port speaks through the 
 extra `wyoming`.
 """
 
-import asyncio
 import logging
+from asyncio import StreamReader, StreamWriter
 from functools import partial
 from typing import Final
 
@@ -27,11 +27,7 @@ class _Handler(AsyncEventHandler):
     """One client: `audio-start`, `audio-chunk` and `audio-stop`, answered by `played`."""
 
     def __init__(
-        self,
-        url: str,
-        token: str | None,
-        reader: asyncio.StreamReader,
-        writer: asyncio.StreamWriter,
+        self, url: str, token: str | None, reader: StreamReader, writer: StreamWriter
     ) -> None:
         super().__init__(reader, writer)
         self._face = AsyncFace(url, token)
@@ -91,12 +87,6 @@ async def serve_wyoming(host: str, port: int, url: str, token: str | None) -> No
 
 
 def _info() -> Info:
-    program = SndProgram(
-        name="lipservo",
-        attribution=_ABOUT,
-        installed=True,
-        description="Sound and lips of a robot face",
-        version=None,
-        snd_format=_FORMAT,
-    )
+    about = "Sound and lips of a robot face"
+    program = SndProgram("lipservo", _ABOUT, True, about, None, snd_format=_FORMAT)
     return Info(snd=[program])

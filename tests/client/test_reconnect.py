@@ -6,13 +6,14 @@ import threading
 
 import numpy as np
 import pytest
-from lipservo_client import async_face
+from lipservo_client import async_face, wire
 from lipservo_client.async_face import AsyncFace
 from lipservo_client.protocol import FaceError, Played
 from voice_agents.served_face import RATE_HZ, ServedFace, tone
 from websockets.asyncio.server import serve
 
 import lipservo
+from lipservo.agents.listener import AgentSettings
 
 
 @contextlib.asynccontextmanager
@@ -82,8 +83,8 @@ def test_a_face_that_comes_back_is_spoken_through_again_and_says_nothing_old():
 
 
 def test_a_peer_that_is_gone_without_a_word_is_noticed(monkeypatch):
-    monkeypatch.setattr(async_face, "_PING_S", 0.1)
-    monkeypatch.setattr(async_face, "_PONG_S", 0.2)
+    monkeypatch.setattr(wire, "_PING_S", 0.1)
+    monkeypatch.setattr(wire, "_PONG_S", 0.2)
 
     async def talk():
         async with frozen_after(1) as url, AsyncFace(url, "t") as face:
@@ -94,15 +95,16 @@ def test_a_peer_that_is_gone_without_a_word_is_noticed(monkeypatch):
 
 
 def test_a_dead_peer_is_noticed_within_ten_seconds_by_both_ends():
-    ours = async_face._PING_S + async_face._PONG_S + async_face._CLOSING_S
-    theirs = ServedFace().settings.ping_s
+    ours = wire._PING_S + wire._PONG_S + wire._CLOSING_S
+    theirs = AgentSettings().ping_s
     assert ours <= 10.0
     assert 3.0 * theirs + 1.0 <= 10.0
 
 
 @pytest.mark.parametrize("call", ["status", "stop", "start", "say", "interrupt", "stream"])
 def test_every_call_to_a_hung_face_has_a_limit(call, monkeypatch):
-    monkeypatch.setattr(async_face, "PATIENCE_S", 0.3)
+    for module in (async_face, wire):
+        monkeypatch.setattr(module, "PATIENCE_S", 0.3)
     monkeypatch.setattr(async_face, "_READING_S", 0.3)
 
     async def talk():
