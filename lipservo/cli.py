@@ -21,6 +21,9 @@ COMMANDS = MappingProxyType(
         "run": Command(f"{_RUN}.run:run", "Speech drives the face, live.", _SPEAK),
         "daemon": Command(f"{_RUN}.run:daemon", "Run until stopped, as a service.", _SPEAK),
         "say": Command(f"{_RUN}.say:say", "Speak a text, with sound and the face.", _SPEAK),
+        "wyoming": Command(
+            f"{_RUN}.wyoming:wyoming", "Let Home Assistant speak through a face.", _SPEAK
+        ),
         "stop": Command(f"{_RUN}.stop:stop", "Stop every running face: to rest and limp.", _SPEAK),
         "start": Command(f"{_RUN}.stop:start", "Drive a stopped face again.", _SPEAK),
         "limp": Command(f"{_RUN}.stop:limp", "Switch torque off at once.", _SPEAK),

@@ -236,8 +236,9 @@ Trace = Annotated[
 Osc = Annotated[
     str | None,
     typer.Option(
-        metavar="HOST[:PORT]",
-        help="Show the face on an avatar, too: VMC protocol over OSC; port 39539.",
+        metavar="HOST[:PORT][/vowels]",
+        help="Show the face on an avatar, too: VMC protocol over OSC; port 39540. /vowels: A I U "
+        "E O, for avatars without ARKit's shapes.",
         show_default=False,
     ),
 ]

@@ -26,6 +26,7 @@ OF_THE_CARD = {"numpy", "scikit-learn", "pyserial", "dynamixel-sdk", "sounddevic
 #: Where a distribution is not called as the library in it.
 DISTRIBUTION_OF = {
     "cv2": "opencv-python-headless",
+    "livekit": "livekit-agents",
     "pipecat": "pipecat-ai",
     "serial": "pyserial",
     "sklearn": "scikit-learn",
