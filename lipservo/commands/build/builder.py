@@ -1,15 +1,13 @@
 """`new-face`: the servos that there are become the YAML of a face."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Port
-from lipservo.runtime.servos.face_stopped import exit_status
-from lipservo.terminal.output import MESSAGES, RESULTS, say_simulated
+from lipservo.terminal.output import MESSAGES, RESULTS
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
 
@@ -109,8 +107,9 @@ def _wired(
         what = f"Which {kind.board_key} has the {kind.name}"
         board = usual if yes else typer.prompt(what, default=usual, err=True)
     while not channels:
-        text = typer.prompt("A servo, as in jaw=0:opens (Enter: no more)", "", err=True,
-                            show_default=False)
+        text = typer.prompt(
+            "A servo, as in jaw=0:opens (Enter: no more)", "", err=True, show_default=False
+        )
         if not text and joints:
             break
         try:

@@ -146,7 +146,7 @@ def _report(
         text.write_text(as_text(found))
     RESULTS.print(
         f"{file} and {text_file.name}: read them, then send them "
-        "(docs/hardware.md, \"Tell us what yours does\")"
+        '(docs/hardware.md, "Tell us what yours does")'
     )
 
 

@@ -25,7 +25,7 @@ def sim_bus(
     ] = None,
     bus: Bus = None,
     kind: Annotated[
-        str, typer.Option(help="Which kind of bus, without --config: dynamixel, maestro or feetech.")
+        str, typer.Option(help="Without --config: dynamixel, maestro or feetech.")
     ] = _SIMULATED,
     servos: Annotated[int, typer.Option(min=1, max=252, help="How many, without --config.")] = (
         _N_SERVOS
@@ -48,7 +48,7 @@ def sim_bus(
     log: Annotated[
         Path | None,
         typer.Option(
-            help="Write every pulse of hobby servos, or torque and goal of Feetech ones, to a file.",
+            help="Write pulses, or torque and goals of Feetech servos, to a file.",
             show_default=False,
         ),
     ] = None,
@@ -64,7 +64,7 @@ def sim_bus(
     ] = False,
     until_stdin_closes: Annotated[bool, typer.Option(hidden=True)] = False,
 ) -> None:
-    """Simulate a chain of Dynamixel or Feetech servos, or a Maestro; prints the port, serves it until stopped.
+    """Simulate Dynamixel or Feetech servos, or a Maestro, at a port of their own; until stopped.
 
     Any program that speaks to them can open the port: lipservo, dynamixel-sdk, others.
     """
