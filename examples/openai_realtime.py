@@ -3,15 +3,16 @@
 Start:  python examples/openai_realtime.py EVENTS [URL]
 
 EVENTS is a file of server events, one JSON object a line, as they come over the wire; in an agent
-they come from its own connection. URL is where a face takes speech, ws://127.0.0.1:8765 without
-one. Printed is what the agent sends back: after a barge-in, how much of the item was heard.
+they are the objects of the SDK (`async for event in connection`), which serve as they are. Printed
+is what the agent sends back: after a barge-in, how much of each item was heard.
 """
 
 import asyncio
 import base64
 import json
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,45 +27,79 @@ DELTAS = {"response.output_audio.delta", "response.audio.delta"}
 DONES = {"response.output_audio.done", "response.audio.done"}
 
 
+@dataclass
+class Item:
+    """An item of the conversation that has sound, and its stream."""
+
+    item_id: str
+    content_index: int
+    speech: AsyncSpeech
+
+
 class RealtimeVoice:
-    """Hands on the audio of one session, item by item."""
+    """Hands on the audio of one session: a stream for each item."""
 
     def __init__(self, face: AsyncFace) -> None:
         self._face = face
-        self._speech: AsyncSpeech | None = None
-        self._item: dict[str, Any] = {}
+        self._items: list[Item] = []
 
-    async def hear(self, event: dict[str, Any]) -> dict[str, Any] | None:
-        """Do what one server event asks for; the client event to answer with, if any."""
-        if event["type"] in DELTAS:
-            if self._speech is None:
-                self._item = event
-                self._speech = self._face.stream(RATE_HZ)
-                await self._speech.__aenter__()
-            await self._speech.write(base64.b64decode(event["delta"]))
-        elif event["type"] in DONES and self._speech is not None:
-            await self._speech.end()
-            self._speech = None
-        elif event["type"] == "input_audio_buffer.speech_started":
-            self._speech = None
-            played = await self._face.interrupt()
-            if played is not None and not played.finished:
-                return {
-                    "type": "conversation.item.truncate",
-                    "item_id": self._item["item_id"],
-                    "content_index": self._item["content_index"],
-                    "audio_end_ms": round(1e3 * played.played_s),
-                }
-        return None
+    async def hear(self, event: Any) -> list[dict[str, Any]]:
+        """Do what one server event asks for; the client events to answer with.
+
+        event: an object of the SDK, or the mapping that came over the wire.
+        """
+        kind = field_of(event, "type")
+        if kind in DELTAS:
+            item = await self._item(event)
+            await item.speech.write(base64.b64decode(field_of(event, "delta")))
+        elif kind in DONES:
+            for item in self._items:
+                if item.item_id == field_of(event, "item_id"):
+                    await item.speech.end()
+        elif kind == "input_audio_buffer.speech_started":
+            return await self._truncated()
+        return []
+
+    async def _item(self, event: Any) -> Item:
+        item_id = field_of(event, "item_id")
+        for item in self._items:
+            if item.item_id == item_id:
+                return item
+        self._items = [item for item in self._items if not item.speech.was_heard]
+        for item in self._items:
+            await item.speech.end()
+        speech = self._face.stream(RATE_HZ)
+        self._items.append(Item(item_id, field_of(event, "content_index"), speech))
+        await speech.__aenter__()
+        return self._items[-1]
+
+    async def _truncated(self) -> list[dict[str, Any]]:
+        """Silence now. Each item that was not heard whole, the one that is queued too."""
+        items, self._items = self._items, []
+        await self._face.interrupt()
+        return [
+            {
+                "type": "conversation.item.truncate",
+                "item_id": item.item_id,
+                "content_index": item.content_index,
+                "audio_end_ms": 1_000 * item.speech.n_played // RATE_HZ,
+            }
+            for item in items
+            if not item.speech.was_heard
+        ]
 
 
-async def main(events: Iterable[dict[str, Any]], url: str) -> None:
+def field_of(event: Any, name: str) -> Any:
+    """A field of an SDK object, or of a mapping."""
+    return event[name] if isinstance(event, Mapping) else getattr(event, name)
+
+
+async def main(events: Iterable[Any], url: str) -> None:
     """Say what the events carry."""
     async with lipservo.connect_async(url) as face:
         voice = RealtimeVoice(face)
         for event in events:
-            answer = await voice.hear(event)
-            if answer is not None:
+            for answer in await voice.hear(event):
                 print(json.dumps(answer))
 
 

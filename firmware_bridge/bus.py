@@ -31,6 +31,8 @@ def all_set(flags: NDArray[np.bool_]) -> bool:
     return 0 not in flags.tobytes()
 
 
+#: A servo of which nobody knows where it stands is no faster until it has caught up with its goal.
+CATCH_UP_DEG_S: Final = 60.0
 #: In `errors` of a servo that was given a goal outside its range; of Dynamixel's, and for all.
 GOAL_OUT_OF_RANGE: Final = 6
 
@@ -57,6 +59,8 @@ class Feedback:
 
     positions_deg: NaN for a servo that never answered, or cannot say. effort: share of the stall
     torque, 0..1; NaN where it is not measured. age_s: 0 = answered just now, or cannot say.
+    ready: of servos that start without a place, those that go to their goals by now, and sent_deg:
+    where each was sent last, short of its goal while it catches up; None: all are, at their goals.
     """
 
     time_s: float
@@ -64,6 +68,8 @@ class Feedback:
     effort: Array
     errors: NDArray[np.uint8]
     age_s: Array
+    ready: NDArray[np.bool_] | None = None
+    sent_deg: Array | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,6 +189,12 @@ class ServoBus(Protocol):
 
         A servo keeps its old goal when the new one lies outside its own range, or is NaN.
         Raises ValueError for any other shape.
+        """
+
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """Take goals of these, (n_servos,), as far as a person may find limits (`Joint.pulse`).
+
+        Of all others within their limits. A bus without pulses takes no notice.
         """
 
     def read(self) -> Readings:

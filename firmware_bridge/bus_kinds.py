@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
     from firmware_bridge.bus_settings import BusServo, BusSettings
     from firmware_bridge.clock import Clock
+    from firmware_bridge.transport import Transport
 
 GROUP: Final = "lipservo.buses"
 _BUILT_IN: Final = {
@@ -29,6 +30,7 @@ _BUILT_IN: Final = {
     "dynamixel": "firmware_bridge.dynamixel.kind:DYNAMIXEL",
     "maestro": "firmware_bridge.maestro.kind:MAESTRO",
     "pca9685": "firmware_bridge.pca9685.kind:PCA9685",
+    "feetech": "firmware_bridge.feetech.kind:FEETECH",
 }
 #: Of a servo that was told to let go.
 NOT_SEEN: Final = "did not answer"
@@ -106,6 +108,10 @@ class BusKind:
     #: What stands under `bus:`, and under `servos:` for each servo, with the checks of both.
     settings: "type[BusSettings]"
     servo: "type[BusServo]"
+    #: Of a bus whose servos cannot be found by asking: the key under `bus:` that says which board
+    #: they hang on, and the board that most have; empty: they are found.
+    board_key: str = ""
+    usual_board: str = ""
     #: The kind that the same servos have at a port; empty: this one.
     at_port: str = ""
     #: See the methods `workshop` and `simulator`; empty: it has none.
@@ -129,6 +135,10 @@ class BusKind:
 
     def is_at(self, _port: str) -> bool:
         """Whether what is plugged in at a port says by itself that it is of this kind."""
+        return False
+
+    def answers_at(self, _transport: "Transport") -> bool:
+        """Whether servos of this kind answer at an open port; asks, and sets nothing."""
         return False
 
     def port_release(self, _port: str, _wiring: Wiring | None) -> Callable[[], PortRelease]:
@@ -186,6 +196,18 @@ def bus_kind(name: str) -> BusKind:
     if not isinstance(kind, BusKind):
         raise UnknownBusError(f"{name}: what is installed under this name is no bus")
     return kind
+
+
+def other_kind_at(transport: "Transport", own: str) -> str:
+    """In words, which other kind answers where nobody of the kind `own` does; empty: none.
+
+    Raises PortError when the port fails.
+    """
+    for name in _BUILT_IN:
+        kind = bus_kind(name)
+        if not kind.at_port and name != own and kind.answers_at(transport):
+            return f"no servo answers as `kind: {own}`, but as `kind: {name}`; correct the YAML"
+    return ""
 
 
 def kind_at(port: str) -> BusKind:

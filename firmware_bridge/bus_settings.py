@@ -8,6 +8,8 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, StringConstraints, model_validator
 
+from firmware_bridge.joints import JointPulse
+
 
 def within(low: float, high: float) -> AfterValidator:
     """Accept numbers from `low` to `high`; one check, so that the message can name both ends."""
@@ -83,6 +85,11 @@ class BusServo(Strict):
     def make(self) -> str | None:
         """Its model, where the YAML says it."""
         return getattr(self, "model", None)
+
+    @property
+    def pulse(self) -> JointPulse | None:
+        """Of a hobby servo; None: it is none."""
+        return None
 
     @property
     def bounds(self) -> Mapping[str, float | None]:

@@ -56,13 +56,14 @@ class BusCapabilities:
         return {each.name: getattr(self, each.name) for each in fields(BusCapabilities)}
 
     def warnings(self) -> list[str]:
-        """What whoever starts a face must know before: a line for each way to stop it.
+        """What a person who starts a face must know before: a line for each way to stop it.
 
-        None where a stop is confirmed, or there is nothing to stop.
+        None for a stop that is confirmed, for servos that stop by themselves, and for none at all.
         """
-        if self.confirmed_limp or self.in_memory:
+        if self.in_memory or (self.confirmed_limp and self.watchdog):
             return []
-        return [f"{how}: {what}" for how, what in self.stop_table().items()]
+        lines = [f"{how}: {what}" for how, what in self.stop_table().items()]
+        return lines[-1:] if self.confirmed_limp else lines
 
     def stop_table(self) -> Mapping[str, str]:
         """What each way to stop does to the servos, by the name of the way; docs/hardware.md."""

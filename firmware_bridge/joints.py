@@ -9,12 +9,50 @@ from typing import Final
 SERVO_LIMIT_MARGIN_DEG: Final = 5.0
 
 
+#: No farther do pulses go while a person finds a servo's limits: half a turn of most.
+SHORTEST_FOUND_US: Final = 500.0
+LONGEST_FOUND_US: Final = 2500.0
+
+
+@dataclass(frozen=True, slots=True)
+class JointPulse:
+    """The pulse of a hobby servo: neutral_us + us_per_deg x joint degrees, in min_us..max_us.
+
+    A person who looks for these limits may go beyond them, to `reach_us`.
+    """
+
+    neutral_us: float
+    us_per_deg: float
+    min_us: float
+    max_us: float
+
+    def us(self, joint_deg: float) -> float:
+        """Of a joint angle."""
+        return self.neutral_us + self.us_per_deg * joint_deg
+
+    def deg(self, pulse_us: float) -> float:
+        """The joint angle of a pulse."""
+        return (pulse_us - self.neutral_us) / self.us_per_deg
+
+    @property
+    def reach_us(self) -> tuple[float, float]:
+        """The farthest pulses that a person may find limits with."""
+        return min(self.min_us, SHORTEST_FOUND_US), max(self.max_us, LONGEST_FOUND_US)
+
+    @property
+    def reach_deg(self) -> tuple[float, float]:
+        """The same as joint angles, the smaller first."""
+        low, high = sorted(self.deg(each) for each in self.reach_us)
+        return low, high
+
+
 @dataclass(frozen=True, slots=True)
 class Joint:
     """One servo-driven joint, in joint degrees: 0 = its neutral, between the two limits.
 
     servo_id: by which its bus finds the servo, under the name `address_key` in the YAML.
     max_acceleration_deg_s2: infinite = not limited. critical: without it the whole face stops.
+    pulse: of a hobby servo; None: it is none.
     Raises ValueError unless min_deg <= 0 <= max_deg, max_speed_deg_s > 0, all finite, and
     max_acceleration_deg_s2 > 0.
     """
@@ -27,6 +65,7 @@ class Joint:
     max_acceleration_deg_s2: float = math.inf
     critical: bool = False
     address_key: str = "id"
+    pulse: JointPulse | None = None
 
     def __post_init__(self) -> None:
         if not -math.inf < self.min_deg <= 0.0 <= self.max_deg < math.inf:

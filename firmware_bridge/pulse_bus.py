@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import (
+    CATCH_UP_DEG_S,
     GOAL_OUT_OF_RANGE,
     Array,
     Feedback,
@@ -35,8 +36,6 @@ from firmware_bridge.pulse_servos import PulseScale, PulseServo
 PULSES_OFF: Final = "pulses off; a digital servo may hold"
 #: One servo at a time: so long a servo pulls at its hardest to where its first pulse sends it.
 _STAGGER_S: Final = 0.25
-#: A servo that has come on goes no faster until it has caught up.
-_SLOW_DEG_S: Final = 60.0
 #: The controller is asked so often what it sends, one channel at a time.
 _LOOK_EVERY_S: Final = 0.2
 #: A shorter silence is none: it is only asked now and then.
@@ -66,10 +65,14 @@ class PulseController(Protocol):
         """Open the way to it, again after it was lost; sends no pulse."""
 
     def close(self) -> None:
-        """Give the port back; pulses go on as they are."""
+        """Give it back for good; pulses go on as they are."""
 
-    def send(self, pulses_us: Array) -> None:
-        """The pulse of each servo, (n_servos,), in one write; 0: none."""
+    def send(self, pulses_us: Array) -> bool:
+        """The pulse of each servo, (n_servos,), in one write; 0: none.
+
+        False: it has lost all since the last write, as after a break of its supply, and none is
+        made.
+        """
 
     def sending(self, index: int) -> float:
         """The pulse that goes to one servo just now, in us, 0: none; NaN: it does not answer."""
@@ -164,7 +167,8 @@ class PulseBus:
         self._scale = scale = PulseScale(servos)
         self._controller, self._clock, self._may_jump = controller, clock, may_jump
         self._kept = kept or KeptPulses(None)
-        self._slow_us_s = np.minimum(_SLOW_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
+        self._low_us, self._high_us = scale.min_us, scale.max_us
+        self._slow_us_s = np.minimum(CATCH_UP_DEG_S * np.abs(scale.us_per_deg), scale.max_us_s)
         self._held = np.zeros(n, dtype=np.bool_)
         self._slow = np.zeros(n, dtype=np.bool_)
         self._fresh = np.zeros(n, dtype=np.bool_)  # on, and not seen to be so yet
@@ -199,7 +203,7 @@ class PulseBus:
         self._check_open()
         scale = self._scale
         pulses_us = scale.pulses_us(positions_deg)
-        above, below = pulses_us >= scale.min_us, pulses_us <= scale.max_us
+        above, below = pulses_us >= self._low_us, pulses_us <= self._high_us
         if all_set(above) and all_set(below):
             self._errors = self._no_errors
         else:
@@ -208,6 +212,12 @@ class PulseBus:
             self._errors = np.where(taken, self._no_errors, np.uint8(GOAL_OUT_OF_RANGE))
         self._goal_us = pulses_us
         self._send()
+
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """These go beyond min_us..max_us, to 500 and 2500 us."""
+        low_us, high_us = self._scale.reach_us.T
+        self._low_us = np.where(joints, low_us, self._scale.min_us)
+        self._high_us = np.where(joints, high_us, self._scale.max_us)
 
     def read(self) -> Readings:
         """What they were told; nothing comes back from them."""
@@ -222,11 +232,16 @@ class PulseBus:
         )
 
     def feedback(self) -> Feedback:
-        """Nothing comes back from them."""
+        """Nothing comes back from them; whose turn has come."""
         self._check_open()
-        return Feedback(
-            self._clock.now(), self._unknown, self._unknown, self._errors, self._nothing
-        )
+        now_s = self._clock.now()
+        ready = sent_deg = None
+        if not self._is_steady:
+            ready = self._held & (self._on_s <= now_s)
+            sent_us = np.where(self._slow, self._last_us, self._goal_us)
+            sent_deg = self._scale.joints_deg(sent_us)
+        unknown = self._unknown
+        return Feedback(now_s, unknown, unknown, self._errors, self._nothing, ready, sent_deg)
 
     def remarks(self) -> Sequence[str]:
         """Those of the controller."""
@@ -306,7 +321,6 @@ class PulseBus:
     def reopen(self) -> None:
         """Open the way to the controller again; what it sends meanwhile goes on."""
         self._check_open()
-        self._controller.close()
         self._open()
 
     def _open(self) -> None:
@@ -353,9 +367,11 @@ class PulseBus:
         """The pulse of each servo whose turn has come; the others get none."""
         now_s = self._clock.now()
         if self._is_steady:
-            self._last_us[:] = self._goal_us
             self._sent_s = now_s
-            self._controller.send(self._goal_us)
+            if self._controller.send(self._goal_us):
+                self._last_us[:] = self._goal_us
+            else:
+                self._lose_all()
             return
         on = self._held & (self._on_s <= now_s)
         if any_set(self._slow):
@@ -369,9 +385,17 @@ class PulseBus:
         else:
             sent_us = self._goal_us
         self._sent_s, self._has_sent = now_s, True
+        if not self._controller.send(np.where(on, sent_us, 0.0)):
+            self._lose_all()
+            return
         np.copyto(self._last_us, sent_us, where=on)
-        self._controller.send(np.where(on, sent_us, 0.0))
         self._is_steady = all_set(on) and not any_set(self._slow)
+
+    def _lose_all(self) -> None:
+        """No servo has pulses any more; each starts anew where it was sent last."""
+        self._held[:] = self._slow[:] = self._fresh[:] = self._is_steady = False
+        self._on_s[:] = np.inf
+        self._goal_us = np.where(np.isnan(self._last_us), self._goal_us, self._last_us)
 
     def _look(self, now_s: float) -> None:
         """At the servo that came on last, else at the next in turn."""

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, model_validator
 
 from firmware_bridge.bus import Array
 from firmware_bridge.bus_settings import BusServo, Strict, within
+from firmware_bridge.joints import JointPulse
 
 #: No hobby servo takes pulses outside of this; most are meant for 1000 to 2000 us.
 SHORTEST_US: Final = 400.0
@@ -47,6 +48,11 @@ class PulseServo(BusServo, _Channel):
     min_us: PulseWidth = 1000.0
     max_us: PulseWidth = 2000.0
 
+    @property
+    def pulse(self) -> JointPulse:
+        """As its joint has it."""
+        return JointPulse(self.neutral_us, self.us_per_deg, self.min_us, self.max_us)
+
     @model_validator(mode="after")
     def _its_pulses_reach(self) -> Self:
         if self.sign != 1 or self.zero_offset_deg != 0.0:
@@ -72,6 +78,8 @@ class PulseScale:
         self.neutral_us: Array = np.array([each.neutral_us for each in servos])
         self.min_us = np.array([each.min_us for each in servos])
         self.max_us = np.array([each.max_us for each in servos])
+        #: As far as pulses go while a person finds the limits, (n_servos, 2).
+        self.reach_us = np.array([each.pulse.reach_us for each in servos])
         self.max_us_s = np.abs(self.us_per_deg) * [each.max_speed_deg_s for each in servos]
 
     def pulses_us(self, joints_deg: Array) -> Array:

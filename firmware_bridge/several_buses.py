@@ -42,6 +42,7 @@ _READ: Final = ("read", _ALL)
 _FEEDBACK: Final = ("feedback", _ALL)
 _LOOK: Final = ("look after", _ALL)
 _OFF: Final = ("disable all", _ALL)
+_WIDEN: Final = ("widen", _ALL)
 _REOPEN: Final = ("reopen", _ALL)
 _LEAVE: Final = ("leave", _ALL)
 #: These do not wait for their turn: torque off goes before all that was handed over.
@@ -242,6 +243,11 @@ class SeveralBuses:
         for each in self._threads.values():
             each.hand(_WRITE, partial(each.bus.write_positions, positions_deg[each.at]))
 
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """Have every bus take goals beyond the limits of those of its servos."""
+        for each in self._threads.values():
+            each.hand(_WIDEN, partial(each.bus.widen, joints[each.at]))
+
     def read(self) -> Readings:
         """Ask every bus; of one that does not answer nothing is known."""
         self._check()
@@ -267,15 +273,19 @@ class SeveralBuses:
     def feedback(self) -> Feedback:
         """Where every servo stands; of a bus that is behind, what it said last, and its age."""
         n = self._n_servos
+        self._ask_all(_FEEDBACK, BusThread.hear)
+        now_s = self._clock.now()
+        newest = [each.feedback[0] for each in self._threads.values() if each.feedback is not None]
+        has_turns = any(each.ready is not None for each in newest)
         found = Feedback(
-            time_s=self._clock.now(),
+            time_s=now_s,
             positions_deg=np.full(n, np.nan),
             effort=np.full(n, np.nan),
             errors=np.zeros(n, dtype=np.uint8),
             age_s=np.full(n, np.inf),
+            ready=np.ones(n, dtype=np.bool_) if has_turns else None,
+            sent_deg=np.full(n, np.nan) if has_turns else None,
         )
-        self._ask_all(_FEEDBACK, BusThread.hear)
-        now_s = self._clock.now()
         for each in self._threads.values():
             if each.feedback is not None:
                 feedback, taken_s = each.feedback
@@ -437,5 +447,6 @@ class SeveralBuses:
 def _put(whole: Any, at: NDArray[np.intp], part: Any) -> None:
     """Into the arrays of all servos those of one bus."""
     for each in fields(whole):
-        if each.name != "time_s":
-            getattr(whole, each.name)[at] = getattr(part, each.name)
+        values = getattr(part, each.name)
+        if each.name != "time_s" and values is not None:
+            getattr(whole, each.name)[at] = values

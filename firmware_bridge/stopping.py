@@ -177,6 +177,14 @@ class JogTo:
 
 
 @dataclass(frozen=True, slots=True)
+class JogPulse:
+    """One hobby servo goes to a pulse, also a little beyond its limits, and stays there."""
+
+    name: str
+    pulse_us: float
+
+
+@dataclass(frozen=True, slots=True)
 class EndJog:
     """All jogged joints go back to what is wanted of them."""
 
@@ -188,4 +196,4 @@ class StartFace:
     requested_by: str = ""
 
 
-Order = ServoOrder | ArmJog | JogTo | EndJog | StartFace
+Order = ServoOrder | ArmJog | JogTo | JogPulse | EndJog | StartFace

@@ -21,6 +21,9 @@ COMMANDS = MappingProxyType(
         "run": Command(f"{_RUN}.run:run", "Speech drives the face, live.", _SPEAK),
         "daemon": Command(f"{_RUN}.run:daemon", "Run until stopped, as a service.", _SPEAK),
         "say": Command(f"{_RUN}.say:say", "Speak a text, with sound and the face.", _SPEAK),
+        "wyoming": Command(
+            f"{_RUN}.wyoming:wyoming", "Let Home Assistant speak through a face.", _SPEAK
+        ),
         "stop": Command(f"{_RUN}.stop:stop", "Stop every running face: to rest and limp.", _SPEAK),
         "start": Command(f"{_RUN}.stop:start", "Drive a stopped face again.", _SPEAK),
         "limp": Command(f"{_RUN}.stop:limp", "Switch torque off at once.", _SPEAK),
@@ -33,7 +36,7 @@ COMMANDS = MappingProxyType(
             f"{_BUILD}.setup_servos:setup_servos", "Give new servos their ids and limits.", _ROBOT
         ),
         "doctor": Command(f"{_BUILD}.doctor:doctor", "Check the port and its servos.", _ROBOT),
-        "jog": Command(f"{_BUILD}.builder:jog", "Move one joint.", _ROBOT, True),
+        "jog": Command(f"{_BUILD}.jogging:jog", "Move one joint.", _ROBOT, True),
         "servo": Command(f"{_RUN}.servo:servo", "Switch one servo off or on.", _ROBOT),
         "calibrate": Command(
             "lipservo.commands.calibrate.app:app", "Teach the robot a speaker's mouth.", _ROBOT

@@ -1,17 +1,14 @@
-"""A face to speak through, for programs with an event loop, and the WebSocket that it goes over."""
+"""A face to speak through, for programs with an event loop."""
 
 import asyncio
 import contextlib
 import itertools
-import json
-from collections.abc import AsyncGenerator, Callable
-from http import HTTPStatus
+import random
+import weakref
+from collections import deque
+from collections.abc import AsyncGenerator
 from typing import Any, Final, Literal, Self
 
-from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
-
-from lipservo_client.local_token import found_tokens
 from lipservo_client.protocol import (
     PROTOCOL,
     Event,
@@ -22,129 +19,32 @@ from lipservo_client.protocol import (
     pcm_bytes,
     played_of,
 )
+from lipservo_client.wire import PATIENCE_S, Wire, connected
 
 #: A chunk is sent in pieces: the face takes messages of up to 1 MB.
 _PIECE_BYTES: Final = 1 << 16
-#: An answer that takes longer will not come.
-PATIENCE_S: Final = 10.0
+#: Less is kept until more comes: a face reads 2,000 messages a second of a client.
+_LEAST_PIECE_S: Final = 0.005
+#: A writer waits when so much of a stream was not heard; eight of them are less than a face keeps.
+_AHEAD_S: Final = 30.0
+#: A text's first sentence is synthesised before the answer; a file is read.
+_READING_S: Final = 60.0
+#: Five minutes of speech may wait in a face. When nothing of a stream was heard for longer, the
+#: face stands still.
+STILL_S: Final = 310.0
+#: Between a lost connection and the next try, doubled from try to try; half of it by chance, so
+#: that many clients of one face do not come at once.
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.25, 5.0
 #: Events that a slow reader of `events` finds; the oldest are lost beyond it.
 _MOST_EVENTS: Final = 1024
-
-
-class Wire:
-    """A connection whose events are read at all times, since the face drops who does not read."""
-
-    def __init__(
-        self,
-        socket: ClientConnection,
-        on_event: Callable[[Event], None],
-        on_close: Callable[[FaceError], None],
-    ) -> None:
-        self._socket = socket
-        self._on_event = on_event
-        self._on_close = on_close
-        self._reading = asyncio.get_running_loop().create_task(self._read())
-
-    async def send(self, kind: str, **fields: object) -> None:
-        """A message. Raises FaceError once the connection is gone."""
-        given = {name: value for name, value in fields.items() if value is not None}
-        await self._send(json.dumps({"type": kind, **given}))
-
-    async def send_audio(self, data: bytes) -> None:
-        """Samples; waits while the face takes them slower. Raises FaceError."""
-        for first in range(0, len(data), _PIECE_BYTES):
-            await self._send(data[first : first + _PIECE_BYTES])
-
-    async def close(self) -> None:
-        """Hang up; what was said whole is said to its end."""
-        await self._socket.close()
-        await self._reading
-
-    async def _send(self, message: str | bytes) -> None:
-        try:
-            await self._socket.send(message)
-        except ConnectionClosed as error:
-            raise _gone(error) from error
-
-    async def _read(self) -> None:
-        try:
-            while True:
-                with contextlib.suppress(ValueError):
-                    event = json.loads(await self._socket.recv())
-                    if isinstance(event, dict) and isinstance(event.get("type"), str):
-                        self._on_event(event)
-        except ConnectionClosed as error:
-            self._on_close(_gone(error))
-
-
-async def connected(
-    url: str,
-    token: str | None,
-    on_event: Callable[[Event], None],
-    on_close: Callable[[FaceError], None],
-    patience_s: float,
-) -> Wire:
-    """Connect to a face.
-
-    Parameters
-    ----------
-    token : that the face requires; None: on this computer it is found in the runtime folders, of
-        another none is sent.
-
-    Raises
-    ------
-    FaceError
-        unauthorized, refused, not_answering.
-
-    """
-    tokens = [token] if token is not None else await asyncio.to_thread(found_tokens, url)
-    for each in tokens[:-1]:
-        with contextlib.suppress(_UnauthorizedError):
-            return Wire(await _opened(url, each, patience_s), on_event, on_close)
-    last = tokens[-1] if tokens else None
-    return Wire(await _opened(url, last, patience_s), on_event, on_close)
-
-
-class _UnauthorizedError(FaceError):
-    """The token is another, or none was sent."""
-
-
-async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
-    """Raises FaceError."""
-    headers = None if token is None else {"Authorization": f"Bearer {token}"}
-    try:
-        return await connect(
-            url,
-            additional_headers=headers,
-            compression=None,
-            open_timeout=patience_s,
-            close_timeout=patience_s,
-        )
-    except InvalidStatus as error:
-        answer = error.response
-        why = bytes(answer.body or b"").decode("utf-8", "replace").strip()
-        line = f"{url}: {why or answer.status_code}"
-        if answer.status_code == HTTPStatus.UNAUTHORIZED:
-            raise _UnauthorizedError("unauthorized", line) from error
-        raise FaceError("refused", line) from error
-    except (InvalidURI, InvalidHandshake) as error:
-        raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
-    except (OSError, TimeoutError) as error:
-        hint = "is a face running that takes speech?"
-        raise FaceError("not_answering", f"{url}: nobody answers there; {hint}") from error
-
-
-def _gone(error: ConnectionClosed) -> FaceError:
-    reason = error.rcvd.reason if error.rcvd is not None else ""
-    code, _, rest = reason.partition(":")
-    return FaceError(code or "disconnected", rest.strip() or "the face has hung up")
 
 
 class AsyncSpeech:
     """One stream of speech, from `async with face.stream() as speech`.
 
     delay_ms: how long after its sound is sent it is seen on the face; who plays the sound itself
-    plays it so much later.
+    plays it so much later. rate_hz: of its samples. n_sent, n_played: samples that were written,
+    and that were heard of them, as the face told last.
     """
 
     def __init__(self, face: "AsyncFace", stream: str, start: dict[str, object]) -> None:
@@ -155,6 +55,12 @@ class AsyncSpeech:
         loop = asyncio.get_running_loop()
         self._ready: asyncio.Future[float] = loop.create_future()
         self._heard: asyncio.Future[Played] = loop.create_future()
+        self._wire = face.wire
+        self.rate_hz = int(str(start["sample_rate"]))
+        self._small = b""
+        self._moved_s, self._moved = loop.time(), asyncio.Event()
+        self._n_bytes = 0
+        self.n_sent = self.n_played = 0
         self.stream = stream
         self.delay_ms = 0.0
 
@@ -163,30 +69,45 @@ class AsyncSpeech:
         """It was heard to its end, or cut off: by us or by somebody else."""
         return self._heard.done()
 
+    @property
+    def was_heard(self) -> bool:
+        """It was heard to its end."""
+        is_told = self.is_over and self._heard.exception() is None
+        return is_told and self._heard.result().finished
+
     async def write(self, samples: Pcm) -> bool:
         """Send samples at any pace; False once it was cut off, and no more are wanted.
 
-        Raises FaceError for what the face refused, ValueError for arrays that are no mono sound.
+        Waits while half a minute was written and not heard. Raises FaceError for what the face
+        refused, ValueError for arrays that are no mono sound.
         """
-        self._raise_error()
-        if self.is_over:
-            return False
-        await self._face.wire.send_audio(pcm_bytes(samples))
+        data = self._small + pcm_bytes(samples)
+        self._small = b""
+        if len(data) < 2 * self.rate_hz * _LEAST_PIECE_S:
+            self._small, data = data, b""
+        for first in range(0, max(1, len(data)), _PIECE_BYTES):
+            self._raise_error()
+            if not await self._has_room():
+                return False
+            if data:
+                await self._send(data[first : first + _PIECE_BYTES])
         return True
 
     async def mark(self, name: str) -> None:
         """Ask for a `mark` event when all that was written until now has been heard."""
-        await self._face.wire.send("mark", name=name)
+        await self._send_small()
+        await self._wire.send("mark", name=name)
 
     async def report_played(self, played_s: float) -> None:
         """With `playback="client"`: so much has left our loudspeaker now; the mouth follows."""
-        await self._face.wire.send("position", stream=self.stream, played_s=played_s)
+        await self._wire.send("position", stream=self.stream, played_s=played_s)
 
     async def end(self) -> None:
         """No more comes; what was written is said to its end."""
         if not self._is_complete:
             self._is_complete = True
-            await self._face.wire.send("end")
+            await self._send_small()
+            await self._wire.send("end")
 
     async def wait(self) -> Played:
         """End it, and wait until it was heard or cut off. Raises FaceError."""
@@ -196,12 +117,18 @@ class AsyncSpeech:
         return played
 
     async def heard(self) -> Played:
-        """Wait until it was heard or cut off, without ending it."""
-        return await asyncio.shield(self._heard)
+        """Wait until it was heard or cut off, without ending it.
+
+        Raises FaceError: the connection is gone, or nothing was heard for `STILL_S`.
+        """
+        loop = asyncio.get_running_loop()
+        while not self._heard.done():
+            await asyncio.wait([self._heard], timeout=self._patience_s(loop.time()))
+        return self._heard.result()
 
     async def __aenter__(self) -> Self:
-        await self._face.wire.send("start", stream=self.stream, **self._start)
         try:
+            await self._wire.send("start", stream=self.stream, **self._start)
             async with asyncio.timeout(PATIENCE_S):
                 self.delay_ms = await self._ready
         except TimeoutError as error:
@@ -215,15 +142,20 @@ class AsyncSpeech:
                 await self.end()
             elif not self.is_over:
                 self._is_complete = True
-                await self._face.wire.send("interrupt")
+                await self._wire.send("interrupt")
 
     def hear(self, event: Event) -> None:
         """What the face tells of this stream."""
+        if event.get("n_played", 0) > self.n_played:
+            self.n_played = int(event["n_played"])
+            self._moved_s = asyncio.get_running_loop().time()
+            self._moved.set()
         match event["type"]:
             case "ready" if not self._ready.done():
                 self._ready.set_result(float(event["delay_ms"]))
             case "finished" | "interrupted" if not self.is_over:
                 self._heard.set_result(played_of(event))
+                self._moved.set()
             case "error":
                 self.fail(error_of(event))
 
@@ -243,11 +175,40 @@ class AsyncSpeech:
         if not self.is_over:
             self._heard.set_exception(error)
             self._heard.exception()  # nobody need wait for it
+            self._moved.set()
 
     @property
     def is_starting(self) -> bool:
         """Whether the face has not answered yet."""
         return not self._ready.done()
+
+    async def _has_room(self) -> bool:
+        """Wait until so little is unheard that more may be sent; False once it was cut off."""
+        loop = asyncio.get_running_loop()
+        while not self.is_over and self.n_sent - self.n_played > _AHEAD_S * self.rate_hz:
+            self._moved.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(self._patience_s(loop.time())):
+                    await self._moved.wait()
+        return not self.is_over
+
+    def _patience_s(self, now_s: float) -> float:
+        """How long something of it may still be awaited. Raises FaceError: no longer."""
+        still_s = self._moved_s + STILL_S - now_s
+        if still_s <= 0.0:
+            still = f"nothing of {self.stream} was heard for {STILL_S:g} s"
+            raise FaceError("not_answering", still)
+        return still_s
+
+    async def _send(self, data: bytes) -> None:
+        await self._wire.send_message(data)
+        self._n_bytes += len(data)
+        self.n_sent = self._n_bytes // 2
+
+    async def _send_small(self) -> None:
+        data, self._small = self._small, b""
+        if data and not self.is_over:
+            await self._send(data)
 
     def _raise_error(self) -> None:
         error, self._error = self._error, None
@@ -255,48 +216,91 @@ class AsyncSpeech:
             raise error
 
 
+class Events:
+    """What a face tells, in order, from when it was made until the face is left.
+
+    A reader that is slow, or never reads, keeps the newest 1,024.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[Event] = deque(maxlen=_MOST_EVENTS)
+        self._filled = asyncio.Event()
+        self._is_over = False
+
+    def put(self, event: Event) -> None:
+        """One more."""
+        self._waiting.append(event)
+        self._filled.set()
+
+    def end(self) -> None:
+        """No more come."""
+        self._is_over = True
+        self._filled.set()
+
+    def __aiter__(self) -> Self:
+        return self
+
+    async def __anext__(self) -> Event:
+        while not self._waiting:
+            if self._is_over:
+                raise StopAsyncIteration
+            self._filled.clear()
+            await self._filled.wait()
+        return self._waiting.popleft()
+
+
 class AsyncFace:
-    """A connection to a face; from `lipservo.connect_async`."""
+    """A connection to a face; from `lipservo.connect_async`.
+
+    A connection that is lost is opened again, later and later up to every five seconds, until the
+    face is left. `events()` gives `disconnected` and `reconnected`, with `code` and `message`. What
+    was being said then is over: its stream raises FaceError, and nothing of it is sent again.
+    """
 
     def __init__(self, url: str, token: str | None) -> None:
         self._url = url.rstrip("/")
         self._token = token
         self._numbers = itertools.count(1)
         self._speeches: dict[str, AsyncSpeech] = {}
-        self._listeners: list[asyncio.Queue[Event | None]] = []
-        self._lost: FaceError | None = None
+        self._events: weakref.WeakSet[Events] = weakref.WeakSet()
         self._greeting: asyncio.Future[object] | None = None
+        self._connection: Wire | None = None
         self._control: Wire | None = None
         self._connecting = asyncio.Lock()
+        self._reconnecting: asyncio.Task[None] | None = None
         self._asked: dict[int, asyncio.Future[dict[str, Any]]] = {}
-        self.wire: Wire
+        self._spoken: dict[int, asyncio.Future[Event]] = {}
+
+    @property
+    def wire(self) -> Wire:
+        """The connection for speech. Raises FaceError while there is none."""
+        if self._connection is None:
+            raise FaceError("disconnected", f"{self._url}: not connected; it is tried again")
+        return self._connection
+
+    @property
+    def is_connected(self) -> bool:
+        """Whether speech can be sent."""
+        return self._connection is not None
 
     async def __aenter__(self) -> Self:
         """Raises FaceError: unauthorized, refused, not_answering, bad_protocol."""
-        url = f"{self._url}/stream"
-        self._greeting = asyncio.get_running_loop().create_future()
-        self.wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
-        try:
-            await self.wire.send("hello", protocol=PROTOCOL)
-            async with asyncio.timeout(PATIENCE_S):
-                version = await self._greeting
-            if version != PROTOCOL:
-                differ = f"the face speaks protocol {version}, this lipservo-client {PROTOCOL}"
-                remedy = "install the lipservo-client of the face's version"
-                raise FaceError("bad_protocol", f"{url}: {differ}; {remedy}")
-        except TimeoutError as error:
-            await self.wire.close()
-            raise FaceError("not_answering", f"{url}: the face does not answer") from error
-        except BaseException:
-            await self.wire.close()
-            raise
+        await self._connect()
         return self
 
     async def __aexit__(self, *exc: object) -> None:
         """Hang up. What was ended is said to its end; what was not is cut off."""
-        for wire in (self._control, self.wire):
-            if wire is not None:
-                await wire.close()
+        if self._reconnecting is not None:
+            self._reconnecting.cancel()
+            await asyncio.gather(self._reconnecting, return_exceptions=True)
+        wires = [wire for wire in (self._control, self._connection) if wire is not None]
+        self._control = self._connection = None
+        for wire in wires:
+            await wire.close()
+        for speech in self._speeches.values():
+            speech.lose(FaceError("disconnected", "the face was left"))
+        for events in self._events:
+            events.end()
 
     def stream(
         self,
@@ -306,35 +310,51 @@ class AsyncFace:
     ) -> AsyncSpeech:
         """A new stream of speech. playback: "client" where this program plays the sound itself.
 
-        stream: its id, of your own; streams of one face are told apart by it.
+        stream: its id, of your own; streams of one face are told apart by it. Raises FaceError:
+        disconnected, stream_open.
         """
         name = stream or f"speech {next(self._numbers)}"
-        speech = AsyncSpeech(self, name, {"sample_rate": sample_rate, "playback": playback})
         self._speeches = {key: each for key, each in self._speeches.items() if not each.is_over}
+        if name in self._speeches:
+            raise FaceError("stream_open", f"stream {name!r} is said or waits already")
+        speech = AsyncSpeech(self, name, {"sample_rate": sample_rate, "playback": playback})
         self._speeches[name] = speech
         return speech
 
     async def interrupt(self) -> Played | None:
-        """Barge-in: silence now. What was heard of all that was not finished; None: nothing was."""
-        unfinished = [each.heard() for each in self._speeches.values() if not each.is_over]
+        """Barge-in: silence now. What was heard of all that was not finished; None: nothing was.
+
+        Raises FaceError.
+        """
+        unfinished = [each for each in self._speeches.values() if not each.is_over]
         await self.wire.send("interrupt")
         if not unfinished:
             return None
-        async with asyncio.timeout(PATIENCE_S):
-            played = await asyncio.gather(*unfinished)
+        async with _patience("the interruption", PATIENCE_S):
+            played = await asyncio.gather(*(each.heard() for each in unfinished))
         return Played(
             all(each.finished for each in played),
             sum(each.played_s for each in played),
             sum(each.dropped_s for each in played),
         )
 
-    def events(self) -> AsyncGenerator[Event, None]:
-        """Whatever the face tells from now on, until the connection ends."""
-        queue: asyncio.Queue[Event | None] = asyncio.Queue(_MOST_EVENTS)
-        self._listeners.append(queue)
-        if self._lost is not None:
-            queue.put_nowait(None)
-        return self._listen(queue)
+    async def pause(self) -> None:
+        """Silence now; what was not heard is kept, up to a minute, until `resume`."""
+        await self.wire.send("pause")
+
+    async def resume(self) -> None:
+        """Speech goes on where it was paused."""
+        await self.wire.send("resume")
+
+    def keep_trying(self) -> None:
+        """Connect as soon as a face is there, in place of entering it. Of who may wait for it."""
+        self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
+
+    def events(self) -> Events:
+        """Whatever the face tells from now on, until the face is left."""
+        events = Events()
+        self._events.add(events)
+        return events
 
     async def status(self) -> dict[str, Any]:
         """How the face is: the fields of docs/architecture.md, "Status". Raises FaceError."""
@@ -360,54 +380,93 @@ class AsyncFace:
         """Change a setting while it runs, as `strength`. Raises FaceError."""
         return await self._ask("set", name=name, value=value)
 
-    async def say(self, text: str) -> dict[str, Any]:
-        """Say a text with the face's own voice. Raises FaceError."""
-        return await self._ask("say", text=text)
+    async def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
+        """Say a text with the face's own voice. Raises FaceError.
 
-    async def play(self, file: str) -> dict[str, Any]:
-        """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
-
-        Returns once it is read and waits for its turn. Of a performance the answer has `stream`, as
-        the face's status calls it in `speaking`, and `duration_s`.
+        Returns `stream`, as the face's status calls it in `speaking`, and `duration_s` of what is
+        synthesised; `is_whole`: of all of it. wait: until it was heard or dropped; then also
+        `finished` (it was heard whole) and `played_s`.
         """
-        return await self._ask("play", file=file)
+        return await self._let_speak("say", wait=wait, text=text)
 
-    async def _ask(self, kind: str, **fields: object) -> dict[str, Any]:
-        async with self._connecting:
-            if self._control is None:
-                url = f"{self._url}/control"
-                take, lose = self._take_result, self._lose_control
-                self._control = await connected(url, self._token, take, lose, PATIENCE_S)
+    async def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
+        """Play a sound file or a performance (.perf) of the face's folder; else as `say`."""
+        return await self._let_speak("play", wait=wait, file=file)
+
+    async def _let_speak(self, kind: str, *, wait: bool, **fields: object) -> dict[str, Any]:
         number = next(self._numbers)
+        heard: asyncio.Future[Event] = asyncio.get_running_loop().create_future()
+        self._spoken[number] = heard
+        try:
+            answer = await self._ask(kind, number, _READING_S, **fields)
+            if not wait:
+                return answer
+            done, _ = await asyncio.wait([heard], timeout=STILL_S + answer["duration_s"])
+            if not done:
+                raise FaceError("not_answering", f"{kind}: its end was not told")
+            event = heard.result()
+        finally:
+            del self._spoken[number]
+        ended = {"finished": event["type"] == "finished", "played_s": event["played_s"]}
+        return {**answer, **ended, "duration_s": event["duration_s"], "is_whole": True}
+
+    async def _ask(
+        self, kind: str, number: int | None = None, limit_s: float | None = None, **fields: object
+    ) -> dict[str, Any]:
+        number = next(self._numbers) if number is None else number
+        limit_s = PATIENCE_S if limit_s is None else limit_s
         answer: asyncio.Future[dict[str, Any]] = asyncio.get_running_loop().create_future()
         self._asked[number] = answer
         try:
-            await self._control.send(kind, id=number, **fields)
-            return await answer
+            async with _patience(kind, limit_s):
+                async with self._connecting:
+                    if self._control is None:
+                        url, take, lose = f"{self._url}/control", self._take, self._lose_control
+                        self._control = await connected(url, self._token, take, lose, limit_s)
+                await self._control.send(kind, id=number, **fields)
+                return await answer
         finally:
             del self._asked[number]
 
-    async def _listen(self, queue: asyncio.Queue[Event | None]) -> AsyncGenerator[Event, None]:
-        try:
-            while (event := await queue.get()) is not None:
-                yield event
-        finally:
-            self._listeners.remove(queue)
+    async def _connect(self) -> None:
+        url = f"{self._url}/stream"
+        self._greeting = asyncio.get_running_loop().create_future()
+        async with _patience(url, PATIENCE_S):
+            wire = await connected(url, self._token, self._hear, self._lose, PATIENCE_S)
+            try:
+                await wire.send("hello", protocol=PROTOCOL)
+                version = await self._greeting
+                if version != PROTOCOL:
+                    differ = f"the face speaks protocol {version}, this lipservo-client {PROTOCOL}"
+                    remedy = "install the lipservo-client of the face's version"
+                    raise FaceError("bad_protocol", f"{url}: {differ}; {remedy}")
+            except BaseException:
+                await wire.close()
+                raise
+        self._connection = wire
 
-    def _take_result(self, event: Event) -> None:
-        answer = self._asked.get(event.get("id") or 0)
-        if answer is None or answer.done():
-            return
-        if event["type"] == "error":
-            answer.set_exception(error_of(event))
+    async def _reconnect(self) -> None:
+        wait_s = _FIRST_WAIT_S
+        while self._connection is None:
+            await asyncio.sleep(wait_s * random.uniform(0.5, 1.0))
+            wait_s = min(2.0 * wait_s, _LONGEST_WAIT_S)
+            with contextlib.suppress(FaceError):
+                await self._connect()
+        self._hand_on({"type": "reconnected", "code": "", "message": f"{self._url}: is back"})
+
+    def _take(self, event: Event) -> None:
+        number = event.get("id") or 0
+        if event["type"] in ("finished", "dropped"):
+            _settle(self._spoken.get(number), event)
         elif event["type"] == "result":
-            answer.set_result(event.get("result") or {})
+            _settle(self._asked.get(number), event.get("result") or {})
+        elif event["type"] == "error":
+            _settle(self._asked.get(number), error_of(event))
 
     def _lose_control(self, error: FaceError) -> None:
         self._control = None
-        for answer in self._asked.values():
-            if not answer.done():
-                answer.set_exception(error)
+        for waiting in (*self._asked.values(), *self._spoken.values()):
+            _settle(waiting, error)
 
     def _hear(self, event: Event) -> None:
         if self._greeting is not None and not self._greeting.done():
@@ -426,15 +485,36 @@ class AsyncFace:
         self._hand_on(event)
 
     def _lose(self, error: FaceError) -> None:
-        self._lost = error
-        if self._greeting is not None and not self._greeting.done():
-            self._greeting.set_exception(error)
+        _settle(self._greeting, error)
+        if self._connection is None:  # left, or never greeted
+            return
+        self._connection = None
         for speech in self._speeches.values():
             speech.lose(error)
-        self._hand_on(None)
+        self._hand_on({"type": "disconnected", "code": error.code, "message": str(error)})
+        self._reconnecting = asyncio.get_running_loop().create_task(self._reconnect())
 
-    def _hand_on(self, event: Event | None) -> None:
-        for queue in self._listeners:
-            if queue.full():
-                queue.get_nowait()
-            queue.put_nowait(event)
+    def _hand_on(self, event: Event) -> None:
+        for events in self._events:
+            events.put(event)
+
+
+def _settle(waiting: asyncio.Future[Any] | None, answer: object) -> None:
+    """Give the answer, or raise it where it is an error, if it is still waited for."""
+    if waiting is None or waiting.done():
+        return
+    if isinstance(answer, FaceError):
+        waiting.set_exception(answer)
+        waiting.exception()  # nobody need wait for it
+    else:
+        waiting.set_result(answer)
+
+
+@contextlib.asynccontextmanager
+async def _patience(what: str, limit_s: float) -> AsyncGenerator[None, None]:
+    """Raises FaceError where the block takes longer."""
+    try:
+        async with asyncio.timeout(limit_s):
+            yield
+    except TimeoutError as error:
+        raise FaceError("not_answering", f"{what}: no answer within {limit_s:g} s") from error

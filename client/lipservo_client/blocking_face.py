@@ -2,11 +2,11 @@
 
 import asyncio
 import threading
-from collections.abc import AsyncGenerator, Coroutine, Iterator
+from collections.abc import Coroutine, Iterator
 from concurrent.futures import CancelledError
 from typing import Any, Final, Literal, Self, TypeVar
 
-from lipservo_client.async_face import AsyncFace, AsyncSpeech
+from lipservo_client.async_face import AsyncFace, AsyncSpeech, Events
 from lipservo_client.protocol import Event, Pcm, Played
 
 #: Between two looks whether there is still somebody who could answer.
@@ -102,9 +102,21 @@ class Face:
         """Barge-in: silence now. What was heard of all that was not finished; None: nothing was."""
         return self.wait_for(self._face.interrupt())
 
+    def pause(self) -> None:
+        """Silence now; what was not heard is kept, up to a minute, until `resume`."""
+        self.wait_for(self._face.pause())
+
+    def resume(self) -> None:
+        """Speech goes on where it was paused."""
+        self.wait_for(self._face.resume())
+
     def events(self) -> Iterator[Event]:
-        """Whatever the face tells from now on, until the connection ends."""
-        return self._listen(self._face.events())
+        """Whatever the face tells from now on, until the face is left; `disconnected` too."""
+
+        async def made() -> Events:
+            return self._face.events()
+
+        return self._listen(self.wait_for(made()))
 
     def status(self) -> dict[str, Any]:
         """How the face is. Raises FaceError."""
@@ -130,17 +142,16 @@ class Face:
         """Change a setting while it runs, as `strength`. Raises FaceError."""
         return self.wait_for(self._face.set(name, value))
 
-    def say(self, text: str) -> dict[str, Any]:
-        """Say a text with the face's own voice. Raises FaceError."""
-        return self.wait_for(self._face.say(text))
+    def say(self, text: str, *, wait: bool = False) -> dict[str, Any]:
+        """Say a text with the face's own voice; see `AsyncFace.say`. Raises FaceError."""
+        return self.wait_for(self._face.say(text, wait=wait))
 
-    def play(self, file: str) -> dict[str, Any]:
+    def play(self, file: str, *, wait: bool = False) -> dict[str, Any]:
         """Play a sound file or a performance (.perf) of the face's folder. Raises FaceError.
 
-        Returns once it is read and waits for its turn. Of a performance the answer has `stream`, as
-        the face's status calls it in `speaking`, and `duration_s`.
+        Returns once it is read and waits for its turn, or with `wait` when it was heard.
         """
-        return self.wait_for(self._face.play(file))
+        return self.wait_for(self._face.play(file, wait=wait))
 
     def wait_for(self, call: Coroutine[Any, Any, _Answer]) -> _Answer:
         """Run it in the connection's own thread, and wait."""
@@ -159,7 +170,7 @@ class Face:
             answer.cancel()  # Ctrl-C: nobody waits for it any more
             raise
 
-    def _listen(self, events: AsyncGenerator[Event, None]) -> Iterator[Event]:
+    def _listen(self, events: Events) -> Iterator[Event]:
         async def following() -> Event | None:
             return await anext(events, None)
 

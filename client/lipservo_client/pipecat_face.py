@@ -1,119 +1,377 @@
-"""A face as the voice of a Pipecat pipeline: it plays what the TTS service makes.
+"""A face in a Pipecat pipeline: as its voice, or following the voice of a transport.
 
-Needs the extra `pipecat`. docs/agents.md has the frames as a table.
+`PipecatFace` plays what the TTS service makes; `PipecatFollower` moves the lips to sound that a
+transport plays. Needs the extra `pipecat`. docs/agents.md has the frames as a table.
 """
 
-from asyncio import Task
+import asyncio
+from collections import deque
+from collections.abc import Coroutine
 from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
-import numpy as np
-from pipecat.frames.frames import (
-    BotStartedSpeakingFrame,
-    BotStoppedSpeakingFrame,
-    CancelFrame,
-    EndFrame,
-    Frame,
-    InterruptionFrame,
-    StartFrame,
-    TTSAudioRawFrame,
-    TTSStoppedFrame,
-)
+from pipecat.frames import frames
 from pipecat.processors.frame_processor import FrameDirection, FrameProcessor
 
 from lipservo_client.async_face import AsyncFace, AsyncSpeech
-from lipservo_client.protocol import FaceError, Played
+from lipservo_client.protocol import Event, FaceError, Played, mono_pcm
+
+#: A face keeps 64 marks of a stream; beyond these, positions tell what was heard.
+_MOST_MARKS: Final = 48
+#: Between two questions for the position while frames wait for a moment within the sound.
+_ASKING_S: Final = 0.05
+#: An interruption holds the pipeline up no longer.
+_INTERRUPTING_S: Final = 1.0
+#: A frame passes a processor in two or three turns of the event loop. What was heard is in the
+#: context of an aggregator up to twenty processors behind, before the interruption clears queues.
+_SETTLING_TURNS: Final = 64
+#: Between two reports of what a transport has played.
+_REPORT_S: Final = 0.1
 
 
-class PipecatFace(FrameProcessor):
-    """Stands behind the TTS service, where the sound would go to the transport.
+class _FaceProcessor(FrameProcessor):
+    """Connects when the pipeline starts, and again whenever the face is there again."""
 
-    last_played: what became of what was said when a person broke in last; None: nothing was said.
-    """
-
-    def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
+    def __init__(self, url: str, token: str | None) -> None:
         super().__init__()
-        self._url = url
-        self._token = token
-        self._face: AsyncFace | None = None
-        self._speech: AsyncSpeech | None = None
-        self._unheard: list[AsyncSpeech] = []
-        self._telling: Task[None] | None = None
-        self.last_played: Played | None = None
-
-    async def process_frame(self, frame: Frame, direction: FrameDirection) -> None:
-        """Take the sound; hand on everything else."""
-        await super().process_frame(frame, direction)
-        try:
-            if isinstance(frame, TTSAudioRawFrame) and self._face is not None:
-                await self._say(self._face, frame)
-                return
-            if isinstance(frame, StartFrame):
-                await self._connect()
-            elif isinstance(frame, TTSStoppedFrame):
-                await self._end()
-            elif isinstance(frame, EndFrame):
-                await self._end()
-                await self._hear_out()
-            elif isinstance(frame, (InterruptionFrame, CancelFrame)):
-                await self._interrupt()
-        except (FaceError, TimeoutError) as error:
-            # Sound that comes after this goes to the transport.
-            self._face = None
-            await self.push_error(f"the face: {error}", exception=error)
-        await self.push_frame(frame, direction)
+        self._face = AsyncFace(url, token)
+        self._tasks: list[asyncio.Task[None]] = []
 
     async def cleanup(self) -> None:
         """Hang up."""
         await super().cleanup()
-        if self._telling is not None:
-            await self.cancel_task(self._telling)
-        face, self._face = self._face, None
-        if face is not None:
-            await face.__aexit__()
+        for task in self._tasks:
+            await self.cancel_task(task)
+        await self._face.__aexit__()
 
-    async def _connect(self) -> None:
-        face = AsyncFace(self._url, self._token)
-        await face.__aenter__()
-        self._face = face
-        self._telling = self.create_task(self._tell(face))
+    async def _connect(self, *working: Coroutine[Any, Any, None]) -> None:
+        """working: what goes on until the pipeline ends."""
+        self._tasks = [self.create_task(each) for each in working]
+        try:
+            await self._face.__aenter__()
+        except FaceError as error:
+            await self._complain(error)
+            self._face.keep_trying()
 
-    async def _say(self, face: AsyncFace, frame: TTSAudioRawFrame) -> None:
-        if self._speech is None:
-            self._unheard = [each for each in self._unheard if not each.is_over]
-            self._speech = face.stream(frame.sample_rate)
-            self._unheard.append(self._speech)
-            await self._speech.__aenter__()
-        samples = np.frombuffer(frame.audio, dtype="<i2")
-        if frame.num_channels > 1:
-            channels = samples.reshape(-1, frame.num_channels)
-            samples = np.rint(channels.mean(axis=1)).astype("<i2")
-        await self._speech.write(samples.tobytes())
+    async def _complain(self, error: Exception) -> None:
+        await self.push_error(f"the face: {error}", exception=error)
 
-    async def _end(self) -> None:
-        speech, self._speech = self._speech, None
-        if speech is not None:
+    async def _interrupted(self) -> Played | None:
+        try:
+            async with asyncio.timeout(_INTERRUPTING_S):
+                return await self._face.interrupt()
+        except (FaceError, TimeoutError) as error:
+            await self._complain(error)
+            return None
+
+
+@dataclass(slots=True)
+class _Unheard:
+    """A frame that goes on when sample n of a stream was heard; sound goes on to nobody.
+
+    speech: None: nothing was said before it. is_timed: n lies within the sound, as of a word; else
+    behind all that came before the frame.
+    """
+
+    speech: AsyncSpeech | None
+    n: int
+    frame: frames.Frame
+    is_timed: bool = False
+
+    @property
+    def is_sound(self) -> bool:
+        return isinstance(self.frame, frames.TTSAudioRawFrame)
+
+    @property
+    def is_heard(self) -> bool:
+        speech = self.speech
+        return speech is None or speech.n_played >= self.n or speech.was_heard
+
+    @property
+    def is_lost(self) -> bool:
+        """Never heard: the stream was cut off, by somebody else or with the connection."""
+        return self.speech is not None and self.speech.is_over and not self.is_heard
+
+
+class PipecatFace(_FaceProcessor):
+    """Stands behind the TTS service, where the sound would go to the transport.
+
+    Frames behind sound go on when it was heard, so that the context holds what a person heard.
+    Where no face answers, an error is pushed and the sound goes on to the transport, until the face
+    is back and the transport has played it. last_played: what became of what was said when a person
+    broke in last; None: nothing was said.
+    """
+
+    def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
+        super().__init__(url, token)
+        self._speech: AsyncSpeech | None = None
+        self._n = 0
+        self._line: list[_Unheard] = []
+        self._releasing = asyncio.Lock()
+        self._marks: set[str] = set()
+        #: Of a TTS context: the sample, and the time in ns, from which its words are timed. As
+        #: Pipecat has it, that is when its sound came, or the last word before if that is later.
+        self._contexts: dict[str | None, tuple[int, int]] = {}
+        self._last_word_ns = 0
+        self._is_speaking = False
+        self._is_complete = False
+        #: Nothing more of what is being said is wanted: it was cut off at the face.
+        self._is_cut = False
+        self._transport_until_s = 0.0
+        self.last_played: Played | None = None
+
+    async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
+        """Take the sound; hand on everything else, once what is before it was heard."""
+        await super().process_frame(frame, direction)
+        if isinstance(frame, frames.StartFrame):
+            await self._connect(self._follow(), self._ask_positions())
+        elif isinstance(frame, (frames.InterruptionFrame, frames.CancelFrame)):
+            await self._interrupt(everything=isinstance(frame, frames.CancelFrame))
+        elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
+            await self._take(frame)
+            return
+        await self.push_frame(frame, direction)
+
+    async def _take(self, frame: frames.Frame) -> None:
+        if isinstance(frame, frames.TTSAudioRawFrame):
+            await self._say(frame)
+            return
+        if self._is_cut and isinstance(frame, frames.TextFrame):
+            return
+        self._wait_in_line(frame)
+        if isinstance(frame, frames.TTSStoppedFrame):
+            self._is_complete, self._is_cut = True, False
+        await self._mark()
+        # An interruption cancels this task; what was heard goes on nevertheless.
+        await asyncio.shield(self._release())
+
+    async def _say(self, frame: frames.TTSAudioRawFrame) -> None:
+        now_s = asyncio.get_running_loop().time()
+        seconds = len(frame.audio) / (2 * frame.num_channels * frame.sample_rate)
+        self._is_complete = False
+        if self._is_cut:
+            return
+        is_transports = not self._face.is_connected or now_s < self._transport_until_s
+        if self._speech is None and is_transports:
+            self._transport_until_s = max(now_s, self._transport_until_s) + seconds
+            await self.push_frame(frame)
+            return
+        pcm = mono_pcm(frame.audio, frame.num_channels)
+        try:
+            speech = await self._stream(frame.sample_rate)
+            from_ns = max(self._last_word_ns, self.get_clock().get_time())
+            self._contexts.setdefault(frame.context_id, (self._n, from_ns))
+            self._n += len(pcm) // 2
+            self._line.append(_Unheard(speech, self._n, frame))
+            self._is_cut = not await speech.write(pcm)
+        except FaceError as error:
+            self._is_cut = True
+            await self._complain(error)
+        if self._is_cut:
+            await asyncio.shield(self._release())
+
+    async def _stream(self, rate_hz: int) -> AsyncSpeech:
+        """The stream of this turn. Raises FaceError."""
+        speech = self._speech
+        if speech is not None and speech.rate_hz != rate_hz:
             await speech.end()
+            speech = None
+        if speech is None:
+            speech = self._face.stream(rate_hz)
+            self._speech, self._n = speech, 0
+            self._contexts.clear()
+            self._marks.clear()
+            await speech.__aenter__()
+        return speech
 
-    async def _hear_out(self) -> None:
-        for speech in self._unheard:
-            await speech.heard()
+    def _wait_in_line(self, frame: frames.Frame) -> None:
+        """Put a frame behind the sound that came before it, or where in the sound its time is."""
+        speech = self._speech or (self._line[-1].speech if self._line else None)
+        context = self._contexts.get(getattr(frame, "context_id", None))
+        is_word = isinstance(frame, frames.TextFrame) and frame.pts
+        if is_word and context is not None and speech is not None and speech is self._speech:
+            self._last_word_ns = max(self._last_word_ns, frame.pts)
+            n = context[0] + round(1e-9 * (frame.pts - context[1]) * speech.rate_hz)
+            place = len(self._line)
+            while place and self._line[place - 1].speech is speech and self._line[place - 1].n > n:
+                place -= 1
+            self._line.insert(place, _Unheard(speech, n, frame, is_timed=True))
+            return
+        n = self._n if speech is self._speech else self._line[-1].n
+        for each in self._line:
+            each.n = min(each.n, n) if each.speech is speech else each.n
+        self._line.append(_Unheard(speech, n, frame))
 
-    async def _interrupt(self) -> None:
-        self._speech = None
-        if self._face is not None:
-            self.last_played = await self._face.interrupt()
+    async def _mark(self) -> None:
+        """Have the face tell when all that was sent until now was heard."""
+        speech, name = self._speech, str(self._n)
+        is_awaited = any(not each.is_sound for each in self._line)
+        if speech is None or speech.is_over or not is_awaited:
+            return
+        if name not in self._marks and len(self._marks) < _MOST_MARKS:
+            self._marks.add(name)
+            with suppress(FaceError):
+                await speech.mark(name)
 
-    async def _tell(self, face: AsyncFace) -> None:
+    async def _release(self) -> None:
+        """Hand on what was heard by now; what never will be is no part of a context."""
+        async with self._releasing:
+            while self._line and (self._line[0].is_heard or self._line[0].is_lost):
+                first = self._line.pop(0)
+                is_text = isinstance(first.frame, frames.TextFrame)
+                if not first.is_sound and not (is_text and first.is_lost):
+                    await self.push_frame(first.frame)
+            speech = self._speech
+            if speech is not None and speech.is_over and not speech.was_heard:
+                self._is_cut = not self._is_complete
+            if any(each.is_sound for each in self._line):
+                return
+            if speech is not None and (self._is_complete or speech.is_over):
+                self._speech = None
+                with suppress(FaceError):
+                    await speech.end()
+            if self._speech is None:
+                await self._tell_speaking(False)
+
+    async def _tell_speaking(self, is_speaking: bool) -> None:
         """The pipeline learns when the face is heard, as it would from an output transport."""
-        speaking: set[str] = set()
-        async for event in face.events():
-            with suppress(KeyError):
-                stream, was_speaking = event["stream"], bool(speaking)
-                if event["type"] == "started":
-                    speaking.add(stream)
-                elif event["type"] in ("finished", "interrupted"):
-                    speaking.discard(stream)
-                if speaking and not was_speaking:
-                    await self.broadcast_frame(BotStartedSpeakingFrame)
-                elif was_speaking and not speaking:
-                    await self.broadcast_frame(BotStoppedSpeakingFrame)
+        if is_speaking != self._is_speaking:
+            self._is_speaking = is_speaking
+            kind = frames.BotStartedSpeakingFrame if is_speaking else frames.BotStoppedSpeakingFrame
+            await self.broadcast_frame(kind)
+
+    async def _interrupt(self, *, everything: bool) -> None:
+        """Silence, but for what may not be interrupted; what was heard goes on first."""
+        async with self._releasing:
+            sound = [each for each in self._line if each.is_sound and not each.is_heard]
+            kept = [each for each in sound if not (each.frame.interruptible or everything)]
+            is_said = bool(sound) or self._speech is not None
+            is_cut = is_said and self._face.is_connected and (not kept or len(kept) < len(sound))
+            self.last_played = await self._interrupted() if is_cut else None
+            line, self._line = self._line, []
+            again: list[_Unheard] = []
+            for each in line:
+                if each.is_heard and not each.is_sound:
+                    await self.push_frame(each.frame)
+                elif not (each.is_heard or each.frame.interruptible or everything):
+                    (again if is_cut else self._line).append(each)
+            self._is_cut, self._transport_until_s, self._last_word_ns = False, 0.0, 0
+            self._speech = None if is_cut else self._speech
+        for _ in range(_SETTLING_TURNS):
+            await asyncio.sleep(0.0)
+        for each in again:
+            await self._take(_rest_of(each) if each.is_sound else each.frame)
+        await self._release()
+
+    async def _follow(self) -> None:
+        async for event in self._face.events():
+            await self._hear(event)
+
+    async def _hear(self, event: Event) -> None:
+        if self._speech is not None and event.get("stream") == self._speech.stream:
+            if event["type"] == "started":
+                await self._tell_speaking(True)
+            elif event["type"] == "position" and self._is_speaking:
+                await self.broadcast_frame(frames.BotSpeakingFrame)
+            elif event["type"] == "mark":
+                self._marks.discard(str(event["name"]))
+                await self._mark()
+        await self._release()
+
+    async def _ask_positions(self) -> None:
+        while True:
+            await asyncio.sleep(_ASKING_S)
+            if any(each.is_timed for each in self._line) and self._face.is_connected:
+                with suppress(FaceError):
+                    await self._face.wire.send("position")
+
+
+class PipecatFollower(_FaceProcessor):
+    """Stands before an output transport, for robots whose sound is WebRTC or a telephone line.
+
+    Sound goes to the face at once and to the transport as much later as the face needs; the lips
+    follow what the transport says that it plays. All other frames keep their place.
+    """
+
+    def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
+        super().__init__(url, token)
+        self._speech: AsyncSpeech | None = None
+        #: (when it goes on, frame), and the streams that the transport has not played.
+        self._line: deque[tuple[float, frames.Frame]] = deque()
+        self._unplayed: deque[AsyncSpeech] = deque()
+        self._came = asyncio.Event()
+        self._began_s: float | None = None
+
+    async def process_frame(self, frame: frames.Frame, direction: FrameDirection) -> None:
+        """Show the sound; hand everything on, later by the face's delay."""
+        await super().process_frame(frame, direction)
+        now_s = asyncio.get_running_loop().time()
+        if isinstance(frame, frames.StartFrame):
+            await self._connect(self._hand_on(), self._report())
+        elif isinstance(frame, (frames.InterruptionFrame, frames.CancelFrame)):
+            self._line = deque(each for each in self._line if not each[1].interruptible)
+            self._speech, self._began_s = None, None
+            self._unplayed.clear()
+            if self._face.is_connected:
+                await self._interrupted()
+        elif isinstance(frame, frames.BotStartedSpeakingFrame):
+            self._began_s = now_s
+        elif isinstance(frame, frames.BotStoppedSpeakingFrame):
+            self._began_s = None
+            if self._unplayed:
+                await self._told(self._unplayed.popleft(), whole=True)
+        elif not isinstance(frame, frames.SystemFrame) and direction == FrameDirection.DOWNSTREAM:
+            with suppress(FaceError):
+                await self._show(frame)
+            delay_s = 1e-3 * self._unplayed[-1].delay_ms if self._unplayed else 0.0
+            last_s = self._line[-1][0] if self._line else 0.0
+            self._line.append((max(last_s, now_s + delay_s), frame))
+            self._came.set()
+            return
+        await self.push_frame(frame, direction)
+
+    async def _show(self, frame: frames.Frame) -> None:
+        if isinstance(frame, frames.TTSStoppedFrame) and self._speech is not None:
+            speech, self._speech = self._speech, None
+            await speech.end()
+        elif isinstance(frame, frames.TTSAudioRawFrame) and self._face.is_connected:
+            if self._speech is None:
+                speech = self._face.stream(frame.sample_rate, "client")
+                await speech.__aenter__()
+                self._speech = speech
+                self._unplayed.append(speech)
+            await self._speech.write(mono_pcm(frame.audio, frame.num_channels))
+
+    async def _hand_on(self) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            if not self._line:
+                self._came.clear()
+                await self._came.wait()
+            elif (wait_s := self._line[0][0] - loop.time()) > 0.0:
+                await asyncio.sleep(min(wait_s, _REPORT_S))
+            else:
+                await self.push_frame(self._line.popleft()[1])
+
+    async def _report(self) -> None:
+        while True:
+            await asyncio.sleep(_REPORT_S)
+            if self._began_s is not None and self._unplayed:
+                await self._told(self._unplayed[0])
+
+    async def _told(self, speech: AsyncSpeech, *, whole: bool = False) -> None:
+        now_s, sent_s = asyncio.get_running_loop().time(), speech.n_sent / speech.rate_hz
+        played_s = sent_s if whole or self._began_s is None else now_s - self._began_s
+        with suppress(FaceError):
+            await speech.report_played(min(sent_s, played_s))
+
+
+def _rest_of(sound: _Unheard) -> frames.TTSAudioRawFrame:
+    """What was not heard of a frame of sound."""
+    width = 2 * sound.frame.num_channels
+    n_played = 0 if sound.speech is None else sound.speech.n_played
+    n_rest = min(sound.n - n_played, len(sound.frame.audio) // width)
+    rest = replace(sound.frame, audio=sound.frame.audio[-n_rest * width :])
+    rest.interruptible = sound.frame.interruptible
+    return rest

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Protocol, runtime_checkable
 
 #: The version that this client speaks; a face of another says so, and so do we, in one line.
-PROTOCOL: Final = 1
+PROTOCOL: Final = 2
 #: A message of the face, as docs/agents.md lists them.
 Event = dict[str, Any]
 _FULL_SCALE = 32_767
@@ -76,3 +76,13 @@ def pcm_bytes(samples: Pcm) -> bytes:
     elif array.dtype != np.int16:
         raise ValueError(f"samples of type {array.dtype}: int16 or float in [-1, 1] are possible")
     return bytes(array.astype("<i2").tobytes())
+
+
+def mono_pcm(data: bytes | memoryview, n_channels: int) -> bytes:
+    """s16le of one channel: the mean of those that lie side by side in `data`."""
+    if n_channels == 1:
+        return bytes(data)
+    import numpy as np
+
+    mean = np.frombuffer(data, dtype="<i2").reshape(-1, n_channels).mean(axis=1)
+    return bytes(np.rint(mean).astype("<i2").tobytes())

@@ -14,9 +14,10 @@ from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.torque import SoftStart, TorqueSwitch, Watchdogs
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE, GoalWrite, Status, StatusError
-from firmware_bridge.dynamixel.wire.line import Line, Transport
+from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.dynamixel.wire.span_group import SpanGroup
 from firmware_bridge.errors import PortError
+from firmware_bridge.transport import Transport
 
 #: Sync write of goals; sync read of ten bytes, a frame each; one health read a cycle.
 _WRITE, _WRITE_EACH = 14, 5
@@ -174,6 +175,9 @@ class DynamixelBus:
         self._cache.goals = np.where(taken, pulses, self._cache.goals)
         blocks = [(self._ids[n], struct.pack("<i", int(pulses[n]))) for n in np.flatnonzero(taken)]
         line.tell(codec.sync_write(_GOAL, 4, blocks))
+
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """These servos keep their limits themselves."""
 
     def read(self) -> Readings:
         """Two questions to all: goals and places, then torque."""

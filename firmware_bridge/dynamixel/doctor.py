@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from firmware_bridge.bus import describe_errors
-from firmware_bridge.bus_kinds import Finding, Severity
+from firmware_bridge.bus_kinds import Finding, Severity, other_kind_at
 from firmware_bridge.dynamixel.bus import budget, slow_adapter
 from firmware_bridge.dynamixel.control_table import model_name
 from firmware_bridge.dynamixel.mounting import MountedServo
@@ -86,6 +86,10 @@ def examine(
     line.baud_rate = wanted_rate
     if not at_rate:
         tried = ", ".join(f"{rate:,}" for rate in dict.fromkeys([wanted_rate, *SCANNED_RATES]))
+        other = other_kind_at(line.transport, "dynamixel")
+        if other:
+            yield Finding(Severity.BAD, other)
+            return
         yield Finding(
             Severity.BAD,
             f"no servo answers at any of {tried} baud",

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from firmware_bridge.bus import ServoBus
     from firmware_bridge.bus_settings import BusSettings
     from firmware_bridge.clock import Clock
+    from firmware_bridge.transport import Transport
 
 #: Without a tick for so many of them, or so long, servos stop by themselves.
 _WATCHDOG_TICKS: Final = 3.0
@@ -62,6 +63,12 @@ class DynamixelKind(BusKind):
         from firmware_bridge.dynamixel.bus import budget
 
         return budget(len(wiring.servos), wiring.settings.baud_rate, rate_hz)
+
+    def answers_at(self, transport: "Transport") -> bool:
+        """By a ping to everybody."""
+        from firmware_bridge.dynamixel.wire.line import Line
+
+        return bool(Line(transport).ping_all())
 
     def port_release(self, port: str, wiring: Wiring | None) -> Callable[[], PortRelease]:
         """At the face's rate; where that is not known, at all usual ones."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_bridge.bus import Array
-from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_kinds import Wiring, other_kind_at
 from firmware_bridge.dynamixel.control_table import (
     CENTER_PULSE,
     PULSES_PER_DEG,
@@ -16,9 +16,10 @@ from firmware_bridge.dynamixel.control_table import (
     register,
 )
 from firmware_bridge.dynamixel.wire.codec import Status
-from firmware_bridge.dynamixel.wire.line import Line, Transport
+from firmware_bridge.dynamixel.wire.line import Line
 from firmware_bridge.errors import ServoError
 from firmware_bridge.joints import Joint, named
+from firmware_bridge.transport import Transport
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,6 +180,10 @@ def identify_all(
     """
     said = [identify(line, servo) for servo in servos]
     silent = [servo for servo, answer in zip(servos, said, strict=True) if answer is None]
+    if len(silent) == len(servos) and isinstance(line.transport, Transport):
+        other = other_kind_at(line.transport, "dynamixel")
+        if other:
+            raise ServoError(other)
     bearable = not strict and len(silent) < len(servos)
     bearable = bearable and not any(servo.joint.critical for servo in silent)
     lines = []

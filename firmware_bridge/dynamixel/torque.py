@@ -18,7 +18,8 @@ from firmware_bridge.dynamixel.mounting import MountedServo, Mounting, identify,
 from firmware_bridge.dynamixel.state_cache import ServoStateCache
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import BROADCAST_ID, MAX_ID
-from firmware_bridge.dynamixel.wire.line import Line, Transport
+from firmware_bridge.dynamixel.wire.line import Line
+from firmware_bridge.transport import Transport
 
 _WRITE_TRIES: Final = 3
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_bridge.bus import Array, all_set
+from firmware_bridge.bus import CATCH_UP_DEG_S, Array, all_set, any_set
 from firmware_bridge.joints import Joint
 
 
@@ -167,6 +167,10 @@ class Limiter:
         n_joints = len(joints)
         self._min_deg = np.array([joint.min_deg for joint in joints])
         self._max_deg = np.array([joint.max_deg for joint in joints])
+        self._low_deg, self._high_deg = self._min_deg, self._max_deg
+        reach = [joint.pulse.reach_deg if joint.pulse else None for joint in joints]
+        ends = [each or (j.min_deg, j.max_deg) for each, j in zip(reach, joints, strict=True)]
+        self._reach_deg = np.array(ends).T
         self._max_speed_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         self._longest_step_s = _LONGEST_STEP_PERIODS * period_s
         self._sent_deg = np.zeros(n_joints)
@@ -180,6 +184,10 @@ class Limiter:
         accelerations = np.array([joint.max_acceleration_deg_s2 for joint in joints])
         self._acceleration = AccelerationLimit(accelerations, self._max_speed_deg_s)
         self._prevention = Prevention(prevent, n_joints)
+        self._slow_deg_s = np.minimum(CATCH_UP_DEG_S, self._max_speed_deg_s)
+        self._waits = self._no_joint.copy()
+        self._catches_up = self._no_joint.copy()
+        self._any_late = False
 
     @property
     def sent_deg(self) -> Array:
@@ -195,6 +203,17 @@ class Limiter:
             self._rejected.copy(),
             self._prevented.copy(),
         )
+
+    def widen(self, low_deg: Array, high_deg: Array) -> NDArray[np.bool_]:
+        """The range from now on, (n_joints,) each: which joints may go beyond their limits.
+
+        For a person who finds the limits of hobby servos; never less than the limits, never more
+        than `JointPulse.reach_us`.
+        """
+        least_deg, most_deg = self._reach_deg
+        self._low_deg = np.clip(low_deg, least_deg, self._min_deg)
+        self._high_deg = np.clip(high_deg, self._max_deg, most_deg)
+        return (self._low_deg < self._min_deg) | (self._high_deg > self._max_deg)
 
     def start_from(self, positions_deg: Array, time_s: float) -> None:
         """Take the joints' present positions, (n_joints,), as sent.
@@ -226,6 +245,18 @@ class Limiter:
         self._sent_deg[index] = position_deg
         self._acceleration.rest_one(index, position_deg)
 
+    def hold_back(self, ready: NDArray[np.bool_] | None) -> None:
+        """Joints that are not ready stay; each is slow from then on until it has caught up.
+
+        So the rules between joints count with where each is sent, not with what is wanted of it.
+        """
+        if ready is None and not self._any_late:
+            return
+        waits = self._no_joint if ready is None else ~ready
+        self._catches_up |= self._waits & ~waits
+        self._waits = waits
+        self._any_late = any_set(self._waits) or any_set(self._catches_up)
+
     def apply(self, positions_deg: Array, time_s: float) -> Limited:
         """Choose the goals to send at `time_s` when `positions_deg` is wanted.
 
@@ -241,18 +272,24 @@ class Limiter:
             wanted_deg, rejected = before_deg, ~no_joint
         elif not all_set(finite := np.isfinite(positions_deg)):
             wanted_deg, rejected = np.where(finite, positions_deg, before_deg), ~finite
-        in_range_deg = _clip(wanted_deg, self._min_deg, self._max_deg)
+        in_range_deg = _clip(wanted_deg, self._low_deg, self._high_deg)
         since_s = max(0.0, time_s - self._sent_at_s)
         if since_s > _STALL_PERIODS * self._longest_step_s:
             self._acceleration.rest_at(before_deg)
         elapsed_s = min(since_s, self._longest_step_s)
-        step_deg = self._max_speed_deg_s * elapsed_s
+        top_deg_s = self._max_speed_deg_s
+        if self._any_late:
+            top_deg_s = np.where(self._catches_up, self._slow_deg_s, top_deg_s)
+            top_deg_s[self._waits] = 0.0
+        step_deg = top_deg_s * elapsed_s
         reached_deg = self._acceleration.step(
-            before_deg, in_range_deg, self._min_deg, self._max_deg, elapsed_s
+            before_deg, in_range_deg, self._low_deg, self._high_deg, elapsed_s
         )
         reached_deg = _clip(reached_deg, before_deg - step_deg, before_deg + step_deg)
         sent_deg = self._prevention.cut(before_deg, reached_deg)
         self._acceleration.sent(before_deg, sent_deg, elapsed_s)
+        if self._any_late:
+            self._catches_up &= np.abs(sent_deg - in_range_deg) > _SAME_DEG
         # In the moment of the start no joint has had the time to move: none is slowed.
         slowed_deg = in_range_deg if since_s else reached_deg
 

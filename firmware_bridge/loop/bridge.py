@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Final
 
 import numpy as np
@@ -190,6 +191,15 @@ class Bridge:
         """What is unusual about the bus, in sentences for a log; they stay and become more."""
         return self._servos.remarks()
 
+    def pulses(self) -> dict[str, dict[str, float]]:
+        """Of each hobby servo by name: its `JointPulse`, and sent_us, where it was sent last."""
+        sent_deg = self._servos.limiter.sent_deg.tolist()
+        return {
+            joint.name: {**asdict(joint.pulse), "sent_us": round(joint.pulse.us(deg), 2)}
+            for joint, deg in zip(self._joints, sent_deg, strict=True)
+            if joint.pulse is not None
+        }
+
     def servo_health(self) -> tuple[ServoHealth, ...]:
         """How every servo was when it was asked last; for a log, not for a tick."""
         return self._servos.health()
@@ -293,6 +303,7 @@ class Bridge:
             return
         self._jog.clear()
         self._servos.gate.close(_by_a_person(level))
+        self._act_now(self._servos.drop_waiting)
         if level is StopLevel.FREEZE:
             self._freeze()
         elif level is StopLevel.LIMP or not self._can_ease():
@@ -369,6 +380,9 @@ class Bridge:
         scaled_deg = wanted_deg * scale
         if self._jog.is_active:
             wanted_deg = scaled_deg = self._jog.guide(scaled_deg, limiter.sent_deg, scale, time_s)
+            self._servos.widen(*self._jog.reached(limiter.sent_deg))
+        elif self._servos.is_wide:
+            self._servos.widen(*self._jog.reached(limiter.sent_deg))
         limited = limiter.apply(scaled_deg, time_s)
         self._servos.send(limited, time_s)
         supervision = self._servos.supervision
@@ -384,6 +398,8 @@ class Bridge:
         limiter = self._servos.limiter
         if self._easing is None:
             self._easing = EaseToNeutral(self._joints, limiter.sent_deg, time_s)
+        if self._servos.is_wide:
+            self._servos.widen(*self._jog.reached(limiter.sent_deg))
         wanted_deg = self._easing.at(time_s)
         limited = limiter.apply(wanted_deg, time_s)
         self._servos.send(limited, time_s)
@@ -447,8 +463,8 @@ def face_status(bridge: Bridge) -> dict[str, object]:
     state: a `FaceState`; plugged: whether the port is there; servos: the `ServoState` in words of
     each joint, by name; troubles: a line for each servo that is not driven; jogged: joints that a
     person jogs, by name; health: a `ServoHealth` for each servo that was asked, None for what was
-    never heard; capabilities: what the bus can do; *_total: how often the gate stepped in, over all
-    joints; the counts are those of `BridgeStatus`.
+    never heard; capabilities: what the bus can do; pulses: as `Bridge.pulses`; *_total:
+    how often the gate stepped in, over all joints; the counts are those of `BridgeStatus`.
     """
     status = bridge.status
     gate = {
@@ -466,6 +482,7 @@ def face_status(bridge: Bridge) -> dict[str, object]:
         "jogged": list(bridge.jogged),
         "health": bridge.health_records(),
         "capabilities": bridge.capabilities.as_dict(),
+        "pulses": bridge.pulses(),
         "n_ticks": status.n_ticks,
         "n_late": status.n_late,
         "n_stale": status.n_stale,

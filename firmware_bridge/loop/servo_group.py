@@ -19,6 +19,7 @@ from firmware_bridge.bus import (
     ServoBus,
     ServoHealth,
     ServoState,
+    any_set,
 )
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.gate.limits import Limited, Limiter
@@ -93,6 +94,7 @@ class ServoGroup:
         can = [bus.capabilities.of(index) for index in range(len(self._joints))]
         self._has_place = np.array([each.place for each in can], dtype=np.bool_)
         self._any_has_place = bool(self._has_place.any())
+        self._any_blind = not bool(self._has_place.all())
         self.limiter = Limiter(self._joints, settings.period_s, settings.prevent)
         given_up, off = settings.given_up, settings.switched_off
         self.gate = TorqueGate(
@@ -104,6 +106,9 @@ class ServoGroup:
         self._brakes_deg = _BRAKES_S * np.array([joint.max_speed_deg_s for joint in joints])
         #: By how much each joint's amplitude shrinks to spare its servo, (n_joints,).
         self.scale = np.ones(len(self._joints))
+        #: Whether a person has led a joint beyond its limits, to find them.
+        self.is_wide = False
+        self._wide = np.zeros(len(self._joints), dtype=np.bool_)
         self._to_stay = np.zeros(len(self._joints), dtype=np.bool_)  # frozen, not heard since
         self._to_keep: deque[int] = deque(maxlen=len(self._joints))  # frozen, may hold or not
         self._health: Health | None = None
@@ -123,6 +128,7 @@ class ServoGroup:
     def disable_all(self, time_s: float = 0.0, why: str = "") -> None:
         """Switch everybody off; nobody is driven any more."""
         self.torque_off.begin()
+        self._note_ready()
         self.supervision.mark_all_waiting(time_s, why)
 
     def lose_port(self, time_s: float, *, lets_go: bool) -> None:
@@ -166,6 +172,7 @@ class ServoGroup:
             why_not = _asked_often(self.gate.enable, index)
             self.supervision.note_attempt(index, why_not, time_s)
             found.append((index, why_not))
+        self._note_ready()
         self._refuse(found)
 
     def keep_holding(self, time_s: float) -> None:
@@ -175,9 +182,8 @@ class ServoGroup:
         and its watchdog, which tripped meanwhile, protects nothing until it was set again.
         """
         self._to_keep.clear()
-        places_deg = self._bus.feedback().positions_deg
-        here_deg = np.where(self._has_place, places_deg, self.limiter.sent_deg)
-        self.limiter.start_from(np.nan_to_num(here_deg), time_s)
+        here_deg = self._bus.read().start_deg(self._bus.capabilities)
+        self.limiter.start_from(here_deg, time_s)
         for index in self._not_off(range(len(self._joints))):
             why_not = "" if self.gate.keep(index) else "lost its torque; not again"
             self.supervision.note_attempt(index, why_not, time_s)
@@ -192,7 +198,11 @@ class ServoGroup:
         known: `stay_on`.
         """
         heard, near_deg = self._stopping_places()
-        self.limiter.start_from(np.where(heard, near_deg, self.limiter.sent_deg), time_s)
+        here_deg = np.where(heard, near_deg, self.limiter.sent_deg)
+        sent_deg = self._bus.feedback().sent_deg if self._any_blind else None
+        if sent_deg is not None:
+            here_deg = np.where(np.isfinite(sent_deg), sent_deg, here_deg)
+        self.limiter.start_from(here_deg, time_s)
         self._to_stay = ~heard & self._has_place
 
     def stay_on(self, time_s: float) -> Limited:
@@ -216,11 +226,31 @@ class ServoGroup:
         self.send(limited, time_s)
         return limited
 
+    def drop_waiting(self, time_s: float) -> None:
+        """A person stops the face: a servo whose turn has not come gets none."""
+        ready = self._bus.feedback().ready
+        if ready is not None:
+            for index in np.flatnonzero(self.supervision.driven & ~ready).tolist():
+                self.gate.disable(index)
+                self.supervision.note_attempt(index, "was stopped before its turn", time_s)
+
     def _start_here(self, index: int) -> None:
-        """Who holds now goes on from where it stands; where nobody knows, from its last goal."""
-        here_deg = float(self._bus.feedback().positions_deg[index])
-        if math.isfinite(here_deg) or self._has_place[index]:
+        """Who holds now goes on from where it stands; where nobody knows, from where it was sent.
+
+        A bus that does not say that either goes on from the goal sent last.
+        """
+        feedback = self._bus.feedback()
+        has_place = self._has_place[index]
+        known_deg = feedback.positions_deg if has_place else feedback.sent_deg
+        here_deg = math.nan if known_deg is None else float(known_deg[index])
+        if has_place or math.isfinite(here_deg):
             self.limiter.start_one(index, here_deg)
+        self._note_ready()
+
+    def _note_ready(self) -> None:
+        """Where nobody knows where servos stand: those whose turn has not come stay."""
+        if self._any_blind:
+            self.limiter.hold_back(self._bus.feedback().ready)
 
     def _stopping_places(self) -> tuple[NDArray[np.bool_], Array]:
         """Who was heard just now, and where each comes to a stand, given where it goes."""
@@ -228,6 +258,13 @@ class ServoGroup:
         sent_deg, places_deg = self.limiter.sent_deg, feedback.positions_deg
         near_deg = np.clip(sent_deg, places_deg - self._brakes_deg, places_deg + self._brakes_deg)
         return (feedback.age_s == 0.0) & np.isfinite(places_deg), near_deg
+
+    def widen(self, low_deg: Array, high_deg: Array) -> None:
+        """The range of each joint from now on, (n_joints,), as `Limiter.widen` has it."""
+        wide = self.limiter.widen(low_deg, high_deg)
+        if wide.tobytes() != self._wide.tobytes():
+            self._wide, self.is_wide = wide, any_set(wide)
+            self._bus.widen(wide)
 
     def send(self, limited: Limited, time_s: float) -> None:
         """Goals to those that are driven; then hear how all are, and help one of them."""
@@ -242,6 +279,8 @@ class ServoGroup:
         self.scale = self._heat.scale(feedback, health)
         if self._any_has_place:
             self.supervision.check_tracking(goals_deg, feedback)
+        if self._any_blind:
+            self.limiter.hold_back(feedback.ready)
         if limp is not None:
             self.limiter.follow(limp, feedback.positions_deg)
         enabled = self.supervision.act(health, time_s, self.gate)

@@ -13,6 +13,7 @@ from firmware_bridge.loop.servo_group import ServoGroup
 from firmware_bridge.stopping import (
     ArmJog,
     EndJog,
+    JogPulse,
     JogTo,
     Order,
     ServoOrder,
@@ -24,6 +25,13 @@ from firmware_bridge.stopping import (
 JOG_DEG_S: Final = 30.0
 #: So long after the last word of whoever jogs, everything goes back: nobody may be there any more.
 JOG_LASTS_S: Final = 3.0
+#: Beyond its limits, where a servo may meet a stop: so far at a time, and so fast.
+BEYOND_STEP_US: Final = 10.0
+_BEYOND_DEG_S: Final = 5.0
+
+
+_SAME_US: Final = 0.01
+_NOT_ARMED: Final = "jogging is not armed: say `jog arm` first"
 
 
 class Jog:
@@ -36,6 +44,9 @@ class Jog:
         """period_s: of a tick, which is the longest step that a joint makes."""
         speeds_deg_s = np.array([joint.max_speed_deg_s for joint in joints])
         self._step_deg = np.minimum(speeds_deg_s, JOG_DEG_S) * period_s
+        self._small_step_deg = np.minimum(speeds_deg_s, _BEYOND_DEG_S) * period_s
+        self._min_deg = np.array([joint.min_deg for joint in joints])
+        self._max_deg = np.array([joint.max_deg for joint in joints])
         self._goals_deg = np.full(len(joints), np.nan)  # NaN: not jogged
         self._returns = np.zeros(len(joints), dtype=np.bool_)
         self._until_s = 0.0
@@ -91,11 +102,24 @@ class Jog:
         is_jogged = np.isfinite(self._goals_deg)
         aim_deg = np.where(is_jogged, self._goals_deg * scale, wanted_deg)
         way_deg = aim_deg - sent_deg
-        near_deg = sent_deg + np.clip(way_deg, -self._step_deg, self._step_deg)
+        goes_beyond = (self._goals_deg < self._min_deg) | (self._goals_deg > self._max_deg)
+        step_deg = np.where(goes_beyond, self._small_step_deg, self._step_deg)
+        near_deg = sent_deg + np.clip(way_deg, -step_deg, step_deg)
         guided_deg = np.where(is_jogged | self._returns, near_deg, wanted_deg)
         self._returns &= np.abs(way_deg) > self._step_deg
         self.is_active = self.is_armed or bool(self._returns.any())
         return guided_deg
+
+    def reached(self, sent_deg: Array) -> tuple[Array, Array]:
+        """The range of each joint, with where a person leads it: (low, high) degrees.
+
+        Of one that stands beyond its limits and is not jogged it shrinks, so that it comes back
+        whatever is wanted of it.
+        """
+        back_deg = np.where(np.isfinite(self._goals_deg), 0.0, self._step_deg)
+        low_deg = np.fmin(np.minimum(self._min_deg, sent_deg + back_deg), self._goals_deg)
+        high_deg = np.fmax(np.maximum(self._max_deg, sent_deg - back_deg), self._goals_deg)
+        return low_deg, high_deg
 
 
 class SingleServos:
@@ -109,7 +133,7 @@ class SingleServos:
 
     def refusal(self, order: Order, state: FaceState, *, plugged: bool) -> str:
         """Why this order is refused now, in one line; empty: it is not."""
-        if isinstance(order, (ServoOrder, JogTo)) and order.name not in self._index:
+        if isinstance(order, (ServoOrder, JogTo, JogPulse)) and order.name not in self._index:
             return f"{order.name[:40]!r}: no such servo; there are: {', '.join(self._index)}"
         if self._servos.gate.dry_run:
             return self._servos.gate.forbidden
@@ -122,6 +146,8 @@ class SingleServos:
                 return self._jog_refusal(state)
             case JogTo():
                 return self._jog_refusal(state) or self._goal_refusal(order)
+            case JogPulse():
+                return self._jog_refusal(state) or self._pulse_refusal(order)
             case EndJog() | StartFace():
                 return ""
 
@@ -134,6 +160,11 @@ class SingleServos:
                 self._jog.arm(time_s)
             case JogTo():
                 self._jog.move(self._index[order.name], order.position_deg, time_s)
+            case JogPulse():
+                index = self._index[order.name]
+                pulse = self._joints[index].pulse
+                assert pulse is not None  # refused before
+                self._jog.move(index, pulse.deg(order.pulse_us), time_s)
             case EndJog():
                 self._jog.end()
 
@@ -169,11 +200,36 @@ class SingleServos:
         index = self._index[order.name]
         joint = self._joints[index]
         if not self._jog.is_armed:
-            return "jogging is not armed: say `jog arm` first"
+            return _NOT_ARMED
         goal_deg = order.position_deg
         if not (math.isfinite(goal_deg) and joint.min_deg <= goal_deg <= joint.max_deg):
             allowed = f"{joint.min_deg:g} to {joint.max_deg:g} deg"
             return f"{joint.name} is {goal_deg:g} deg; allowed: {allowed}"
+        return self._driven_refusal(index)
+
+    def _pulse_refusal(self, order: JogPulse) -> str:
+        index = self._index[order.name]
+        joint, pulse_us = self._joints[index], order.pulse_us
+        if not self._jog.is_armed:
+            return _NOT_ARMED
+        pulse = joint.pulse
+        if pulse is None:
+            return f"{named(joint)} takes no pulses: jog it in degrees"
+        low_us, high_us = pulse.reach_us
+        if not (math.isfinite(pulse_us) and low_us <= pulse_us <= high_us):
+            return f"{joint.name} is {pulse_us:g} us; never outside {low_us:g} to {high_us:g}"
+        sent_us = pulse.us(float(self._servos.limiter.sent_deg[index]))
+        nearest_us = min(sent_us, pulse.min_us) - BEYOND_STEP_US - _SAME_US
+        farthest_us = max(sent_us, pulse.max_us) + BEYOND_STEP_US + _SAME_US
+        if not nearest_us <= pulse_us <= farthest_us:
+            return (
+                f"{joint.name}: beyond its limits, {pulse.min_us:g} to {pulse.max_us:g} us, it "
+                f"goes {BEYOND_STEP_US:g} us at a time; it is at {sent_us:.0f}"
+            )
+        return self._driven_refusal(index)
+
+    def _driven_refusal(self, index: int) -> str:
+        joint = self._joints[index]
         if self._servos.supervision.states[index] != ServoState.DRIVEN:
             why = self._servos.supervision.reasons[index] or "is not driven yet"
             return f"{named(joint)} {why}"

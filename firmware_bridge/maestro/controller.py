@@ -8,7 +8,6 @@ import numpy as np
 
 from firmware_bridge.bus import Array
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.dynamixel.wire.line import Transport
 from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.maestro.protocol import (
     GET_ERRORS,
@@ -29,6 +28,7 @@ from firmware_bridge.maestro.protocol import (
 )
 from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_servos import PulseScale
+from firmware_bridge.transport import Transport
 
 #: USB answers within two milliseconds; a computer that is busy has more.
 _ANSWER_S: Final = 0.02
@@ -156,6 +156,7 @@ class MaestroController:
 
     def open(self) -> None:
         """Nothing is set before the first pulses."""
+        self.close()
         self._commands = None
         maestro = self._maestro = Maestro(self._open_transport(), self._settings)
         try:
@@ -171,7 +172,7 @@ class MaestroController:
             self._maestro.transport.close()
             self._maestro = None
 
-    def send(self, pulses_us: Array) -> None:
+    def send(self, pulses_us: Array) -> bool:
         """One write; the first also bounds the speed of each channel."""
         maestro = self._reached()
         if self._commands is None:
@@ -182,6 +183,7 @@ class MaestroController:
                 bound = split(max(1, min(LARGEST, round(speed))))
                 maestro.tell((SET_SPEED, (channel, *bound)), (SET_ACCELERATION, (channel, 0, 0)))
         maestro.transport.write(self._commands.of(pulses_us))
+        return True  # one that starts anew is another device on USB: its port is lost
 
     def sending(self, index: int) -> float:
         """What the Maestro says."""

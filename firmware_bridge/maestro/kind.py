@@ -45,6 +45,8 @@ class MaestroKind(BusKind):
     name = "maestro"
     settings = MaestroSettings
     servo = PulseServo
+    board_key = "model"
+    usual_board = "micro6"
     simulator_module = "firmware_bridge.maestro.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:

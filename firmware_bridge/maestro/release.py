@@ -4,11 +4,11 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from firmware_bridge.dynamixel.wire.line import Transport
 from firmware_bridge.errors import PortError
 from firmware_bridge.maestro.controller import Maestro
 from firmware_bridge.maestro.protocol import N_CHANNELS, SET_TARGET
 from firmware_bridge.maestro.settings import MaestroSettings
+from firmware_bridge.transport import Transport
 
 _REPEATS: Final = 3
 

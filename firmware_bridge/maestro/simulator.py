@@ -3,20 +3,17 @@
 What goes out on the wires to the servos is logged by the simulator alone: tests judge by that.
 """
 
-import json
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
-import yaml
-from pydantic import TypeAdapter, ValidationError
+import numpy as np
 
+from firmware_bridge.bus import Array, ServoBus
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import ManualClock
-from firmware_bridge.errors import ServoError
 from firmware_bridge.maestro.controller import MaestroController, check_channels
 from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
 from firmware_bridge.maestro.protocol import (
@@ -39,7 +36,9 @@ from firmware_bridge.maestro.protocol import (
 )
 from firmware_bridge.maestro.settings import MaestroSettings
 from firmware_bridge.pulse_bus import PulseBus
-from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
+from firmware_bridge.pulse_servos import PulseScale
+from firmware_bridge.simulator.ports import MemoryTransport, PtyHost, WatchedServos
+from firmware_bridge.simulator.pulse_device import TimedFault, parse_faults, pulse_log
 
 #: As it comes: https://www.pololu.com/docs/0J40/4.b .
 _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
@@ -47,35 +46,24 @@ _SHORTEST_US, _LONGEST_US = 992.0, 2000.0
 _SHAFT_US_S: Final = 4_400.0
 #: Answers come with the next frame of USB.
 _USB_S: Final = 0.001
+#: It is another device on USB after it has started anew: its port is gone for so long. Ours.
+_RESTART_S: Final = 0.5
 _FOREVER: Final = float("inf")
 
 
-class PulseFault(Strict):
-    """What goes wrong, and when: once at at_s, or again and again; unplug lasts for lasts_s."""
+class PulseFault(TimedFault):
+    """Its kinds; unplug lasts for lasts_s."""
 
     kind: Literal["brown-out", "deaf", "truncate", "corrupt", "unplug"]
-    at_s: Annotated[float, within(0.0, 1e9)]
-    every_s: Annotated[float, within(0.01, 1e9)] | None = None
-    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
 
 
-class _Script(Strict):
-    faults: tuple[PulseFault, ...]
+#: Kinds of faults.
+FAULTS: Final = get_args(PulseFault.model_fields["kind"].annotation)
 
 
-def read_faults(text: str | None) -> tuple[PulseFault, ...]:
+def read_faults(text: str | None) -> Sequence[PulseFault]:
     """Faults of a script. Raises ValueError for whatever is not allowed in it."""
-    if text is None:
-        return ()
-    try:
-        content = yaml.safe_load(text)
-        return TypeAdapter(_Script).validate_python(content, strict=False).faults
-    except yaml.YAMLError as error:
-        raise ValueError("not YAML") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise ValueError(f"{where}: {first['msg']}") from error
+    return parse_faults(text, PulseFault)
 
 
 class Shaft:
@@ -221,8 +209,8 @@ class SimulatedMaestro:
         return said
 
     def brown_out(self) -> None:
-        """Its supply fails for a moment: it starts anew, and sends no pulses."""
-        self._message.clear()
+        """Its supply fails for a moment: it starts anew, without pulses; USB finds it again."""
+        self.unplug(_RESTART_S)
         self.errors = 0
         for number, channel in enumerate(self.channels):
             channel.target = channel.speed = channel.acceleration = 0
@@ -336,12 +324,31 @@ def maestro_for(
     )
 
 
-def simulated_wire(wiring: Wiring) -> tuple[PulseBus, ManualClock]:
-    """The servos of a face in memory, and the clock that moves them."""
-    maestro, clock = maestro_for(wiring), ManualClock()
+def watched_servos(
+    wiring: Wiring,
+    faults: Sequence[PulseFault] = (),
+    on_pulse: Callable[[Pulse], None] | None = None,
+) -> WatchedServos:
+    """The servos of a face in memory, and what can be seen of them."""
+    maestro, clock = maestro_for(wiring, faults, on_pulse), ManualClock()
     controller = MaestroController(wiring, lambda: MemoryTransport(maestro, clock, BAUD_RATE))
-    can = MAESTRO.capabilities(wiring.settings)
-    return PulseBus(wiring.servos, controller, clock, can, may_jump=True), clock
+    can, scale = MAESTRO.capabilities(wiring.settings), PulseScale(wiring.servos)
+    bus = PulseBus(wiring.servos, controller, clock, can, may_jump=True)
+
+    def shafts_deg() -> Array:
+        maestro.advance(clock.now())
+        places = [maestro.channels[each.channel].shaft.place_us for each in wiring.servos]
+        return scale.joints_deg(np.array(places))
+
+    return WatchedServos(
+        bus, clock, maestro, shafts_deg, lambda: maestro.plugged and not maestro.deaf
+    )
+
+
+def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
+    """The servos of a face in memory, and the clock that moves them."""
+    watched = watched_servos(wiring)
+    return watched.bus, watched.clock
 
 
 def serve(
@@ -355,20 +362,12 @@ def serve(
     be made.
     """
     script = read_faults(faults)
-    on_pulse = None if log is None else _writer(log)
+    write = pulse_log(log)
+
+    def on_pulse(pulse: Pulse) -> None:
+        if write is not None:
+            write((round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us))
+
     if wiring is None:
         wiring = Wiring(MaestroSettings(model=WITHOUT_SET_TARGETS), (), (), 50.0)
     return PtyHost(maestro_for(wiring, script, on_pulse), link)
-
-
-def _writer(log: Path) -> Callable[[Pulse], None]:
-    try:
-        file = log.open("w", buffering=1, encoding="utf-8")
-    except OSError as error:
-        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
-
-    def write(pulse: Pulse) -> None:
-        row = [round(pulse.time_s, 6), pulse.channel, pulse.pulse_us, pulse.shaft_us]
-        file.write(json.dumps(row) + "\n")
-
-    return write

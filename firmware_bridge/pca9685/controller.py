@@ -1,14 +1,14 @@
 """A PCA9685 as what makes the pulses of a face: `PulseController`."""
 
+import contextlib
 from collections.abc import Callable, Sequence
 from typing import Final
 
-import numpy as np
-
 from firmware_bridge.bus import Array, any_set
 from firmware_bridge.clock import Clock
-from firmware_bridge.errors import PortError
+from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.pca9685.i2c import I2cChip
+from firmware_bridge.pca9685.oe_guard import OeGuard
 from firmware_bridge.pca9685.registers import (
     ALL_OFF,
     IDENTITY,
@@ -41,64 +41,70 @@ class Pca9685:
         timing: Timing,
         channels: Sequence[int],
         clock: Clock,
+        guard: OeGuard | None = None,
     ) -> None:
-        """channels: of each servo."""
+        """channels: of each servo. guard: of the OE pin; None: nothing holds it."""
         self._open_chip, self._timing, self._clock = open_chip, timing, clock
-        self._channels = tuple(channels)
+        self._channels, self._guard = tuple(channels), guard
         self._messages = PulseMessages(channels)
         self._chip: I2cChip | None = None
         self._is_set_up = False
-        # Of a chip that has lost its registers a servo gets pulses only after the bus has seen it.
-        self._lost, self._any_lost = np.zeros(len(self._channels), dtype=np.bool_), False
 
     def open(self) -> None:
         """Find the chip; only reads. Raises PortError where another chip has its address."""
+        self._give_back()
         self._chip = chip = self._open_chip()
-        self._is_set_up = self._any_lost = False
-        self._lost[:] = False
+        self._is_set_up = False
         try:
             check_identity(chip)
+            if self._guard is not None:
+                self._guard.start()
         except PortError:
-            self.close()
+            self._give_back()
             raise
 
     def close(self) -> None:
-        """Give the bus back; pulses go on as they are."""
-        if self._chip is not None:
-            self._chip.close()
-            self._chip = None
+        """Give the bus back; pulses go on as they are, unless there is a guard."""
+        self._give_back()
+        if self._guard is not None:
+            self._guard.close()
 
-    def send(self, pulses_us: Array) -> None:
-        """All channels of the face in one transfer; all of the board off by one byte."""
-        if self._any_lost:
-            self._lost &= pulses_us > 0.0
-            self._any_lost = bool(self._lost.any())
-            pulses_us = np.where(self._lost, 0.0, pulses_us)
-        counts = self._timing.counts(pulses_us)
+    def send(self, pulses_us: Array) -> bool:
+        """All channels of the face in one transfer; all of the board off by one byte.
+
+        In the same transfer the chip is asked whether it is still set up: a supply that broke down
+        leaves it as at power-up.
+        """
+        counts, guard = self._timing.counts(pulses_us), self._guard
         if not any_set(counts):
-            self._opened.write([ALL_OFF])
-            return
-        if not self._is_set_up:
-            self._set_up()
-        self._opened.write(self._messages.of(counts))
+            self._switch_off()
+            return True
+        if guard is not None and guard.has_lapsed:
+            self._switch_off()
+            return False
+        if not self._is_set_up and not self._set_up():
+            return False
+        mode = self._opened.exchange(self._messages.of(counts), Register.MODE1)[0]
+        if mode != RUNNING:
+            self._is_set_up = False
+            return False
+        if guard is not None:
+            self._beat(guard, passes=True)
+        return True
 
     def sending(self, index: int) -> float:
-        """What the registers of its channel make; none while the chip is asleep or set otherwise.
-
-        A supply that broke down leaves the chip as at power-up, and all servos without pulses.
-        """
+        """What the registers of its channel make; none while the chip is set up otherwise."""
         chip = self._opened
-        mode = chip.read(Register.MODE1)[0]
-        if mode != RUNNING or self._lost[index]:
-            if self._is_set_up and mode != RUNNING:
-                self._is_set_up, self._any_lost, self._lost[:] = False, True, True
+        if self._guard is not None:
+            self._beat(self._guard, passes=self._guard.passes)
+        if chip.read(Register.MODE1)[0] != RUNNING:
             return 0.0
         counts = counts_of(chip.read(channel_register(self._channels[index]), 4))
         return counts * self._timing.count_us
 
     def remarks(self) -> Sequence[str]:
         """What a person must know who starts the face."""
-        return [NO_GUARD]
+        return [] if self._guard is not None else [NO_GUARD]
 
     @property
     def _opened(self) -> I2cChip:
@@ -106,16 +112,35 @@ class Pca9685:
             raise PortError("the I2C bus is not open")
         return self._chip
 
-    def _set_up(self) -> None:
+    def _give_back(self) -> None:
+        if self._chip is not None:
+            self._chip.close()
+            self._chip = None
+
+    def _switch_off(self) -> None:
+        if self._guard is not None:
+            with contextlib.suppress(ServoError):  # told in the next look
+                self._guard.beat(passes=False)
+        self._opened.write([ALL_OFF])
+
+    def _beat(self, guard: OeGuard, *, passes: bool) -> None:
+        """Raises ServoError, with all pulses off, where nothing would end them any more."""
+        try:
+            guard.beat(passes=passes)
+        except ServoError:
+            self._opened.write([ALL_OFF])
+            raise
+
+    def _set_up(self) -> bool:
         """Prescaler and modes, unless they are so already: then pulses of before go on.
+
+        False: its supply broke down meanwhile.
 
         The prescaler can be written only asleep (7.3.5), where no pulse is made: all channels go
         off first, so that none is cut short or comes back by the restart.
         """
         chip, timing = self._opened, self._timing
-        mode1, mode2 = chip.read(Register.MODE1)[0], chip.read(Register.MODE2)[0]
-        prescale = chip.read(Register.PRE_SCALE)[0]
-        if (mode1, mode2, prescale) != (RUNNING, _MODE2, timing.prescale):
+        if not self._is_as_set_up():
             chip.write([ALL_OFF])
             self._sleep(timing.period_us * 1e-6)  # the cycle in which it is written goes to its end
             chip.write([bytes([Register.MODE1, RUNNING | Mode1.SLEEP])])
@@ -124,7 +149,13 @@ class Pca9685:
             chip.write([bytes([Register.MODE1, RUNNING])])
             self._sleep(OSCILLATOR_S)
             chip.write([bytes([Register.MODE1, RUNNING | Mode1.RESTART])])
-        self._is_set_up = True
+        self._is_set_up = self._is_as_set_up()
+        return self._is_set_up
+
+    def _is_as_set_up(self) -> bool:
+        registers = (Register.MODE1, Register.MODE2, Register.PRE_SCALE)
+        found = [self._opened.read(each)[0] for each in registers]
+        return found == [RUNNING, _MODE2, self._timing.prescale]
 
     def _sleep(self, seconds: float) -> None:
         self._clock.sleep_until(self._clock.now() + seconds)

@@ -6,6 +6,7 @@ from firmware_bridge.bus_kinds import Finding, Severity, Wiring
 from firmware_bridge.errors import PortError
 from firmware_bridge.pca9685.controller import NO_GUARD, check_identity, clock_remark
 from firmware_bridge.pca9685.i2c import I2cChip
+from firmware_bridge.pca9685.oe_guard import CONSUMER, user_of
 from firmware_bridge.pca9685.registers import RUNNING, Mode1, Register, channel_register, counts_of
 from firmware_bridge.pca9685.settings import Pca9685Settings
 
@@ -40,11 +41,25 @@ def examine(
         yield Finding(Severity.WARNING, why, "measure it: docs/hardware.md, bus.clock_hz")
     if slowness:
         yield Finding(Severity.BAD, slowness)
-    yield Finding(Severity.WARNING, NO_GUARD, "put a switch into the servos' supply")
+    yield _guard(settings)
     yield Finding(
         Severity.WARNING,
         "whether servos are there, stand where they were sent, or are hot cannot be known",
     )
+
+
+def _guard(settings: Pca9685Settings) -> Finding:
+    if settings.oe_gpio is None:
+        return Finding(Severity.WARNING, NO_GUARD, "put a switch into the servos' supply")
+    pin = f"oe_gpio {settings.oe_gpio} of {settings.gpio_chip}"
+    try:
+        user = user_of(settings.gpio_chip, settings.oe_gpio)
+    except PortError as error:
+        return Finding(Severity.BAD, f"{pin}: {error}")
+    if user and user != CONSUMER:
+        return Finding(Severity.BAD, f"{pin}: {user!r} holds it", "end it, or take another pin")
+    what = "holds pulses off since a face died" if user else "is free for the guard of the OE pin"
+    return Finding(Severity.GOOD, f"{pin} {what}; its pull-up cannot be seen from here")
 
 
 def _mode(chip: I2cChip) -> Finding:

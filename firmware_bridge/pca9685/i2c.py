@@ -15,7 +15,7 @@ import time
 import tty
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 from firmware_bridge.errors import PortError, PortGone
 
@@ -64,6 +64,12 @@ class I2cChip:
         """Each begins with its register; they take effect together."""
         self._transfer([(self._address, 0, message) for message in messages])
 
+    def exchange(self, messages: Sequence[bytes | bytearray], register: int) -> bytes:
+        """The same, and what is in one register then, in one transfer."""
+        address = self._address
+        written: list[Message] = [(address, 0, message) for message in messages]
+        return self._transfer([*written, (address, 0, bytes((register,))), (address, READ, 1)])
+
     def read(self, register: int, n_bytes: int = 1) -> bytes:
         """From one register on."""
         address = self._address
@@ -87,40 +93,48 @@ class I2cChip:
         raise AssertionError
 
 
-class _DeviceTransfers:
+class DeviceTransfers:
     """By smbus2."""
 
-    def __init__(self, path: str) -> None:
-        """Raises OSError, and PortError where something is missing."""
-        try:
-            from smbus2 import SMBus, i2c_msg
-        except ImportError as error:
-            raise PortError(
-                f"{path}: a PCA9685 needs smbus2, which is not installed: "
-                "`pip install 'lipservo[pca9685]'`"
-            ) from error
-        self._message = i2c_msg
-        self._bus = SMBus(path)
-        if not self._bus.funcs & _PLAIN_I2C:
-            self._bus.close()
-            raise PortError(f"{path}: this adapter speaks SMBus only, which is not enough")
-        fcntl.ioctl(self.fileno(), _I2C_TIMEOUT, _TIMEOUT)
+    def __init__(self, bus: Any, message: Any) -> None:
+        """bus: an open `SMBus`; message: `i2c_msg`."""
+        self._bus, self._message = bus, message
 
     def fileno(self) -> int:
+        """Of the bus; -1: it is closed."""
         return -1 if self._bus.fd is None else self._bus.fd
 
     def transfer(self, messages: Sequence[Message]) -> bytes:
+        """See `Transfers`."""
+        make = self._message
         made = [
-            self._message.read(address, data)
-            if isinstance(data, int)
-            else self._message.write(address, data)
+            make.read(address, data) if isinstance(data, int) else make.write(address, data)
             for address, _, data in messages
         ]
         self._bus.i2c_rdwr(*made)
         return b"".join(bytes(each) for each in made if each.flags & READ)
 
     def close(self) -> None:
+        """See `Transfers`."""
         self._bus.close()
+
+
+def _open_device(path: str) -> DeviceTransfers:
+    """Raises OSError, and PortError where something is missing."""
+    try:
+        from smbus2 import SMBus, i2c_msg
+    except ImportError as error:
+        raise PortError(
+            f"{path}: a PCA9685 needs smbus2, which is not installed: "
+            "`pip install 'lipservo[pca9685]'`"
+        ) from error
+    bus = SMBus(path)
+    if not bus.funcs & _PLAIN_I2C:
+        bus.close()
+        raise PortError(f"{path}: this adapter speaks SMBus only, which is not enough")
+    opened = DeviceTransfers(bus, i2c_msg)
+    fcntl.ioctl(opened.fileno(), _I2C_TIMEOUT, _TIMEOUT)
+    return opened
 
 
 class _TerminalTransfers:
@@ -181,7 +195,7 @@ def open_chip(path: str, address: int) -> I2cChip:
     name = f"{path}, address {address:#04x}"
     is_alone = is_terminal(path)
     try:
-        transfers = _TerminalTransfers(path) if is_alone else _DeviceTransfers(path)
+        transfers = _TerminalTransfers(path) if is_alone else _open_device(path)
     except OSError as error:
         raise PortError(_explain(path, error)) from error
     try:

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from firmware_bridge.clock import Clock
     from firmware_bridge.pca9685.controller import Pca9685
     from firmware_bridge.pca9685.i2c import I2cChip
+    from firmware_bridge.pca9685.oe_guard import OeGuard
 
 #: A jaw has caught up by then; speech waits for it.
 _SOFT_START_S: Final = 1.0
@@ -34,6 +35,8 @@ class Pca9685Kind(BusKind):
     name = "pca9685"
     settings = Pca9685Settings
     servo = Pca9685Servo
+    board_key = "address"
+    usual_board = "0x40"
     simulator_module = "firmware_bridge.pca9685.simulator"
 
     def capabilities(self, settings: "BusSettings") -> BusCapabilities:
@@ -43,6 +46,7 @@ class Pca9685Kind(BusKind):
             hold=True,
             soft_start_s=_SOFT_START_S,
             in_memory=settings.port is None,
+            watchdog=_has_guard(settings),
             pulse_rate_hz=settings.frequency_hz,
             released_words=PULSES_OFF,
         )
@@ -50,13 +54,16 @@ class Pca9685Kind(BusKind):
     def open(self, wiring: Wiring, clock: "Clock", *, strict: bool = True) -> "ServoBus":  # noqa: ARG002 - no servo can be asked whether it is there
         """By smbus2; without a port in memory."""
         from firmware_bridge.pca9685.i2c import is_terminal
+        from firmware_bridge.pca9685.oe_guard import OeGuard
         from firmware_bridge.pulse_bus import KeptPulses, PulseBus
         from firmware_bridge.simulator.bus import SimulatedBus
 
         settings, can = wiring.settings, self.capabilities(wiring.settings)
         if settings.port is None:
             return SimulatedBus(wiring.joints, clock, capabilities=can)
-        controller, kept = controller_of(wiring, opener_of(wiring), clock), KeptPulses(wiring.kept)
+        pin, kept = (settings.gpio_chip, settings.oe_gpio), KeptPulses(wiring.kept)
+        guard = OeGuard(*pin, clock) if _has_guard(settings) else None
+        controller = controller_of(wiring, opener_of(wiring), clock, guard)
         # Behind a pseudo-terminal nothing can be hurt.
         may_jump = is_terminal(settings.port)
         return PulseBus(wiring.servos, controller, clock, can, kept, may_jump=may_jump)
@@ -134,7 +141,12 @@ def opener_of(wiring: Wiring) -> Callable[[], "I2cChip"]:
     return partial(open_chip, wiring.settings.port, wiring.settings.address)
 
 
-def controller_of(wiring: Wiring, opener: Callable[[], "I2cChip"], clock: "Clock") -> "Pca9685":
+def controller_of(
+    wiring: Wiring,
+    opener: Callable[[], "I2cChip"],
+    clock: "Clock",
+    guard: "OeGuard | None" = None,
+) -> "Pca9685":
     """The chip of a face. Raises ServoError for pulses that do not fit its frequency."""
     from firmware_bridge.pca9685.controller import Pca9685
 
@@ -142,7 +154,17 @@ def controller_of(wiring: Wiring, opener: Callable[[], "I2cChip"], clock: "Clock
         raise ServoError(f"servos: {why}")
     channels = [each.channel for each in wiring.servos]
     assert max(channels) < N_CHANNELS
-    return Pca9685(opener, wiring.settings.timing, channels, clock)
+    return Pca9685(opener, wiring.settings.timing, channels, clock, guard)
+
+
+def _has_guard(settings: Pca9685Settings) -> bool:
+    """Whether a guard holds the OE pin; that of a simulated board only where it has one, too."""
+    from firmware_bridge.pca9685.i2c import is_terminal
+    from firmware_bridge.pca9685.oe_guard import is_stand_in
+
+    if settings.oe_gpio is None or settings.port is None:
+        return False
+    return not is_terminal(settings.port) or is_stand_in(settings.gpio_chip)
 
 
 def _bits_s(port: str) -> int:

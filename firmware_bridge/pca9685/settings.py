@@ -5,7 +5,7 @@ from typing import Annotated, Any, Final, Self
 
 from pydantic import AfterValidator, model_validator
 
-from firmware_bridge.bus_settings import BusSettings, within
+from firmware_bridge.bus_settings import BusSettings, Text, within
 from firmware_bridge.pca9685.registers import N_CHANNELS, NOMINAL_CLOCK_HZ, Timing
 from firmware_bridge.pulse_servos import LONGEST_US, PulseServo
 
@@ -20,20 +20,12 @@ def _check_address(value: int) -> int:
     return value
 
 
-def _check_oe(value: int | None) -> int | None:
-    if value is not None:
-        raise ValueError(
-            "is not built: nothing of lipservo holds the OE pin yet; leave it out, and mind that "
-            "pulses go on when the computer dies (docs/hardware.md)"
-        )
-    return value
-
-
 class Pca9685Settings(BusSettings):
     """`bus:` of a face whose servos hang on a PCA9685.
 
     port: the bus's file in Linux; default that of `i2c_bus`; without either the servos are
-    simulated in memory. clock_hz: as measured at this board.
+    simulated in memory. clock_hz: as measured at this board. oe_gpio: the line of `gpio_chip` that
+    leads to the board's OE pin; None: none does.
     """
 
     kind: str = "pca9685"
@@ -41,7 +33,8 @@ class Pca9685Settings(BusSettings):
     address: Annotated[int, AfterValidator(_check_address)] = 0x40
     frequency_hz: Annotated[float, within(50.0, 330.0)] = 50.0
     clock_hz: Annotated[float, within(20e6, 30e6)] = float(NOMINAL_CLOCK_HZ)
-    oe_gpio: Annotated[int | None, AfterValidator(_check_oe)] = None
+    oe_gpio: Annotated[int, within(0, 1023)] | None = None
+    gpio_chip: Text = "/dev/gpiochip0"
 
     @property
     def board(self) -> str:

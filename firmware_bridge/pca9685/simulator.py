@@ -1,28 +1,29 @@
 """A simulated PCA9685 with hobby servos: takes messages to the byte, and logs every pulse.
 
 Modelled by the data sheet: addresses, auto-increment and its roll-overs, sleep and restart, the
-prescaler, power-up values, registers that count from the next cycle on. Not modelled: time on the
-wire, outputs inverted or changed on ACK, open-drain outputs.
+prescaler, power-up values, registers that count from the next cycle on, the OE pin. Not modelled:
+time on the wire, outputs inverted or changed on ACK, open-drain outputs.
 """
 
+import contextlib
 import errno
-import json
+import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
-import yaml
-from pydantic import ValidationError
+import numpy as np
 
+from firmware_bridge.bus import Array, ServoBus
 from firmware_bridge.bus_kinds import Wiring
-from firmware_bridge.bus_settings import Strict, within
 from firmware_bridge.clock import Clock, ManualClock
-from firmware_bridge.errors import ServoError
+from firmware_bridge.errors import PortError, ServoError
 from firmware_bridge.pca9685.i2c import ANSWER, COUNT, MESSAGE, READ, I2cChip, Message
 from firmware_bridge.pca9685.kind import PCA9685, controller_of
+from firmware_bridge.pca9685.oe_guard import is_stand_in
 from firmware_bridge.pca9685.registers import (
     CYCLE,
     FULL,
@@ -36,7 +37,8 @@ from firmware_bridge.pca9685.registers import (
     counts_of,
 )
 from firmware_bridge.pulse_bus import PulseBus
-from firmware_bridge.simulator.ports import PtyHost
+from firmware_bridge.simulator.ports import PtyHost, WatchedServos
+from firmware_bridge.simulator.pulse_device import TimedFault, parse_faults, pulse_log
 
 _SOFTWARE_RESET: Final = (0x00, bytes([0x06]))
 #: Of auto-increment: behind these comes register 0.
@@ -45,17 +47,14 @@ _LAST: Final = (Register.LED15_OFF_H, Register.PRE_SCALE)
 _SHORTEST_US, _LONGEST_US = 400.0, 2600.0
 
 
-class ChipFault(Strict):
-    """What goes wrong, and when: once at at_s, or again and again.
+class ChipFault(TimedFault):
+    """Its kinds.
 
     nack: nobody acknowledges; stuck: a line is held low; unplug: the computer has no such bus: for
     lasts_s. cut: of the next transfer two bytes arrive; brown-out: as after power-up.
     """
 
     kind: Literal["nack", "stuck", "cut", "brown-out", "unplug"]
-    at_s: Annotated[float, within(0.0, 1e9)]
-    every_s: Annotated[float, within(0.01, 1e9)] | None = None
-    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
 
     def is_on(self, now_s: float) -> bool:
         """Whether it lasts at a time."""
@@ -70,19 +69,13 @@ class ChipFault(Strict):
         return 0 if since_s < 0.0 else 1 + int(since_s / self.every_s if self.every_s else 0.0)
 
 
-class _Script(Strict):
-    faults: list[ChipFault]
+#: Kinds of faults.
+FAULTS: Final = get_args(ChipFault.model_fields["kind"].annotation)
 
 
 def read_faults(text: str | None) -> Sequence[ChipFault]:
     """Faults of a script. Raises ValueError for whatever is not allowed in it."""
-    try:
-        return () if text is None else _Script.model_validate(yaml.safe_load(text)).faults
-    except yaml.YAMLError as error:
-        raise ValueError("not YAML") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        raise ValueError(f"{'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    return parse_faults(text, ChipFault)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,9 +136,13 @@ class SimulatedPca9685:
         faults: Sequence[ChipFault] = (),
         cuts_pulses: bool = False,
         on_pulse: Callable[[Pulse], None] | None = None,
+        oe_is_high: Callable[[], bool] = lambda: False,
         n_remembered: int = 200_000,
     ) -> None:
-        """servos: by channel. on_pulse: gets every pulse that is over, besides `pulses`."""
+        """servos: by channel. on_pulse: gets every pulse that is over, besides `pulses`.
+
+        oe_is_high: the OE pin, at which no pulse comes out while it is.
+        """
         self.address, self._clock_hz = address, clock_hz
         self.servos = dict(servos or {})
         self.pulses: deque[Pulse] = deque(maxlen=n_remembered)
@@ -153,6 +150,7 @@ class SimulatedPca9685:
         self.nacks, self.cut_after = 0, -1
         self.registers = bytearray(256)
         self._on_pulse, self._cuts_pulses = on_pulse, cuts_pulses
+        self._oe_is_high, self._is_blocked = oe_is_high, oe_is_high()
         self._faults, self._n_begun = faults, [0] * len(faults)
         self._now_s = 0.0
         self._cycle_s: float | None = None  # when the next cycle begins; None: asleep
@@ -165,9 +163,16 @@ class SimulatedPca9685:
         """Whether the computer has the bus."""
         return not self._suffers("unplug")
 
+    @property
+    def is_reachable(self) -> bool:
+        """Whether a transfer would get through just now."""
+        return self.plugged and not self._suffers("stuck") and not self._suffers("nack")
+
     def transfer(self, messages: Sequence[Message], time_s: float) -> tuple[int, bytes]:
         """Error number and what was read."""
         self.advance(time_s)
+        if not self.plugged:
+            return errno.ENODEV, b""
         if self._suffers("stuck"):
             return errno.ETIMEDOUT, b""
         if self.nacks or self._suffers("nack"):
@@ -201,6 +206,9 @@ class SimulatedPca9685:
         while self._cycle_s is not None and self._cycle_s <= self._now_s:
             self._begin_cycle(self._cycle_s)
             self._cycle_s += CYCLE * self.count_us * 1e-6
+        self._is_blocked = self._oe_is_high()
+        if self._is_blocked:
+            self._cut(range(N_CHANNELS))
 
     def _suffers(self, kind: str) -> bool:
         return any(each.kind == kind and each.is_on(self._now_s) for each in self._faults)
@@ -308,7 +316,7 @@ class SimulatedPca9685:
             self._order(pulse)
             self._note(pulse)
         self._under_way.clear()
-        if self._awaits_restart:
+        if self._awaits_restart or self._is_blocked:
             return
         for channel in range(N_CHANNELS):
             counts = self._counts(channel)
@@ -416,10 +424,34 @@ def _parse(data: bytes) -> tuple[list[Message], bytes] | None:
     return messages, data[at:]
 
 
+class PinFifo:
+    """A FIFO that a guard of the OE pin drives in place of a GPIO, with the pull-up of the board.
+
+    Its end of the FIFO closed, as by the guard's death, the pin is an input, and high.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises PortError where it can neither be found nor made."""
+        try:
+            if not is_stand_in(str(path)):
+                os.mkfifo(path, 0o600)
+            self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
+        except OSError as error:
+            raise PortError(f"gpio_chip {path}: no FIFO can be made: {error.strerror}") from error
+        self._is_high = True
+
+    def is_high(self) -> bool:
+        """Just now."""
+        with contextlib.suppress(BlockingIOError):
+            self._is_high = os.read(self._fd, 4096)[-1:] != b"0"
+        return self._is_high
+
+
 def chip_for(
     wiring: Wiring,
     faults: Sequence[ChipFault] = (),
     on_pulse: Callable[[Pulse], None] | None = None,
+    oe_is_high: Callable[[], bool] = lambda: False,
 ) -> SimulatedPca9685:
     """The board of a face with its servos at neutral."""
     servos = {each.channel: HobbyServo(each.us_per_deg, each.neutral_us) for each in wiring.servos}
@@ -430,15 +462,32 @@ def chip_for(
         servos=servos,
         faults=faults,
         on_pulse=on_pulse,
+        oe_is_high=oe_is_high,
     )
 
 
-def simulated_wire(wiring: Wiring) -> tuple[PulseBus, ManualClock]:
-    """The servos of a face in memory, at neutral, and the clock that moves them."""
-    chip, clock = chip_for(wiring), ManualClock()
+def watched_servos(
+    wiring: Wiring,
+    faults: Sequence[ChipFault] = (),
+    on_pulse: Callable[[Pulse], None] | None = None,
+) -> WatchedServos:
+    """The servos of a face in memory, at neutral, and what can be seen of them."""
+    chip, clock = chip_for(wiring, faults, on_pulse), ManualClock()
     opener = partial(I2cChip, MemoryTransfers(chip, clock), chip.address, "simulated PCA9685")
     controller, can = controller_of(wiring, opener, clock), PCA9685.capabilities(wiring.settings)
-    return PulseBus(wiring.servos, controller, clock, can, may_jump=True), clock
+    bus = PulseBus(wiring.servos, controller, clock, can, may_jump=True)
+
+    def shafts_deg() -> Array:
+        places = chip.places_deg(clock.now())
+        return np.array([places[each.channel] for each in wiring.servos])
+
+    return WatchedServos(bus, clock, chip, shafts_deg, lambda: chip.is_reachable)
+
+
+def simulated_wire(wiring: Wiring) -> tuple[ServoBus, ManualClock]:
+    """The servos of a face in memory, at neutral, and the clock that moves them."""
+    watched = watched_servos(wiring)
+    return watched.bus, watched.clock
 
 
 def serve(
@@ -452,18 +501,14 @@ def serve(
     """
     if wiring is None:
         raise ServoError("a simulated PCA9685 needs --config, a face whose servos hang on one")
-    on_pulse = None if log is None else _writer(log)
-    return PtyHost(TerminalChip(chip_for(wiring, read_faults(faults), on_pulse)), link)
+    script, settings = read_faults(faults), wiring.settings
+    write = pulse_log(log)
 
+    def on_pulse(pulse: Pulse) -> None:
+        if write is not None:
+            write((round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)))
 
-def _writer(log: Path) -> Callable[[Pulse], None]:
-    try:
-        file = log.open("w", buffering=1, encoding="utf-8")
-    except OSError as error:
-        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
-
-    def write(pulse: Pulse) -> None:
-        row = [round(pulse.start_s, 6), pulse.channel, round(pulse.width_us, 2)]
-        file.write(json.dumps(row) + "\n")
-
-    return write
+    # That of a real computer is left alone: then the OE pin leads nowhere.
+    has_pin = settings.oe_gpio is not None and not settings.gpio_chip.startswith("/dev/")
+    oe = {"oe_is_high": PinFifo(Path(settings.gpio_chip)).is_high} if has_pin else {}
+    return PtyHost(TerminalChip(chip_for(wiring, script, on_pulse, **oe)), link)

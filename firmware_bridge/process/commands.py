@@ -6,7 +6,8 @@ lost and of several values of a setting the newest counts; orders keep their seq
 room for a few. Nothing here locks, since a second signal may break into the loop anywhere; each
 step is one operation on a dictionary or a queue, which CPython does not interrupt.
 
-set NAME VALUE [NAME VALUE ...]     servo NAME off|on|reboot     jog arm | NAME DEG | end     start
+set NAME VALUE [NAME VALUE ...]     servo NAME off|on|reboot     start
+jog arm | NAME DEG | NAME PULSE us | end
 """
 
 import math
@@ -18,6 +19,7 @@ from typing import Final
 from firmware_bridge.stopping import (
     ArmJog,
     EndJog,
+    JogPulse,
     JogTo,
     Order,
     ServoOrder,
@@ -149,10 +151,12 @@ JOG_WORD: Final = "jog"
 ARM_WORD: Final = "arm"
 END_WORD: Final = "end"
 START_WORD: Final = "start"
+#: Behind a number that is no angle.
+PULSE_UNIT: Final = "us"
 
 _SAY_SET: Final = "say: set NAME VALUE [NAME VALUE ...]"
 _SAY_SERVO: Final = "say: servo NAME off|on|reboot"
-_SAY_JOG: Final = "say: jog arm, jog NAME DEG, or jog end"
+_SAY_JOG: Final = "say: jog arm, jog NAME DEG, or jog end; jog NAME PULSE us for a hobby servo"
 
 
 def command_answer(
@@ -213,6 +217,10 @@ def _jog(words: list[str], commands: CommandQueue) -> dict[str, object]:
             position_deg = _number(angle)
             commands.order(JogTo(name, position_deg))
             return {"jog": name, "position_deg": position_deg}
+        case [name, pulse, unit] if unit == PULSE_UNIT:
+            pulse_us = _number(pulse)
+            commands.order(JogPulse(name, pulse_us))
+            return {"jog": name, "pulse_us": pulse_us}
     raise CommandError(_SAY_JOG)
 
 

@@ -15,6 +15,7 @@ from firmware_bridge.process.commands import (
     ARM_WORD,
     END_WORD,
     JOG_WORD,
+    PULSE_UNIT,
     SERVO_WORD,
     SET_WORD,
     START_WORD,
@@ -179,6 +180,14 @@ def jog_servo(path: Path, name: str, position_deg: float) -> Answer:
     Jogging ends 3 s after the last jog word of whatever kind. Raises OSError when nobody answers.
     """
     return _ask_of(path, JOG_WORD, name, repr(float(position_deg)))
+
+
+def jog_pulse(path: Path, name: str, pulse_us: float) -> Answer:
+    """Let one hobby servo go to a pulse: {"jog", "pulse_us"}, or {"error"}. Raises as `ask`.
+
+    Beyond its limits in small steps: that is how they are found.
+    """
+    return _ask_of(path, JOG_WORD, name, f"{float(pulse_us)!r} {PULSE_UNIT}")
 
 
 def end_jog(path: Path) -> Answer:

@@ -69,6 +69,8 @@ class SimulatedBus:
         self._clock = clock
         self._min_deg = np.array([joint.min_deg for joint in joints]) - SERVO_LIMIT_MARGIN_DEG
         self._max_deg = np.array([joint.max_deg for joint in joints]) + SERVO_LIMIT_MARGIN_DEG
+        self._narrow_deg = self._min_deg, self._max_deg
+        self._reach_deg = np.array([_reach_deg(joint) for joint in joints]).T
         self._top_speed_deg_s = top_speed_deg_s
         self._positions_deg = np.zeros(n_servos) if start_deg is None else start_deg.copy()
         self._goals_deg = np.zeros(n_servos)
@@ -94,6 +96,10 @@ class SimulatedBus:
         self._goals_deg = np.where(taken, positions_deg, self._goals_deg)
         self._errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
         self._history.append(Motion(self._moved_until_s, self._goals_deg, self._positions_deg))
+
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """Of hobby servos; others keep their range."""
+        self._min_deg, self._max_deg = np.where(joints, self._reach_deg, self._narrow_deg)
 
     def read(self) -> Readings:
         """Every servo, at the clock's present time."""
@@ -218,3 +224,8 @@ class SimulatedBus:
             )
             self._positions_deg = np.where(self._torque_on, moved_deg, self._positions_deg)
         self._moved_until_s = now_s
+
+
+def _reach_deg(joint: Joint) -> tuple[float, float]:
+    low, high = (joint.min_deg, joint.max_deg) if joint.pulse is None else joint.pulse.reach_deg
+    return low - SERVO_LIMIT_MARGIN_DEG, high + SERVO_LIMIT_MARGIN_DEG

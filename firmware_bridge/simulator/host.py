@@ -1,7 +1,7 @@
 """Simulated Dynamixels for whoever wants to speak to them: in memory, or behind a terminal."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from firmware_bridge.bus_kinds import Wiring
 from firmware_bridge.clock import ManualClock
@@ -13,6 +13,9 @@ from firmware_bridge.simulator.chain import SimulatedChain, chain_for
 from firmware_bridge.simulator.fault_script import read_faults
 from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
 from firmware_bridge.simulator.wire import WireRules
+
+#: Of servos of no face.
+_MODEL: Final = "XL330-M288"
 
 
 def simulated_wire(wiring: Wiring) -> tuple[DynamixelBus, ManualClock]:
@@ -27,7 +30,7 @@ def serve(
     link: Path | None,
     *,
     n_servos: int,
-    model: str,
+    model: str | None,
     first_id: int,
     baud_rate: int | None,
     faults: str | None,
@@ -42,7 +45,7 @@ def serve(
     """
     if options.get("log") is not None:
         raise ServoError("--log: is of hobby servos only")
-    models, last_id = servo_models(), first_id + n_servos - 1
+    models, last_id, model = servo_models(), first_id + n_servos - 1, model or _MODEL
     if model not in models:
         raise ServoError(f"model {model!r} is not known; use one of {', '.join(models)}")
     if baud_rate is not None and baud_rate not in baud_rates().values():

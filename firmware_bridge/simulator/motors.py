@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from firmware_bridge.bus import Array
-from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, VELOCITY_UNIT_DEG_S, ServoModel
+from firmware_bridge.dynamixel.control_table import PULSES_PER_DEG, VELOCITY_UNIT_DEG_S
 
 #: https://emanual.robotis.com/docs/en/dxl/x/xl330-m288/#profile-acceleration108 and the next entry
 VELOCITY_UNIT: Final = VELOCITY_UNIT_DEG_S * PULSES_PER_DEG
@@ -121,6 +121,26 @@ class Environment:
     standby_a: float = 0.017  # XL330 specifications
 
 
+class MotorModel(Protocol):
+    """What is known of the motor of one servo model."""
+
+    @property
+    def nominal_voltage_v(self) -> float:
+        """At which the rest holds."""
+
+    @property
+    def no_load_deg_s(self) -> float:
+        """Top speed without load."""
+
+    @property
+    def stall_a(self) -> float:
+        """Current when it is held."""
+
+    @property
+    def current_unit_ma(self) -> float | None:
+        """Of its register of the present current; None: it counts load."""
+
+
 class Motors:
     """Every motor of a chain; positions in pulses, speeds in pulses a second. Arrays are (n,).
 
@@ -130,7 +150,7 @@ class Motors:
     Set the inputs (goal, torque, course, load, jam), call `advance`, read the rest.
     """
 
-    def __init__(self, models: Sequence[ServoModel], environment: Environment) -> None:
+    def __init__(self, models: Sequence[MotorModel], environment: Environment) -> None:
         n = len(models)
         self._environment = environment
         self.no_load = np.array([m.no_load_deg_s * PULSES_PER_DEG for m in models])

@@ -11,10 +11,12 @@ import termios
 import time
 import tty
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
-from firmware_bridge.clock import Clock
+from firmware_bridge.bus import Array, ServoBus
+from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.errors import PortError, PortGone
 
 
@@ -37,6 +39,21 @@ class SimulatedDevice(Protocol):
 
     def deliver(self, now_s: float) -> bytes:
         """What it has said by now."""
+
+
+@dataclass(frozen=True, slots=True)
+class WatchedServos:
+    """Servos simulated in memory, and what only a judge of them looks at.
+
+    device: what is simulated. shafts_deg: where the joints stand now, (n_servos,). is_reachable:
+    whether the bus can speak to it just now.
+    """
+
+    bus: ServoBus
+    clock: ManualClock
+    device: Any
+    shafts_deg: Callable[[], Array]
+    is_reachable: Callable[[], bool]
 
 
 class MemoryTransport:

@@ -24,6 +24,7 @@ from websockets.http11 import Request, Response
 from lipservo.agents.control_session import Commands, ControlSession
 from lipservo.agents.listener import (
     HEALTH_PATHS,
+    PROTOCOL_PATH,
     STREAM_PATH,
     AgentSettings,
     Handshake,
@@ -160,7 +161,7 @@ class AgentServer:
             server_header=None,
             max_size=self._settings.most_message_bytes,
             ping_interval=self._settings.ping_s,
-            ping_timeout=self._settings.ping_s,
+            ping_timeout=2.0 * self._settings.ping_s,
             close_timeout=_CLOSING_S,
             logger=_SILENT,
         )
@@ -179,8 +180,13 @@ class AgentServer:
             return connection.respond(HTTPStatus.BAD_REQUEST, "the request cannot be read\n")
         if refused is not None:
             return connection.respond(refused.status, f"{refused.text}\n")
-        if urlsplit(request.path).path in HEALTH_PATHS:
+        path = urlsplit(request.path).path
+        if path in HEALTH_PATHS:
             return connection.respond(HTTPStatus.OK, f"{json.dumps(self.status())}\n")
+        if path == PROTOCOL_PATH:
+            from lipservo.agents.protocol_schema import protocol_schema
+
+            return connection.respond(HTTPStatus.OK, f"{json.dumps(protocol_schema())}\n")
         return None
 
     def _handshake(self, connection: ServerConnection, request: Request) -> Handshake:
@@ -198,7 +204,7 @@ class AgentServer:
         if urlsplit(connection.request.path).path == STREAM_PATH:
             session = StreamSession(outbox, self._turns, self._playout, self._delay_ms)
         else:
-            session = ControlSession(outbox, self._commands, may_only_stop)
+            session = ControlSession(outbox, self._commands, self._turns, may_only_stop)
         among = self._clients if may_only_stop is None else self._stoppers
         if among is self._stoppers and len(among) >= _MOST_STOPPERS:
             oldest = next(iter(among))  # its stop was sent long ago

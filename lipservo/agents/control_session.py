@@ -33,6 +33,7 @@ from lipservo.agents.messages import (
     command,
     id_of,
 )
+from lipservo.agents.turns import Turns
 
 #: Commands of one client that are worked on at a time.
 _MOST_PENDING: Final = 8
@@ -69,13 +70,18 @@ class ControlSession:
     """What one client's commands do."""
 
     def __init__(
-        self, outbox: Outbox, commands: Commands, may_only_stop: Refusal | None = None
+        self,
+        outbox: Outbox,
+        commands: Commands,
+        turns: Turns,
+        may_only_stop: Refusal | None = None,
     ) -> None:
         """may_only_stop: why everything but a stop is refused; None: it is not."""
         self._outbox = outbox
         self._commands = commands
+        self._turns = turns
         self._may_only_stop = may_only_stop
-        self._pending: set[asyncio.Task[None]] = set()
+        self._pending: dict[asyncio.Task[None], Command] = {}
         self._stops: dict[asyncio.Task[None], Stop] = {}
 
     async def hear(self, message: str | bytes) -> None:
@@ -95,12 +101,15 @@ class ControlSession:
             if len(self._pending) >= _MOST_PENDING:
                 busy = f"{_MOST_PENDING} commands wait for their results already"
                 raise MessageError("too_many_requests", busy)
+            if given.id is not None and given.id in [each.id for each in self._pending.values()]:
+                in_use = f"id {given.id!r} is in use: its result has not come"
+                raise MessageError("bad_message", in_use)
         except MessageError as error:
             self._outbox.error(error.code, str(error), id=id_of(message))
             return
         task = asyncio.get_running_loop().create_task(self._answer(given, self._result(given)))
-        self._pending.add(task)
-        task.add_done_callback(self._pending.discard)
+        self._pending[task] = given
+        task.add_done_callback(lambda done: self._pending.pop(done, None))
 
     def _stop(self, stop: Stop) -> None:
         """Send it now; the answer is awaited beside everything else."""
@@ -156,24 +165,32 @@ class ControlSession:
             case StartFace():
                 return await _called(commands.changes, partial(start_face, path))
             case Say():
-                return await self._speak("say", commands.say, given.text)
+                return await self._speak(given, commands.say, given.text)
             case Play():
-                return await self._speak("play", commands.play, given.file)
+                return await self._speak(given, commands.play, given.file)
             case Stop():
                 raise AssertionError("a stop is sent before")
 
     async def _speak(
-        self, name: str, speak: Speak | None, what: str
-    ) -> Mapping[str, object] | None:
+        self, given: Say | Play, speak: Speak | None, what: str
+    ) -> Mapping[str, object]:
         if speak is None:
-            raise MessageError("not_available", f"not available: this face has no {name}")
+            raise MessageError("not_available", f"not available: this face has no {given.type}")
+        own = self._turns.open_own(self._outbox, given.id, what if given.type == "play" else "say")
         loop = asyncio.get_running_loop()
         try:
-            return await loop.run_in_executor(self._commands.speaking, speak, what)
-        except MessageError:
-            raise
+            spoken = await loop.run_in_executor(self._commands.speaking, speak, what, own.stream_id)
         except ValueError as error:
+            self._turns.forget(own)
+            if isinstance(error, MessageError):
+                raise
             raise MessageError("refused", " ".join(str(error).split())) from error
+        except BaseException:
+            self._turns.forget(own)
+            raise
+        own.spoken = spoken
+        length = {"duration_s": round(spoken.duration_s, 3), "is_whole": spoken.is_whole}
+        return {"stream": own.stream_id, **length}
 
 
 def _stop_of(text: str) -> Stop | None:

@@ -8,11 +8,11 @@ import contextlib
 import errno
 import os
 import socket
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, Protocol
 from urllib.parse import urlsplit
 
 from lipservo_client.local_token import is_loopback, tcp_sockets
@@ -20,15 +20,35 @@ from lipservo_client.local_token import is_loopback, tcp_sockets
 from lipservo.access.admission import Policy, Refusal, Request, merged_headers, refusal
 from lipsync.errors import UserError, shown
 
-#: Says a text, or plays a file; gives what is told of it, such as its length. Called in a thread of
-#: its own. A ValueError is told to the client as it stands.
-Speak = Callable[[str], Mapping[str, object] | None]
 _BACKLOG: Final = 16
 _HIGHEST_PORT: Final = 65_535
 _PROC: Final = Path("/proc")
 STREAM_PATH, CONTROL_PATH = "/stream", "/control"
 #: Answered to a plain GET, for programs that watch over a service.
 HEALTH_PATHS: Final = frozenset({"/", "/status"})
+#: The protocol for programs that read it (`protocol_schema.py`).
+PROTOCOL_PATH: Final = "/protocol.json"
+
+
+class Utterance(Protocol):
+    """What the face says by itself, in one stream of the playout or in several of one name."""
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether all of it was read or synthesised: no further stream comes."""
+
+    @property
+    def n_streams(self) -> int:
+        """So many there are until now."""
+
+    @property
+    def duration_s(self) -> float:
+        """Of all of it, or of what was synthesised until now."""
+
+
+#: Says a text, or plays a file, under a name. Called in a thread of its own. A ValueError is told
+#: to the client as it stands.
+Speak = Callable[[str, str], Utterance]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +61,7 @@ class AgentSettings:
     first_message_s: a client that has said nothing by then is disconnected. stalled_s: a stream
     that gets no audio for so long is ended. position_s: between two
     positions that are told unasked. ping_s: a client is asked so often whether it is there, and has
-    as long to answer.
+    twice as long to answer: one that is gone is noticed within ten seconds.
     """
 
     policy: Policy = field(default_factory=Policy)
@@ -53,7 +73,7 @@ class AgentSettings:
     first_message_s: float = 10.0
     stalled_s: float = 60.0
     position_s: float = 0.25
-    ping_s: float = 20.0
+    ping_s: float = 3.0
 
 
 def bind_listener(spec: str, token: str | None) -> socket.socket:
@@ -61,7 +81,7 @@ def bind_listener(spec: str, token: str | None) -> socket.socket:
 
     Raises UserError: no such address, one beyond loopback without a token, one that is taken.
     """
-    host, port = _host_and_port(spec)
+    host, port = host_and_port(spec)
     if not is_loopback(host) and not token:
         beyond = "can be reached from other computers and needs a token"
         raise UserError(f"{spec}: {beyond}; give one, or listen at 127.0.0.1:{port}")
@@ -86,7 +106,8 @@ def url_of(listener: socket.socket) -> str:
     return f"ws://[{host}]:{port}" if ":" in host else f"ws://{host}:{port}"
 
 
-def _host_and_port(spec: str) -> tuple[str, int]:
+def host_and_port(spec: str) -> tuple[str, int]:
+    """Of `HOST:PORT`; an IPv6 address stands in brackets. Raises UserError."""
     host, colon, port = spec.rpartition(":")
     bare = host.removeprefix("[").removesuffix("]")
     is_port = port.isascii() and port.isdigit() and int(port) <= _HIGHEST_PORT
@@ -142,7 +163,7 @@ def _refused(request: Request, settings: AgentSettings, n_connected: int) -> Ref
     refused = refusal(request, settings.policy)
     if refused is not None:
         return refused
-    if request.path in HEALTH_PATHS and "upgrade" not in request.headers:
+    if request.path in {*HEALTH_PATHS, PROTOCOL_PATH} and "upgrade" not in request.headers:
         return None
     if request.path not in (STREAM_PATH, CONTROL_PATH):
         return Refusal(HTTPStatus.NOT_FOUND, f"there are {STREAM_PATH} and {CONTROL_PATH}")

@@ -1,8 +1,9 @@
 """What goes over a voice agent's connection: its messages and samples, and the events for it.
 
-Texts are JSON objects with a `type`, checked field by field. Types that are not known are ignored,
-and so are fields that are not: clients are older or newer. Samples are bytes of PCM, and a message
-may be cut at any byte. What waits to be sent is bounded, so that a slow reader costs only itself.
+Texts are JSON objects with a `type`, checked field by field. Fields that are not known are ignored,
+and types that are not are answered where the message has an `id`: clients are older or newer.
+Samples are bytes of PCM, and a message may be cut at any byte. What waits to be sent is bounded, so
+that a slow reader costs only itself.
 """
 
 import asyncio
@@ -20,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from lipsync.audio.playout_stream import HIGHEST_RATE_HZ, LOWEST_RATE_HZ
 
 #: The version of docs/agents.md that this face speaks; a client of another is told so.
-PROTOCOL: Final = 1
+PROTOCOL: Final = 2
 #: Where a stream's samples are played: by the face's own loudspeaker, or by who sends them.
 Playback = Literal["server", "client"]
 Name = Annotated[str, Field(min_length=1, max_length=128)]
@@ -32,6 +33,7 @@ _LONGEST_S: Final = 10_000.0
 LONGEST_WAIT_S: Final = 30.0
 Samples = NDArray[np.float32]
 
+_LONGEST_TYPE: Final = 40
 _WIDTH: Final = {"s16le": 2, "f32le": 4}
 _FULL_SCALE: Final = 32_768.0
 _MOST_WAITING: Final = 256
@@ -99,8 +101,20 @@ class Clear(_Message):
     type: Literal["clear"]
 
 
+class Pause(_Message):
+    """Silence now; what was not heard is kept until `resume`."""
+
+    type: Literal["pause"]
+
+
+class Resume(_Message):
+    """Speech goes on where it was paused."""
+
+    type: Literal["resume"]
+
+
 class Mark(_Message):
-    """Tell when all that was sent until now has been heard."""
+    """Tell when all that was sent until now has been heard, whether more comes or not."""
 
     type: Literal["mark"]
     name: Name
@@ -167,20 +181,22 @@ class Play(_Command):
     file: Annotated[str, Field(min_length=1, max_length=1024)]
 
 
-StreamMessage = Hello | Start | Audio | End | Interrupt | Clear | Mark | Position
+StreamMessage = Hello | Start | Audio | End | Interrupt | Clear | Pause | Resume | Mark | Position
 Command = AskStatus | Stop | StartFace | Set | Say | Play
 
-_STREAM: Final[dict[str, type[StreamMessage]]] = {
+STREAM_MESSAGES: Final[dict[str, type[StreamMessage]]] = {
     "hello": Hello,
     "start": Start,
     "audio": Audio,
     "end": End,
     "interrupt": Interrupt,
     "clear": Clear,
+    "pause": Pause,
+    "resume": Resume,
     "mark": Mark,
     "position": Position,
 }
-_COMMANDS: Final[dict[str, type[Command]]] = {
+COMMANDS: Final[dict[str, type[Command]]] = {
     "status": AskStatus,
     "stop": Stop,
     "start": StartFace,
@@ -192,20 +208,27 @@ _COMMANDS: Final[dict[str, type[Command]]] = {
 
 def stream_message(text: str) -> StreamMessage | None:
     """What a text on `/stream` says; None: of a type that is not known. Raises MessageError."""
-    fields = _object(text)
-    kind = _STREAM.get(str(fields.get("type")))
-    return None if kind is None else _checked(kind, fields)
+    return _parsed(text, STREAM_MESSAGES)
 
 
 def command(text: str) -> Command | None:
     """What a text on `/control` says; None: of a type that is not known. Raises MessageError."""
+    return _parsed(text, COMMANDS)
+
+
+def _parsed(text: str, known: Mapping[str, type[_Kind]]) -> _Kind | None:
     fields = _object(text)
-    kind = _COMMANDS.get(str(fields.get("type")))
-    return None if kind is None else _checked(kind, fields)
+    kind = known.get(str(fields["type"]))
+    if kind is not None:
+        return _checked(kind, fields)
+    if fields.get("id") is None:
+        return None
+    unknown = f"{str(fields['type'])[:_LONGEST_TYPE]!r} is not known by protocol {PROTOCOL}"
+    raise MessageError("unknown_type", f"{unknown}, which this face speaks")
 
 
 def id_of(text: str) -> int | float | str | None:
-    """The `id` of a command that was refused, so that the refusal can name it."""
+    """The `id` of a message that was refused, so that the refusal can name it."""
     try:
         given = _object(text).get("id")
     except MessageError:

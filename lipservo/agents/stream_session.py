@@ -14,10 +14,13 @@ from lipservo.agents.messages import (
     Mark,
     MessageError,
     Outbox,
+    Pause,
     Position,
+    Resume,
     Start,
     StreamMessage,
     decode_base64,
+    id_of,
     stream_message,
 )
 from lipservo.agents.turns import AgentStream, Turns
@@ -51,7 +54,9 @@ class StreamSession:
                 about = said.stream if isinstance(said, Start) else about
                 await self._do(said)
         except MessageError as error:
-            self._outbox.error(error.code, str(error), stream=about)
+            given = {} if isinstance(message, bytes) else {"id": id_of(message)}
+            ids = {name: value for name, value in given.items() if value is not None}
+            self._outbox.error(error.code, str(error), stream=about, **ids)
 
     def leave(self) -> None:
         """The client has gone."""
@@ -75,6 +80,10 @@ class StreamSession:
             case Clear():
                 self._cut()
                 self._turns.clear(self._outbox)
+            case Pause():
+                self._turns.pause(self._outbox, time.monotonic())
+            case Resume():
+                self._turns.resume(self._outbox)
             case Position():
                 self._hear_position(said)
 
@@ -83,7 +92,8 @@ class StreamSession:
             differ = f"this client speaks protocol {hello.protocol}, the face {PROTOCOL}"
             remedy = "install the lipservo-client of the face's version"
             raise MessageError("bad_protocol", f"{differ}; {remedy}")
-        self._outbox.put({"type": "hello", "protocol": PROTOCOL, "delay_ms": self._delay_ms()})
+        times = {"delay_ms": self._delay_ms(), "time_s": round(time.monotonic(), 3)}
+        self._outbox.put({"type": "hello", "protocol": PROTOCOL, **times})
 
     def _begin(self, start: Start) -> None:
         if self._open is not None and not self._open.speech.ended:

@@ -5,6 +5,7 @@ that is said, ends nobody else's speech.
 """
 
 import itertools
+import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +15,7 @@ from typing import Final, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from lipservo.agents.listener import AgentSettings
+from lipservo.agents.listener import AgentSettings, Utterance
 from lipservo.agents.messages import MessageError, Outbox, PcmDecoder, Start
 from lipsync.audio.playout import Playout
 from lipsync.audio.playout_stream import MOST_WAITING_S, PlayoutEvent, PlayoutRequest, PlayoutStream
@@ -27,6 +28,8 @@ _MOST_MARKS: Final = 64
 _MOST_REQUESTS: Final = 32
 #: A face that has said nothing for so long says none of our streams: their ends were not heard.
 _FORGOTTEN_S: Final = 1.0
+#: A sender that pauses so long waits for what it has sent to be heard: a mark is the last of it.
+_PAUSE_S: Final = 0.05
 #: The samples of less than a block, which a stream's waiting time leaves out.
 _BLOCK_S: Final = 0.01
 
@@ -113,9 +116,52 @@ class AgentStream:
         )
 
     def _put(self, kind: str, **about: object) -> None:
-        played_s = self.n_played / self.rate_hz
-        heard = {"played_s": played_s, "n_played": self.n_played}
-        self.owner.put({"type": kind, "stream": self.stream_id, **heard, **about})
+        heard = {"played_s": self.n_played / self.rate_hz, "n_played": self.n_played}
+        at = {"time_s": round(time.monotonic(), 3)}
+        self.owner.put({"type": kind, "stream": self.stream_id, **heard, **at, **about})
+
+
+@dataclass(eq=False, slots=True)
+class OwnSpeech:
+    """A text or file that a client lets the face say.
+
+    stream_id: the name of all its streams in the playout. spoken: None while it is being read.
+    began_s: on the timeline, when its first sample was heard.
+    """
+
+    owner: Outbox
+    request_id: int | float | str | None
+    stream_id: str
+    spoken: Utterance | None = None
+    began_s: float | None = None
+    heard_s: float = 0.0
+    n_ended: int = 0
+    is_dropped: bool = False
+
+    @property
+    def is_over(self) -> bool:
+        """Nothing of it will be heard any more."""
+        whole = self.spoken is not None and self.spoken.is_whole
+        n_streams = 0 if self.spoken is None else self.spoken.n_streams
+        return self.is_dropped or (whole and self.n_ended >= n_streams)
+
+    def take(self, event: PlayoutEvent) -> None:
+        """What the playout says of one of its streams."""
+        if event.kind == "started" and self.began_s is None:
+            self.began_s = event.position_s
+            self.tell("started")
+        elif event.kind in ("interrupted", "cleared"):
+            self.is_dropped = True
+        elif event.kind == "finished":
+            self.n_ended += 1
+        self.heard_s = event.position_s - (self.began_s or event.position_s)
+
+    def tell(self, kind: str) -> None:
+        """Hand the client what became of it."""
+        about = {"stream": self.stream_id, "id": self.request_id}
+        duration_s = 0.0 if self.spoken is None else self.spoken.duration_s
+        times = {"played_s": round(self.heard_s, 3), "duration_s": round(duration_s, 3)}
+        self.owner.put({"type": kind, **about, **times, "time_s": round(time.monotonic(), 3)})
 
 
 class Turns:
@@ -127,8 +173,11 @@ class Turns:
         self._numbers = itertools.count(1)
         self._waiting: deque[AgentStream] = deque()
         self._said: dict[str, AgentStream] = {}
-        # What the face says that is no client's, by name.
+        # What the face says that is no client's stream, by name, as far as it is heard.
         self._own_speech: set[str] = set()
+        self._own: dict[str, OwnSpeech] = {}
+        # Who paused what is said, and since when (monotonic).
+        self._paused: tuple[Outbox, float] | None = None
         self._silent_since_s: float | None = None
         self.n_refused = 0
 
@@ -178,6 +227,7 @@ class Turns:
         if any(each.asked != "interrupt" for each in ours) or (is_own and not others):
             self._playout.requests.append(PlayoutRequest("interrupt"))
             self._own_speech.clear()
+            self._paused = None
         for each in ours:
             each.asked = "interrupt"
         if not ours and not n_told:
@@ -194,10 +244,42 @@ class Turns:
             each.asked = "clear"
         self._go_on()
 
+    def pause(self, owner: Outbox, now_s: float) -> None:
+        """Silence now; what was not heard is kept. Raises MessageError: nothing of it is said."""
+        if not any(each.owner is owner for each in self._said.values()):
+            raise MessageError("no_stream", "pause: nothing of this client is said or waits")
+        if self._paused is None:
+            self._check_requests()
+            self._playout.requests.append(PlayoutRequest("pause"))
+            self._paused = owner, now_s
+
+    def resume(self, owner: Outbox) -> None:
+        """What this client paused goes on. Raises MessageError."""
+        if self._paused is not None and self._paused[0] is owner:
+            self._check_requests()
+            self._playout.requests.append(PlayoutRequest("resume"))
+            self._paused = None
+
+    def open_own(
+        self, owner: Outbox, request_id: int | float | str | None, label: str
+    ) -> OwnSpeech:
+        """A text or file of a `/control` client, to be said under a name. Raises MessageError."""
+        if self._settings.when_busy == "refuse" and self._all():
+            raise MessageError("busy", "an agent speaks; one speaks at a time")
+        own = OwnSpeech(owner, request_id, f"{label} #{next(self._numbers)}")
+        self._own[own.stream_id] = own
+        return own
+
+    def forget(self, own: OwnSpeech) -> None:
+        """It was refused."""
+        self._own.pop(own.stream_id, None)
+
     def leave(self, owner: Outbox) -> None:
         """The client has gone. What it had sent whole is said; in the middle of a word: silence."""
         owner.close()
-        if any(each.owner is owner and not each.speech.ended for each in self._all()):
+        has_paused = self._paused is not None and self._paused[0] is owner
+        is_cut = any(each.owner is owner and not each.speech.ended for each in self._all())
+        if is_cut or has_paused:
             self.interrupt(owner)
 
     def end_all(self) -> None:
@@ -210,6 +292,10 @@ class Turns:
         events = self._playout.events
         while events:
             self._take(events.popleft())
+        for stream in self._said.values():
+            speech, is_waited_for = stream.speech, now_s - stream.fed_s > _PAUSE_S
+            if speech.is_marked and is_waited_for and not (speech.ended or speech.is_filled):
+                speech.fill()
         if not self._playout.is_over or self._playout.requests:
             self._silent_since_s = None
         elif self._silent_since_s is None:
@@ -217,6 +303,13 @@ class Turns:
         elif now_s - self._silent_since_s > _FORGOTTEN_S:
             self._said.clear()
             self._own_speech.clear()
+            for own in self._own.values():
+                own.is_dropped = own.is_dropped or own.spoken is not None
+        for own in [each for each in self._own.values() if each.is_over]:
+            own.tell("dropped" if own.is_dropped else "finished")
+            del self._own[own.stream_id]
+        if not self._said:
+            self._paused = None
         self._go_on()
 
     def end_stalled(self, now_s: float) -> None:
@@ -227,6 +320,10 @@ class Turns:
                 stalled = f"no audio for {self._settings.stalled_s:g} s: the stream was ended"
                 stream.owner.error("stalled", stalled, stream=stream.stream_id)
                 stream.speech.end()
+        if self._paused is not None and now_s - self._paused[1] > self._settings.stalled_s:
+            owner = self._paused[0]
+            owner.error("stalled", f"paused for {self._settings.stalled_s:g} s: it was cut off")
+            self.interrupt(owner)
 
     def tell_positions(self, owner: Outbox | None = None) -> None:
         """Tell each client, or one, how much of its streams was heard."""
@@ -260,10 +357,13 @@ class Turns:
         if len(streams) >= self._settings.most_streams:
             most = f"{self._settings.most_streams} streams are said or wait already"
             raise MessageError("too_many_streams", most)
-        if len(self._playout.requests) >= _MOST_REQUESTS:
-            raise MessageError("not_available", "the face takes no speech at the moment")
+        self._check_requests()
         if any(each.owner is owner and each.stream_id == start.stream for each in streams):
             raise MessageError("stream_open", "a stream of that id is said or waits already")
+
+    def _check_requests(self) -> None:
+        if len(self._playout.requests) >= _MOST_REQUESTS:
+            raise MessageError("not_available", "the face takes no speech at the moment")
 
     def _drop_waiting(self, owner: Outbox, kind: str) -> int:
         dropped = [each for each in self._waiting if each.owner is owner]
@@ -279,7 +379,10 @@ class Turns:
             stream.tell(event)
             if is_last:
                 del self._said[event.stream]
-        elif is_last:
+            return
+        if (own := self._own.get(event.stream)) is not None:
+            own.take(event)
+        if is_last:
             self._own_speech.discard(event.stream)
         elif event.kind == "started":
             self._own_speech.add(event.stream)

@@ -3,6 +3,7 @@
 The last part of each is how late the servos follow, which `lipservo calibrate lags` finds alone.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -148,6 +149,42 @@ def measure_lags(setup: CalibrationSetup, calibration: Calibration) -> Calibrati
     return replace(calibration, following=following)
 
 
+#: No hobby servo is later; a second would be a typing error.
+_MOST_LAG_MS = 500.0
+
+
+def typed_lags(
+    setup: CalibrationSetup, calibration: Calibration, typed: Sequence[str]
+) -> Calibration:
+    """The same with lags that a person measured, `jaw=60` in milliseconds; others stay.
+
+    Raises CalibrationError for a joint that is not there or there twice, and for no such number.
+    """
+    names = list(setup.servos.names)
+    check_calibration(calibration, setup.model, setup.servos.names, setup.settings.checksum)
+    n = len(names)
+    unknown = Following(np.zeros(n), np.zeros(n), np.full(n, np.inf), np.full(n, np.inf))
+    following = calibration.following or unknown
+    lag_s, seen = following.lag_s.copy(), set()
+    for each in typed:
+        name, _, number = each.partition("=")
+        if name not in names:
+            known = ", ".join(names)
+            raise CalibrationError(f"--lag-ms {each}: no such joint; there are: {known}")
+        if name in seen:
+            raise CalibrationError(f"--lag-ms {each}: {name} is given twice")
+        seen.add(name)
+        try:
+            lag_ms = float(number)
+        except ValueError:
+            lag_ms = math.nan
+        if not 0.0 <= lag_ms <= _MOST_LAG_MS:
+            allowed = f"JOINT=MS with 0 to {_MOST_LAG_MS:g} ms, {name}=60 for one"
+            raise CalibrationError(f"--lag-ms {each}: needs {allowed}")
+        lag_s[names.index(name)] = lag_ms / 1e3
+    return replace(calibration, following=replace(following, lag_s=lag_s))
+
+
 def _measured_following(
     setup: CalibrationSetup, face: HeldFace, calibration: Calibration
 ) -> Following:
@@ -288,7 +325,8 @@ def fit_simulated_face(setup: CalibrationSetup) -> CalibrationResult:
     fitted = CalibrationResult(
         fit_calibration(setup.model, servos.joints, servos.face_checksum, rules=servos.rules)
     )
-    if not (setup.lags and setup.settings.capabilities.in_memory):
+    can = setup.settings.capabilities
+    if not (setup.lags and can.in_memory and can.place):
         return fitted
     bus, clock = simulated_wire(setup.settings)
     with HeldFace(setup.settings, clock, bus=bus) as face:

@@ -142,8 +142,9 @@ def following_lines(calibration: Calibration) -> list[str]:
         parts = [f"{calibration.errors.joint_rms_deg[i]:.1f} deg off the best pose"]
         if following is not None:
             parts.append(f"backlash {following.backlash_deg[i]:.1f} deg")
-            if np.isfinite(following.bandwidth_hz[i]):
+            if following.lag_s[i] or np.isfinite(following.bandwidth_hz[i]):
                 parts.append(f"{following.lag_s[i] * 1e3:.0f} ms late")
+            if np.isfinite(following.bandwidth_hz[i]):
                 low, high = calibration.min_deg[i], calibration.max_deg[i]
                 degrees = chirp_amplitude_deg(JointRange(name, float(low), float(high)))
                 bandwidth_hz = float(following.bandwidth_hz[i])

@@ -43,8 +43,6 @@ Bus = Annotated[
     str | None,
     typer.Option(metavar="NAME", help="Which bus, of a face with several.", show_default=False),
 ]
-#: Where no face says it.
-RequiredPort = Annotated[str, typer.Option(help="Serial port of the servos.")]
 Sim = Annotated[
     str | None,
     typer.Option(help="`pty`: simulated servos behind a port of their own.", show_default=False),
@@ -246,8 +244,9 @@ Trace = Annotated[
 Osc = Annotated[
     str | None,
     typer.Option(
-        metavar="HOST[:PORT]",
-        help="Show the face on an avatar, too: VMC protocol over OSC; port 39539.",
+        metavar="HOST[:PORT][/vowels]",
+        help="Show the face on an avatar, too: VMC protocol over OSC; port 39540. /vowels: A I U "
+        "E O, for avatars without ARKit's shapes.",
         show_default=False,
     ),
 ]
@@ -313,5 +312,5 @@ def port_of(given: str | None, of_the_face: str | None) -> str:
     """The port to open. Raises UserError when there is none."""
     port = given or of_the_face
     if port is None:
-        raise UserError("no port: give --port, or write `bus: {kind: dynamixel, port: ...}`")
+        raise UserError("no port: give --port, or write `port:` under `bus:` in the face's YAML")
     return port

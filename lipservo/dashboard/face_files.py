@@ -4,49 +4,46 @@ The YAML is written whole or not at all, and its comments stay. Everything raise
 line: refused, not_saved, not_available.
 """
 
-import io
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from lipservo_client.protocol import FaceError
 
 from lipservo.runtime.speech.expression import ExpressionWishes
-from lipservo.settings.settings import FaceSettings, parse_face
+from lipservo.settings import found_limits
+from lipservo.settings.edited_yaml import EditedYaml, Place, edited, read_face_text
+from lipservo.settings.found_limits import PulseLimit
+from lipservo.settings.settings import parse_face
 from lipservo.settings.strict_yaml import SettingsError
 from lipsync.errors import UserError
-from lipsync.output_file import OutputError, write_whole
-
-_NO_PLACE: Final = "there is no safe place for it; write it by hand"
-
-
-@dataclass(frozen=True, slots=True)
-class NewYaml:
-    """A face YAML with other settings, checked, and not written yet."""
-
-    path: Path
-    before: str
-    text: str
-
-    def write(self) -> None:
-        """Write it, unless somebody else has written it meanwhile."""
-        if _read(self.path) != self.before:
-            raise FaceError("not_saved", f"{self.path.name}: was changed meanwhile; try again")
-        try:
-            write_whole(self.path, self.text)
-        except OutputError as error:
-            raise FaceError("not_saved", str(error)) from error
 
 
 def own_yaml(config: str | None) -> Path:
     """The file of a face that is the user's own. Raises FaceError for one that is shipped."""
     if config is None:
         raise FaceError("refused", "the face does not say where its YAML is")
-    if not (config.endswith((".yaml", ".yml")) or "/" in config):
-        hint = "make one of your own with `lipservo new-face`, and start that"
-        raise FaceError("refused", f"{config} is shipped with lipservo and stays as it is; {hint}")
-    return Path(config)
+    try:
+        return found_limits.own_yaml(config)
+    except UserError as error:
+        raise FaceError("refused", str(error)) from error
+
+
+def set_pulse_limit(
+    config: str | None, servo: str, limit: PulseLimit, pulse_us: float
+) -> dict[str, Any]:
+    """Write one limit of a hobby servo into the face's YAML: the numbers of all, and what next."""
+    path = own_yaml(config)
+    with face_errors():
+        edit = found_limits.with_pulse_limit(path, servo, limit, pulse_us)
+        edit.write()
+        after = parse_face(edit.text, path.name).servos[servo]
+    degrees = {"min_deg": after.min_deg, "max_deg": after.max_deg}
+    assert after.pulse is not None  # checked by `with_pulse_limit`
+    pulse = asdict(after.pulse)
+    return {"servo": servo, "set": {**pulse, **degrees}, "note": found_limits.what_next(edit)}
 
 
 def saved_settings(config: str | None) -> dict[str, Any]:
@@ -55,72 +52,42 @@ def saved_settings(config: str | None) -> dict[str, Any]:
     What it leaves out is left out; `expression` is always there.
     """
     path = own_yaml(config)
-    face = _parsed(_read(path), path)
+    with face_errors():
+        face = parse_face(_text(path), path.name)
     return {**face.motion.model_dump(exclude_none=True), "expression": face.expression.amount}
 
 
-def with_settings(path: Path, values: Mapping[str, float]) -> NewYaml:
+def with_settings(path: Path, values: Mapping[str, float]) -> EditedYaml:
     """The file at `path` with these settings, read back and found to be what was meant."""
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-    from ruamel.yaml.util import load_yaml_guess_indent
+    places = {_place(name): value for name, value in values.items()}
+    _text(path)
+    with face_errors():
+        return edited(path, places)
 
-    before = _read(path)
-    face = _parsed(before, path)
+
+@contextmanager
+def face_errors() -> Iterator[None]:
+    """What a file says wrong is refused; what cannot be written is not saved."""
     try:
-        loaded, indent, offset = load_yaml_guess_indent(before)
-        for name, value in values.items():
-            section, key = _place(name)
-            if section not in loaded:
-                loaded[section] = {}
-            loaded[section][key] = value
-        writer = YAML()
-        writer.preserve_quotes = True
-        writer.width = 1 << 16
-        if indent is not None:
-            writer.indent(mapping=2, sequence=indent, offset=offset or 0)
-        stream = io.StringIO()
-        writer.dump(loaded, stream)
-    except (YAMLError, TypeError, ValueError, KeyError) as error:
-        raise FaceError("not_saved", f"{path.name}: {_NO_PLACE}") from error
-    text = stream.getvalue()
-    if _told(_parsed(text, path)) != _wanted(face, values):
-        raise FaceError("not_saved", f"{path.name}: {_NO_PLACE}")
-    return NewYaml(path, before, text)
+        yield
+    except SettingsError as error:
+        raise FaceError("refused", "; ".join(str(error).splitlines())) from error
+    except UserError as error:
+        raise FaceError("not_saved", str(error)) from error
 
 
-def _place(name: str) -> tuple[str, str]:
+def _place(name: str) -> Place:
     """Section and key of a setting in the YAML. Raises FaceError for one that is not kept."""
     if name in ExpressionWishes.PASSING:
         raise FaceError("refused", f"{name} is for the moment and not saved")
     return ("expression", "amount") if name == "expression" else ("motion", name)
 
 
-def _told(face: FaceSettings) -> dict[str, Any]:
-    return face.model_dump(exclude_none=True)
-
-
-def _wanted(face: FaceSettings, values: Mapping[str, float]) -> dict[str, Any]:
-    """All that the face said, but for what is to change."""
-    wanted = _told(face)
-    for name, value in values.items():
-        section, key = _place(name)
-        wanted[section] = {**wanted[section], key: value}
-    return wanted
-
-
-def _read(path: Path) -> str:
+def _text(path: Path) -> str:
     try:
-        return path.read_bytes().decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise FaceError("not_saved", f"{path}: cannot be read") from error
-
-
-def _parsed(text: str, path: Path) -> FaceSettings:
-    try:
-        return parse_face(text, path.name)
+        return read_face_text(path)
     except SettingsError as error:
-        raise FaceError("refused", "; ".join(str(error).splitlines())) from error
+        raise FaceError("not_saved", str(error)) from error
 
 
 def told_calibration(config: str | None) -> dict[str, Any]:

@@ -27,6 +27,7 @@ from firmware_bridge.process.control_client import (
     ask,
     change_settings,
     end_jog,
+    jog_pulse,
     jog_servo,
     start_face,
     switch_servo,
@@ -230,6 +231,10 @@ class FaceLink:
         if not math.isfinite(deg):
             raise FaceError("refused", f"{shown(name)}: {deg} is no angle")
         return await self._returned(lambda path: jog_servo(path, name, deg))
+
+    async def jog_pulse(self, name: str, pulse_us: float) -> Answer:
+        """One hobby servo to a pulse, in small steps beyond its limits, too; renews."""
+        return await self._returned(lambda path: jog_pulse(path, name, pulse_us))
 
     async def jog_end(self) -> Answer:
         """The face goes on as before."""

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-from lipservo.runtime.run_request import Address, AvatarError, AvatarTargets
+from lipservo.runtime.run_request import VOWELS, Address, AvatarError, AvatarTargets
 from lipservo.runtime.status.street_tick import StreetTick
 from lipsync.animpho.units import load_face_with_animphos
 from lipsync.arrays import Array
-from lipsync.export.arkit import ARKIT_NAMES, MOUTH_NAMES, ArkitMap, lip_measures
+from lipsync.export.arkit import ARKIT_NAMES, MOUTH_NAMES, ArkitMap, lip_measures, vowels
 from lipsync.export.weight_track import live_link_packet, vmc_packets
 from lipsync.face.frame import Frame
 
@@ -38,14 +38,18 @@ class AvatarStream:
         rest: Array,
         osc: socket.socket | None,
         live_link: socket.socket | None,
+        *,
+        has_vowels: bool = False,
     ) -> None:
         """rest: (n_components,), the closed mouth that is sent at the end.
 
         osc, live_link: connected, non-blocking UDP sockets; None: nothing is sent there.
+        has_vowels: OSC carries vowels in place of the mouth's ARKit shapes.
         """
         self._arkit = arkit
         self._rest = rest
         self._osc, self._live_link = osc, live_link
+        self._has_vowels = has_vowels
         self._due_s = -math.inf
         self._sound_s = 0.0
         self._said: set[str] = set(_MOUTH)
@@ -83,7 +87,10 @@ class AvatarStream:
         """The mouth's shapes, and of the others those of which anything was ever said."""
         pairs = list(zip(ARKIT_NAMES, values.tolist(), strict=True))
         self._said.update(name for name, value in pairs if value > 0.0)
-        return [pair for pair in pairs if pair[0] in self._said]
+        said = [pair for pair in pairs if pair[0] in self._said]
+        if not self._has_vowels:
+            return said
+        return [*vowels(values).items(), *(pair for pair in said if pair[0] not in _MOUTH)]
 
     def _hand_over(self, to: socket.socket, packet: bytes) -> None:
         try:
@@ -103,7 +110,8 @@ def avatar_stream(targets: AvatarTargets, model: Path | None = None) -> Iterator
     face = load_face_with_animphos(model)
     osc_at, live_link_at = targets.addresses()
     with _sender(osc_at) as osc, _sender(live_link_at) as live_link:
-        stream = AvatarStream(ArkitMap(lip_measures(face)), face.rest, osc, live_link)
+        arkit, has_vowels = ArkitMap(lip_measures(face)), targets.has_vowels
+        stream = AvatarStream(arkit, face.rest, osc, live_link, has_vowels=has_vowels)
         try:
             yield stream
         finally:
@@ -135,7 +143,8 @@ def resolved_avatars(targets: AvatarTargets) -> AvatarTargets:
     for address in targets.addresses():
         with _sender(address) as sender:
             found.append(None if sender is None else "{}:{}".format(*sender.getpeername()))
-    return AvatarTargets(*found)
+    osc, live_link = found
+    return AvatarTargets(osc and osc + VOWELS * targets.has_vowels, live_link)
 
 
 @contextmanager

@@ -79,8 +79,10 @@ class VoiceOptions:
     origins: str = ""
 
 
-#: The ports that receivers of the VMC protocol and Unreal Engine listen on.
-_VMC_PORT: Final = 39539
+#: Where programs that draw an avatar take what others add to it (in the VMC protocol a performer
+#: hears an assistant); at 39539 they would have to share the port with whoever draws for them.
+_VMC_PORT: Final = 39540
+#: Unreal Engine's.
 _LIVE_LINK_PORT: Final = 11111
 _HIGHEST_PORT: Final = 65_535
 
@@ -98,10 +100,16 @@ class Address:
     port: int
 
 
+#: Behind the address of an avatar that has vowels and none of ARKit's shapes.
+VOWELS: Final = "/vowels"
+
+
 @with_config(extra="forbid")
 @dataclass(frozen=True, slots=True)
 class AvatarTargets:
     """Who is sent to, each as HOST or HOST:PORT, or None: OSC of the VMC protocol, Live Link Face.
+
+    With `/vowels` behind it OSC carries the shapes A I U E O in place of ARKit's.
 
     Nothing is sent anywhere by default: another computer has to be named by the user. Raises
     AvatarError for what is no address; whether there is such a host, nobody asks here.
@@ -116,9 +124,14 @@ class AvatarTargets:
     def addresses(self) -> tuple[Address | None, Address | None]:
         """Of OSC and of Live Link Face; without a port that which receivers begin with."""
         return (
-            _address("--osc", self.osc, _VMC_PORT),
+            _address("--osc", self.osc and self.osc.removesuffix(VOWELS), _VMC_PORT),
             _address("--live-link", self.live_link, _LIVE_LINK_PORT),
         )
+
+    @property
+    def has_vowels(self) -> bool:
+        """Whether OSC carries vowels."""
+        return self.osc is not None and self.osc.endswith(VOWELS)
 
     @property
     def is_any(self) -> bool:

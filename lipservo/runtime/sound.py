@@ -86,13 +86,15 @@ class Spoken:
 
     pieces: every `next` does a bounded piece of work, and gives the stream that it belongs to.
     streams: the first one; grows, and loses from its beginning what was said. ahead_s: so much may
-    wait to be said before the work goes on.
+    wait to be said before the work goes on. duration_s: of all of it, or of the streams until now.
     """
 
     pieces: Generator[PlayoutStream, None, None]
     streams: deque[PlayoutStream]
     ahead_s: float
+    duration_s: float
     is_whole: bool = field(default=False, init=False)
+    n_streams: int = field(default=1, init=False)
 
     @property
     def is_dropped(self) -> bool:
@@ -113,7 +115,9 @@ class Spoken:
         return waiting_s > self.ahead_s or len(self.streams) > _SENTENCES_AHEAD
 
 
-def spoken_chunks(chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream) -> Spoken:
+def spoken_chunks(
+    chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream, duration_s: float
+) -> Spoken:
     """Chunks of sound, mono (n,), of the rate of an empty stream."""
 
     def pieces() -> Generator[PlayoutStream, None, None]:
@@ -121,28 +125,37 @@ def spoken_chunks(chunks: Iterator[NDArray[np.float32]], stream: PlayoutStream) 
             stream.push(chunk)
             yield stream
 
-    return Spoken(pieces(), deque([stream]), _SOUND_AHEAD_S)
+    return Spoken(pieces(), deque([stream]), _SOUND_AHEAD_S, duration_s)
 
 
 def spoken_file(
-    path: Path, playout: Playout, *, start_s: float = 0.0, phonemes: Path | None = None
-) -> tuple[Spoken, float]:
-    """A sound file from `start_s` to its end, and how long that is in seconds.
+    path: Path,
+    playout: Playout,
+    name: str = "",
+    *,
+    start_s: float = 0.0,
+    phonemes: Path | None = None,
+) -> Spoken:
+    """A sound file from `start_s` to its end.
 
-    phonemes: a file of what is said when. Raises SoundError, LabelError.
+    name: of its stream; the file's, where there is none. phonemes: a file of what is said when.
+    Raises SoundError, LabelError.
     """
     checked = checked_sound(path)
     log_once(checked.warning)
     known = () if phonemes is None else known_from(phonemes, start_s)
-    stream = PlayoutStream(path.name, checked.sample_rate_hz, playout.output_rate_hz, known)
+    stream = PlayoutStream(name or path.name, checked.sample_rate_hz, playout.output_rate_hz, known)
     left_s = max(0.0, checked.duration_s - start_s)
-    return spoken_chunks(sound_chunks(path, start_s), stream), left_s
+    return spoken_chunks(sound_chunks(path, start_s), stream, left_s)
 
 
-def spoken_text(text: str, language: str, playout: Playout, synthesizer: str) -> Spoken:
+def spoken_text(
+    text: str, language: str, playout: Playout, synthesizer: str, name: str = _TEXT
+) -> Spoken:
     """A text; its first sentence is synthesised at once, so that a mistake is known at once.
 
-    synthesizer: by name. Raises SynthesisError, PluginError.
+    synthesizer: by name. name: of the streams, one for each sentence. Raises SynthesisError and
+    PluginError.
     """
     from lipsync.text_to_speech.synthesis import Voice
     from lipsync.text_to_speech.synthesizers import speak_in_pieces, synthesizer_for
@@ -151,7 +164,7 @@ def spoken_text(text: str, language: str, playout: Playout, synthesizer: str) ->
 
     def stream_of(sentence: "SynthesizedSpeech") -> PlayoutStream:
         rates_hz = sentence.sample_rate_hz, playout.output_rate_hz
-        stream = PlayoutStream(_TEXT, *rates_hz, sentence.phonemes)
+        stream = PlayoutStream(name, *rates_hz, sentence.phonemes)
         stream.push(sentence.samples)
         stream.end()
         return stream
@@ -164,7 +177,11 @@ def spoken_text(text: str, language: str, playout: Playout, synthesizer: str) ->
             last = stream
 
     first = stream_of(next(sentences))
-    return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S)
+    return Spoken(pieces(first), deque([first]), _TEXT_AHEAD_S, _sounding_s(first))
+
+
+def _sounding_s(stream: PlayoutStream) -> float:
+    return stream.n_received / stream.sample_rate_hz
 
 
 class SpeechQueue:
@@ -242,6 +259,8 @@ class SpeechQueue:
             return False
         if stream is not None and stream is not spoken.streams[-1]:
             spoken.streams.append(stream)
+            spoken.n_streams += 1
+            spoken.duration_s += _sounding_s(stream)
         return stream is not None
 
     def _finish(self, spoken: Spoken) -> None:
@@ -332,4 +351,4 @@ def _first_words(
         clip = resources.files("lipservo.clips") / "welcome.flac"
         path = stack.enter_context(resources.as_file(clip))
     phonemes = Path(sound.phonemes) if sound.phonemes else None
-    return spoken_file(path, playout, start_s=start_s, phonemes=phonemes)[0]
+    return spoken_file(path, playout, start_s=start_s, phonemes=phonemes)

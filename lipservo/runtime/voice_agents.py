@@ -1,8 +1,9 @@
 """Voice agents at a face: where they are waited for, and what they may ask."""
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +15,7 @@ from lipservo.runtime.run_request import DEFAULT_LISTEN, VoiceOptions
 from lipservo.runtime.sound import (
     QueueFullError,
     SpeechQueue,
+    Spoken,
     spoken_chunks,
     spoken_file,
     spoken_text,
@@ -101,37 +103,40 @@ class _Spoken:
         self._folder = Path(options.sounds or ".").resolve()
         self._queue = SpeechQueue(playout)
 
-    def say(self, text: str) -> Mapping[str, object]:
+    def say(self, text: str, name: str) -> Spoken:
         """A text. Raises SynthesisError, and MessageError where too much waits."""
         self._check_room("text")
-        self._queue.add(spoken_text(text, "", self._playout, self._synthesizer), "text")
-        return {}
+        spoken = spoken_text(text, "", self._playout, self._synthesizer, name)
+        return self._added(spoken, "text")
 
-    def play(self, name: str) -> Mapping[str, object]:
+    def play(self, file: str, name: str) -> Spoken:
         """A sound file or performance below the folder that the user allowed.
 
         Whatever can be wrong is known before the face gets it. Raises UserError, and MessageError
         where too much waits.
         """
-        path = (self._folder / name).resolve()
+        path = (self._folder / file).resolve()
         if not path.is_relative_to(self._folder):
-            raise UserError(f"{name}: lies outside the folder of sounds")
+            raise UserError(f"{file}: lies outside the folder of sounds")
         # Before the file is read: it may be large, and this may be the ten thousandth time.
         self._check_room(path.name)
         if path.suffix.lower() == SUFFIX:
             performance = read_performance(path)
             performance.check_face(self._model, str(path))
-            line = performed_line(performance, path)
-            spoken = spoken_chunks(line.chunks(), line.stream(self._playout))
-            duration_s = performance.duration_s
+            line = replace(performed_line(performance, path), name=name)
+            stream = line.stream(self._playout)
+            spoken = spoken_chunks(line.chunks(), stream, performance.duration_s)
         else:
-            spoken, duration_s = spoken_file(path, self._playout)
-        self._queue.add(spoken, path.name)
-        return {"stream": path.name, "duration_s": round(duration_s, 3)}
+            spoken = spoken_file(path, self._playout, name)
+        return self._added(spoken, path.name)
 
     def close(self) -> None:
         """Nothing more is read or synthesised."""
         self._queue.close()
+
+    def _added(self, spoken: Spoken, name: str) -> Spoken:
+        self._queue.add(spoken, name)
+        return spoken
 
     def _check_room(self, name: str) -> None:
         try:

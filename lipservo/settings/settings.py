@@ -281,6 +281,7 @@ class FaceSettings(Strict):
                 max_acceleration_deg_s2=servo.max_acceleration_deg_s2 or math.inf,
                 critical=servo.critical,
                 address_key=servo.address_key,
+                pulse=servo.pulse,
             )
             for name, servo in self.servos.items()
         )

@@ -19,9 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lipsync.audio.playout_stream import (
+    EventKind,
     KnownPhonemes,
     KnownStretch,
     PlayingStream,
+    PlayoutBlock,
     PlayoutEvent,
     PlayoutRequest,
     PlayoutStream,
@@ -50,6 +52,8 @@ _SILENCE.flags.writeable = False
 _HELD_BLOCKS: Final = 4
 #: Beyond this the microphone's clock runs faster than ours; the oldest block is left out.
 _MOST_BLOCKS: Final = 10
+#: Blocks that may be on their way to the loudspeaker, to be taken back by a pause: ten seconds.
+_MOST_ON_WAY: Final = 1000
 
 
 class ListenedMicrophone:
@@ -118,6 +122,11 @@ class Playout:
         #: One other thread takes.
         self.events: deque[PlayoutEvent] = deque(maxlen=_MOST_EVENTS)
         self._playing: deque[PlayingStream] = deque()
+        #: (start_s, stream, block, samples of the stream before it), of what is not heard yet.
+        self._on_way: deque[tuple[float, PlayingStream, PlayoutBlock, int]] = deque(
+            maxlen=_MOST_ON_WAY
+        )
+        self._is_paused = False
         self._known = KnownPhonemes()
         self._n_blocks = 0
         self._n_underruns = 0
@@ -242,6 +251,10 @@ class Playout:
                 is_cut = self._interrupt() or is_cut
             elif request.kind == "clear":
                 self._clear()
+            elif request.kind == "pause":
+                is_cut = self._pause() or is_cut
+            elif request.kind == "resume":
+                self._resume()
         self._tell()
         self._known.forget(self.committed_s)
         return is_cut
@@ -279,7 +292,8 @@ class Playout:
     def _next(self, start_s: float) -> tuple[Samples, Samples, Samples]:
         """10 ms for the recogniser, for the loudspeaker, and for whoever hears how it is said."""
         waiting = (each for each in self._playing if not each.stream.is_over)
-        playing = next(waiting, None) if start_s >= self._quiet_s else None
+        may_speak = start_s >= self._quiet_s and not self._is_paused
+        playing = next(waiting, None) if may_speak else None
         block = None if playing is None or not _is_ready(playing) else playing.stream.take()
         if playing is None or block is None:
             if playing is not None and playing.segments and not playing.is_starved:
@@ -289,6 +303,7 @@ class Playout:
         stream = playing.stream
         self._known.sounds(playing, start_s)
         playing.is_starved = False
+        self._on_way.append((start_s, playing, block, playing.n_taken))
         playing.add(start_s, block.n_samples)
         # A recogniser that hears what is known anyway would only disagree.
         heard = _SILENCE if stream.phonemes else block.heard
@@ -310,6 +325,8 @@ class Playout:
 
     def _note_underrun(self, playing: PlayingStream) -> None:
         playing.is_starved = True
+        if playing.stream.is_marked:  # its sender waits until this was heard
+            return
         self._n_underruns += 1
         n_played = playing.n_played(self._position_s)
         name = playing.stream.name
@@ -319,9 +336,8 @@ class Playout:
         """Everything ends here; whether anything was being said."""
         if not self._playing:
             return False
-        cut_s = self._position_s
-        if self.loudspeaker is not None:
-            cut_s = self.loudspeaker.silence_rest() - self.preroll_s
+        cut_s = self._silenced()
+        self._is_paused = False
         for playing in self._playing:
             playing.stream.drop()
             n_played = playing.n_played(cut_s)
@@ -329,11 +345,51 @@ class Playout:
             event = PlayoutEvent("interrupted", playing.stream.name, cut_s, n_played, n_dropped)
             self.events.append(event)
         self._playing.clear()
+        self._on_way.clear()
+        self._note_silence(cut_s)
+        return True
+
+    def _pause(self) -> bool:
+        """Everything stands still here; whether anything was being said.
+
+        A block that has begun to be heard counts as heard: up to 10 ms of it never are.
+        """
+        if not self._playing or self._is_paused:
+            return False
+        cut_s = self._silenced()
+        while self._on_way and self._on_way[-1][0] >= cut_s:
+            start_s, playing, block, n_before = self._on_way.pop()
+            playing.stream.put_back(block)
+            playing.take_back(start_s, n_before)
+        self._is_paused = bool(self._playing)
+        self._tell_all("paused")
+        self._note_silence(cut_s)
+        return True
+
+    def _resume(self) -> None:
+        if self._is_paused:
+            self._is_paused = False
+            self._tell_all("resumed")
+
+    def _silenced(self) -> float:
+        """Where on the timeline the loudspeaker falls silent; what was heard by then is told."""
+        if self.loudspeaker is not None:
+            silent_s = self.loudspeaker.silence_rest() - self.preroll_s
+            self._position_s = max(self._position_s, silent_s)
+        self._tell()
+        return self._position_s
+
+    def _note_silence(self, cut_s: float) -> None:
+        """Nothing of what was committed after `cut_s` is heard."""
         self._quiet_from_s = cut_s + _ECHO_S
         self._known.cut(cut_s)
         if cut_s < self.committed_s:
             self._known.is_silent(cut_s, self.committed_s)
-        return True
+
+    def _tell_all(self, kind: EventKind) -> None:
+        for playing in self._playing:
+            name, n_played = playing.stream.name, playing.n_played(self._position_s)
+            self.events.append(PlayoutEvent(kind, name, self._position_s, n_played))
 
     def _clear(self) -> None:
         """What is committed is still heard; the rest is not."""
@@ -348,6 +404,8 @@ class Playout:
 
     def _tell(self) -> None:
         """Starts, marks and ends that the position has passed."""
+        while self._on_way and self._on_way[0][0] < self._position_s:
+            self._on_way.popleft()
         while self._playing:
             playing, position_s = self._playing[0], self._position_s
             name = playing.stream.name
@@ -366,10 +424,12 @@ class Playout:
                 return
             self.events.append(PlayoutEvent("finished", name, position_s, n_played))
             self._playing.popleft()
+            self._is_paused = self._is_paused and bool(self._playing)
             self._quiet_from_s = position_s + _ECHO_S
 
 
 def _is_ready(playing: PlayingStream) -> bool:
     """Whether a stream may begin, or go on."""
+    stream = playing.stream
     is_going_on = bool(playing.segments) and not playing.is_starved
-    return is_going_on or playing.stream.ended or playing.stream.waiting_s >= _WAITING_S
+    return is_going_on or stream.ended or stream.is_filled or stream.waiting_s >= _WAITING_S

@@ -76,7 +76,11 @@ class PlayoutStream:
         self._blocks: deque[PlayoutBlock] = deque()
         self._marks: deque[tuple[int, str]] = deque()
         self._n_received = 0
+        # Blocks that were cut since the samples were last filled up, and the samples before them.
         self._n_cut = 0
+        self._n_before = 0
+        self._is_marked = False
+        self._is_filled = False
         self._ended = False
         self._dropped = False
 
@@ -94,6 +98,16 @@ class PlayoutStream:
     def ended(self) -> bool:
         """Nothing is pushed any more."""
         return self._ended
+
+    @property
+    def is_marked(self) -> bool:
+        """A mark is the last that came: its sender may wait for it before it sends more."""
+        return self._is_marked
+
+    @property
+    def is_filled(self) -> bool:
+        """All that was pushed can be taken, as `fill` has it."""
+        return self._is_filled
 
     @property
     def is_dropped(self) -> bool:
@@ -119,6 +133,7 @@ class PlayoutStream:
             waiting = f"{MOST_WAITING_S:g} s of speech wait already"
             raise PlayoutFullError(f"stream {self.name!r}: {waiting}")
         self._n_received += len(samples)
+        self._is_marked = self._is_filled = False
         self._heard.push(samples)
         self._played.push(samples)
         self._cut()
@@ -126,10 +141,17 @@ class PlayoutStream:
     def mark(self, name: str) -> None:
         """Tell when all that was pushed until now has been heard."""
         self._marks.append((self._n_received, name))
+        self._is_marked = True
 
     def end(self) -> None:
         """No more comes; the last block is filled up with silence."""
-        if self._ended:
+        if not self._ended:
+            self.fill()
+            self._ended = True
+
+    def fill(self) -> None:
+        """The sender pauses: what the resamplers hold back, and silence to the end of the block."""
+        if self._is_filled:
             return
         both = (self._heard, BLOCK_SAMPLES), (self._played, self._played.rate_hz // 100)
         for resampled, _ in both:
@@ -139,11 +161,17 @@ class PlayoutStream:
         for resampled, length in both:
             resampled.fill(n_blocks * length)
         self._cut()
-        self._ended = True
+        self._n_before, self._n_cut = self._n_received, 0
+        self._is_filled = True
 
     def take(self) -> PlayoutBlock | None:
         """The next block; None: none has come yet, or the stream is over."""
         return self._blocks.popleft() if self._blocks and not self._dropped else None
+
+    def put_back(self, block: PlayoutBlock) -> None:
+        """The taker's: the block that it took last is taken again."""
+        if not self._dropped:
+            self._blocks.appendleft(block)
 
     def drop(self) -> None:
         """The taker's: forget all that was not taken, whatever is being pushed meanwhile."""
@@ -162,11 +190,9 @@ class PlayoutStream:
         n_played = self._played.rate_hz // 100
         while self._heard.n_ready >= BLOCK_SAMPLES and self._played.n_ready >= n_played:
             self._n_cut += 1
-            n_samples = min(self._n_received, round(self._n_cut * BLOCK_S * self.sample_rate_hz))
-            block = PlayoutBlock(
-                self._heard.take(BLOCK_SAMPLES), self._played.take(n_played), n_samples
-            )
-            self._blocks.append(block)
+            n_samples = self._n_before + round(self._n_cut * BLOCK_S * self.sample_rate_hz)
+            heard, played = self._heard.take(BLOCK_SAMPLES), self._played.take(n_played)
+            self._blocks.append(PlayoutBlock(heard, played, min(self._n_received, n_samples)))
 
 
 class _Resampled:
@@ -188,6 +214,8 @@ class _Resampled:
     def push(self, samples: Samples, *, last: bool = False) -> None:
         if self._resampler is not None:
             samples = self._resampler.resample_chunk(samples, last=last)
+            if last:
+                self._resampler.clear()
         self._ready = np.concatenate((self._ready, samples))
 
     def fill(self, n_samples: int) -> None:
@@ -200,7 +228,9 @@ class _Resampled:
         return taken
 
 
-EventKind = Literal["started", "mark", "finished", "interrupted", "cleared", "underrun"]
+EventKind = Literal[
+    "started", "mark", "finished", "interrupted", "cleared", "underrun", "paused", "resumed"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,10 +255,11 @@ class PlayoutRequest:
 
     say: a new stream, after those that wait, or right after `after`, of which it is the next part:
     it is dropped where that was. interrupt: silence at once, and everything that was
-    not heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped.
+    not heard is dropped. clear: what is not yet on its way to the loudspeaker is dropped. pause:
+    silence at once, and what was not heard is kept until resume.
     """
 
-    kind: Literal["say", "interrupt", "clear"]
+    kind: Literal["say", "interrupt", "clear", "pause", "resume"]
     stream: PlayoutStream | None = None
     after: PlayoutStream | None = None
 
@@ -267,11 +298,24 @@ class PlayingStream:
     def add(self, start_s: float, n_samples: int) -> None:
         """One more block, at a place on the timeline."""
         last = self.segments[-1] if self.segments else None
-        if last is not None and abs(last.end_s - start_s) < 1e-6:
+        if last is not None and abs(last.end_s - start_s) < 1e-6 and not self._is_filled_up(last):
             last.end_s, last.n_end = start_s + BLOCK_S, n_samples
         else:
             self.segments.append(Segment(start_s, start_s + BLOCK_S, self.n_taken, n_samples))
         self.n_taken = n_samples
+
+    def take_back(self, start_s: float, n_before: int) -> None:
+        """The block that was added last, at `start_s`, is none; n_before: samples before it."""
+        last = self.segments[-1]
+        last.end_s, last.n_end = start_s, n_before
+        if last.end_s - last.start_s < 1e-6:
+            self.segments.pop()
+        self.n_taken = n_before
+
+    def _is_filled_up(self, segment: Segment) -> bool:
+        """Whether it ends with silence that is no sample of the stream, where its sender paused."""
+        n_long = (segment.end_s - segment.start_s) * self.stream.sample_rate_hz
+        return segment.n_end - segment.n_before < n_long - 1.5
 
     def n_played(self, position_s: float) -> int:
         """Samples that were heard when the timeline has got there."""

@@ -186,6 +186,24 @@ class ArkitMap:
         return float(self._measures.lowest_mm[_IN[name]])
 
 
+def vowels(values: Array) -> dict[str, float]:
+    """The mouth as weights of VRM's five vowels, together 1 at most. values: (52,), of ARKit.
+
+    An open mouth is A, rounded O, drawn wide E; a nearly closed one U where it is rounded, I where
+    it is wide.
+    """
+    jaw, closed, funnel, pucker, left, right = values[_OUT[:6]].tolist()
+    opened, rounded = max(0.0, jaw - closed), min(1.0, funnel + pucker)
+    wide = 0.5 * (left + right) * (1.0 - rounded)
+    return {
+        "A": opened * (1.0 - rounded - wide),
+        "I": (1.0 - opened) * wide,
+        "U": (1.0 - opened) * rounded,
+        "E": opened * wide,
+        "O": opened * rounded,
+    }
+
+
 def _share(value: float, full: float) -> float:
     """`value` of `full`, from 0 to 1; 0 where the speaker never goes there."""
     return min(max(float(value) / full, 0.0), 1.0) if full > 0.0 else 0.0

@@ -11,8 +11,9 @@ from voice_agents.served_face import RATE_HZ, ServedFace, tone
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     pytest.importorskip("pipecat", reason="pip install 'lipservo-client[pipecat]', 512 MB")
-    from lipservo_client.pipecat_face import PipecatFace
+    from lipservo_client.pipecat_face import PipecatFace, PipecatFollower
     from pipecat.frames.frames import (
+        BotSpeakingFrame,
         BotStartedSpeakingFrame,
         BotStoppedSpeakingFrame,
         ErrorFrame,
@@ -58,6 +59,8 @@ def test_what_the_tts_says_is_heard_at_the_face_before_the_pipeline_ends(channel
     assert {TTSStartedFrame, TTSStoppedFrame, TextFrame} <= set(kinds(down))
     for frames in (down, up):
         told = [each for each in kinds(frames) if "Bot" in each.__name__]
+        assert BotSpeakingFrame in told
+        told = [each for each in told if each is not BotSpeakingFrame]
         assert told == [BotStartedSpeakingFrame, BotStoppedSpeakingFrame]
 
 
@@ -86,3 +89,81 @@ def test_without_a_face_the_sound_goes_to_the_transport():
     assert kinds(down).count(TTSAudioRawFrame) == 5
     (error,) = [frame for frame in up if isinstance(frame, ErrorFrame)]
     assert "nobody answers" in error.error
+
+
+def test_sound_that_may_not_be_interrupted_is_said_to_its_end():
+    def frames(face):
+        *start, stop = spoken(2.0)
+        for frame in start:
+            frame.interruptible = False
+            yield frame
+        yield stop
+        while not face.sound.played().any():
+            yield SleepFrame(0.005)
+        yield InterruptionFrame()
+
+    with ServedFace() as face:
+        down, _ = piped(PipecatFace(face.url), frames(face))
+        heard_s = np.count_nonzero(face.sound.played()) / RATE_HZ
+
+    assert heard_s == pytest.approx(2.0, abs=0.01)
+    assert InterruptionFrame in kinds(down)
+
+
+def test_of_mixed_sound_the_rest_of_what_may_not_be_interrupted_is_said_again():
+    def frames(face):
+        yield TTSStartedFrame()
+        for number, frame in enumerate(spoken(4.0)[1:-1]):
+            frame.interruptible = number < 50  # the last two seconds may not
+            yield frame
+        while not face.sound.played().any():
+            yield SleepFrame(0.005)
+        yield InterruptionFrame()
+        yield TTSStoppedFrame()
+
+    with ServedFace() as face:
+        piped(PipecatFace(face.url), frames(face))
+        heard_s = np.count_nonzero(face.sound.played()) / RATE_HZ
+
+    # As much as was heard before the interruption, and then the last two seconds.
+    assert 2.0 <= heard_s <= 4.0
+
+
+def test_more_sentences_than_a_face_keeps_streams_are_all_heard():
+    def frames():
+        for number in range(12):
+            yield from spoken(0.1)
+            yield TextFrame(str(number))
+
+    with ServedFace() as face:
+        down, _ = piped(PipecatFace(face.url), frames())
+        heard_s = np.count_nonzero(face.sound.played()) / RATE_HZ
+        refused = face.server.status()["n_streams_refused"]
+
+    assert heard_s == pytest.approx(1.2, abs=0.03)
+    assert refused == 0
+    assert TTSAudioRawFrame not in kinds(down)
+
+
+def test_a_follower_shows_the_sound_hands_it_on_in_order_and_reports_what_is_played():
+    def frames():
+        yield from spoken(0.4)
+        yield TextFrame("behind")
+        yield SleepFrame(1.0)
+        yield BotStartedSpeakingFrame()
+        yield SleepFrame(0.4)
+        yield BotStoppedSpeakingFrame()
+        yield SleepFrame(0.2)
+
+    with ServedFace() as face:
+        face.hold()  # in its hurry it would be over before the transport begins
+        down, _ = piped(PipecatFollower(face.url), frames())
+        assert not face.sound.played().any()
+
+    sound = [frame for frame in down if isinstance(frame, TTSAudioRawFrame)]
+    assert b"".join(frame.audio for frame in sound) == tone(0.4)
+    order = [each for each in kinds(down) if "Bot" not in each.__name__]
+    assert order == [TTSStartedFrame, *[TTSAudioRawFrame] * len(sound), TTSStoppedFrame, TextFrame]
+    reported = [n_samples for _, _, n_samples in face.reported]
+    assert reported == sorted(reported)
+    assert reported[-1] == round(0.4 * RATE_HZ)

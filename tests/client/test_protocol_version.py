@@ -17,18 +17,18 @@ def test_client_and_face_of_one_checkout_speak_the_same():
     assert protocol.PROTOCOL == messages.PROTOCOL
 
 
-@pytest.mark.parametrize("version", [0, 2])
+@pytest.mark.parametrize("version", [1, 3])
 def test_a_client_of_another_version_is_told_both_by_the_face(version, monkeypatch):
     monkeypatch.setattr(async_face, "PROTOCOL", version)
     with ServedFace() as served, pytest.raises(FaceError) as raised:
         lipservo.connect(served.url).__enter__()
 
     assert raised.value.code == "bad_protocol"
-    assert f"this client speaks protocol {version}, the face 1; install" in str(raised.value)
+    assert f"this client speaks protocol {version}, the face 2; install" in str(raised.value)
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("version", [0, 2, "unknown"])
+@pytest.mark.parametrize("version", [1, 3, "unknown"])
 def test_a_face_of_another_version_is_told_both_by_the_client(version):
     """A face that does not compare: what it answers is compared here."""
 
@@ -47,7 +47,7 @@ def test_a_face_of_another_version_is_told_both_by_the_client(version):
     with pytest.raises(FaceError) as raised:
         asyncio.run(talk())
     assert raised.value.code == "bad_protocol"
-    assert f"the face speaks protocol {version}, this lipservo-client 1; install" in str(
+    assert f"the face speaks protocol {version}, this lipservo-client 2; install" in str(
         raised.value
     )
     assert "\n" not in str(raised.value)

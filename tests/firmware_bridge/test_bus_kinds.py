@@ -64,7 +64,7 @@ def test_a_kind_that_comes_with_lipservo_says_what_its_servos_can_do(name):
 @pytest.mark.usefixtures("installed")
 def test_a_kind_of_another_package_is_found_by_its_entry_point():
     assert bus_names() == [
-        "simulated", "dynamixel", "maestro", "pca9685", "broken", "pulses", "strange",
+        "simulated", "dynamixel", "maestro", "pca9685", "feetech", "broken", "pulses", "strange",
     ]  # fmt: skip
     assert bus_kind("pulses") is PULSES_KIND
     assert bus_kind("simulated").capabilities(BusSettings()).in_memory
@@ -74,8 +74,8 @@ def test_an_unknown_kind_is_answered_with_those_there_are_and_how_to_get_another
     with pytest.raises(UnknownBusError) as error:
         bus_kind("steamer")
     assert str(error.value) == (
-        "'steamer' is not known here; use one of simulated, dynamixel, maestro, pca9685, or "
-        "install the package that brings it (entry point lipservo.buses)"
+        "'steamer' is not known here; use one of simulated, dynamixel, maestro, pca9685, "
+        "feetech, or install the package that brings it (entry point lipservo.buses)"
     )
 
 
@@ -180,7 +180,8 @@ def test_what_a_stop_does_is_the_table_of_the_page():
     ways = [way.strip("`") for way in rows[0][1:]]
     told = {row[0].strip("`"): dict(zip(ways, row[1:], strict=True)) for row in rows[2:]}
 
-    for name in ("simulated", "dynamixel", "pca9685"):
-        kind = bus_kind(name)
-        can = kind.capabilities(kind.settings(kind=name, port="/dev/x"))
+    for name in ("simulated", "dynamixel", "feetech", "pca9685", "pca9685 with oe_gpio"):
+        kind = bus_kind(name.split()[0])
+        pin = {"oe_gpio": 17} if "oe_gpio" in name else {}
+        can = kind.capabilities(kind.settings(kind=kind.name, port="/dev/x", **pin))
         assert told[name] == dict(can.stop_table())

@@ -26,8 +26,8 @@ OF_THE_CARD = {"numpy", "scikit-learn", "pyserial", "dynamixel-sdk", "sounddevic
 #: Where a distribution is not called as the library in it.
 DISTRIBUTION_OF = {
     "cv2": "opencv-python-headless",
+    "livekit": "livekit-agents",
     "pipecat": "pipecat-ai",
-    "ruamel": "ruamel.yaml",
     "serial": "pyserial",
     "sklearn": "scikit-learn",
     "yaml": "pyyaml",

@@ -53,7 +53,7 @@ def test_no_folder_imports_itself_by_way_of_others():
 
 def test_only_the_bridge_knows_a_bus_by_its_name():
     """A bus is one entry of `firmware_bridge.bus_kinds`; who asks for its name, asks there."""
-    names = ("dynamixel", "simulator", "maestro", "pca9685")
+    names = ("dynamixel", "simulator", "maestro", "pca9685", "feetech")
     buses = tuple(f"firmware_bridge.{name}" for name in names)
     knowing = {
         module: sorted(name for name in imported(module) if name.startswith(buses))

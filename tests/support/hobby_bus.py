@@ -80,6 +80,7 @@ def on_maestro(face, port=None, **bus):
         )
         for joint in joints
     ]
+    joints = [replace(each, pulse=servo.pulse) for each, servo in zip(joints, servos, strict=True)]
     settings = MaestroSettings(**{"model": "micro6", "port": port} | bus)
     return Wiring(settings, tuple(joints), tuple(servos), 50.0)
 

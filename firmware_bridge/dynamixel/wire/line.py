@@ -3,7 +3,6 @@
 from collections.abc import Callable, Iterable, Sequence
 from typing import Final, Protocol
 
-from firmware_bridge.clock import Clock
 from firmware_bridge.dynamixel.wire import codec
 from firmware_bridge.dynamixel.wire.codec import (
     BITS_PER_BYTE,
@@ -14,34 +13,7 @@ from firmware_bridge.dynamixel.wire.codec import (
     SpanRead,
     Status,
 )
-
-
-class Transport(Protocol):
-    """An open port. Every method raises PortError when the port is gone."""
-
-    @property
-    def clock(self) -> Clock:
-        """The clock that deadlines are told on."""
-
-    @property
-    def baud_rate(self) -> int:
-        """Bits a second on the wire."""
-
-    @baud_rate.setter
-    def baud_rate(self, baud_rate: int) -> None: ...
-
-    def write(self, data: bytes) -> None:
-        """Send all of it; returns before it is on the wire."""
-
-    def read(self, deadline_s: float) -> bytes:
-        """What has arrived, at the latest at `deadline_s`; b"" when nothing has."""
-
-    def discard_input(self) -> bytes:
-        """Throw away what has arrived, without waiting, and return it."""
-
-    def close(self) -> None:
-        """Give the port back; safe to call twice."""
-
+from firmware_bridge.transport import Transport
 
 #: Before anything is known: an FTDI adapter left at its 16 ms latency timer, and a little more.
 _UNKNOWN_S: Final = 0.018

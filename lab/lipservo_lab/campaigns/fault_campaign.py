@@ -4,12 +4,12 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
 from firmware_bridge.bus import ServoState
-from firmware_bridge.clock import ManualClock
+from firmware_bridge.clock import Clock, ManualClock
 from firmware_bridge.dynamixel.bus import DynamixelBus
 from firmware_bridge.dynamixel.control_table import servo_models
 from firmware_bridge.dynamixel.mounting import MountedServo
@@ -151,10 +151,20 @@ def face(n_servos: int) -> list[MountedServo]:
     ]
 
 
-class _Stop:
+class StopWitness(Protocol):
+    """An auditor, as far as it must know of stops."""
+
+    def note_stop(self, time_s: float, level: StopLevel) -> None:
+        """A person stopped the face then."""
+
+    def let_go(self) -> None:
+        """A frozen face is let go now."""
+
+
+class StopInTheFault:
     """A person's stop in the middle of the fault: the control socket of a case."""
 
-    def __init__(self, level: StopLevel | None, clock: ManualClock, auditor: Auditor) -> None:
+    def __init__(self, level: StopLevel | None, clock: Clock, auditor: StopWitness) -> None:
         self._level, self._clock, self._auditor = level, clock, auditor
         self._is_frozen = False
 
@@ -203,7 +213,7 @@ def play(case: Case, seed: int = 1, end_s: float = END_S) -> Outcome:
     joints = [servo.joint for servo in servos]
     settings = BridgeSettings(case.rate_hz, tolerant=not case.strict)
     bridge = Bridge(bus, joints, channel, settings)
-    control = _Stop(case.stop, clock, auditor)
+    control = StopInTheFault(case.stop, clock, auditor)
     error, recovered_s, unknown = "", math.nan, 0
     try:
         with bus, LifeCycle(bridge, clock, LifeCycleLinks(control=control)) as life:

@@ -56,6 +56,8 @@ class BenchGroup(LazyGroup):
                 f"{_BENCH}.bench:calibration", "Calibration of simulated robots.", _OTHER
             ),
             "face": Command(f"{_BENCH}.faces:face", "Expression and dashboard.", _OTHER),
+            "agent": Command(f"{_BENCH}.agents:agent", "What an agent remembers.", _OTHER),
+            "day": Command(f"{_BENCH}.agents:day", "An agent and a face all day.", _OTHER),
             "scans": Command(f"{_BENCH}.faces:scans", "Registration of scans.", _OTHER),
         }
     )

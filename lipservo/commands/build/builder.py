@@ -1,78 +1,135 @@
-"""`jog`, `neutral`, `new-face`: a builder's first hour."""
+"""`new-face`: the servos that there are become the YAML of a face."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from lipservo.commands.options import DEFAULT_FACE, Config, Port, RequiredPort
-from lipservo.runtime.servos.face_stopped import exit_status
-from lipservo.terminal.output import MESSAGES, RESULTS, say_simulated
+from lipservo.terminal.output import MESSAGES, RESULTS
 from lipsync.errors import UserError
 from lipsync.output_file import write_whole
 
 if TYPE_CHECKING:
-    from lipservo.runtime.servos.moving import Moved
-
-
-def jog(
-    joint: Annotated[str, typer.Argument(help="Which joint.")],
-    deg: Annotated[float, typer.Argument(help="Where to, joint degrees.")],
-    port: Port = None,
-    config: Config = DEFAULT_FACE,
-    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="How long to stay.")] = 1.0,
-) -> None:
-    """Move one joint, the others held, through the safety gate; then all go limp."""
-    from lipservo.runtime.servos.moving import move_to
-
-    _say_if_simulated(port, config)
-    moved = move_to(config, port, {joint: deg}, hold_s)
-    _finish(moved, [joint])
-
-
-def neutral(
-    port: Port = None,
-    config: Config = DEFAULT_FACE,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Servos that have had no pulse yet may jump to neutral.")
-    ] = False,
-) -> None:
-    """Bring every joint to its neutral, through the safety gate; then all go limp."""
-    from lipservo.runtime.servos.moving import move_to
-
-    _say_if_simulated(port, config)
-    moved = move_to(config, port, None, 0.5, may_jump=yes)
-    _finish(moved, moved.reached_deg)
+    from firmware_bridge.bus_kinds import BusKind
+    from lipservo.runtime.servos.new_face import WiredJoint
 
 
 def new_face(
     output: Annotated[Path, typer.Option("--output", "-o", help="The YAML to write.")],
-    port: RequiredPort,
+    port: Annotated[
+        str | None,
+        typer.Option(help="Where the servos are, /dev/ttyUSB0 for one.", show_default=False),
+    ] = None,
+    bus: Annotated[
+        str | None,
+        typer.Option(
+            help="dynamixel, feetech, maestro, pca9685, ...; default: what the port says it is.",
+            show_default=False,
+        ),
+    ] = None,
     baud_rate: Annotated[int, typer.Option(help="Try this rate first.")] = 1_000_000,
     ranges: Annotated[
         Path | None,
         typer.Option(help="LeRobot range file: names and limits by id.", show_default=False),
     ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(
+            help="Of hobby servos: the Maestro's model (micro6), the PCA9685's address (0x40).",
+            show_default=False,
+        ),
+    ] = None,
+    channel: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=CHANNEL:WORD",
+            help="A hobby servo, and what a longer pulse does: jaw=0:opens; again for each.",
+            show_default=False,
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Ask nothing.")] = False,
 ) -> None:
-    """Find the servos, move each by 3 degrees, ask for its name and direction, write the YAML.
+    """Write the YAML of a face: servos that can be asked are found, hobby servos you name.
 
-    With --ranges, put the face into its neutral by hand before: that is where 0 degrees will be.
+    Those that are found are moved by 3 degrees each, to see which joint it is. With --ranges, put
+    the face into its neutral by hand before: that is where 0 degrees will be. Hobby servos get
+    narrow limits, 1400 to 1600 us, and are not moved.
     """
-    from calibration.capture.lerobot_ranges import by_id, read_ranges
-    from firmware_bridge.bus_kinds import kind_at
-    from lipservo.runtime.servos.new_face import (
-        FoundJoint,
-        check_face_file,
-        check_joint_name,
-        face_yaml,
-        nudge,
-    )
-    from lipservo.settings.settings import parse_face
+    from firmware_bridge.bus_kinds import bus_kind, kind_at
+    from lipservo.runtime.servos.new_face import check_face_file
 
     check_face_file(output)
-    tools = kind_at(port).workshop()
+    if bus is None and port is None:
+        raise UserError("no port: give --port, or --bus for a board that is not plugged in yet")
+    kind = bus_kind(bus) if bus is not None else kind_at(port or "")
+    is_wired = bool(kind.board_key)
+    for name, given, fits in (
+        ("--board", board is not None, is_wired),
+        ("--channel", bool(channel), is_wired),
+        ("--yes", yes, is_wired),
+        ("--ranges", ranges is not None, not is_wired),
+    ):
+        if given and not fits:
+            raise UserError(f"{name} is not of a {kind.name} bus")
+    if is_wired:
+        text, n_joints = _wired(output, kind, port, board, channel or [], yes=yes)
+        then = "neutral and limits, as its first lines say"
+    else:
+        if port is None:
+            raise UserError("no port: give --port; the servos there are asked who they are")
+        text, n_joints = _found(output, kind, port, baud_rate, ranges)
+        then = "set limits in it, `lipservo setup-servos`"
+    write_whole(output, text)
+    RESULTS.print(f"{output}: {n_joints} joints. Next: {then}")
+
+
+def _wired(
+    output: Path,
+    kind: "BusKind",
+    port: str | None,
+    board: str | None,
+    channels: Sequence[str],
+    *,
+    yes: bool,
+) -> tuple[str, int]:
+    """Hobby servos, which nobody can find: as a person says that they are wired."""
+    from lipservo.runtime.servos.new_face import check_wiring, parse_channel, pulse_face_yaml
+
+    joints: list[WiredJoint] = []
+    for each in channels:
+        joints.append(parse_channel(each, joints))
+    if yes and not joints:
+        raise UserError("which servos: give --channel jaw=0:opens, again for each")
+    if board is None:
+        usual = kind.usual_board
+        what = f"Which {kind.board_key} has the {kind.name}"
+        board = usual if yes else typer.prompt(what, default=usual, err=True)
+    while not channels:
+        text = typer.prompt(
+            "A servo, as in jaw=0:opens (Enter: no more)", "", err=True, show_default=False
+        )
+        if not text and joints:
+            break
+        try:
+            joints.append(parse_channel(text, joints))
+        except UserError as error:
+            MESSAGES.print(str(error))
+    text = pulse_face_yaml(output.stem, kind, port, board or "", joints)
+    check_wiring(text, output.name)
+    return text, len(joints)
+
+
+def _found(
+    output: Path, kind: "BusKind", port: str, baud_rate: int, ranges: Path | None
+) -> tuple[str, int]:
+    """Servos that say who they are: each is moved a little, and a person says what moved."""
+    from calibration.capture.lerobot_ranges import by_id, read_ranges
+    from lipservo.runtime.servos.new_face import FoundJoint, check_joint_name, face_yaml, nudge
+    from lipservo.settings.settings import parse_face
+
+    tools = kind.workshop()
     recorded = {} if ranges is None else by_id(read_ranges(ranges))
     rate, found = tools.find_unknown(port, baud_rate)
     MESSAGES.print(f"{len(found)} servos at {rate:,} baud: ids {', '.join(map(str, found))}")
@@ -91,12 +148,9 @@ def new_face(
         same = typer.confirm("Did its first move do that", default=True, err=True)
         joint = FoundJoint(name, servo_id, model, word, 1 if same else -1)
         joints.append(joint if known is None else joint.within(known, tick))
-    text = face_yaml(output.stem, port, rate, joints)
+    text = face_yaml(output.stem, kind, port, rate, joints)
     parse_face(text, output.name)
-    write_whole(output, text)
-    RESULTS.print(
-        f"{output}: {len(joints)} joints. Next: set limits in it, `lipservo setup-servos`",
-    )
+    return text, len(joints)
 
 
 def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -> None:
@@ -112,25 +166,9 @@ def _clear_foreign(tools: Any, port: str, rate: int, found: Mapping[int, str]) -
     tools.clear_foreign_settings(port, rate, found, foreign)
 
 
-def _finish(moved: "Moved", joints: Iterable[str]) -> None:
-    for joint in joints:
-        where = "stands at" if moved.is_measured[joint] else "was sent to"
-        RESULTS.print(f"{joint} {where} {moved.reached_deg[joint]:.1f} deg")
-    status = exit_status(moved.report, None)
-    if status:
-        raise typer.Exit(status)
-
-
 def _joint_name(check: Callable[[str, Sequence[str]], str], taken: Sequence[str], text: str) -> str:
     """An answer to the question for a joint's name; asked again where it cannot be one."""
     try:
         return check(text, taken)
     except UserError as error:
         raise typer.BadParameter(str(error)) from None
-
-
-def _say_if_simulated(port: str | None, config: str) -> None:
-    from lipservo.runtime.servos.assembly import load_settings
-
-    if port is None and load_settings(config)[0].capabilities.in_memory:
-        say_simulated()

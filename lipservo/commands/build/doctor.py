@@ -1,15 +1,19 @@
-"""`doctor`: what is wrong between computer and servos, and what to do."""
+"""`doctor`: what is wrong between computer and servos, and what to do; and a report to send."""
 
+import json
+import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from firmware_bridge.errors import BusError
-
 from lipservo.commands.options import DEFAULT_FACE, Config, Json, Port, port_of
-from lipservo.terminal.output import RESULTS, print_json
+from lipservo.terminal.output import MESSAGES, RESULTS, complain, print_json
+from lipsync.errors import UserError
 
 if TYPE_CHECKING:
     from firmware_bridge.bus_kinds import Finding
@@ -33,16 +37,51 @@ def _examined(settings: "FaceSettings") -> "Iterator[Finding]":
             yield Finding(Severity.BAD, f"{name}: {error}")
 
 
-def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = False) -> None:
+def doctor(
+    port: Port = None,
+    config: Config = DEFAULT_FACE,
+    as_json: Json = False,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.json",
+            help="Measure the hardware, too, and write what may be sent to us: no names or paths.",
+            show_default=False,
+        ),
+    ] = None,
+    seconds: Annotated[
+        float, typer.Option(min=1.0, max=600.0, help="How long --report reads and writes.")
+    ] = 5.0,
+    move: Annotated[
+        str | None,
+        typer.Option(
+            metavar="JOINT", help="With --report: step this joint, too.", show_default=False
+        ),
+    ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="With --report: ask nothing; needed in a script.")
+    ] = False,
+) -> None:
     """Examine port, adapter and every servo; say what is wrong and what to do. Changes nothing.
 
-    Exit status 1 when something is bad.
+    Exit status 1 when something is bad. With --report the servos are let go, read and written for a
+    while, and after a yes one joint is moved 5 degrees to and fro, within its limits.
     """
-    from firmware_bridge.bus_kinds import Severity
     from lipservo.runtime.servos.assembly import load_settings
 
     settings, _ = load_settings(config)
     settings = settings.at_port(port_of(port, settings.servo_port or settings.bus.port))
+    if report is not None:
+        _report(settings, config, report, seconds=seconds, move=move, yes=yes)
+        return
+    if move is not None or yes:
+        raise typer.BadParameter("--move and --yes go with --report")
+    _examine(settings, as_json=as_json)
+
+
+def _examine(settings: "FaceSettings", *, as_json: bool) -> None:
+    from firmware_bridge.bus_kinds import Severity
+
     findings = []
     for finding in _examined(settings):
         findings.append(finding)
@@ -59,3 +98,134 @@ def doctor(port: Port = None, config: Config = DEFAULT_FACE, as_json: Json = Fal
         print_json({"bad": n_bad, "findings": listed})
     if n_bad:
         raise typer.Exit(1)
+
+
+def _report(
+    settings: "FaceSettings",
+    config: str,
+    file: Path,
+    *,
+    seconds: float,
+    move: str | None,
+    yes: bool,
+) -> None:
+    """All of it measured, then written whole; ended in between it leaves nothing."""
+    from firmware_bridge.stop_signals import DeferredSignals, StopRequested
+    from lipservo.health.hardware_report import about_face, as_text, examined, secrets_of
+    from lipsync.output_file import check_output, written_whole
+
+    text_file = file.with_suffix(".txt")
+    if file.suffix != ".json":
+        raise UserError(f"{file}: call the report {file.stem or 'report'}.json")
+    joint = _joint(settings, move)
+    for each in (file, text_file):
+        check_output(each)
+    names = ", ".join(settings.servos)
+    _consent(f"The servos are let go, and what they hold falls: {names}. Go on", yes=yes)
+    status = 0
+    with DeferredSignals() as signals:
+        try:
+            found: dict[str, Any] = about_face(settings)
+            MESSAGES.print("examining")
+            found["findings"] = examined(settings, secrets_of(settings, config))
+            MESSAGES.print(f"reading and writing for {seconds:g} s")
+            found["limp_loop"] = _limp_loop(settings, seconds)
+        except StopRequested as stop:
+            status = 128 + stop.number
+            with suppress(StopRequested), signals.finish_first():
+                complain(f"stopped by {stop}; the servos are let go, and nothing was written")
+    if status:
+        raise typer.Exit(status)
+    found["steps"] = None
+    if move is not None or _wants_steps(joint, yes=yes):
+        if move is not None:
+            _consent(_move_question(joint), yes=yes)
+        found["steps"] = _steps(settings, joint)
+    with written_whole(file) as whole, written_whole(text_file) as text:
+        whole.write_text(json.dumps(found, indent=1, allow_nan=False) + "\n")
+        text.write_text(as_text(found))
+    RESULTS.print(
+        f"{file} and {text_file.name}: read them, then send them "
+        '(docs/hardware.md, "Tell us what yours does")'
+    )
+
+
+def _joint(settings: "FaceSettings", name: str | None) -> str:
+    """The joint to step. Raises UserError."""
+    if name is not None and name not in settings.servos:
+        raise UserError(f"no joint {name!r} in this face; it has {', '.join(settings.servos)}")
+    return name or next(iter(settings.servos))
+
+
+def _move_question(joint: str) -> str:
+    from lipservo.health.hardware_report import STEP_DEG
+
+    return (
+        f"All servos are held, and {joint} moves {STEP_DEG:g} degrees to and fro, three times, "
+        "at most as fast as its YAML says. Keep your hands away. Move it"
+    )
+
+
+def _wants_steps(joint: str, *, yes: bool) -> bool:
+    """Whether a person at the terminal types yes; a script says --move."""
+    if yes or not sys.stdin.isatty():
+        return False
+    return typer.confirm(_move_question(joint), default=False, err=True)
+
+
+def _consent(question: str, *, yes: bool) -> None:
+    """Raises UserError unless a person says yes."""
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise UserError(f"{question}? Nobody is there to be asked: give --yes")
+    if not typer.confirm(question, default=False, err=True):
+        raise UserError("nothing was done, and nothing written")
+
+
+def _limp_loop(settings: "FaceSettings", seconds: float) -> dict[str, Any]:
+    from firmware_bridge.clock import MonotonicClock
+    from firmware_bridge.stopping import named_by_reason
+    from lipservo.health.hardware_report import limp_loop
+    from lipservo.runtime.servos.assembly import bus_for
+    from lipservo.runtime.servos.limp_servos import LimpServos
+
+    clock = MonotonicClock()
+    with bus_for(settings, clock, strict=False) as bus:
+        released = LimpServos(settings, bus, clock, list(settings.servos)).let_go()
+        if settings.capabilities.confirmed_limp and not released.complete:
+            MESSAGES.print(f"torque off is NOT confirmed: {named_by_reason(released.unconfirmed)}")
+        told = limp_loop(bus, settings.rate_hz, seconds, clock)
+    return {"n_confirmed_limp": len(released.confirmed), **told}
+
+
+def _steps(settings: "FaceSettings", joint: str) -> dict[str, Any]:
+    """Raises FaceStopped when a person stops it, and what bus and bridge raise."""
+    from firmware_bridge.clock import MonotonicClock
+    from firmware_bridge.stopping import StopLevel
+    from lipservo.health.hardware_report import N_STEPS, STEP_S, labels, step_answers, step_goals
+    from lipservo.runtime.servos.held_face import HeldFace
+
+    clock = MonotonicClock()
+    servo = settings.servos[joint]
+    with HeldFace(settings, clock, joints=[joint], end=StopLevel.SOFT) as face:
+        goals_deg = step_goals(servo.min_deg, servo.max_deg, face.rate_hz)
+        rate_hz = face.rate_hz
+        if settings.capabilities.place:
+            seen_deg = face.drive(goals_deg, rate_hz)
+            answers = step_answers(goals_deg[:, 0], seen_deg[:, 0], rate_hz)
+        else:
+            answers = []
+            for goal_deg in goals_deg[:: round(STEP_S * rate_hz)]:
+                face.lead(goal_deg)
+                face.hold(STEP_S)
+    report = face.life.report
+    assert report is not None
+    label = labels(settings)[list(settings.servos).index(joint)]
+    return {
+        "servo": label,
+        "rate_hz": rate_hz,
+        "n_steps": 2 * N_STEPS,
+        "answers": answers,
+        "n_let_go": len(report.confirmed) + len(report.released),
+    }

@@ -66,6 +66,10 @@ def setup_servos(
     settings, _ = load_settings(config)
     if bus is not None:
         settings = settings.of_bus(bus)
+    if not (settings.capabilities.set_up or settings.bus_kind.at_port):
+        unknown = [name for name in joints or () if name not in settings.servos]
+        _say_nothing_to_set_up(settings.bus.kind, unknown, as_json=as_json)
+        return
     tools = settings.bus_kind.workshop()
     servos = tools.servos_by_joint(settings.wiring)
     unknown = [name for name in joints or () if name not in servos]
@@ -86,6 +90,19 @@ def setup_servos(
             _report(work, error)
     if status:
         raise typer.Exit(status)
+
+
+def _say_nothing_to_set_up(kind: str, unknown: list[str], *, as_json: bool) -> None:
+    """Of servos that keep no settings there is nothing to write."""
+    if unknown:
+        raise UserError(f"no joint {unknown[0]!r} in this face")
+    if as_json:
+        print_json({"dry_run": False, "complete": True, "error": "", "servos": []})
+        return
+    RESULTS.print(
+        f"nothing to set up: servos on a {kind} bus keep no settings; find their limits with "
+        "`lipservo jog JOINT`, or on the page Servos of `lipservo jog --dashboard`"
+    )
 
 
 def _set_up(work: _Work, servos: list[Any], signals: "DeferredSignals", *, ask: bool) -> None:

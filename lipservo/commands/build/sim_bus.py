@@ -25,12 +25,18 @@ def sim_bus(
     ] = None,
     bus: Bus = None,
     kind: Annotated[
-        str, typer.Option(help="Which kind of bus, without --config: dynamixel or maestro.")
+        str, typer.Option(help="Without --config: dynamixel, maestro or feetech.")
     ] = _SIMULATED,
     servos: Annotated[int, typer.Option(min=1, max=252, help="How many, without --config.")] = (
         _N_SERVOS
     ),
-    model: Annotated[str, typer.Option(help="Which model, without --config.")] = "XL330-M288",
+    model: Annotated[
+        str | None,
+        typer.Option(
+            help="Which model, without --config; default XL330-M288 or STS3215.",
+            show_default=False,
+        ),
+    ] = None,
     first_id: Annotated[int, typer.Option(min=0, max=252, help="The others follow.")] = 1,
     baud_rate: Annotated[
         int | None,
@@ -41,7 +47,10 @@ def sim_bus(
     ] = None,
     log: Annotated[
         Path | None,
-        typer.Option(help="Write every pulse of hobby servos to this file.", show_default=False),
+        typer.Option(
+            help="Write pulses, or torque and goals of Feetech servos, to a file.",
+            show_default=False,
+        ),
     ] = None,
     link: Annotated[
         Path | None,
@@ -55,7 +64,7 @@ def sim_bus(
     ] = False,
     until_stdin_closes: Annotated[bool, typer.Option(hidden=True)] = False,
 ) -> None:
-    """Simulate a chain of Dynamixel servos, or a Maestro; prints the port, serves it until stopped.
+    """Simulate Dynamixel or Feetech servos, or a Maestro, at a port of their own; until stopped.
 
     Any program that speaks to them can open the port: lipservo, dynamixel-sdk, others.
     """

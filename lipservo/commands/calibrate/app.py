@@ -88,7 +88,7 @@ class CalibrateGroup(LazyGroup):
                 example="my_face.calibration.yaml --config my_face.yaml",
             ),
             "neutral": Command(
-                "lipservo.commands.build.builder:neutral",
+                "lipservo.commands.build.jogging:neutral",
                 "Bring every joint to its neutral.",
                 _SINGLE,
             ),

@@ -218,12 +218,21 @@ def lags(
     port: Port = None,
     sim: Sim = None,
     speed: Speed = 30.0,
+    lag_ms: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="JOINT=MS",
+            help="How late a servo is that has no encoder, as a film shows; again for each.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Find how late each servo follows, by chirps and steps, and write it into a calibration.
 
-    The map stays; the file that was there is kept as `.previous`. 14 s for each joint.
+    The map stays; the file that was there is kept as `.previous`. 14 s for each joint. Servos
+    without encoders cannot be asked: their lags are typed (docs/calibration.md).
     """
     from calibration.calibration import CalibrationError
     from calibration.files.calibration_file import load_calibration, save_calibration
@@ -231,11 +240,19 @@ def lags(
     before = load_calibration(file)
     check_files(file)
     setup = replace(load_setup(config, model), quiet=quiet or as_json, speed_deg_s=speed)
-    from lipservo.calibrating.measured_calibration import measure_lags
+    from lipservo.calibrating.measured_calibration import measure_lags, typed_lags
     from lipservo.calibrating.shown_calibration import following_lines, following_values
 
-    with setup_at_port(setup, port, sim, config) as at:
-        found = measure_lags(at, before)
+    if lag_ms:
+        found = typed_lags(setup, before, lag_ms)
+    elif not setup.settings.capabilities.place:
+        raise CalibrationError(
+            f"servos on a {setup.settings.bus.kind} bus cannot say how late they are: film one, "
+            f"and type it: --lag-ms {setup.servos.names[0]}=60"
+        )
+    else:
+        with setup_at_port(setup, port, sim, config) as at:
+            found = measure_lags(at, before)
     # Trims may have been set while servos chirped.
     now = load_calibration(file)
     if now.origin != before.origin or now.servo_names != before.servo_names:

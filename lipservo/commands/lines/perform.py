@@ -127,7 +127,7 @@ def perform(
         playout = stack.enter_context(entered_sound(request))
         assert isinstance(playout, Playout)
         queue = stack.enter_context(closing(SpeechQueue(playout)))
-        queue.add(spoken_chunks(line.chunks(), line.stream(playout)), line.name)
+        queue.add(spoken_chunks(line.chunks(), line.stream(playout), line.lasts_s), line.name)
         outcome = run_face(
             request,
             playout,

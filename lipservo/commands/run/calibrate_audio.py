@@ -8,7 +8,7 @@ import typer
 
 from lipservo.commands.options import DEFAULT_FACE, Config, Json
 from lipservo.runtime.servos.assembly import load_settings
-from lipservo.settings.stored_offset import offset_lines, store_output_offset
+from lipservo.settings.edited_yaml import edited, lines_by_hand
 from lipservo.terminal.output import MESSAGES, RESULTS, print_json
 
 
@@ -50,8 +50,9 @@ def calibrate_audio(
         claimed_ms = 1e3 * speaker.claimed_latency_s
     offset_ms = round(1e3 * found.median_s, 1)
     path = None if folder is None or dry_run else Path(config)
+    place = ("sound", "output_offset_ms", speaker.lasting_name)
     if path is not None:
-        store_output_offset(path, speaker.lasting_name, offset_ms)
+        edited(path, {place: offset_ms}).write()
     if as_json:
         print_json(
             {
@@ -75,5 +76,4 @@ def calibrate_audio(
     if path is not None:
         RESULTS.print(f"written into {path}")
         return
-    lines = offset_lines(speaker.lasting_name, offset_ms).rstrip()
-    MESSAGES.print(f"not written; in a face's YAML it is\n{lines}")
+    MESSAGES.print(f"not written; in a face's YAML it is\n{lines_by_hand(place, offset_ms)}")

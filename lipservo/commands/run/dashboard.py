@@ -76,7 +76,7 @@ def dashboard(
 
 def check_dashboard() -> None:
     """Raises MissingExtraError unless what the dashboard needs is installed."""
-    for library in ("nicegui", "prometheus_client", "ruamel"):
+    for library in ("nicegui", "prometheus_client"):
         check_extra(library, "the dashboard")
 
 

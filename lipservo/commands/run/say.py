@@ -66,7 +66,7 @@ def say(
     if mute and output is not None:
         raise typer.BadParameter("give --mute or --output, not both")
     if through is not None:
-        told_through(through, token_file, lambda face: face.say(text))
+        told_through(through, token_file, lambda face: face.say(text, wait=True))
         return
     request = RunRequest(
         config,

@@ -7,6 +7,7 @@ from typing import Any, Final
 from lipservo_client.protocol import FaceError
 
 from lipservo.dashboard.face_files import told_calibration
+from lipservo.dashboard.pages.page_facts import settings_of
 from lipservo.dashboard.pages.page_frame import STATIC_URL, card, command, grid, html
 from lipsync.phonemes import VISEME_CLASSES
 
@@ -46,7 +47,9 @@ def calibrate_page(config: str | None, told: Told | None, trouble: str | None) -
             with card("Mouth shapes", "how much of each is within reach", "coverage"):
                 html(_shape_bars(told))
     with card("A new calibration", "in a terminal at the face's computer; stop the face first"):
-        html(_steps(config or "FACE"), "steps")
+        settings = settings_of(config)
+        has_place = settings is None or settings.capabilities.place
+        html(_steps(config or "FACE", has_place=has_place), "steps")
 
 
 def _sentence(text: str) -> str:
@@ -146,9 +149,9 @@ STEPS: Final = (
         "lipservo calibrate practise 3 -o /tmp/practice.yaml",
     ),
     (
-        "limits", "Find the limits", "With the servos limp, move every joint by hand to its ends. "
-        "Write min_deg and max_deg into the YAML, a few degrees inside.",
-        "lipservo doctor --config {face} --port DEV",
+        "limits", "Find the limits", "The servos are let go: turn each joint by hand to both of "
+        "its ends. Their places are shown; w writes the limits into the YAML, 2 degrees inside.",
+        "lipservo jog --limp --config {face} --port DEV",
     ),
     (
         "look", "By eye, without a camera", "The speaker's mouth is shown; with keys you bring the "
@@ -171,10 +174,30 @@ STEPS: Final = (
         "lipservo calibrate show mine.yaml --config {face}",
     ),
 )  # fmt: skip
+#: In their place where servos cannot say where they stand.
+PULSE_STEPS: Final = {
+    "limits": (
+        "limits", "Find the limits", "Arm the sliders of the page Servos and lead each joint to "
+        "where it should stop, slowly. Set as min, neutral and max write it into the YAML.",
+        "lipservo jog --dashboard --config {face} --port DEV",
+    ),
+    "look": (
+        "look", "Begin with a drawn face", "A map for a face of usual shape with your limits: the "
+        "robot speaks, coarsely, and single shapes are trimmed by eye.",
+        "lipservo calibrate fit --config {face} -o mine.yaml",
+    ),
+    "late": (
+        "late", "How late each servo is", "These servos cannot say it. Film one with a telephone "
+        "in slow motion beside the pulse that jog prints, count, and type the milliseconds.",
+        "lipservo calibrate lags mine.yaml --config {face} --lag-ms jaw=60",
+    ),
+}  # fmt: skip
 
 
-def _steps(face: str) -> str:
-    return "<ol>" + "".join(_step(face, *step) for step in STEPS) + "</ol>"
+def _steps(face: str, *, has_place: bool) -> str:
+    other = {} if has_place else PULSE_STEPS
+    steps = (other.get(step[0], step) for step in STEPS)
+    return "<ol>" + "".join(_step(face, *step) for step in steps) + "</ol>"
 
 
 def _step(face: str, picture: str, title: str, text: str, line: str) -> str:

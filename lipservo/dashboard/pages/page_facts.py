@@ -1,7 +1,7 @@
 """What pages know of a face beyond its status, said once: limits, colours, and what servos move."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Final, Literal
 
 from calibration.joint_motion import CLOSE, DOWN, OPEN, UP, joint_motion, side_of, words
@@ -135,7 +135,7 @@ def page_facts(config: str | None) -> dict[str, object]:
 
 
 def servo_facts(servo: ServoSettings) -> dict[str, object]:
-    """Limits in joint degrees, and what its model bears, null where nobody says it."""
+    """Limits in joint degrees, what its model bears, null where nobody says it, and its pulse."""
     return {
         "id": servo.address,
         "model": servo.make,
@@ -143,6 +143,7 @@ def servo_facts(servo: ServoSettings) -> dict[str, object]:
         "positive": servo.positive,
         "least_deg": servo.min_deg,
         "most_deg": servo.max_deg,
+        "pulse": None if servo.pulse is None else asdict(servo.pulse),
         **servo.bounds,
     }
 

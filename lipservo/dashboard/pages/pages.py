@@ -12,6 +12,7 @@ from lipservo.dashboard.pages.calibrate_page import calibrate_page, read_calibra
 from lipservo.dashboard.pages.page_facts import GROUPS, page_facts
 from lipservo.dashboard.pages.page_frame import card, command, grid, html, page_frame
 from lipservo.dashboard.twin.element import HEAD_PATH, Twin
+from lipservo.settings.found_limits import WARNING
 
 #: A slow telephone may take so long to load a page; the framework would load it anew after 3 s.
 _PATIENCE_S: Final = 30.0
@@ -105,7 +106,7 @@ async def _servos(_status: Status, _config: str | None) -> None:
     with card("Health", "asked of one servo after the other, so a value may be a second old"):
         html("<face-servo-table></face-servo-table>")
     with card("Move by hand", classes="jog"):
-        html("<face-jog></face-jog>")
+        html(f"<face-jog data-warning='{escape(WARNING)}'></face-jog>")
 
 
 async def _lines(status: Status, _config: str | None) -> None:

@@ -2,6 +2,7 @@
 import { postJson } from "./calls.js";
 import { drawnDeg, face, facts, onDraw, onHello, onStatus, troubleOf } from "./link.js";
 import { place } from "./live/servo_bars.js";
+import { PulseRow } from "./pulse_row.js";
 import { shown, spoken, unread, whyStill } from "./words.js";
 
 const ARMED_MS = 3000; // as long as the face itself waits for the next word
@@ -12,14 +13,21 @@ class FaceJog extends HTMLElement {
     this.innerHTML =
       '<div class="arm"><button type="button" class="switch" role="switch" aria-checked="false">' +
       'Arm the sliders</button><div class="left"><i></i></div><span class="hint"></span></div>' +
+      '<div class="beyond" role="alert" hidden><p></p>' +
+      '<button type="button" class="act first go">Go beyond</button>' +
+      '<button type="button" class="act stay">Stay within</button></div>' +
       '<div class="sliders" inert></div><p class="said" role="status"></p>';
+    this.beyond = this.querySelector(".beyond");
+    this.beyond.querySelector(".go").addEventListener("click", () => this.agree(true));
+    this.beyond.querySelector(".stay").addEventListener("click", () => this.agree(false));
+    this.agreed = new Set(); // servos that a person wants to go beyond their limits
     this.arm = this.querySelector(".switch");
     this.left = this.querySelector(".left i");
     this.hint = this.querySelector(".hint");
     this.sliders = this.querySelector(".sliders");
     this.said = this.querySelector(".said");
     this.armedUntilMs = 0;
-    this.wanted = new Map(); // servo -> degrees that have not been sent yet
+    this.wanted = new Map(); // servo -> its place, {deg} or {pulse_us}, that has not been sent yet
     this.touched = new Set(); // servos that were moved since arming
     this.arm.addEventListener("click", () => (this.isArmed ? this.end() : this.begin()));
     this.leave = () => this.isArmed && this.end(true);
@@ -56,12 +64,28 @@ class FaceJog extends HTMLElement {
   }
 
   build(names) {
-    this.rows = names.map((name) => slider(name));
+    this.rows = names.map((name) => new (facts.servos?.[name]?.pulse ? PulseRow : DegreeRow)(name, this));
     this.sliders.replaceChildren(...this.rows.map((row) => row.line));
-    for (const { name, input } of this.rows) {
-      input.addEventListener("input", () => this.want(name, Number(input.value)));
-      input.addEventListener("pointerdown", () => this.touch());
-    }
+    for (const { input } of this.rows) input.addEventListener("pointerdown", () => this.touch());
+  }
+
+  /** Whether a person has agreed to take this servo beyond its limits; asks where not. */
+  mayGoBeyond(name) {
+    if (this.agreed.has(name)) return true;
+    this.asked = name;
+    this.beyond.querySelector("p").textContent = `${spoken(name)}: ${this.dataset.warning}`;
+    this.beyond.hidden = false;
+    this.beyond.scrollIntoView({ block: "center" }); // on a telephone the slider is far below
+    return false;
+  }
+
+  async agree(isAgreed) {
+    this.beyond.hidden = true;
+    if (!isAgreed) return;
+    this.agreed.add(this.asked);
+    if (!this.isArmed) await this.begin(); // reading takes longer than the switch waits
+    this.touch();
+    this.say("", `${spoken(this.asked)} may go beyond its limits now, 10 µs at a time.`);
   }
 
   async begin() {
@@ -71,10 +95,10 @@ class FaceJog extends HTMLElement {
       return this.say("bad", error.message);
     }
     // Sliders begin where the servos stand, so that the first touch moves nothing far.
-    this.rows.forEach(({ input, name }, i) => {
+    this.rows.forEach((row, i) => {
       const encoder = face.frame?.encodersDeg[i] ?? null;
-      input.value = encoder ?? 0;
-      input.disabled = troubleOf(name, encoder) !== null;
+      row.rest(encoder, face.frame?.goalsDeg[i] ?? null);
+      row.input.disabled = troubleOf(row.name, encoder) !== null;
     });
     this.say("", "");
     this.touched.clear();
@@ -87,11 +111,12 @@ class FaceJog extends HTMLElement {
     if (this.isArmed) this.armedUntilMs = performance.now() + ARMED_MS;
   }
 
-  want(name, deg) {
+  /** place: {deg} or {pulse_us}. */
+  want(name, place) {
     if (!this.isArmed) return;
     this.touch();
     this.touched.add(name);
-    this.wanted.set(name, deg);
+    this.wanted.set(name, place);
     this.send();
   }
 
@@ -100,10 +125,10 @@ class FaceJog extends HTMLElement {
     if (this.sending) return;
     this.sending = true;
     while (this.wanted.size && this.isArmed) {
-      const [[name, deg]] = this.wanted;
+      const [[name, place]] = this.wanted;
       this.wanted.delete(name);
       try {
-        await postJson("/api/jog", { action: "move", servo: name, deg });
+        await postJson("/api/jog", { action: "move", servo: name, ...place });
         this.say("", "");
       } catch (error) {
         this.say("bad", `${spoken(name)}: ${error.message}`);
@@ -150,18 +175,10 @@ class FaceJog extends HTMLElement {
   }
 
   draw(frame) {
-    this.rows?.forEach(({ name, mark, output, input }, i) => {
-      const { least_deg: least, most_deg: most } = facts.servos?.[name] ?? { least_deg: -90, most_deg: 90 };
-      const encoder = drawnDeg(frame)[i];
-      const at = encoder === null ? null : place(encoder, least, most);
-      mark.hidden = at === null;
-      // The thumb's middle runs from half its width to half its width before the end.
-      if (at !== null) mark.style.left = `calc(8px + ${at} * (100% - 16px))`;
-      const text = encoder === null ? unread(face.status, name, face.phase === "stopped") : shown(encoder, 1, "°");
-      if (output.textContent !== text) output.textContent = text;
+    const encodersDeg = drawnDeg(frame);
+    this.rows?.forEach((row, i) => {
       // A slider that nobody has touched since arming stays where its servo is.
-      const isHeld = this.isArmed && this.touched.has(name);
-      if (!isHeld && encoder !== null) input.value = encoder;
+      row.draw(encodersDeg[i], frame.goalsDeg[i], this.isArmed && this.touched.has(row.name));
     });
   }
 
@@ -171,19 +188,40 @@ class FaceJog extends HTMLElement {
   }
 }
 
-function slider(name) {
-  const { least_deg: least, most_deg: most, positive } = facts.servos?.[name] ?? { least_deg: -90, most_deg: 90 };
-  const line = document.createElement("label");
-  line.className = "slider";
-  line.dataset.servo = name;
-  line.innerHTML =
-    '<span class="name"></span><span class="rail">' +
-    `<input type="range" min="${least}" max="${most}" step="0.1"><u></u></span><output></output>` +
-    `<span class="ends"><span>${least}°</span><em></em><span>${most}°</span></span>`;
-  line.querySelector(".name").textContent = spoken(name);
-  line.querySelector(".ends em").textContent = positive ? `+ ${positive}` : "";
-  const input = line.querySelector("input");
-  return { name, line, input, mark: line.querySelector("u"), output: line.querySelector("output") };
+/** A slider in degrees of the joint. */
+class DegreeRow {
+  constructor(name, jog) {
+    const { least_deg: least, most_deg: most, positive } = facts.servos?.[name] ?? { least_deg: -90, most_deg: 90 };
+    Object.assign(this, { name, least, most });
+    this.line = document.createElement("label");
+    this.line.className = "slider";
+    this.line.dataset.servo = name;
+    this.line.innerHTML =
+      '<span class="name"></span><span class="rail">' +
+      `<input type="range" min="${least}" max="${most}" step="0.1"><u></u></span><output></output>` +
+      `<span class="ends"><span>${least}°</span><em></em><span>${most}°</span></span>`;
+    this.line.querySelector(".name").textContent = spoken(name);
+    this.line.querySelector(".ends em").textContent = positive ? `+ ${positive}` : "";
+    this.input = this.line.querySelector("input");
+    this.mark = this.line.querySelector("u");
+    this.output = this.line.querySelector("output");
+    this.input.addEventListener("input", () => jog.want(name, { deg: Number(this.input.value) }));
+  }
+
+  /** Where the servo stands, or was sent to: the first touch moves nothing far. */
+  rest(encoderDeg, goalDeg) {
+    this.input.value = encoderDeg ?? goalDeg ?? 0;
+  }
+
+  draw(encoderDeg, goalDeg, isHeld) {
+    const at = encoderDeg === null ? null : place(encoderDeg, this.least, this.most);
+    this.mark.hidden = at === null;
+    // The thumb's middle runs from half its width to half its width before the end.
+    if (at !== null) this.mark.style.left = `calc(8px + ${at} * (100% - 16px))`;
+    const text = encoderDeg === null ? unread(face.status, this.name, face.phase === "stopped") : shown(encoderDeg, 1, "°");
+    if (this.output.textContent !== text) this.output.textContent = text;
+    if (!isHeld && encoderDeg !== null) this.rest(encoderDeg, goalDeg);
+  }
 }
 
 customElements.define("face-jog", FaceJog);

@@ -14,7 +14,11 @@ from lipservo_client.protocol import FaceError
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 
+from firmware_bridge.joints import LONGEST_FOUND_US, SHORTEST_FOUND_US
+from lipservo.settings.found_limits import PulseLimit
+
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
+Pulse = Annotated[float, Field(ge=SHORTEST_FOUND_US, le=LONGEST_FOUND_US)]
 _Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 #: By the code of a `FaceError`; those of an agent server that are not here say that it is busy.
 _STATUS_OF: Final = {
@@ -77,11 +81,20 @@ class ServoBody(Body):
 
 
 class JogBody(Body):
-    """arm: begin, or go on; move: one servo, in degrees of its joint; end."""
+    """arm: begin, or go on; move: one servo, in degrees of its joint, or by its pulse; end."""
 
     action: Literal["arm", "move", "end"]
     servo: _Name | None = None
     deg: Annotated[float, Field(ge=-180.0, le=180.0)] | None = None
+    pulse_us: Pulse | None = None
+
+
+class PulseLimitBody(Body):
+    """One limit of a hobby servo, at this pulse from the next start on."""
+
+    servo: _Name
+    limit: PulseLimit
+    pulse_us: Pulse
 
 
 class SettingsBody(Body):

@@ -10,7 +10,14 @@ from fastapi.responses import JSONResponse
 from lipservo_client.protocol import FaceError
 from starlette.requests import ClientDisconnect
 
-from lipservo.dashboard.face_files import own_yaml, saved_settings, told_calibration, with_settings
+from lipservo.dashboard.face_files import (
+    face_errors,
+    own_yaml,
+    saved_settings,
+    set_pulse_limit,
+    told_calibration,
+    with_settings,
+)
 from lipservo.dashboard.face_link import FaceLink
 from lipservo.dashboard.servo_remedies import is_stopped, told_servos
 from lipservo.dashboard.sound_lines import MOST_BYTES, SoundLines, Uploads, checked_name
@@ -19,6 +26,7 @@ from lipservo.dashboard.web.api_models import (
     JogBody,
     LookBody,
     PlayBody,
+    PulseLimitBody,
     SayBody,
     ServoBody,
     SettingsBody,
@@ -38,6 +46,7 @@ _COUNTS = (
 def face_routes(link: FaceLink) -> APIRouter:
     """Status, commands, servos, faults, calibration."""
     routes = APIRouter(prefix="/api")
+    one_at_a_time = asyncio.Lock()
 
     @routes.get("/status")
     async def status() -> Told:
@@ -95,13 +104,29 @@ def face_routes(link: FaceLink) -> APIRouter:
 
     @routes.post("/jog")
     async def jog(body: JogBody) -> Told:
-        """Move single servos by hand, within their limits; ends 3 s after the last request."""
+        """Move single servos by hand, within their limits; ends 3 s after the last request.
+
+        By its pulse a hobby servo goes beyond them, at most 10 us at a time: docs/hardware.md.
+        """
         if body.action != "move":
             return dict(await (link.jog_arm() if body.action == "arm" else link.jog_end()))
-        if body.servo is None or body.deg is None:
-            raise FaceError("refused", "move needs servo and deg")
+        if body.servo is None or (body.deg is None) == (body.pulse_us is None):
+            raise FaceError("refused", "move needs servo, and either deg or pulse_us")
         _check_known(link, body.servo)
+        if body.pulse_us is not None:
+            return dict(await link.jog_pulse(body.servo, body.pulse_us))
+        assert body.deg is not None  # one of both
         return dict(await link.jog(body.servo, body.deg))
+
+    @routes.post("/pulse-limits")
+    async def pulse_limits(body: PulseLimitBody) -> Told:
+        """Write the pulse that was found for a hobby servo into the face's own YAML."""
+        _check_known(link, body.servo)
+        config = (link.status or {}).get("config")
+        async with one_at_a_time:
+            return await asyncio.to_thread(
+                set_pulse_limit, config, body.servo, body.limit, body.pulse_us
+            )
 
     @routes.get("/faults")
     async def faults() -> Told:
@@ -222,7 +247,8 @@ async def change_settings(link: FaceLink, values: dict[str, float], *, save: boo
     if now:
         await link.change(now)
     try:
-        await asyncio.to_thread(file.write)
+        with face_errors():
+            await asyncio.to_thread(file.write)
     except FaceError:
         if now:
             await link.change({name: float(live[name]) for name in now})

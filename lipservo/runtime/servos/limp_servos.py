@@ -1,11 +1,12 @@
-"""The mouth's servos with torque off, for somebody who turns them with the fingers.
+"""Servos with torque off, for somebody who turns them with the fingers.
 
 Torque is only ever switched off here, so that whatever ends the program leaves it off.
 """
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from firmware_bridge.errors import PortError
 from firmware_bridge.stopping import StopReport
 from lipservo.settings.settings import FaceSettings
 from lipsync.arrays import Array
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 #: Torque off is asked for so often before a servo counts as not having confirmed it.
 _TRIES: Final = 3
@@ -40,11 +44,17 @@ class LimpPose:
 
 
 class LimpServos:
-    """The mouth's servos of an open bus, in the order of the YAML. Others stay as they are."""
+    """Some servos of an open bus. Others stay as they are."""
 
-    def __init__(self, settings: FaceSettings, bus: ServoBus, clock: Clock) -> None:
-        """settings: of the face that the bus was made for."""
-        self.names = tuple(settings.mouth_servos)
+    def __init__(
+        self,
+        settings: FaceSettings,
+        bus: ServoBus,
+        clock: Clock,
+        names: Sequence[str] | None = None,
+    ) -> None:
+        """settings: of the face that the bus was made for. names: default the mouth's, in order."""
+        self.names = tuple(settings.mouth_servos if names is None else names)
         self._bus, self._clock = bus, clock
         self._indices = [list(settings.servos).index(name) for name in self.names]
 
@@ -103,3 +113,51 @@ class LimpServos:
             elif np.ptp(heard_deg) > _STEADY_DEG:
                 obstacles[name] = _MOVES
         return LimpPose(np.array(places_deg), obstacles)
+
+
+class TurnedRange:
+    """How far a hand has turned each joint, in joint degrees. Arrays are (n_servos,)."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = tuple(names)
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what was seen."""
+        nothing = np.full(len(self._names), np.nan)
+        self._here_deg, self._least_deg, self._most_deg = nothing, nothing, nothing
+        self._obstacles: Mapping[str, str] = {}
+
+    def note(self, pose: LimpPose) -> None:
+        """One look; who is held or silent is left out."""
+        free = [name not in pose.obstacles for name in self._names]
+        here_deg = np.where(free, pose.positions_deg, np.nan)
+        self._here_deg, self._obstacles = here_deg, pose.obstacles
+        self._least_deg = np.fmin(self._least_deg, here_deg)
+        self._most_deg = np.fmax(self._most_deg, here_deg)
+
+    def ends(self) -> dict[str, tuple[float, float]]:
+        """Least and most of each joint by name; NaN where it was never read."""
+        ends_deg = zip(self._least_deg.tolist(), self._most_deg.tolist(), strict=True)
+        return dict(zip(self._names, ends_deg, strict=True))
+
+    def lines(self) -> list[str]:
+        """For people, one a joint."""
+        return [
+            f"{name}: {here:.1f} deg, turned from {least:.1f} to {most:.1f}"
+            if math.isfinite(least)
+            else f"{name}: {self._obstacles.get(name, _SILENT)}"
+            for (name, (least, most)), here in zip(
+                self.ends().items(), self._here_deg.tolist(), strict=True
+            )
+        ]
+
+    def table(self) -> "Table":
+        """The same while it goes on."""
+        from rich.table import Table
+
+        table = Table("joint", "now", "least", "most", "", box=None)
+        for (name, ends), here in zip(self.ends().items(), self._here_deg.tolist(), strict=True):
+            told = (f"{deg:.1f}" if math.isfinite(deg) else "-" for deg in (here, *ends))
+            table.add_row(name, *told, self._obstacles.get(name, ""))
+        return table

@@ -1,5 +1,7 @@
 """The parts of `lipservo new-face`: find servos, nudge one, write the YAML."""
 
+import math
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,9 +12,10 @@ import numpy as np
 import yaml
 
 from calibration.capture.lerobot_ranges import TICKS_A_TURN, RecordedRange
-from firmware_bridge.bus_kinds import AT_A_PORT
-from firmware_bridge.clock import MonotonicClock
+from firmware_bridge.bus_kinds import BusKind
+from firmware_bridge.clock import ManualClock, MonotonicClock
 from firmware_bridge.gate.ramp import Ramp
+from firmware_bridge.joints import LONGEST_FOUND_US, SHORTEST_FOUND_US
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
@@ -20,6 +23,7 @@ from firmware_bridge.stopping import StopLevel
 from lipservo.runtime.servos.driven_face import DriveOptions, face_life
 from lipservo.runtime.servos.face_stopped import FaceStopped
 from lipservo.settings.sections import JOINT_NAME
+from lipservo.settings.settings import FaceSettings, parse_face
 from lipsync.errors import UserError, shown
 from lipsync.output_file import check_output
 
@@ -29,6 +33,45 @@ _NUDGE_S = 0.25
 _NUDGE_RATE_HZ = 50.0
 #: Careful beginnings; the builder widens them.
 _LIMIT_DEG, _SPEED_DEG_S = 10.0, 200.0
+#: Of hobby servos: 9 degrees to either side of the middle of nearly all of them.
+_NEUTRAL_US, _NARROW_US, _US_PER_DEG = 1500, 100, 11
+_MOST_DIGITS = 3
+_BOARD = r"[A-Za-z0-9_]{1,20}"
+#: Text that YAML takes as it is, and for nothing else.
+_PLAIN = r"[a-z]{3,}( [a-z]{3,})*|/[\w./-]+"
+_PULSE_HEAD = """\
+# Written by `lipservo new-face`: hobby servos on a {kind}. Wiring, power, parts: docs/hardware.md.
+#
+# 1. lipservo doctor --config THIS               what answers, and what it sends
+# 2. lipservo calibrate neutral --yes --config THIS    hands off: servos jump to neutral once
+# 3. lipservo jog --dashboard --config THIS      find the limits of each servo, and set them there
+# 4. lipservo calibrate --help                   teach it a speaker's mouth, and name the file below
+
+name: {name}
+rate_hz: 50                 # as often as most hobby servos take a pulse
+# calibration: mine.calibration.yaml
+
+bus:
+  kind: {kind}
+  {board_key}: {board}
+  {port}
+
+# Pulses are neutral_us + us_per_deg x degrees, never outside min_us..max_us. These are narrow on
+# purpose: by hand you may go beyond them, slowly, to {least:g} and {most:g} us and no farther.
+servos:
+"""
+_PULSE_SERVO = """\
+  {name}:
+    channel: {channel}
+    positive: {positive:<14}# what a positive angle does
+    min_deg: -{deg:<14}# the joint's limits follow those of the pulses
+    max_deg: {deg}
+    max_speed_deg_s: {speed:<7g}# slow, until it is known to bear more
+    us_per_deg: {us_per_deg:<12}# of most servos; a minus turns the joint round
+    neutral_us: {neutral:<12}# 0 degrees: where the joint rests
+    min_us: {low:<16}# pulses that it bears
+    max_us: {high}
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,12 +165,12 @@ def check_joint_name(name: str, taken: Sequence[str]) -> str:
     return name
 
 
-def face_yaml(name: str, port: str, rate: int, joints: Sequence[FoundJoint]) -> str:
-    """The YAML of a face. name: any text, also of bytes that are no UTF-8."""
+def face_yaml(name: str, kind: BusKind, port: str, rate: int, joints: Sequence[FoundJoint]) -> str:
+    """The YAML of a face whose servos were found. name: any text, also of bytes not in UTF-8."""
     content = {
         "name": name.encode(errors="replace").decode(),
         "rate_hz": 30,
-        "bus": {"kind": AT_A_PORT, "port": port, "baud_rate": rate},
+        "bus": {"kind": kind.name, "port": port, "baud_rate": rate},
         "servos": {
             joint.name: {
                 "id": joint.servo_id,
@@ -144,3 +187,80 @@ def face_yaml(name: str, port: str, rate: int, joints: Sequence[FoundJoint]) -> 
     }
     head = "# Written by `lipservo new-face`. Limits are careful: find the real ones by hand.\n"
     return head + yaml.safe_dump(content, sort_keys=False)
+
+
+@dataclass(frozen=True, slots=True)
+class WiredJoint:
+    """A hobby servo as a person says that it is wired. positive: what a longer pulse does."""
+
+    name: str
+    channel: int
+    positive: str
+
+
+def parse_channel(text: str, taken: Sequence[WiredJoint]) -> WiredJoint:
+    """`jaw=0:opens`: joint, channel, and what a longer pulse does. Raises UserError."""
+    name, _, wiring = text.partition("=")
+    number, _, positive = wiring.partition(":")
+    name = check_joint_name(name, [each.name for each in taken])
+    if not number.strip().isdecimal() or len(number) > _MOST_DIGITS:
+        raise UserError(f"{shown(text)}: needs NAME=CHANNEL:WORD, jaw=0:opens for one")
+    if not positive.strip():
+        raise UserError(f"{shown(text)}: say what a longer pulse does: {name}={number}:opens")
+    channel = int(number)
+    if other := next((each.name for each in taken if each.channel == channel), ""):
+        raise UserError(f"{name}: channel {channel} is that of {other}; every servo has its own")
+    return WiredJoint(name, channel, positive.strip())
+
+
+def pulse_face_yaml(
+    name: str, kind: BusKind, port: str | None, board: str, joints: Sequence[WiredJoint]
+) -> str:
+    """The YAML of a face of hobby servos, with comments: what is known is said, all else careful.
+
+    Raises UserError for a board that is no word or number; its kind says whether it has it.
+    """
+    if not re.fullmatch(_BOARD, board):
+        raise UserError(f"--board {shown(board)} is no {kind.board_key} of a {kind.name}")
+    where = "# port: ..." if port is None else f"port: {_quoted(port)}"
+    head = _PULSE_HEAD.format(
+        name=_quoted(name.encode(errors="replace").decode()),
+        kind=kind.name,
+        board_key=kind.board_key,
+        board=board,
+        port=where,
+        least=SHORTEST_FOUND_US,
+        most=LONGEST_FOUND_US,
+    )
+    entries = (
+        _PULSE_SERVO.format(
+            name=each.name,
+            channel=each.channel,
+            positive=_quoted(each.positive),
+            speed=_SPEED_DEG_S,
+            neutral=_NEUTRAL_US,
+            low=_NEUTRAL_US - _NARROW_US,
+            high=_NEUTRAL_US + _NARROW_US,
+            deg=_NARROW_US // _US_PER_DEG,
+            us_per_deg=_US_PER_DEG,
+        )
+        for each in joints
+    )
+    return head + "".join(entries)
+
+
+def check_wiring(text: str, file_name: str) -> FaceSettings:
+    """The face of that YAML. Raises SettingsError, and ServoError for channels of no such board."""
+    settings = parse_face(text, file_name)
+    # Opens nothing before it is entered; without a port it would look at nothing either.
+    at = settings.at_port(settings.bus.port or os.devnull)
+    at.bus_kind.open(at.wiring, ManualClock())
+    return settings
+
+
+def _quoted(text: str) -> str:
+    """As a YAML value, whatever stands in it."""
+    is_plain = re.fullmatch(_PLAIN, text) and isinstance(yaml.safe_load(text), str)
+    if is_plain:
+        return text
+    return yaml.safe_dump(text, default_style='"', width=math.inf).rstrip("\n")

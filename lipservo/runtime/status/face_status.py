@@ -21,9 +21,9 @@ class BridgeSide:
     whether the port is there; torque_on: whether a servo is driven; servos: the state of each, by
     name; troubles: a line for each servo that is not driven; jogged: joints that a person jogs;
     health: how each servo is, as `ServoHealth` has it, None for what was never heard; capabilities:
-    what the bus can do (`BusCapabilities`); n_ticks to n_rejected_targets: the counts of
-    `BridgeStatus`; *_total: how often the gate stepped in, over all servos; bridge_pid: the process
-    that drives them.
+    what the bus can do (`BusCapabilities`); pulses: of each hobby servo, by name, its limits and
+    what it was sent last; n_ticks to n_rejected_targets: the counts of `BridgeStatus`; *_total: how
+    often the gate stepped in, over all servos; bridge_pid: the process that drives them.
     """
 
     name: str = ""
@@ -42,6 +42,7 @@ class BridgeSide:
     jogged: Sequence[str] = ()
     health: Sequence[Mapping[str, object]] = ()
     capabilities: Mapping[str, object] = field(default_factory=dict)
+    pulses: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     n_ticks: int | None = None
     n_late: int | None = None
     n_stale: int | None = None

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from feetech_chain import on_feetech
 from hobby_bus import PULSES, on_maestro, on_pca9685
 
 from firmware_bridge.capabilities import IN_MEMORY
@@ -35,6 +36,8 @@ IDS = [servo.joint.servo_id for servo in SERVOS]
 N = len(SERVOS)
 #: Far more than anything here takes, even on a busy machine.
 TIMEOUT_S = 60.0
+#: Half a step of the coarsest encoder, an SCS0009's.
+STEP_DEG = 0.15
 MAKERS = {"own": (open_port, Line), "sdk": (SdkTransport, SdkLine)}
 
 
@@ -58,6 +61,14 @@ def pca9685_port(tmp_path_factory):
         yield port
 
 
+@pytest.fixture(scope="module")
+def feetech_port(tmp_path_factory):
+    config = tmp_path_factory.mktemp("feetech") / "face.yaml"
+    config.write_text(on_feetech(FACE))
+    with simulated_port(["--config", str(config), "--on-time"]) as port:
+        yield port
+
+
 @pytest.fixture(autouse=True)
 def long_timeouts(monkeypatch):
     """The SDK waits for 34 ms; a computer that runs other tests meanwhile may need more."""
@@ -73,7 +84,7 @@ def eventually(condition, clock, period_s=0.02):
     return True
 
 
-BUSES = ["simulated", "pulses", "maestro", "pca9685", "memory", "several"]
+BUSES = ["simulated", "pulses", "maestro", "pca9685", "feetech", "scs", "memory", "several"]
 #: A part of a tick at this rate is more than a busy computer keeps a thread waiting.
 SLOW_HZ = 1.0
 
@@ -106,7 +117,10 @@ def on_two_buses(ports=None):
     return SeveralBuses({"neck": neck, "lips": lips}, bus_of, clock, SLOW_HZ), clock
 
 
-@pytest.fixture(params=[*BUSES, "maestro pty", "pca9685 pty", "own", "sdk", "several pty"])
+AT_PTYS = ["maestro pty", "pca9685 pty", "feetech pty", "own", "sdk", "several pty"]
+
+
+@pytest.fixture(params=[*BUSES, *AT_PTYS])
 def face(request):
     """A bus that is not entered yet, its clock, and how its servos are seen from outside."""
     clock = ManualClock() if request.param in BUSES else MonotonicClock()
@@ -131,6 +145,12 @@ def face(request):
     elif request.param == "pca9685 pty":
         port = request.getfixturevalue("pca9685_port")
         bus = bus_for(parse_face(on_pca9685(FACE), "face.yaml").at_port(port), clock)
+    elif request.param in ("feetech", "scs"):
+        model = {"feetech": "STS3215", "scs": "SCS0009"}[request.param]
+        bus, clock = simulated_wire(parse_face(on_feetech(FACE, model), "face.yaml"))
+    elif request.param == "feetech pty":
+        port = request.getfixturevalue("feetech_port")
+        bus = bus_for(parse_face(on_feetech(FACE), "face.yaml").at_port(port), clock)
     elif request.param == "memory":
         chain = chain_for(SERVOS, BAUD_RATE)
         bus = DynamixelBus(SERVOS, lambda: MemoryTransport(chain, clock, BAUD_RATE), watchdog_s=0.0)
@@ -167,7 +187,8 @@ def test_what_a_bus_can_do_is_known_before_its_port_is_open(face):
 
     assert can.hold
     assert {can.place, can.load, can.heat, can.voltage, can.confirmed_limp} == {has_way_back}
-    assert {can.watchdog, can.memory, can.set_up} == {not is_simulated and has_way_back}
+    assert {can.memory, can.set_up} == {not is_simulated and has_way_back}
+    assert can.watchdog is (can.memory and not face.name.startswith(("feetech", "scs")))
     assert can.profile is not (is_simulated or face.name.startswith("pca9685"))
     assert (can.soft_start_s > 0.0) is not is_simulated
     assert (can.released_words == "limp") is can.confirmed_limp
@@ -213,7 +234,9 @@ def test_goals_are_reached_and_leaving_lets_go(face):
             return np.nanmax(np.abs(bus.feedback().positions_deg - goal_deg), initial=0.0) < 0.3
 
         assert eventually(arrived, face.clock)
-        assert eventually(lambda: np.abs(bus.read().goals_deg - goal_deg).max() < 0.1, face.clock)
+        assert eventually(
+            lambda: np.abs(bus.read().goals_deg - goal_deg).max() < STEP_DEG, face.clock
+        )
         assert eventually(lambda: bus.read().torque_on.all(), face.clock)
     with face.bus as bus:
         assert eventually(lambda: not bus.read().missing.any(), face.clock)
@@ -228,7 +251,7 @@ def test_a_goal_that_is_invalid_is_kept_from_its_servo_and_noted(face, invalid):
         readings = bus.read()
 
         assert eventually(lambda: np.isfinite(bus.read().goals_deg).all(), face.clock)
-        np.testing.assert_allclose(bus.read().goals_deg, [1.0, 0.0, 1.0, 1.0], atol=0.05)
+        np.testing.assert_allclose(bus.read().goals_deg, [1.0, 0.0, 1.0, 1.0], atol=STEP_DEG)
         assert (readings.errors != 0).tolist() == [False, True, False, False]
 
 

@@ -188,3 +188,21 @@ def test_easing_rises_smoothly_from_rest_to_rest():
     assert np.all(np.diff(eased) > 0.0)
     assert slope.max() == pytest.approx(EASE_PEAK_SLOPE, abs=1e-3)
     np.testing.assert_allclose(slope[[0, -1]], 0.0, atol=0.01)
+
+
+def test_a_joint_whose_turn_has_not_come_stays_and_then_is_slow_until_it_has_caught_up():
+    limiter = Limiter(
+        [Joint("jaw", 0, -30.0, 30.0, 300.0), Joint("lip", 1, -30.0, 30.0, 300.0)], 0.02
+    )
+    limiter.start_from(np.zeros(2), 0.0)
+    limiter.hold_back(np.array([True, False]))
+    sent = [limiter.apply(np.full(2, 12.0), 0.02 * n).positions_deg for n in range(1, 11)]
+    np.testing.assert_allclose(sent[-1], [12.0, 0.0])
+
+    limiter.hold_back(None)
+    steps = np.diff(
+        [limiter.apply(np.full(2, 12.0), 0.2 + 0.02 * n).positions_deg[1] for n in range(12)]
+    )
+    np.testing.assert_allclose(steps[1:9], 1.2)  # 60 deg/s
+    limiter.apply(np.full(2, -12.0), 0.6)
+    assert limiter.sent_deg[1] == pytest.approx(12.0 - 6.0)

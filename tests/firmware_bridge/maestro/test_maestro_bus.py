@@ -10,6 +10,7 @@ from hobby_bus import on_maestro
 from firmware_bridge.bus_kinds import bus_kind
 from firmware_bridge.clock import ManualClock
 from firmware_bridge.errors import PortError, ServoError
+from firmware_bridge.gate.limits import PreventRule
 from firmware_bridge.loop.bridge import Bridge
 from firmware_bridge.loop.report import BridgeSettings
 from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
@@ -27,7 +28,17 @@ RATE_HZ = 50.0
 N = len(FACE.joints())
 
 
-def put_together(*, faults=(), deaf=False, kept=None, may_jump=True, really=None, **bus):
+def put_together(
+    *,
+    faults=(),
+    deaf=False,
+    kept=None,
+    may_jump=True,
+    really=None,
+    prevent=(),
+    tolerant=True,
+    **bus,
+):
     """really: how the Maestro is set, where that is not as the face's YAML says."""
     wiring = on_maestro(FACE, **bus)
     clock = ManualClock()
@@ -46,7 +57,9 @@ def put_together(*, faults=(), deaf=False, kept=None, may_jump=True, really=None
         may_jump=may_jump,
     )
     channel = MemoryTargetChannel()
-    bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(RATE_HZ, tolerant=True))
+    bridge = Bridge(
+        bus, wiring.joints, channel, BridgeSettings(RATE_HZ, tolerant=tolerant, prevent=prevent)
+    )
     return SimpleNamespace(
         wiring=wiring, clock=clock, maestro=maestro, bus=bus, bridge=bridge, channel=channel,
         opener=opener,
@@ -57,7 +70,7 @@ def drive(face, seconds, goal_deg=5.0):
     for _ in range(round(seconds * RATE_HZ)):
         time_s = face.clock.now() + 1.0 / RATE_HZ
         face.clock.sleep_until(time_s)
-        face.channel.publish(ServoTargets(time_s, np.full(N, goal_deg)))
+        face.channel.publish(ServoTargets(time_s, np.broadcast_to(goal_deg, N)))
         face.bridge.tick(time_s)
 
 
@@ -115,6 +128,27 @@ def test_servos_come_on_one_after_another_where_they_were_and_go_slowly(tmp_path
         assert steps.max() <= 600.0 / RATE_HZ + 1.0
         assert one[-1].pulse_us == 1500.0
     assert json.loads(kept.read_text())["pulses_us"] == {str(n): 1500.0 for n in range(N)}
+
+
+@pytest.mark.parametrize("tolerant", [False, True])
+def test_a_rule_between_joints_counts_with_a_servo_that_has_not_come_on_yet(tmp_path, tolerant):
+    """Joint 0 may be 4 degrees above joint 1 at most; its turn comes first."""
+    kept = tmp_path / "pulses.json"
+    KeptPulses(kept).write(dict.fromkeys(range(N), 1500.0))
+    rule = PreventRule((1.0, -1.0, *[0.0] * (N - 2)), 4.0, "they touch")
+    face = put_together(kept=kept, may_jump=False, prevent=[rule], tolerant=tolerant)
+    with face.bus:
+        face.bridge.start()
+        drive(face, 4.0, goal_deg=np.array([7.0, 7.0, *[0.0] * (N - 2)]))
+        pulses = list(face.maestro.pulses)
+    sent_us, highest_deg = [1500.0, 1500.0], 0.0
+    for each in pulses:
+        if each.channel < 2 and each.pulse_us:
+            sent_us[each.channel] = each.pulse_us
+            highest_deg = max(highest_deg, (sent_us[0] - sent_us[1]) / 10.0)
+
+    assert 3.0 < highest_deg <= 4.0 + 1.3  # of one command the first channel is logged first
+    assert sent_us == [1570.0, 1570.0] or sent_us == [1500.0, 1500.0]
 
 
 def test_the_first_start_is_refused_until_a_person_allows_it(tmp_path):
@@ -179,7 +213,8 @@ def test_a_model_that_has_no_command_for_all_is_found_by_what_it_sends():
         assert last_us(face) == [0.0] * N
 
 
-def test_a_brown_out_is_noticed_and_servos_start_anew_where_they_were():
+def test_after_a_brown_out_servos_come_back_one_after_another_where_they_were():
+    """A Maestro that starts anew is another device on USB, so its port is lost first."""
     face = put_together(faults=[PulseFault(kind="brown-out", at_s=3.0)])
     with face.bus:
         face.bridge.start()
@@ -189,6 +224,9 @@ def test_a_brown_out_is_noticed_and_servos_start_anew_where_they_were():
         assert face.bridge.troubles == ()
         np.testing.assert_allclose(last_us(face), 1550.0, atol=1.0)
         assert {each.pulse_us for each in pulses} <= {0.0, 1550.0}
+        on_s = sorted(each.time_s for each in pulses if each.pulse_us)
+        assert len(on_s) == N
+        assert (np.diff(on_s) >= 0.24).all()
 
 
 @pytest.mark.parametrize("kind", ["truncate", "corrupt"])

@@ -1,4 +1,4 @@
-"""A jaw on simulated hobby servos speaks: lips meet at its shaft as they do on a Dynamixel."""
+"""A jaw on simulated servos of other kinds speaks: its lips meet as they do on a Dynamixel."""
 
 import numpy as np
 import pytest
@@ -6,6 +6,9 @@ from scripted_street import scripted_street
 from speech import CLIP_LABELS_PATH
 
 from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.feetech.bus import FeetechBus
+from firmware_bridge.feetech.mounting import Mounting, mounted_servos
+from firmware_bridge.feetech.simulator import chain_for
 from firmware_bridge.maestro.controller import MaestroController
 from firmware_bridge.maestro.kind import BAUD_RATE, CAPABILITIES
 from firmware_bridge.maestro.simulator import maestro_for
@@ -47,6 +50,14 @@ def on_pca9685(face):
     return bus, clock, lambda: chip.places_deg(clock.now())[0]
 
 
+def on_feetech(face):
+    wiring, clock = face.settings.wiring, ManualClock()
+    servos, rate = mounted_servos(wiring), wiring.settings.baud_rate
+    chain, mounting = chain_for(servos, rate), Mounting(servos)
+    bus = FeetechBus(servos, lambda: MemoryTransport(chain, clock, rate))
+    return bus, clock, lambda: mounting.one_deg(0, chain.servos[0].place)
+
+
 def closures(name, make):
     """How near each P, B and M of the clip brings the shaft to closed, degrees."""
     events = read_phonemes(CLIP_LABELS_PATH)
@@ -75,7 +86,12 @@ def closures(name, make):
 
 
 @pytest.mark.parametrize(
-    ("name", "make"), [("face_jaw_maestro", on_maestro), ("face_jaw_pca9685", on_pca9685)]
+    ("name", "make"),
+    [
+        ("face_jaw_maestro", on_maestro),
+        ("face_jaw_pca9685", on_pca9685),
+        ("face_jaw_feetech", on_feetech),
+    ],
 )
 def test_closures_are_met_at_the_shaft_as_on_a_dynamixel(name, make):
     dynamixel, _ = closures("face_jaw", on_dynamixel)

@@ -108,16 +108,17 @@ def test_servos_come_on_one_after_another_and_reach_their_goals(board):
         assert not board.chip.to_others
 
 
-def test_a_tick_is_one_message_and_no_pulse_is_outside_the_limits(board):
+def test_a_tick_is_one_transfer_and_no_pulse_is_outside_the_limits(board):
     with board.bus:
         board.bridge.start()
         drive(board, 3.0)
         board.tap.seen.clear()
         drive(board, 1.0, (20.0, -5.0, 5.0, 5.0))
-        writes = [m for m in board.tap.seen if len(m) == 1]
+        ticks = [m for m in board.tap.seen if len(m[0][2]) == 1 + 4 * 4]
 
-        assert len(writes) == 50
-        assert all(len(messages[0][2]) == 1 + 4 * 4 for messages in writes)
+        assert len(ticks) == 50
+        # The pulses, and whether the chip is still set up: bcm2835 wants a read to be the last.
+        assert all(m[1:] == [(0x40, 0, b"\x00"), (0x40, READ, 1)] for m in ticks)
     for servo in board.face.servos.values():
         widths = widths_us(board, 0.0)[servo.channel]
         assert servo.min_us - 3.0 <= min(widths)
@@ -180,6 +181,29 @@ def test_after_a_broken_supply_servos_come_back_one_after_another(board):
         assert board.bridge.troubles == ()
         places_deg = board.chip.places_deg(board.clock.now())
         np.testing.assert_allclose(list(places_deg.values()), [6.0, -3.0, 3.0, -2.0], atol=0.3)
+
+
+def test_a_supply_that_breaks_down_while_the_chip_is_set_up_makes_no_wrong_pulse(board):
+    """With the prescaler of power-up a pulse of 1500 us would be one of 375."""
+    transfer, n_seen = board.tap.transfer, 0
+
+    def breaks(messages):
+        nonlocal n_seen
+        n_seen += any(message[2] == b"\xfe\x79" for message in messages)  # the prescaler
+        if n_seen == 1 and messages[0][2] == b"\x01\x04":
+            board.chip.brown_out()
+            n_seen = 2
+        return transfer(messages)
+
+    board.tap.transfer = breaks
+    with board.bus:
+        board.bridge.start()
+        drive(board, 4.0)
+
+        assert n_seen > 2
+        assert board.bridge.troubles == ()
+    for widths in widths_us(board, 0.0).values():
+        assert min(widths) > 1000.0
 
 
 def test_one_spoilt_message_is_sent_again_and_more_are_a_lost_port(board):
@@ -299,7 +323,7 @@ def test_what_is_missing_is_said_with_its_remedy(tmp_path, monkeypatch):
     ("right", "wrong", "error"),
     [
         ("kind: pca9685", "kind: pca9685\n  address: 0x70", "0x70 is no address of a PCA9685"),
-        ("kind: pca9685", "kind: pca9685\n  oe_gpio: 17", "oe_gpio: is not built"),
+        ("kind: pca9685", "kind: pca9685\n  oe_gpio: -1", "-1 is outside 0..1023"),
         ("frequency_hz: 200.0", "frequency_hz: 400.0", "400 is outside 50..330"),
         ("channel: 3", "channel: 16", "channel 16 is outside 0..15"),
         ("channel: 3", "channel: 2", "both have channel 2; every servo needs its own"),

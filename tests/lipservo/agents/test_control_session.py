@@ -16,7 +16,10 @@ from voice_agents.served_face import ServedFace, client, until
 from firmware_bridge.stopping import StopLevel
 from lipservo.agents import control_session
 from lipservo.agents.control_session import Commands, ControlSession
+from lipservo.agents.listener import AgentSettings
 from lipservo.agents.messages import Outbox
+from lipservo.agents.turns import Turns
+from lipsync.audio.playout import Playout
 from lipsync.errors import UserError
 
 
@@ -73,23 +76,100 @@ def test_a_face_that_does_not_answer_is_told():
     assert answer["code"] == "not_answering"
 
 
-def test_say_and_play_are_what_the_face_has():
-    def say(text):
-        if text == "gibberish":
-            raise UserError("text: no such words")
-        return {"duration_s": 0.1 * len(text)}
+def test_a_text_that_cannot_be_said_is_refused_in_the_faces_words():
+    def say(_text, _name):
+        raise UserError("text: no such words")
 
     with ServedFace(say=say) as face:
-        said, refused, no_play = commanded(
-            face,
-            ("say", {"text": "hello 🙂"}),
-            ("say", {"text": "gibberish"}),
-            ("play", {"file": "clip.wav"}),
+        refused, no_play = commanded(
+            face, ("say", {"text": "gibberish"}), ("play", {"file": "clip.wav"})
         )
 
-    assert said["result"] == {"duration_s": pytest.approx(0.7)}
     assert (refused["code"], refused["message"]) == ("refused", "text: no such words")
     assert no_play["code"] == "not_available"
+
+
+def spoken(face, *texts, interrupts=False):
+    """All that a client is told that lets the face say texts, until each of them has ended."""
+
+    async def talk():
+        async with client(face, "/control") as agent, client(face) as other:
+            for number, text in enumerate(texts):
+                await agent.say("say", id=number, text=text)
+            if interrupts:
+                for _ in texts:
+                    await agent.next("result")
+                await other.say("interrupt")
+            for _ in texts:
+                await agent.next("finished", "dropped")
+            return agent.heard
+
+    return asyncio.run(talk())
+
+
+def test_a_text_has_a_name_a_length_a_beginning_and_an_end():
+    with ServedFace(has_voice=True) as face:
+        heard = spoken(face, "hello")
+
+    result, started, finished = sorted(heard, key=lambda event: event["type"] != "result")
+    name = result["result"]["stream"]
+    assert result["result"]["duration_s"] == 0.5
+    assert (started["type"], started["id"], started["stream"]) == ("started", 0, name)
+    assert (finished["type"], finished["id"], finished["stream"]) == ("finished", 0, name)
+    assert finished["played_s"] == pytest.approx(0.5, abs=0.03)
+
+
+def test_texts_that_are_cut_off_are_dropped_each_by_its_id():
+    with ServedFace(has_voice=True) as face:
+        heard = spoken(face, "a" * 2_500, "b" * 200, interrupts=True)
+
+    dropped = [event for event in heard if event["type"] == "dropped"]
+    assert [event["id"] for event in dropped] == [0, 1]
+    assert 0.0 <= dropped[0]["played_s"] < 250.0
+    assert dropped[1]["played_s"] == 0.0
+
+
+def test_a_text_waits_for_no_agent_that_speaks_where_one_speaks_at_a_time():
+    with ServedFace(has_voice=True) as face:
+
+        async def talk():
+            async with client(face) as other, client(face, "/control") as agent:
+                await other.start()
+                await agent.say("say", id=7, text="hello")
+                return await agent.next("error")
+
+        busy = asyncio.run(talk())
+
+    assert (busy["code"], busy["id"]) == ("busy", 7)
+
+
+def test_a_request_of_an_unknown_type_is_answered_with_its_id_and_an_id_in_use_is_refused():
+    go_on = threading.Event()
+
+    def say(_text, _name):
+        go_on.wait(60.0)
+        raise UserError("text: no such words")
+
+    with ServedFace(say=say) as face:
+
+        async def talk():
+            async with client(face, "/control") as agent:
+                await agent.say("dance", id="d")
+                unknown = await agent.next("error")
+                await agent.say("say", id="s", text="hello")
+                await agent.say("status", id="s")
+                in_use = await agent.next("error")
+                go_on.set()
+                await agent.next("error")
+                await agent.say("status", id="s")
+                return unknown, in_use, await agent.next("result")
+
+        unknown, in_use, status = asyncio.run(talk())
+
+    assert (unknown["code"], unknown["id"]) == ("unknown_type", "d")
+    assert "protocol 2" in unknown["message"]
+    assert (in_use["code"], in_use["id"]) == ("bad_message", "s")
+    assert status["id"] == "s"
 
 
 @pytest.mark.parametrize(
@@ -103,7 +183,7 @@ def test_say_and_play_are_what_the_face_has():
     ],
 )
 def test_a_wrong_command_is_told_with_its_id(kind, fields, code):
-    with ServedFace(say=lambda _: None) as face:
+    with ServedFace(has_voice=True) as face:
         (answer,) = commanded(face, (kind, fields))
 
     assert (answer["code"], answer["id"]) == (code, 0)
@@ -113,8 +193,9 @@ def test_a_wrong_command_is_told_with_its_id(kind, fields, code):
 def test_a_stop_waits_for_no_synthesiser_and_too_many_commands_are_refused():
     go_on = threading.Event()
 
-    def say(_):
+    def say(_text, _name):
         go_on.wait(60.0)
+        raise UserError("text: no such words")
 
     with ServedFace(say=say) as face:
 
@@ -129,7 +210,7 @@ def test_a_stop_waits_for_no_synthesiser_and_too_many_commands_are_refused():
                 refused = await agent.next("error")
                 go_on.set()
                 for _ in range(8):
-                    await agent.next("result")
+                    await agent.next("error")
                 return stopped, refused
 
         stopped, refused = asyncio.run(talk())
@@ -185,7 +266,8 @@ class Ear:
 
 
 def session_at(path, outbox, pool=None):
-    return ControlSession(outbox, Commands(path, None, None, pool, pool, pool))
+    turns = Turns(Playout(), AgentSettings())
+    return ControlSession(outbox, Commands(path, None, None, pool, pool, pool), turns)
 
 
 def test_a_stop_passes_two_files_after_its_message_and_needs_no_thread(monkeypatch):

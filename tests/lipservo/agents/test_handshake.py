@@ -111,7 +111,7 @@ def test_another_path_or_protocol_is_refused(target, upgrade, status):
 
 
 def test_a_client_without_the_token_stops_the_face_and_does_nothing_else():
-    with ServedFace(LOCKED, say=lambda _: {}) as face:
+    with ServedFace(LOCKED, has_voice=True) as face:
 
         async def talk():
             async with client(face, "/control") as agent:

@@ -173,15 +173,17 @@ def test_a_sound_file_with_its_phonemes_moves_the_mouth_by_them(tmp_path):
 
 
 def test_a_running_face_says_what_it_is_given_if_the_token_is_right(tmp_path, capsys, monkeypatch):
-    texts = []
     token = tmp_path / "token"
     token.write_text("open sesame\n")
     settings = AgentSettings(policy=Policy("open sesame"))
-    with ServedFace(settings, say=lambda text: texts.append(text) or {}) as face:
+    with ServedFace(settings, has_voice=True) as face:
         told = ("say", "Good morning.", "--through", face.url)
         done = CliRunner().invoke(app, [*told, "--token-file", str(token)])
         assert done.exit_code == 0, done.output
         line, status = refused(capsys, monkeypatch, *told)
-    assert texts == ["Good morning."]
+        heard = np.count_nonzero(face.sound.played()) / face.sound.rate_hz
+    # The command returned when it was heard.
+    assert heard == pytest.approx(1.3, abs=0.02)
+    assert face.texts == ["Good morning."]
     assert status == 1
     assert line.startswith(f"lipservo: --through {face.url}: ")

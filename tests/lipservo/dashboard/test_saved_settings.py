@@ -5,6 +5,7 @@ import yaml
 from lipservo_client.protocol import FaceError
 
 from lipservo.dashboard.face_files import own_yaml, saved_settings, with_settings
+from lipservo.settings.edited_yaml import ChangedMeanwhileError
 from lipservo.settings.settings import load_face
 
 PLAIN = """\
@@ -71,7 +72,8 @@ def test_what_the_face_would_not_take_is_not_written(path, values):
 def test_a_file_that_was_changed_meanwhile_stays(path):
     new = with_settings(path, {"strength": 0.5})
     path.write_text(PLAIN)
-    refused("not_saved", new.write)
+    with pytest.raises(ChangedMeanwhileError, match="was changed meanwhile; try again"):
+        new.write()
     assert path.read_text() == PLAIN
 
 

@@ -113,7 +113,7 @@ def test_without_targets_nothing_is_sent():
     ("target", "said"),
     [
         ("", "give HOST:PORT, 127.0.0.1:11111"),
-        (":39539", "give HOST:PORT, 127.0.0.1:11111"),
+        (":39540", "give HOST:PORT, 127.0.0.1:11111"),
         ("two words", "give HOST:PORT"),
         ("line\nline:1", "give HOST:PORT"),
         ("localhost:", "give HOST:PORT, localhost:11111"),
@@ -132,7 +132,7 @@ def test_what_is_no_address_is_told_in_one_line(target, said):
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize("target", ["no-such-host.invalid:39539", f"{'a' * 300}"])
+@pytest.mark.parametrize("target", ["no-such-host.invalid:39540", f"{'a' * 300}"])
 def test_a_host_that_is_none_is_told_in_one_line(target):
     targets = AvatarTargets(osc=target)
     for sends in (lambda: avatar_stream(targets).__enter__(), lambda: resolved_avatars(targets)):
@@ -152,8 +152,19 @@ def test_a_process_that_speaks_goes_on_where_a_host_is_not_to_be_found_any_more(
 
 def test_without_a_port_that_of_the_protocol_is_taken_and_hosts_become_numbers():
     assert resolved_avatars(AvatarTargets("localhost", "localhost")) == AvatarTargets(
-        "127.0.0.1:39539", "127.0.0.1:11111"
+        "127.0.0.1:39540", "127.0.0.1:11111"
     )
     assert resolved_avatars(AvatarTargets(live_link="localhost:4000")) == AvatarTargets(
         live_link="127.0.0.1:4000"
     )
+
+
+def test_an_avatar_with_vowels_gets_them_and_no_shape_of_arkits_mouth(receiver):
+    targets = resolved_avatars(AvatarTargets(osc=place(receiver) + "/vowels"))
+    with avatar_stream(targets) as stream:
+        stream.observe(tick(0.0, expression=Expression(lid_left=1.0)))
+        spoken = shapes(receiver.recv(2048))
+    (closed,) = waiting(receiver)
+    assert set(spoken) == {*"AIUEO", "eyeBlinkLeft"}
+    assert 0.4 < sum(spoken[vowel] for vowel in "AIUEO") <= 1.0
+    assert sum(shapes(closed)[vowel] for vowel in "AIUEO") == 0.0

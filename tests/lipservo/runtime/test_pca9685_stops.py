@@ -86,6 +86,27 @@ def test_a_supervisor_that_is_killed_takes_the_pulses_with_it(daemon, board):
     assert not has_pulses(board[1])
 
 
+def test_an_i2c_bus_that_disappears_is_a_lost_port_and_its_servo_comes_back(tmp_path, monkeypatch):
+    """Meanwhile the chip goes on, as printed."""
+    own_folder(monkeypatch)
+    path, link, faults = tmp_path / "pulses.jsonl", tmp_path / "i2c", tmp_path / "faults.yaml"
+    faults.write_text("faults: [{kind: unplug, at_s: 8.0, lasts_s: 1.5}]")
+    arguments = ["--config", FACE, "--log", str(path), "--link", str(link), "--faults", str(faults)]
+    with (
+        simulated_port([*arguments, "--on-time"]),
+        running(str(link), tmp_path, "--config", FACE) as daemon,
+    ):
+        wait_for(lambda: "port of the servos is gone" in log(daemon))
+        assert has_pulses(path, 0.2)
+        wait_for(lambda: all_driven(daemon))
+        assert has_pulses(path)
+        check_lengths(path)
+        daemon.terminate()
+        assert daemon.wait(20.0) == 0
+        time.sleep(0.1)
+        assert not has_pulses(path)
+
+
 def test_after_all_are_killed_pulses_go_on_until_limp(daemon, board):
     port, path = board
     for pid in (daemon.pid, child(daemon, "bridge"), child(daemon, "speech")):

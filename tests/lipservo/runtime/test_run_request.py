@@ -52,7 +52,7 @@ voices = st.builds(
     token_file=st.none() | names,
     sounds=st.none() | names,
 )
-addresses = st.sampled_from(["127.0.0.1", "avatar.local:39539"])
+addresses = st.sampled_from(["127.0.0.1", "avatar.local:39540"])
 requests = st.builds(
     lambda sound_and_voice, **rest: RunRequest(
         sound=sound_and_voice[0], voice=sound_and_voice[1], **rest

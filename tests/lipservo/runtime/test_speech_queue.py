@@ -63,7 +63,8 @@ def tone(duration_s):
 
 
 def sound(face, name, *chunks):
-    return spoken_chunks(iter(chunks), PlayoutStream(name, RATE_HZ, face.playout.output_rate_hz))
+    stream = PlayoutStream(name, RATE_HZ, face.playout.output_rate_hz)
+    return spoken_chunks(iter(chunks), stream, sum(map(len, chunks)) / RATE_HZ)
 
 
 def add(queue, face, name, *chunks):
@@ -89,7 +90,7 @@ def test_a_ninth_is_refused_until_the_first_was_said_whatever_they_are(face, que
         if number % 3 == 0:
             queue.add(text(face, "Good morning. And good night."), "text")
         elif number % 3 == 1:
-            queue.add(spoken_file(tmp_path / "line.wav", face.playout)[0], "line.wav")
+            queue.add(spoken_file(tmp_path / "line.wav", face.playout), "line.wav")
         else:
             add(queue, face, "chunks", tone(0.2))
 
@@ -150,7 +151,7 @@ def test_one_that_breaks_off_is_said_so_far_and_the_others_whole(face, queue, er
         raise error
 
     stream = PlayoutStream("broken", RATE_HZ, face.playout.output_rate_hz)
-    queue.add(spoken_chunks(broken(), stream), "broken")
+    queue.add(spoken_chunks(broken(), stream, 1.0), "broken")
     add(queue, face, "whole", tone(0.3))
     face.play(lambda: face.playout.is_over)
     assert face.finished() == ["broken", "whole"]
@@ -180,7 +181,7 @@ def test_when_it_is_closed_nothing_more_is_read_and_its_thread_ends(face):
     queue = SpeechQueue(face.playout)
     for _ in range(3):
         stream = PlayoutStream("a", RATE_HZ, face.playout.output_rate_hz)
-        queue.add(spoken_chunks(endless(), stream), "a")
+        queue.add(spoken_chunks(endless(), stream, 1.0), "a")
     settle(lambda: read)
     before = threading.active_count()
     queue.close()

@@ -26,7 +26,7 @@ ANIMPHOS = load_trained_model().animphos
 FOLDER = Path(lipservo.config.__file__).parent
 N_SERVOS = {
     "face_sim": 10, "face_jaw": 1, "face_four": 4, "face_head": 16, "face_eight": 8, "face_lips": 3,
-    "face_jaw_maestro": 1, "face_jaw_pca9685": 1, "face_head_mixed": 13,
+    "face_jaw_maestro": 1, "face_jaw_pca9685": 1, "face_jaw_feetech": 1, "face_head_mixed": 13,
 }  # fmt: skip
 
 

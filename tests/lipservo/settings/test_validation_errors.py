@@ -87,7 +87,7 @@ MODELS = "XL330-M077, XL330-M288, XC330-M288, XC330-T288, XL430-W250, XM430-W210
             "kind: simulated",
             "kind: serial",
             "bus.kind: 'serial' is not known here; use one of simulated, dynamixel, maestro, "
-            "pca9685, or install the package that brings it (entry point lipservo.buses)",
+            "pca9685, feetech, or install the package that brings it (entry point lipservo.buses)",
         ),
         ("rate_hz: 50", "rate_hz: 29.9", "rate_hz: 29.9 is outside 30..200"),
         ("rate_hz: 50", "rate_hz: 201", "rate_hz: 201 is outside 30..200"),

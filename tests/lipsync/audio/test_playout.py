@@ -280,3 +280,103 @@ def test_the_next_part_of_what_was_cut_off_is_not_said():
 
 def test_underruns_of_the_device_count_too():
     assert Playout(Recorder()).n_underruns == 2
+
+
+class Device(Recorder):
+    """A loudspeaker that is silent at once, from where the test says it is."""
+
+    latency_s = 0.0
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.heard: list[np.ndarray] = []
+        self.position_s = 0.0
+
+    def silence_rest(self) -> float:
+        """Keep what was played until now, and forget the rest."""
+        self.play_until(self.position_s)
+        self.written.clear()
+        return self.position_s
+
+    def play_until(self, position_s: float) -> None:
+        """What lies before `position_s` of all that was written has left it."""
+        n_heard = sum(map(len, self.heard))
+        everything = np.concatenate([*self.written, np.zeros(0, np.float32)])
+        n_new = round(position_s * self.rate_hz) - n_heard
+        self.heard.append(everything[:n_new])
+        self.written = [everything[n_new:]]
+        self.position_s = position_s
+
+
+def test_what_is_paused_goes_on_where_it_stood_and_no_sample_is_lost_or_heard_twice():
+    device = Device()
+    playout = Playout(device)
+    given = ramp(8_000)
+    said(playout, stream_of(given))
+    playout.blocks(0.4)
+    device.play_until(0.2)
+    playout.requests.append(PlayoutRequest("pause"))
+    assert playout.advance(0.2)
+    # What was silenced is committed as silence: the timeline goes on.
+    device.written = [np.zeros(round(0.2 * RATE_HZ), np.float32)]
+    playout.blocks(1.0)
+    device.play_until(0.6)
+    playout.advance(0.6)
+    playout.requests.append(PlayoutRequest("resume"))
+    playout.advance(0.6)
+    playout.blocks(2.0)
+    device.play_until(1.9)
+    playout.advance(1.9)
+
+    heard = np.concatenate(device.heard)
+    np.testing.assert_array_equal(heard[heard != 0.0], given)
+    assert [(event.kind, event.n_played) for event in playout.events] == [
+        ("started", 0),
+        ("paused", 3_200),
+        ("resumed", 3_200),
+        ("finished", 8_000),
+    ]
+
+
+def test_an_interruption_tells_the_marks_that_were_heard_before_it():
+    device = Device()
+    playout = Playout(device)
+    stream = PlayoutStream("a", RATE_HZ, RATE_HZ)
+    for name in ("first", "second"):
+        stream.push(ramp(1_600))
+        stream.mark(name)
+    said(playout, stream)
+    playout.blocks(0.4)
+    device.play_until(0.15)
+    playout.requests.append(PlayoutRequest("interrupt"))
+    playout.advance(0.1)
+
+    assert [(event.kind, event.name) for event in playout.events] == [
+        ("started", ""),
+        ("mark", "first"),
+        ("interrupted", ""),
+    ]
+
+
+@pytest.mark.parametrize("rate_hz", [16_000, 22_050, 44_100])
+def test_a_mark_is_heard_though_the_stream_goes_on(rate_hz):
+    playout = Playout(Recorder())
+    stream = PlayoutStream("a", rate_hz, RATE_HZ)
+    said(playout, stream)
+    for name in ("first", "second"):
+        stream.push(ramp(round(0.123 * rate_hz)))
+        stream.mark(name)
+        stream.fill()
+        playout.blocks(playout.committed_s + 0.5)
+        playout.advance(playout.committed_s)
+    stream.end()
+    playout.advance(playout.committed_s)
+
+    n_samples = round(0.123 * rate_hz)
+    assert [(event.kind, event.n_played) for event in playout.events] == [
+        ("started", 0),
+        ("mark", n_samples),
+        ("mark", 2 * n_samples),
+        ("finished", 2 * n_samples),
+    ]
+    assert playout.n_underruns == Recorder.n_device_underruns

@@ -22,6 +22,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from lipservo.agents.listener import AgentSettings
 
 _TYPES = ["hello", "start", "audio", "end", "interrupt", "clear", "mark", "position", "dance"]
+_TYPES += ["pause", "resume"]
 _COMMANDS = ["status", "set", "say", "play", "dance"]
 _TEXTS = ["", "x", "🙂", "\ud800", "a" * 300, "<speak/>", "../../etc/passwd"]
 
@@ -109,7 +110,7 @@ def survive(rng, n_messages, n_at_once=4):
     settings = AgentSettings(messages_per_s=1e9, when_busy=rng.choice(["refuse", "queue"]))
     with (
         logged("lipservo.agents") as lines,
-        ServedFace(settings, sound=ForgottenSound, say=lambda text: {"n": len(text)}) as face,
+        ServedFace(settings, sound=ForgottenSound, has_voice=True) as face,
     ):
 
         async def storm(n):

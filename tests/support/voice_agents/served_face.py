@@ -17,7 +17,10 @@ from firmware_bridge.process.commands import CommandQueue, Setting
 from firmware_bridge.process.control_socket import ControlSocket
 from lipservo.agents.agent_server import AgentServer
 from lipservo.agents.listener import AgentSettings, bind_listener
+from lipservo.agents.protocol_schema import EVENTS
+from lipservo.runtime.sound import SpeechQueue, spoken_chunks
 from lipsync.audio.playout import Playout
+from lipsync.audio.playout_stream import PlayoutStream
 
 #: Far more than anything here takes.
 PATIENCE_S = 60.0
@@ -68,20 +71,27 @@ class ForgottenSound(KeptSound):
 
 
 class ServedFace:
-    """See the module; a context manager. sound: kind of its loudspeaker; None: it has none."""
+    """See the module; a context manager. sound: kind of its loudspeaker; None: it has none.
 
-    def __init__(self, settings=None, sound=KeptSound, **given):
+    A text is said, where there is a voice, as a tone of 0.1 s a character.
+    """
+
+    def __init__(self, settings=None, sound=KeptSound, *, has_voice=False, port=0, **given):
         self.settings = settings or AgentSettings(position_s=0.02)
         self.sound = sound() if sound is not None else None
         self.playout = Playout(self.sound)
         self.reported = []
+        self.texts = []
+        self._queue = SpeechQueue(self.playout)
+        if has_voice:
+            given["say"] = self._say
         self.commands = CommandQueue({"strength": Setting(1.0, 0.0, 2.0)})
         self.stops = []
         self._held = threading.Event()
         self._stands = threading.Event()
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._run)
-        listener = bind_listener("127.0.0.1:0", self.settings.policy.token)
+        listener = bind_listener(f"127.0.0.1:{port}", self.settings.policy.token)
         self.path = short_folder() / "face.sock"
         self.server = AgentServer(
             listener,
@@ -103,6 +113,7 @@ class ServedFace:
         self.server.__exit__(*exc)
         self._over.set()
         self._thread.join(PATIENCE_S)
+        self._queue.close()
         self._control.__exit__(*exc)
 
     def hold(self):
@@ -113,6 +124,14 @@ class ServedFace:
 
     def go_on(self):
         self._held.clear()
+
+    def _say(self, text, name):
+        self.texts.append(text)
+        samples = np.frombuffer(tone(0.1 * len(text)), "<i2").astype(np.float32) / 32_768
+        stream = PlayoutStream(name, RATE_HZ, self.playout.output_rate_hz)
+        spoken = spoken_chunks(iter([samples]), stream, 0.1 * len(text))
+        self._queue.add(spoken, "text")
+        return spoken
 
     def _run(self):
         position_s = 0.0
@@ -149,10 +168,11 @@ def until(condition):
 
 
 class RawClient:
-    """The bare wire: JSON texts and bytes."""
+    """The bare wire: JSON texts and bytes. What comes is held against the protocol's schema."""
 
-    def __init__(self, socket):
+    def __init__(self, socket, path="/stream"):
         self.socket = socket
+        self._schema = EVENTS[path]
         self.heard = []
 
     async def say(self, kind, **fields):
@@ -171,6 +191,7 @@ class RawClient:
         async with asyncio.timeout(PATIENCE_S):
             while True:
                 event = json.loads(await self.socket.recv())
+                self._schema.validate_python(event)
                 self.heard.append(event)
                 if event["type"] in kinds:
                     return event
@@ -179,4 +200,4 @@ class RawClient:
 @contextlib.asynccontextmanager
 async def client(face, path="/stream", **arguments):
     async with connect(face.url + path, **arguments) as socket:
-        yield RawClient(socket)
+        yield RawClient(socket, path)

@@ -5,7 +5,7 @@
 
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
@@ -72,8 +72,11 @@ def synthesis(corpora: Corpora = None, as_json: Json = False, quiet: Quiet = Fal
 def bus(as_json: Json = False, quiet: Quiet = False) -> None:
     """Measure a bridge's process, its tick, and the bare line, on simulated servos.
 
-    Against the wire and dynamixel-sdk; against rustypot too, when that is installed.
+    Against the wire and dynamixel-sdk; against rustypot too, when that is installed. Hobby servos
+    against a loop by hand, with smbus2 installed.
     """
+    from importlib.util import find_spec
+
     from lipservo_lab.bench.bus import bus_figures as measure
     from lipservo_lab.bench.bus.bus_figures import cpu_ratios
     from lipservo_lab.bench.bus.process_cpu_figures import process_ratios
@@ -81,7 +84,7 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
     from lipservo_lab.bench.bus.tick_cpu_figures import tick_ratios
 
     began_s = time.perf_counter()
-    parts = (
+    parts: list[Callable[[], dict[str, float]]] = [
         process_ratios,
         tick_ratios,
         cpu_ratios,
@@ -90,7 +93,11 @@ def bus(as_json: Json = False, quiet: Quiet = False) -> None:
         measure.silent_cycle_figures,
         measure.replug_figures,
         stall_figures,
-    )
+    ]
+    if find_spec("smbus2") is not None:
+        from lipservo_lab.bench.bus.pulse_tick_figures import pulse_tick_ratios
+
+        parts.append(pulse_tick_ratios)
     figures: dict[str, float | str] = {"scheduling": measure.scheduling()}
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("bus", total=len(parts))
@@ -146,6 +153,7 @@ def faults(
             help="Signals to every command that moves servos instead, on real processes, 8 s each.",
         ),
     ] = False,
+    bus: Annotated[str, typer.Option(help="Which kind of bus.")] = "dynamixel",
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -155,6 +163,7 @@ def faults(
     Exit status 1 when anything happened that must not.
     """
     from lipservo_lab.bench.fault_figures import (
+        CAMPAIGN_BUSES,
         campaign_figures,
         signal_campaign_figures,
         stop_campaign_figures,
@@ -162,6 +171,11 @@ def faults(
 
     if stops + signals + whole > 1:
         raise UserError("--stops, --signals and --whole: give one of them")
+    if bus not in CAMPAIGN_BUSES or (bus != "dynamixel" and (stops or signals)):
+        raise UserError(
+            f"--bus {bus}: use one of {', '.join(CAMPAIGN_BUSES)}; --stops and --signals are of "
+            "dynamixel"
+        )
     began_s = time.perf_counter()
     with Progress(console=MESSAGES, transient=True, disable=quiet) as progress:
         steps = progress.add_task("cases", total=None)
@@ -174,7 +188,7 @@ def faults(
         elif signals:
             figures, broken = signal_campaign_figures(every, advance)
         else:
-            figures, broken = campaign_figures(every, advance, whole=whole)
+            figures, broken = campaign_figures(every, advance, bus=bus, whole=whole)
     for line in broken:
         MESSAGES.print(line, soft_wrap=True)
     _print(figures, time.perf_counter() - began_s, as_json=as_json)

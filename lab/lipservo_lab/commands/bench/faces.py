@@ -19,7 +19,7 @@ from rich.progress import Progress
 from lipservo.commands.options import DEFAULT_FACE, Json, Model, Quiet
 from lipservo.commands.run.dashboard import check_dashboard
 from lipservo.terminal.output import MESSAGES, RESULTS, machine_class, print_json, progress_bar
-from lipsync.errors import check_extra
+from lipsync.errors import UserError, check_extra
 
 
 def face(
@@ -163,17 +163,34 @@ def sync(
     quick: Annotated[
         bool, typer.Option("--quick", help="A quarter of the sentences, a minute of drift.")
     ] = False,
+    face: Annotated[
+        str | None,
+        typer.Option(
+            "--face",
+            help="Instead: closures of the clip of `make run` at the shafts of this face's servos, "
+            "over those of the same face on Dynamixels.",
+            show_default=False,
+        ),
+    ] = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Measure lips against sound at the encoders of simulated servos, on a virtual clock.
 
-    What is said when is told by the synthesiser, never by our recogniser.
+    What is said when is told by the synthesiser, never by our recogniser; with --face by the
+    recogniser, on either side.
     """
+    from lipservo_lab.bench.sync.closures_at_shaft import closures_at_shaft
     from lipservo_lab.bench.sync.sync_figures import sync_figures
 
-    with progress_bar(quiet=quiet) as advance:
-        figures = sync_figures(advance, quick=quick)
+    figures: dict[str, object]
+    if face is not None:
+        if quick:
+            raise UserError("--quick and --face: give one of them")
+        figures = dict(closures_at_shaft(face))
+    else:
+        with progress_bar(quiet=quiet) as advance:
+            figures = sync_figures(advance, quick=quick)
     figures["machine"] = machine_class()
     if as_json:
         print_json(figures)

@@ -6,7 +6,7 @@ import pytest
 import typer
 
 from lipservo.cli import app
-from lipservo.dashboard.pages.calibrate_page import STEPS, read_calibration
+from lipservo.dashboard.pages.calibrate_page import PULSE_STEPS, STEPS, read_calibration
 from lipservo.dashboard.pages.pages import COMMAND
 
 
@@ -28,7 +28,7 @@ def test_why_there_is_none_is_said(config, why):
     assert why in trouble
 
 
-@pytest.mark.parametrize("line", [step[3] for step in STEPS] + [COMMAND])
+@pytest.mark.parametrize("line", [step[3] for step in (*STEPS, *PULSE_STEPS.values())] + [COMMAND])
 def test_a_command_that_a_page_names_exists_with_its_options(line):
     program, *words = shlex.split(line.format(face="face_sim"))
     command = typer.main.get_command(app)

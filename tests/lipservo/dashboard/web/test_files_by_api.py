@@ -5,11 +5,11 @@ import socket
 import numpy as np
 import pytest
 import soundfile
-from lipservo_client.protocol import FaceError
 from served_dashboard import served, wait_for
 
-from lipservo.dashboard.face_files import NewYaml
+from lipservo.settings.edited_yaml import EditedYaml
 from lipservo.settings.settings import load_face
+from lipsync.output_file import OutputError
 
 
 @pytest.fixture(scope="module")
@@ -144,9 +144,9 @@ def test_what_cannot_be_written_is_put_back_as_it_was(client, dashboard, monkeyp
 
     def fails(_self):
         assert dashboard.face.commands.values["strength"] == 1.4
-        raise FaceError("not_saved", "the disk is full")
+        raise OutputError("the disk is full")
 
-    monkeypatch.setattr(NewYaml, "write", fails)
+    monkeypatch.setattr(EditedYaml, "write", fails)
     body = {"values": {"strength": 1.4}, "save": True}
     answer = client.patch("/api/settings", json=body)
     assert (answer.status_code, answer.json()) == (409, {"error": "the disk is full"})

@@ -1,14 +1,19 @@
-"""An offset in a face YAML: only what belongs to it changes."""
+"""Numbers in a face YAML, the offset of a loudspeaker for one: only what belongs to it changes."""
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from two_servo_face import FACE, load
 
+from lipservo.settings.edited_yaml import edited
 from lipservo.settings.settings import parse_face
-from lipservo.settings.stored_offset import store_output_offset
 from lipservo.settings.strict_yaml import SettingsError
 from lipsync.errors import UserError
+
+
+def store_output_offset(path, device, offset_ms):
+    edited(path, {("sound", "output_offset_ms", device): offset_ms}).write()
+
 
 DEVICE = 'USB Audio: - "loud" #1'
 

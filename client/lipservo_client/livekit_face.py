@@ -1,0 +1,132 @@
+"""A face as the loudspeaker of a LiveKit agent: `session.output.audio = face`.
+
+Needs the extra `livekit`.
+"""
+
+import asyncio
+import time
+from collections.abc import Coroutine
+from contextlib import suppress
+from typing import Any, Self
+
+from livekit import rtc
+from livekit.agents.voice.io import AudioOutput, AudioOutputCapabilities
+
+from lipservo_client.async_face import AsyncFace, AsyncSpeech
+from lipservo_client.protocol import FaceError, mono_pcm
+
+
+class LiveKitFace(AudioOutput):
+    """Plays what an `AgentSession` says, and tells how much of it was heard; it can pause.
+
+    Enter it before the session starts. While no face answers, segments end at once as interrupted,
+    with nothing heard; a face that comes back is used from the next segment on.
+    """
+
+    def __init__(self, url: str = "ws://127.0.0.1:8765", token: str | None = None) -> None:
+        super().__init__(label="lipservo", capabilities=AudioOutputCapabilities(pause=True))
+        self._face = AsyncFace(url, token)
+        self._speech: AsyncSpeech | None = None
+        # Nothing more of the segment is wanted, until it is flushed.
+        self._is_cut = False
+        self._is_paused = False
+        self._working: set[asyncio.Task[None]] = set()
+        self._last: asyncio.Task[None] | None = None
+
+    async def __aenter__(self) -> Self:
+        """Connect, or go on trying where no face answers."""
+        try:
+            await self._face.__aenter__()
+        except FaceError:
+            self._face.keep_trying()
+        self._begin(self._follow())
+        return self
+
+    async def __aexit__(self, *exc: object) -> None:
+        """Hang up; segments that are not over end as interrupted."""
+        await self._face.__aexit__()
+        for task in self._working:
+            task.cancel()
+        await asyncio.gather(*self._working, return_exceptions=True)
+
+    async def capture_frame(self, frame: rtc.AudioFrame) -> None:
+        """Send it; waits while half a minute is unheard."""
+        await super().capture_frame(frame)
+        if self._is_cut:
+            return
+        try:
+            speech = self._speech
+            if speech is None:
+                if self._last is not None:
+                    await asyncio.wait([self._last])
+                speech = self._speech = self._face.stream(frame.sample_rate)
+                await speech.__aenter__()
+                self._begin(self._tell_end(speech))
+                if self._is_paused:
+                    await self._face.pause()
+            self._is_cut = not await speech.write(mono_pcm(frame.data, frame.num_channels))
+        except FaceError:
+            is_told = self._speech is not None and not self._speech.is_starting
+            self._is_cut = True
+            if not is_told:  # nobody follows its end
+                self.on_playback_finished(playback_position=0.0, interrupted=True)
+
+    def flush(self) -> None:
+        """The segment is complete."""
+        super().flush()
+        speech, self._speech, self._is_cut = self._speech, None, False
+        if speech is not None:
+            self._then(speech.end())
+
+    def clear_buffer(self) -> None:
+        """Silence now."""
+        self._is_cut = self._speech is not None
+        if self._face.is_connected:
+            self._then(self._face.interrupt())
+
+    def pause(self) -> None:
+        """Silence now; what was not heard is kept, up to a minute."""
+        super().pause()
+        self._is_paused = True
+        if self._is_saying:
+            self._then(self._face.pause())
+
+    def resume(self) -> None:
+        """Speech goes on where it was paused."""
+        super().resume()
+        self._is_paused = False
+        if self._is_saying:
+            self._then(self._face.resume())
+
+    @property
+    def _is_saying(self) -> bool:
+        return self._face.is_connected and self._pending_playback_count > 0
+
+    async def _tell_end(self, speech: AsyncSpeech) -> None:
+        with suppress(FaceError):
+            await speech.heard()
+        played_s, is_whole = speech.n_played / speech.rate_hz, speech.was_heard
+        self.on_playback_finished(playback_position=played_s, interrupted=not is_whole)
+
+    async def _follow(self) -> None:
+        async for event in self._face.events():
+            if event["type"] == "started":
+                self.on_playback_started(created_at=time.time())
+
+    def _begin(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
+        task = asyncio.get_running_loop().create_task(work)
+        self._working.add(task)
+        task.add_done_callback(self._working.discard)
+        return task
+
+    def _then(self, work: Coroutine[Any, Any, object]) -> None:
+        """Do it once what was begun before is done: an end, then an interruption."""
+        before = self._last
+
+        async def done() -> None:
+            if before is not None:
+                await asyncio.wait([before])
+            with suppress(FaceError):
+                await work
+
+        self._last = self._begin(done())

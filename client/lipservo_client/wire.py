@@ -1,0 +1,129 @@
+"""The WebSocket that a face is spoken to over: opened, read at all times, and given up in time."""
+
+import asyncio
+import contextlib
+import json
+from collections.abc import Callable
+from http import HTTPStatus
+from typing import Final
+
+from websockets.asyncio.client import ClientConnection, connect
+from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus, InvalidURI
+
+from lipservo_client.local_token import found_tokens
+from lipservo_client.protocol import Event, FaceError
+
+#: An answer that takes longer will not come.
+PATIENCE_S: Final = 10.0
+#: A peer that is gone is noticed after both and the time for hanging up: ten seconds.
+_PING_S, _PONG_S, _CLOSING_S = 3.0, 6.0, 1.0
+
+
+class Wire:
+    """A connection whose events are read at all times, since the face drops who does not read."""
+
+    def __init__(
+        self,
+        socket: ClientConnection,
+        on_event: Callable[[Event], None],
+        on_close: Callable[[FaceError], None],
+    ) -> None:
+        self._socket = socket
+        self._on_event = on_event
+        self._on_close = on_close
+        self._reading = asyncio.get_running_loop().create_task(self._read())
+
+    async def send(self, kind: str, **fields: object) -> None:
+        """A message. Raises FaceError once the connection is gone."""
+        given = {name: value for name, value in fields.items() if value is not None}
+        await self.send_message(json.dumps({"type": kind, **given}))
+
+    async def close(self) -> None:
+        """Hang up; what was said whole is said to its end."""
+        await self._socket.close()
+        await self._reading
+
+    async def send_message(self, message: str | bytes) -> None:
+        """A text, or bytes, which are samples. Raises FaceError."""
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await self._socket.send(message)
+        except ConnectionClosed as error:
+            raise _gone(error) from error
+        except TimeoutError as error:
+            raise FaceError("not_answering", "the face takes nothing any more") from error
+
+    async def _read(self) -> None:
+        try:
+            while True:
+                with contextlib.suppress(ValueError):
+                    event = json.loads(await self._socket.recv())
+                    if isinstance(event, dict) and isinstance(event.get("type"), str):
+                        self._on_event(event)
+        except ConnectionClosed as error:
+            self._on_close(_gone(error))
+
+
+async def connected(
+    url: str,
+    token: str | None,
+    on_event: Callable[[Event], None],
+    on_close: Callable[[FaceError], None],
+    patience_s: float,
+) -> Wire:
+    """Connect to a face.
+
+    Parameters
+    ----------
+    token : that the face requires; None: on this computer it is found in the runtime folders, of
+        another none is sent.
+
+    Raises
+    ------
+    FaceError
+        unauthorized, refused, not_answering.
+
+    """
+    tokens = [token] if token is not None else await asyncio.to_thread(found_tokens, url)
+    for each in tokens[:-1]:
+        with contextlib.suppress(_UnauthorizedError):
+            return Wire(await _opened(url, each, patience_s), on_event, on_close)
+    last = tokens[-1] if tokens else None
+    return Wire(await _opened(url, last, patience_s), on_event, on_close)
+
+
+class _UnauthorizedError(FaceError):
+    """The token is another, or none was sent."""
+
+
+async def _opened(url: str, token: str | None, patience_s: float) -> ClientConnection:
+    """Raises FaceError."""
+    headers = None if token is None else {"Authorization": f"Bearer {token}"}
+    try:
+        return await connect(
+            url,
+            additional_headers=headers,
+            compression=None,
+            open_timeout=patience_s,
+            ping_interval=_PING_S,
+            ping_timeout=_PONG_S,
+            close_timeout=_CLOSING_S,
+        )
+    except InvalidStatus as error:
+        answer = error.response
+        why = bytes(answer.body or b"").decode("utf-8", "replace").strip()
+        line = f"{url}: {why or answer.status_code}"
+        if answer.status_code == HTTPStatus.UNAUTHORIZED:
+            raise _UnauthorizedError("unauthorized", line) from error
+        raise FaceError("refused", line) from error
+    except (InvalidURI, InvalidHandshake) as error:
+        raise FaceError("refused", f"{url}: is no address of a face: {error}") from error
+    except (OSError, TimeoutError) as error:
+        hint = "is a face running that takes speech?"
+        raise FaceError("not_answering", f"{url}: nobody answers there; {hint}") from error
+
+
+def _gone(error: ConnectionClosed) -> FaceError:
+    reason = error.rcvd.reason if error.rcvd is not None else ""
+    code, _, rest = reason.partition(":")
+    return FaceError(code or "disconnected", rest.strip() or "the face has hung up")

@@ -1,0 +1,302 @@
+"""A face full of Feetech servos as one `ServoBus`, and how often it can be written and read."""
+
+from collections.abc import Callable, Sequence
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_bridge.bus import (
+    GOAL_OUT_OF_RANGE,
+    Array,
+    Feedback,
+    Health,
+    Readings,
+    all_set,
+    any_set,
+)
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
+from firmware_bridge.errors import PortError
+from firmware_bridge.feetech import codec
+from firmware_bridge.feetech.codec import EMPTY_SIZE, GoalWrite, Status, statuses_in
+from firmware_bridge.feetech.control_table import (
+    CAPABILITIES,
+    CONTROL,
+    STATE,
+    TORQUE_ENABLE,
+    Dialect,
+)
+from firmware_bridge.feetech.line import Group, Line
+from firmware_bridge.feetech.mounting import MountedServo, Mounting, identify_all
+from firmware_bridge.feetech.state_cache import ServoStateCache
+from firmware_bridge.feetech.torque import TorqueSwitch
+from firmware_bridge.joints import named
+from firmware_bridge.transport import Transport
+
+#: What computer and adapter add to a question; one USB frame.
+_TURNAROUND_S: Final = 0.001
+#: Bytes of a question to one servo, and of a sync write or read without its servos.
+_ASK_ONE, _ASK_ALL = 8, 8
+#: Torque off is said this often before it is checked: a lost packet must not keep a face stiff.
+_LIMP_REPEATS: Final = 3
+_ECHO: Final = "the adapter gives back what is sent to the servos; that is swallowed"
+
+
+def cycle_s(n_servos: int, baud_rate: int, dialect: Dialect) -> float:
+    """Seconds of one cycle: goals out, state of all and control of one back."""
+    write = _ASK_ALL + 3 * n_servos
+    answer = EMPTY_SIZE + dialect.state_size
+    state = n_servos * answer + (_ASK_ALL + n_servos if dialect.sync_read else n_servos * _ASK_ONE)
+    n_questions = 2 if dialect.sync_read else n_servos + 1
+    control = _ASK_ONE + EMPTY_SIZE + dialect.control_size
+    return (write + state + control) * BITS_PER_BYTE / baud_rate + n_questions * _TURNAROUND_S
+
+
+def budget(servos: Sequence[MountedServo], baud_rate: int, rate_hz: float) -> str | None:
+    """Why this bus cannot do `rate_hz` with feedback, and what would; None when it can."""
+    dialect = servos[0].model.dialect
+    can_hz = 1.0 / cycle_s(len(servos), baud_rate, dialect)
+    if can_hz >= rate_hz:
+        return None
+    faster = cycle_s(len(servos), 1_000_000, dialect) * rate_hz <= 1.0
+    remedy = "set 1,000,000 baud" if faster else "use fewer servos or a lower rate"
+    return (
+        f"{len(servos)} servos at {baud_rate:,} baud cannot do {rate_hz:g} Hz with feedback, "
+        f"only {can_hz:.0f}: {remedy} (`lipservo setup-servos`)"
+    )
+
+
+class FeetechBus:
+    """Servos of one dialect on one line, found by their ids, spoken to in joint degrees.
+
+    A servo that falls silent costs its own samples only. When the port fails every method raises
+    PortGone until `reopen` succeeds. Never writes EEPROM, nor a goal to a servo that is to be limp.
+    """
+
+    capabilities: Final = CAPABILITIES
+
+    def __init__(
+        self,
+        servos: Sequence[MountedServo],
+        open_transport: Callable[[], Transport],
+        *,
+        strict: bool = True,
+    ) -> None:
+        """strict: every servo must answer before the first goal.
+
+        Else it is enough that one does, and all that are critical.
+        """
+        self._servos = tuple(servos)
+        self._ids = [servo.joint.servo_id for servo in servos]
+        self._index = {servo_id: n for n, servo_id in enumerate(self._ids)}
+        self._open_transport = open_transport
+        self._strict = strict
+        self._dialect = dialect = servos[0].model.dialect
+        self._mounting = Mounting(servos)
+        self._cache = ServoStateCache(servos)
+        self._torque = TorqueSwitch(servos, self._cache, self._mounting)
+        self._goal = dialect.registers["goal_position"].address
+        self._goal_write = GoalWrite(self._ids, self._goal, dialect.byte_order)
+        self._state = self._group(STATE, dialect.state_size)
+        self._whole = self._group(CONTROL, STATE - CONTROL + dialect.state_size)
+        self._holding = self._group(TORQUE_ENABLE, 1)
+        self._remarks: tuple[str, ...] = ()
+        self._turn = 0
+        self._line: Line | None = None
+
+    def _group(self, address: int, size: int) -> Group:
+        return Group(self._ids, address, size, sync=self._dialect.sync_read)
+
+    @property
+    def at_full_strength(self) -> bool:
+        """Whether every servo with torque on has its full speed and strength."""
+        return self._torque.at_full_strength
+
+    @property
+    def line(self) -> Line:
+        """The open line. Raises PortError when there is none."""
+        if self._line is None:
+            raise PortError("the bus is used outside its `with` block, or its port is gone")
+        return self._line
+
+    def write_positions(self, positions_deg: Array) -> None:
+        """Every goal inside its servo's range; NaN is not. Limp servos get theirs with torque."""
+        cache = self._cache
+        if positions_deg.shape != cache.goals.shape:
+            raise ValueError(
+                f"expected positions of shape {cache.goals.shape}, got {positions_deg.shape}"
+            )
+        line = self._line or self.line  # the property raises
+        pulses = self._mounting.pulses(positions_deg)
+        taken = (cache.low <= pulses) & (pulses <= cache.high)
+        if all_set(taken):
+            self._cache.errors, self._cache.goals = cache.no_errors, pulses
+            if all_set(cache.driven):
+                line.tell(self._goal_write.request(pulses))
+                return
+        else:
+            self._cache.errors = np.where(taken, 0, GOAL_OUT_OF_RANGE).astype(np.uint8)
+            self._cache.goals = np.where(taken, pulses, cache.goals)
+        sent = taken & cache.driven
+        if any_set(sent):
+            encode = self._dialect.encode
+            line.tell(
+                codec.sync_write(
+                    self._goal,
+                    2,
+                    [
+                        (self._ids[n], encode("goal_position", int(pulses[n])))
+                        for n in np.flatnonzero(sent).tolist()
+                    ],
+                )
+            )
+
+    def widen(self, joints: NDArray[np.bool_]) -> None:
+        """These servos keep their limits themselves."""
+
+    def read(self) -> Readings:
+        """One question to all: torque, goals and places. A limp servo's goal is the one kept."""
+        line, cache = self.line, self._cache
+        found = self._whole.ask(line)
+        statuses = statuses_in(found) if isinstance(found, bytes) else found
+        now_s = line.transport.clock.now()
+        goals = np.full(len(self._ids), np.nan)
+        for status in statuses:
+            n = self._index[status.servo_id]
+            held = status.data[0] != 0
+            cache.set_one("torque", n, held)
+            if held or np.isnan(cache.goals[n]):
+                cache.goals[n] = self._dialect.decode("goal_position", status.data, CONTROL)
+            goals[n] = cache.goals[n]
+        cut = STATE - CONTROL
+        states = [Status(each.servo_id, each.error, each.data[cut:]) for each in statuses]
+        ages_s = cache.take_state(states, now_s)
+        return Readings(
+            time_s=now_s,
+            positions_deg=self._mounting.joint_deg(cache.pulses),
+            goals_deg=self._mounting.joint_deg(goals),
+            torque_on=cache.torque,
+            errors=cache.errors,
+            age_s=ages_s,
+        )
+
+    def feedback(self) -> Feedback:
+        """One question to all; of a silent servo the last answer, with its age."""
+        line, cache = self._line or self.line, self._cache
+        found = self._state.ask(line)
+        now_s = line.transport.clock.now()
+        ages_s = cache.take_state(found, now_s)
+        return Feedback(
+            time_s=now_s,
+            positions_deg=self._mounting.joint_deg(cache.pulses),
+            effort=cache.effort,
+            errors=cache.errors,
+            age_s=ages_s,
+        )
+
+    def look_after(self) -> Health:
+        """Torque and bounds of one servo, in turns; the rest comes with every feedback."""
+        line, cache = self._line or self.line, self._cache
+        index = self._turn
+        self._turn = (index + 1) % len(self._ids)
+        servo_id = self._ids[index]
+        status = line.read(servo_id, CONTROL, self._dialect.control_size)
+        if status is not None:
+            cache.heard_s[index] = line.transport.clock.now()
+            self._torque.look_after(line, index, status.data)
+            for group in (self._state, self._whole, self._holding):
+                if group.leaves_out:
+                    group.trust(servo_id)
+        return cache.health(line.transport.clock.now())
+
+    def obstacle(self, index: int) -> str:
+        """Asked anew before every torque: it may have been replaced, or set up by somebody else."""
+        return self._torque.obstacle(self.line, index)
+
+    def enable_torque(self, index: int) -> str:
+        """Identity, place, bounds, goal, torque; each read back before the next."""
+        return self._torque.enable(self.line, index)
+
+    def keep_torque(self, index: int) -> bool:
+        """Goal := place, for a servo whose torque is on already."""
+        return self._torque.keep(self.line, index)
+
+    def disable_torque(self, index: int) -> bool:
+        """Torque off, read back."""
+        return self._torque.disable(self.line, index)
+
+    def disable_all(self) -> NDArray[np.bool_]:
+        """Torque off to everybody three times, then asked of each until it says so."""
+        line, cache = self.line, self._cache
+        self._torque.disable_all()
+        request = codec.torque(self._ids, on=False)
+        for _ in range(_LIMP_REPEATS):
+            line.tell(request)
+        confirmed = np.zeros(len(self._ids), dtype=np.bool_)
+        self._holding.reset()  # everybody is asked, also who was silent lately
+        for _ in range(_LIMP_REPEATS):
+            found = self._holding.ask(line)
+            for status in statuses_in(found) if isinstance(found, bytes) else found:
+                n = self._index[status.servo_id]
+                confirmed[n] = status.data == b"\0"
+                cache.set_one("torque", n, not confirmed[n])
+            if confirmed.all():
+                break
+            line.tell(request)
+        cache.enabled &= ~confirmed
+        return confirmed
+
+    def remarks(self) -> Sequence[str]:
+        """What is unusual about adapter and servos, in sentences for a log."""
+        if self._line is not None and self._line.echoes and _ECHO not in self._remarks:
+            self._remarks += (_ECHO,)
+        return self._remarks
+
+    def reboot(self, index: int) -> None:
+        """Torque off, which ends the servo's protection; not all know an instruction to restart."""
+        self._torque.disable(self.line, index)
+        self._cache.forget_trouble(index)
+
+    def reopen(self) -> None:
+        """A new handle. Raises PortError."""
+        self._close()
+        self._begin(Line(self._open_transport()))
+
+    def __enter__(self) -> Self:
+        line = Line(self._open_transport())
+        try:
+            found = identify_all(line, self._servos, strict=self._strict)
+            for n, each in enumerate(found):
+                if each is not None:
+                    self._torque.note_identity(n, each, line.transport.clock.now())
+            self._begin(line)
+            self._remarks = tuple(
+                f"{named(self._servos[n].joint)} holds already: its torque was on before the start"
+                for n in np.flatnonzero(self.read().torque_on).tolist()
+            )
+        except BaseException:
+            self._line = None
+            line.transport.close()
+            raise
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        try:
+            if self._line is not None and self._cache.enabled.any():
+                self.disable_all()
+        except PortError:
+            pass  # nobody to tell; the servos hold
+        finally:
+            self._close()
+
+    def _begin(self, line: Line) -> None:
+        """Use this line from now on, with the deadlines that its slowest servo needs."""
+        self._line = line
+        line.return_delay_s = self._torque.return_delay_s()
+        for group in (self._state, self._whole, self._holding):
+            group.reset()
+
+    def _close(self) -> None:
+        if self._line is not None:
+            self._line.transport.close()
+            self._line = None

@@ -1,0 +1,161 @@
+"""Packets of Feetech's protocol as bytes, found in a stream, and prepared once for every tick.
+
+    FF FF | id | length | instruction, or status of an answer | parameters | checksum
+
+length counts everything after itself; the checksum is the inverted sum of all bytes from the id on.
+There is no stuffing: FF FF may appear within a packet. Numbers are little- or big-endian by
+dialect. http://doc.feetech.cn/ , FT-SCS-Protocol.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from enum import IntEnum
+from functools import lru_cache
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from firmware_bridge.feetech.control_table import TORQUE_ENABLE
+
+HEADER: Final = b"\xff\xff"
+#: Bytes of a packet without parameters.
+EMPTY_SIZE: Final = 6
+BROADCAST_ID: Final = 254
+MAX_ID: Final = 253
+
+
+class Instruction(IntEnum):
+    """Those that are sent here. A ping has no place: its echo looks like its answer."""
+
+    READ = 0x02
+    WRITE = 0x03
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+class Status(NamedTuple):
+    """What one servo answered. error: bits of register `status`."""
+
+    servo_id: int
+    error: int
+    data: bytes
+
+
+def packet(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """A whole packet; with a status in place of the instruction that of a servo.
+
+    Raises ValueError when it does not fit: the length field counts to 255.
+    """
+    body = bytes((packet_id, len(parameters) + 2, instruction)) + parameters
+    return HEADER + body + bytes((~sum(body) & 0xFF,))
+
+
+@lru_cache(maxsize=1024)
+def read(servo_id: int, address: int, size: int) -> bytes:
+    """Ask one servo for `size` bytes. Remembered: a tick asks the same of each, in turn."""
+    return packet(servo_id, Instruction.READ, bytes((address, size)))
+
+
+def write(servo_id: int, address: int, data: bytes) -> bytes:
+    """Set bytes of one servo. Raises ValueError where they reach register `torque_enable`."""
+    return packet(servo_id, Instruction.WRITE, _beside_torque(address, data) + data)
+
+
+def sync_write(address: int, size: int, blocks: Iterable[tuple[int, bytes]]) -> bytes:
+    """Set the same `size` bytes of several servos, (id, bytes) each; nobody answers. As `write`."""
+    listed = b"".join(bytes((servo_id,)) + each for servo_id, each in blocks)
+    parameters = _beside_torque(address, bytes(size)) + bytes((size,)) + listed
+    return packet(BROADCAST_ID, Instruction.SYNC_WRITE, parameters)
+
+
+def torque(ids: Sequence[int], *, on: bool) -> bytes:
+    """Torque of these servos on or off, or off of everybody where there are no ids.
+
+    The only packet that writes register `torque_enable`, in which 128 would make the present place
+    the middle of the range, for good.
+    """
+    if not ids:
+        return packet(BROADCAST_ID, Instruction.WRITE, bytes((TORQUE_ENABLE, 0)))
+    blocks = b"".join(bytes((servo_id, 1 if on else 0)) for servo_id in ids)
+    return packet(BROADCAST_ID, Instruction.SYNC_WRITE, bytes((TORQUE_ENABLE, 1)) + blocks)
+
+
+def _beside_torque(address: int, data: bytes) -> bytes:
+    if address <= TORQUE_ENABLE < address + len(data):
+        raise ValueError("torque is switched by `torque` alone")
+    return bytes((address,))
+
+
+def packets_in(stream: bytes) -> Iterator[tuple[Status | None, int]]:
+    """Every whole packet in a stream, whatever else is in it, and where it ends.
+
+    None where one is damaged, or has not come whole yet; the search goes on inside it.
+    """
+    at = 0
+    while (at := stream.find(HEADER, at)) >= 0 and at + EMPTY_SIZE <= len(stream):
+        end = at + 4 + stream[at + 3]
+        is_packet = stream[at + 2] <= BROADCAST_ID and stream[at + 3] >= 2
+        if is_packet and end <= len(stream) and sum(stream[at + 2 : end]) & 0xFF == 0xFF:
+            yield Status(stream[at + 2], stream[at + 4], stream[at + 5 : end - 1]), end
+            at = end
+        else:
+            if is_packet:
+                yield None, at
+            at += 1
+
+
+def statuses_in(stream: bytes) -> list[Status]:
+    """Every whole packet in a stream."""
+    return [status for status, _ in packets_in(stream) if status is not None]
+
+
+class GoalWrite:
+    """A prepared sync write of one two-byte register of several servos."""
+
+    def __init__(
+        self, ids: Sequence[int], address: int, byte_order: Literal["little", "big"]
+    ) -> None:
+        order = "<" if byte_order == "little" else ">"
+        self._blocks = np.zeros(len(ids), dtype=[("id", "u1"), ("value", f"{order}u2")])
+        self._blocks["id"] = ids
+        self._values = self._blocks["value"]
+        length = 4 + self._blocks.nbytes
+        self._head = HEADER + bytes((BROADCAST_ID, length, Instruction.SYNC_WRITE, address, 2))
+        self._sum = sum(self._head[2:])
+
+    def request(self, values: ArrayLike) -> bytes:
+        """The packet that sets these whole numbers from 0 on, in the order of the ids."""
+        self._values[:] = values
+        blocks = self._blocks.tobytes()
+        return self._head + blocks + bytes((~(self._sum + sum(blocks)) & 0xFF,))
+
+
+class SpanRead:
+    """A prepared question to several servos for the same `size` bytes from `address` on."""
+
+    def __init__(self, ids: Sequence[int], address: int, size: int) -> None:
+        self.ids = tuple(ids)
+        self.address, self.size = address, size
+        parameters = bytes((address, size, *ids))
+        self.request = packet(BROADCAST_ID, Instruction.SYNC_READ, parameters)
+        self.step = size + EMPTY_SIZE
+        n = len(self.ids)
+        self.reply_size = n * self.step
+        self._id_bytes, self._length_bytes = bytes(ids), bytes((size + 2,)) * n
+        self._header_bytes = b"\xff" * n
+        # A packet's bytes and their inverted sum add up to 255; the header adds -2.
+        self._sum_bytes = b"\xfd" * n
+
+    def is_undisturbed(self, stream: bytes) -> bool:
+        """Whether `stream` is exactly the answers of all, in their order."""
+        step = self.step
+        if (
+            len(stream) != self.reply_size
+            or stream[2::step] != self._id_bytes
+            or stream[3::step] != self._length_bytes
+            or stream[::step] != self._header_bytes
+            or stream[1::step] != self._header_bytes
+        ):
+            return False
+        sums = np.frombuffer(stream, np.uint8).reshape(-1, step).sum(axis=1, dtype=np.uint8)
+        return bool(sums.tobytes() == self._sum_bytes)

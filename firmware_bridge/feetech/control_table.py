@@ -1,0 +1,160 @@
+"""Registers, dialects and models of Feetech servos, read from `control_tables.yaml` beside this."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any, Final, Literal
+
+import yaml
+
+from firmware_bridge.capabilities import BusCapabilities
+
+#: How long a servo whose torque has just come on stays slow.
+SOFT_START_S: Final = 1.0
+CAPABILITIES: Final = BusCapabilities(
+    place=True,
+    load=True,
+    heat=True,
+    voltage=True,
+    confirmed_limp=True,
+    hold=True,
+    profile=True,
+    soft_start_s=SOFT_START_S,
+    memory=True,
+    set_up=True,
+)
+#: return_delay_time.
+RETURN_DELAY_UNIT_S: Final = 2e-6
+#: Bits of `phase`: the unit of speeds is one step a second; places are counted over many turns.
+SPEED_IN_STEPS, MANY_TURNS = 0x04, 0x10
+#: Registers below are kept without power, once `lock` is 0.
+EEPROM_SIZE: Final = 40
+TORQUE_ENABLE: Final = 40
+CONTROL, STATE = 40, 56
+
+
+@dataclass(frozen=True, slots=True)
+class Register:
+    """One entry of a control table. sign: the bit that says minus; None: never negative."""
+
+    address: int
+    size: int
+    sign: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How one family of servos lays out its registers and is asked for them.
+
+    n_positions: values of the position registers, over `reach_deg` degrees with `center` in the
+    middle. control_size, state_size: bytes from `CONTROL` and `STATE` on that are read together.
+    current_unit_ma: of present_current; None: it has none.
+    """
+
+    name: str
+    byte_order: Literal["little", "big"]
+    sync_read: bool
+    n_positions: int
+    center: int
+    reach_deg: float
+    control_size: int
+    state_size: int
+    registers: Mapping[str, Register]
+    current_unit_ma: float | None = None
+
+    @property
+    def positions_per_deg(self) -> float:
+        """Of the position registers."""
+        return self.n_positions / self.reach_deg
+
+    def encode(self, name: str, value: int) -> bytes:
+        """The bytes of a register's value. Raises OverflowError when it does not fit."""
+        entry = self.registers[name]
+        if value < 0 and entry.sign is not None:
+            value = -value | 1 << entry.sign
+        return value.to_bytes(entry.size, self.byte_order)
+
+    def decode(self, name: str, data: bytes, start: int = 0) -> int:
+        """The value of a register in `data`, whose first byte is that of address `start`."""
+        entry = self.registers[name]
+        at = entry.address - start
+        value = int.from_bytes(data[at : at + entry.size], self.byte_order)
+        if entry.sign is not None and value >> entry.sign & 1:
+            return -(value & (1 << entry.sign) - 1)
+        return value
+
+    def decode_all(self, data: bytes) -> dict[str, int]:
+        """The values of the registers that lie whole in `data`, from address 0 on, by name."""
+        of = self.registers
+        whole = (name for name, each in of.items() if each.address + each.size <= len(data))
+        return {name: self.decode(name, data) for name in whole}
+
+
+@dataclass(frozen=True, slots=True)
+class ServoModel:
+    """One servo model, which may come with several gears: fastest_deg_s is of the quickest."""
+
+    name: str
+    model_number: int
+    dialect: Dialect
+    hottest_degc: float
+    least_v: float
+    most_v: float
+    nominal_voltage_v: float
+    no_load_deg_s: float
+    fastest_deg_s: float
+    stall_a: float
+
+    @property
+    def current_unit_ma(self) -> float | None:
+        """Of present_current; None: it counts load alone."""
+        return self.dialect.current_unit_ma
+
+
+@cache
+def baud_rates() -> Mapping[int, int]:
+    """Baud rate by the code that register `baud_rate` holds, the factory's first."""
+    return MappingProxyType(dict(_tables()["baud_rates"]))
+
+
+@cache
+def servo_models() -> Mapping[str, ServoModel]:
+    """Every known model by its name, `STS3215` for one."""
+    tables = _tables()
+    dialects = {name: _dialect(name, raw) for name, raw in tables["dialects"].items()}
+    return MappingProxyType(
+        {
+            name: ServoModel(name=name, **raw | {"dialect": dialects[raw["dialect"]]})
+            for name, raw in tables["models"].items()
+        }
+    )
+
+
+def model_name(number: bytes) -> str:
+    """Of the two bytes at address 3, for people: `STS3215`, or `unknown model 9.99`.
+
+    Whatever its byte order: two models of two dialects never have the same bytes.
+    """
+    known = (
+        model.name
+        for model in servo_models().values()
+        if model.dialect.encode("model_number", model.model_number) == number
+    )
+    return next(known, f"unknown model {number[0]}.{number[1]}")
+
+
+def _dialect(name: str, raw: Mapping[str, Any]) -> Dialect:
+    registers = {
+        each: Register(**entry)
+        for each, entry in (_tables()["registers"] | raw["registers"]).items()
+    }
+    return Dialect(name=name, **{**raw, "registers": MappingProxyType(registers)})
+
+
+@cache
+def _tables() -> Any:
+    text = (files(__package__) / "control_tables.yaml").read_text(encoding="utf-8")
+    # The loader in C where PyYAML has it: every process starts with this.
+    return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))

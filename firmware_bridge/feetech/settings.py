@@ -1,0 +1,60 @@
+"""What a face YAML says of Feetech servos and their port."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal, Self
+
+from pydantic import model_validator
+
+from firmware_bridge.bus_settings import BusServo, BusSettings, Strict, within
+from firmware_bridge.feetech.control_table import ServoModel, servo_models
+
+
+class FeetechSettings(BusSettings):
+    """`bus:` of a face of Feetech servos; without a port they are simulated in memory."""
+
+    kind: str = "feetech"
+    baud_rate: Literal[1_000_000, 500_000, 250_000, 128_000, 115_200] = 1_000_000
+
+
+class _Keys(Strict):
+    """What comes first in the entry of a servo."""
+
+    id: Annotated[int, within(0, 253)]
+    model: Literal["STS3215", "STS3250", "SCS0009"]
+
+
+class FeetechServo(BusServo, _Keys):
+    """A Feetech servo."""
+
+    @property
+    def facts(self) -> ServoModel:
+        """What its model is and can do."""
+        return servo_models()[self.model]
+
+    @property
+    def bounds(self) -> Mapping[str, float | None]:
+        """Of its model, in its widest variant."""
+        facts = self.facts
+        return {
+            "hottest_degc": facts.hottest_degc,
+            "least_v": facts.least_v,
+            "most_v": facts.most_v,
+        }
+
+    @model_validator(mode="after")
+    def _the_servo_can_do_it(self) -> Self:
+        reach_deg = self.facts.dialect.reach_deg / 2
+        for name, angle in (("min_deg", self.min_deg), ("max_deg", self.max_deg)):
+            servo_deg = self.sign * (angle + self.zero_offset_deg)
+            if not -reach_deg <= servo_deg < reach_deg:
+                raise ValueError(
+                    f"{name} puts the servo at {servo_deg:g} deg; it reaches "
+                    f"-{reach_deg:g}..{reach_deg:g}"
+                )
+        fastest = self.facts.fastest_deg_s
+        if self.max_speed_deg_s > fastest:
+            raise ValueError(
+                f"max_speed_deg_s {self.max_speed_deg_s:g} is more than any {self.model} makes "
+                f"without load, {fastest:g}"
+            )
+        return self

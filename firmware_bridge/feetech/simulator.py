@@ -1,0 +1,527 @@
+"""A simulated chain of Feetech servos, to the byte; in memory or behind a terminal.
+
+Every change of torque and goal is logged by the simulator alone: tests judge by that.
+"""
+
+import json
+import random
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.bus_settings import Strict, within
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.dynamixel.control_table import CENTER_PULSE, PULSES_PER_DEG
+from firmware_bridge.dynamixel.wire.codec import BITS_PER_BYTE
+from firmware_bridge.errors import ServoError
+from firmware_bridge.feetech.bus import FeetechBus
+from firmware_bridge.feetech.codec import BROADCAST_ID, Instruction, packet, packets_in
+from firmware_bridge.feetech.control_table import (
+    EEPROM_SIZE,
+    RETURN_DELAY_UNIT_S,
+    SPEED_IN_STEPS,
+    STATE,
+    TORQUE_ENABLE,
+    ServoModel,
+    baud_rates,
+    servo_models,
+)
+from firmware_bridge.feetech.mounting import MountedServo, mounted_servos
+from firmware_bridge.feetech.provisioning import wanted_settings
+from firmware_bridge.simulator.motors import UNBOUNDED, Course, Environment, Motors
+from firmware_bridge.simulator.ports import MemoryTransport, PtyHost
+
+#: Not simulated here but in a ping, which lipservo never sends and others do.
+_PING: Final = 0x01
+_TABLE_SIZE: Final = 96
+_MIDDLE: Final = 128
+_FOREVER: Final = float("inf")
+#: A restart takes as long; ours.
+_BOOT_S: Final = 0.2
+_SPEED_STEPS, _ACCELERATION_STEPS = 50, 100
+_OVERLOAD, _VOLTAGE, _HEAT = 0x20, 0x01, 0x04
+#: As they leave the factory; phase: speeds in steps, 0 as fast as it can.
+_FACTORY: Final = {
+    "firmware_major": 3,
+    "firmware_minor": 10,
+    "id": 1,
+    "response_status_level": 1,
+    "max_temperature": 70,
+    "max_voltage": 140,
+    "min_voltage": 40,
+    "max_torque": 1000,
+    "phase": 0x0C,
+    "unloading_condition": 0x2C,
+    "protective_torque": 20,
+    "protection_time": 200,
+    "overload_torque": 80,
+}
+
+
+class ChainFault(Strict):
+    """What goes wrong, and when: once at at_s, or again and again; lasts for lasts_s.
+
+    servo: its place in the chain; None: all of them.
+    """
+
+    kind: Literal["lost", "spoilt", "silence", "brown-out", "overload", "jam", "locked", "unplug"]
+    at_s: Annotated[float, within(0.0, 1e9)]
+    every_s: Annotated[float, within(0.01, 1e9)] | None = None
+    lasts_s: Annotated[float, within(0.001, 1e9)] = 0.5
+    servo: Annotated[int, within(0, 253)] | None = None
+
+
+class _Script(Strict):
+    faults: tuple[ChainFault, ...]
+
+
+def read_faults(text: str | None) -> tuple[ChainFault, ...]:
+    """Faults of a script. Raises ValueError for whatever is not allowed in it."""
+    if text is None:
+        return ()
+    try:
+        content = yaml.safe_load(text)
+        return TypeAdapter(_Script).validate_python(content, strict=False).faults
+    except yaml.YAMLError as error:
+        raise ValueError("not YAML") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise ValueError(f"{where}: {first['msg']}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class ServoChange:
+    """A change of torque or goal at one servo, and where its shaft stood then; in its steps."""
+
+    time_s: float
+    servo_id: int
+    torque: int
+    goal: int
+    place: int
+
+
+class SimulatedServo:
+    """One servo: its control table, whose motor is number `index` of `motors`.
+
+    Goals switch torque on, as in real ones. wakes_up_stiff: torque is on once it has power.
+    n_middles: how often 128 was written to torque_enable.
+    """
+
+    def __init__(
+        self, model: ServoModel, index: int, motors: Motors, *, wakes_up_stiff: bool = False
+    ) -> None:
+        self.model, self.dialect, self.index = model, model.dialect, index
+        self._motors, self._wakes_up_stiff = motors, wakes_up_stiff
+        self.table = bytearray(_TABLE_SIZE)
+        self.silent_until_s = 0.0
+        self.stays_locked = False
+        self.n_middles = 0
+        self._scale = PULSES_PER_DEG / self.dialect.positions_per_deg
+        for name, value in _FACTORY.items():
+            if name in self.dialect.registers:
+                self[name] = value
+        self.table[2] = self.dialect.byte_order == "big"
+        self["model_number"] = model.model_number
+        self["max_position_limit"] = self.dialect.n_positions - 1
+        self.stored = bytes(self.table[:EEPROM_SIZE])
+        self.power_up()
+
+    def __getitem__(self, name: str) -> int:
+        return self.dialect.decode(name, bytes(self.table))
+
+    def __setitem__(self, name: str, value: int) -> None:
+        """Past all locks, as a fault or a test may."""
+        entry = self.dialect.registers[name]
+        self.table[entry.address : entry.address + entry.size] = self.dialect.encode(name, value)
+        if entry.address < EEPROM_SIZE:
+            self.stored = bytes(self.table[:EEPROM_SIZE])
+
+    @property
+    def baud_rate(self) -> int:
+        """The rate it listens at."""
+        return baud_rates().get(self["baud_rate"], 0)
+
+    @property
+    def place(self) -> int:
+        """Its position register."""
+        shaft = float(self._motors.position[self.index])
+        return round((shaft - CENTER_PULSE) / self._scale) + self.dialect.center
+
+    def stand_at(self, place: int) -> None:
+        """Put the shaft where its position register reads `place`; its goal is there, too."""
+        motors, i = self._motors, self.index
+        motors.position[i] = motors.trajectory[i] = motors.goal[i] = self._shaft(place)
+        self["goal_position"] = place
+
+    def power_up(self) -> None:
+        """As after power has been away: what was not kept is forgotten."""
+        self.table[:EEPROM_SIZE] = self.stored
+        self.table[EEPROM_SIZE:] = bytes(_TABLE_SIZE - EEPROM_SIZE)
+        self["lock"] = 1
+        if "torque_limit" in self.dialect.registers:
+            self["torque_limit"] = self["max_torque"]
+        self._set_torque(1 if self._wakes_up_stiff else 0)
+        self.stand_at(self.place)
+        self._settle()
+
+    def read(self, address: int, size: int) -> bytes:
+        """What a read gets."""
+        if address + size > STATE:
+            self._refresh()
+        return bytes(self.table[address : address + size])
+
+    def write(self, address: int, data: bytes) -> None:
+        """Registers of the present cannot be written; EEPROM is kept where it is not locked."""
+        lock = self.dialect.registers["lock"].address
+        for at, byte in enumerate(data, start=address):
+            if at in (TORQUE_ENABLE, lock) or not 5 <= at < STATE:
+                continue
+            self.table[at] = byte
+        end = address + len(data)
+        if address <= lock < end and not self.stays_locked:
+            self.table[lock] = data[lock - address]
+        if address < EEPROM_SIZE and not self["lock"]:
+            self.stored = bytes(self.table[:EEPROM_SIZE])
+        if address <= TORQUE_ENABLE < end:
+            self._set_torque(data[TORQUE_ENABLE - address])
+        goal = self.dialect.registers["goal_position"].address
+        if address < goal + 2 and goal < end:
+            if not self.table[TORQUE_ENABLE]:
+                self._set_torque(1)
+            low, high = self["min_position_limit"], self["max_position_limit"]
+            self._motors.goal[self.index] = self._shaft(min(max(self["goal_position"], low), high))
+        self._settle()
+
+    def protect(self) -> None:
+        """The bits of `status` as things are now; an overload lasts until torque goes off."""
+        motors, i = self._motors, self.index
+        status = self.table[65] & _OVERLOAD
+        if motors.overload_s[i] >= self["protection_time"] * 0.01:
+            status |= _OVERLOAD
+        volts = motors.voltage_v[i] * 10.0
+        status |= 0 if self["min_voltage"] <= volts <= self["max_voltage"] else _VOLTAGE
+        status |= _HEAT if motors.temperature[i] > self["max_temperature"] else 0
+        if status != self.table[65]:
+            self.table[65] = status
+            self._settle()
+
+    def _set_torque(self, value: int) -> None:
+        motors, i = self._motors, self.index
+        if value == _MIDDLE:
+            self.n_middles += 1
+            motors.position[i] = motors.trajectory[i] = CENTER_PULSE
+            return
+        self.table[TORQUE_ENABLE] = value
+        on = value == 1
+        if on != bool(motors.torque_on[i]):
+            motors.torque_on[i] = on
+            motors.trajectory[i], motors.trajectory_velocity[i] = motors.position[i], 0.0
+            motors.goal[i] = motors.position[i]
+        if not on:
+            self.table[65] &= ~_OVERLOAD
+            motors.overload_s[i] = 0.0
+
+    def _settle(self) -> None:
+        """Let the motor be as the registers say."""
+        motors, i, of = self._motors, self.index, self.dialect.registers
+        speed = abs(self["goal_speed"])
+        fine = "homing_offset" not in of or self["phase"] & SPEED_IN_STEPS
+        steps_s = speed if fine else speed * _SPEED_STEPS
+        rise = self["acceleration"] * _ACCELERATION_STEPS if "acceleration" in of else 0
+        top = steps_s * self._scale if speed else UNBOUNDED
+        motors.set_course(i, Course(top, rise * self._scale if rise else UNBOUNDED, 0))
+        strength = self["torque_limit" if "torque_limit" in of else "max_torque"] / 1000.0
+        if self.table[65] & _OVERLOAD:
+            strength = min(strength, self["protective_torque"] / 100.0)
+        motors.strength[i] = min(strength, 1.0)
+
+    def _refresh(self) -> None:
+        motors, i = self._motors, self.index
+        motors.shown_at_s = -1.0
+        effort = motors.register_values()[i][3]
+        unit_ma = self.model.current_unit_ma
+        share = effort * 1e-3 if unit_ma is None else effort * unit_ma * 1e-3 / self.model.stall_a
+        self["present_position"] = self.place
+        self["present_load"] = max(-1000, min(1000, round(share * 1000.0)))
+        self["present_voltage"] = max(0, min(255, round(motors.voltage_v[i] * 10.0)))
+        self["present_temperature"] = max(0, min(255, round(motors.temperature[i])))
+        if unit_ma is not None:
+            self["present_current"] = effort
+
+    def _shaft(self, place: int) -> float:
+        return (place - self.dialect.center) * self._scale + CENTER_PULSE
+
+
+@dataclass(slots=True)
+class _Reply:
+    start_s: float
+    end_s: float
+    data: bytes
+
+
+class SimulatedChain:
+    """A `SimulatedDevice`: servos on one half-duplex wire. `changes` is what tests look at.
+
+    n_spoken_over: how often somebody spoke while another did.
+    """
+
+    def __init__(
+        self,
+        models: Sequence[ServoModel],
+        ids: Sequence[int],
+        *,
+        faults: Sequence[ChainFault] = (),
+        wakes_up_stiff: bool = False,
+        environment: Environment | None = None,
+        on_change: Callable[[ServoChange], None] = lambda _change: None,
+    ) -> None:
+        """Fresh from the factory but for the ids. on_change: gets each one, besides `changes`."""
+        self.motors = Motors(models, environment or Environment())
+        self.servos = [
+            SimulatedServo(model, n, self.motors, wakes_up_stiff=wakes_up_stiff)
+            for n, model in enumerate(models)
+        ]
+        for servo, servo_id in zip(self.servos, ids, strict=True):
+            servo["id"] = servo_id
+        self.changes: deque[ServoChange] = deque(maxlen=100_000)
+        self.n_spoken_over = 0
+        self._on_change = on_change
+        self._logged: dict[int, tuple[int, int]] = {}
+        self._faults = [(fault.at_s, fault) for fault in faults]
+        self._until_s = {"lost": -1.0, "spoilt": -1.0, "unplug": -1.0}
+        self._ends: list[tuple[float, SimulatedServo]] = []
+        self._rng = random.Random(0)
+        self._now_s = self._host_until_s = self._wire_until_s = 0.0
+        self._heard = b""
+        self._replies: list[_Reply] = []
+
+    @property
+    def plugged(self) -> bool:
+        """Whether its port is there."""
+        return self._now_s >= self._until_s["unplug"]
+
+    @property
+    def next_delivery_s(self) -> float:
+        """When it has something to say."""
+        return min((reply.end_s for reply in self._replies), default=_FOREVER)
+
+    def advance(self, now_s: float) -> None:
+        """Let time pass."""
+        if now_s <= self._now_s:
+            return
+        for at_s, fault in [each for each in self._faults if each[0] <= now_s]:
+            self._faults.remove((at_s, fault))
+            if fault.every_s is not None:
+                self._faults.append((at_s + fault.every_s, fault))
+            self._happen(fault, now_s)
+        for end_s, servo in [each for each in self._ends if each[0] <= now_s]:
+            self._ends.remove((end_s, servo))
+            self.motors.load[servo.index], self.motors.jammed[servo.index] = 0.0, False
+        self._now_s = now_s
+        self.motors.advance(now_s)
+        for servo in self.servos:
+            servo.protect()
+
+    def receive(self, data: bytes, now_s: float, baud_rate: int) -> None:
+        """The computer writes `data` at `now_s`, at its rate."""
+        self.advance(now_s)
+        if not self.plugged:
+            return
+        byte_s = BITS_PER_BYTE / baud_rate
+        start_s = max(now_s, self._host_until_s)
+        self._host_until_s = start_s + len(data) * byte_s
+        for reply in self._replies:
+            if reply.start_s < self._host_until_s and start_s < reply.end_s - 1e-9:
+                self.n_spoken_over += 1
+                reply.data = bytes(len(reply.data))
+        pending = len(self._heard)
+        self._heard += data
+        done = 0
+        for frame, end in packets_in(self._heard):
+            if frame is not None:
+                done = end
+                end_s = start_s + (end - pending) * byte_s
+                self._hear(frame.servo_id, frame.error, frame.data, end_s, baud_rate)
+        self._heard = self._heard[done:][-_TABLE_SIZE:]
+
+    def deliver(self, now_s: float) -> bytes:
+        """What has reached the computer by now."""
+        due = [reply for reply in self._replies if reply.end_s <= now_s]
+        self._replies = [reply for reply in self._replies if reply.end_s > now_s]
+        return b"".join(reply.data for reply in sorted(due, key=lambda each: each.end_s))
+
+    def _happen(self, fault: ChainFault, now_s: float) -> None:
+        end_s = now_s + fault.lasts_s
+        if fault.kind in self._until_s:
+            self._until_s[fault.kind] = end_s
+            self._replies.clear()
+            return
+        servos = self.servos if fault.servo is None else self.servos[fault.servo : fault.servo + 1]
+        for servo in servos:
+            if fault.kind == "silence":
+                servo.silent_until_s = end_s
+            elif fault.kind == "brown-out":
+                servo.power_up()
+                servo.silent_until_s = now_s + _BOOT_S
+                self._log(servo)
+            elif fault.kind == "locked":
+                servo.stays_locked = True
+            else:
+                self.motors.load[servo.index] = 0.95
+                self.motors.jammed[servo.index] = fault.kind == "jam"
+                self._ends.append((end_s, servo))
+
+    def _hear(
+        self, packet_id: int, instruction: int, parameters: bytes, end_s: float, baud_rate: int
+    ) -> None:
+        self.advance(end_s)
+        self._wire_until_s = end_s
+        byte_s = BITS_PER_BYTE / baud_rate
+        listening = [
+            s for s in self.servos if s.baud_rate == baud_rate and s.silent_until_s <= end_s
+        ]
+        own = [s for s in listening if s["id"] == packet_id]
+        if instruction == Instruction.SYNC_WRITE and len(parameters) > 2:
+            address, size = parameters[0], parameters[1]
+            for at in range(2, len(parameters) - size, size + 1):
+                for servo in listening:
+                    if servo["id"] == parameters[at]:
+                        servo.write(address, parameters[at + 1 : at + 1 + size])
+                        self._log(servo)
+        elif instruction == Instruction.SYNC_READ and len(parameters) > 2:
+            for servo_id in parameters[2:]:
+                asked = [s for s in listening if s["id"] == servo_id and s.dialect.sync_read]
+                start_s = self._wire_until_s
+                for servo in asked:
+                    self._say(servo, servo.read(*parameters[:2]), start_s, byte_s)
+                if not asked:  # those behind a silent one wait for as long as it would have spoken
+                    self._wire_until_s += (6 + parameters[1]) * byte_s
+        elif instruction == Instruction.WRITE and parameters:
+            for servo in listening if packet_id == BROADCAST_ID else own:
+                answers = servo["response_status_level"] and packet_id != BROADCAST_ID
+                servo_id = packet_id
+                servo.write(parameters[0], parameters[1:])
+                self._log(servo)
+                if answers:
+                    self._say(servo, b"", end_s, byte_s, servo_id)
+        elif instruction == Instruction.READ and len(parameters) == 2:
+            for servo in own:
+                self._say(servo, servo.read(*parameters), end_s, byte_s)
+        elif instruction == _PING:
+            for servo in own:
+                self._say(servo, b"", end_s, byte_s)
+
+    def _say(
+        self,
+        servo: SimulatedServo,
+        data: bytes,
+        after_s: float,
+        byte_s: float,
+        servo_id: int | None = None,
+    ) -> None:
+        raw = packet(servo["id"] if servo_id is None else servo_id, servo.table[65], data)
+        start_s = after_s + servo["return_delay_time"] * RETURN_DELAY_UNIT_S
+        end_s = start_s + len(raw) * byte_s
+        self._wire_until_s = max(self._wire_until_s, end_s)
+        if start_s < self._until_s["lost"]:
+            return
+        if start_s < self._until_s["spoilt"]:
+            at = self._rng.randrange(len(raw))
+            raw = raw[:at] + bytes((raw[at] ^ 1 << self._rng.randrange(8),)) + raw[at + 1 :]
+        for other in self._replies:
+            if other.start_s < end_s - 1e-9 and start_s < other.end_s - 1e-9:
+                self.n_spoken_over += 1
+                # Two transmitters are never in step: bits are lost even where both say the same.
+                other.data = other.data[:-1] + bytes((other.data[-1] ^ 0xFF,))
+                raw = b""
+        if raw:
+            self._replies.append(_Reply(start_s, end_s, raw))
+
+    def _log(self, servo: SimulatedServo) -> None:
+        now = servo.table[TORQUE_ENABLE], servo["goal_position"]
+        if self._logged.get(servo.index) != now:
+            self._logged[servo.index] = now
+            change = ServoChange(self._now_s, servo["id"], *now, servo.place)
+            self.changes.append(change)
+            self._on_change(change)
+
+
+def chain_for(servos: Sequence[MountedServo], baud_rate: int, **options: Any) -> SimulatedChain:
+    """Every servo with its id, rate and limits, standing limp in neutral.
+
+    options: those of `SimulatedChain`.
+    """
+    ids = [servo.joint.servo_id for servo in servos]
+    chain = SimulatedChain([servo.model for servo in servos], ids, **options)
+    for servo, simulated in zip(servos, chain.servos, strict=True):
+        held = {"phase": simulated["phase"]}
+        for name, value in wanted_settings(servo, baud_rate, held).items():
+            simulated[name] = value
+        simulated.stand_at(servo.pulse(0.0))
+    return chain
+
+
+def simulated_wire(wiring: Wiring) -> tuple[FeetechBus, ManualClock]:
+    """The servos of a face in memory, and the clock that moves them."""
+    servos, clock, rate = mounted_servos(wiring), ManualClock(), wiring.settings.baud_rate
+    chain = chain_for(servos, rate)
+    return FeetechBus(servos, lambda: MemoryTransport(chain, clock, rate)), clock
+
+
+def serve(
+    wiring: Wiring | None,
+    link: Path | None,
+    *,
+    n_servos: int,
+    model: str | None,
+    first_id: int,
+    baud_rate: int | None,
+    faults: str | None,
+    **others: Any,
+) -> PtyHost:
+    """Servos behind a terminal that any program can open: a face's, or `n_servos` of one model.
+
+    link: a path that leads to it. faults: the text of a script. others: log, a file that gets
+    every change of torque and goal as a line of JSON.
+    Raises ServoError for what no chain can have, ValueError, and PortError where no terminal can
+    be made.
+    """
+    models, last_id, model = servo_models(), first_id + n_servos - 1, model or "STS3215"
+    if model not in models:
+        raise ServoError(f"model {model!r} is not known; use one of {', '.join(models)}")
+    if baud_rate is not None and baud_rate not in baud_rates().values():
+        raise ServoError(f"{baud_rate} baud is no rate of these servos")
+    if last_id >= BROADCAST_ID:
+        raise ServoError(f"ids {first_id}..{last_id}: a servo's id is at most {BROADCAST_ID - 1}")
+    options: dict[str, Any] = {"faults": read_faults(faults)}
+    if others["log"] is not None:
+        options["on_change"] = _writer(others["log"])
+    if wiring is not None:
+        rate = baud_rate or wiring.settings.baud_rate
+        return PtyHost(chain_for(mounted_servos(wiring), rate, **options), link)
+    chain = SimulatedChain([models[model]] * n_servos, range(first_id, last_id + 1), **options)
+    for servo in chain.servos:
+        servo["baud_rate"] = next(
+            c for c, r in baud_rates().items() if r == (baud_rate or 1_000_000)
+        )
+    return PtyHost(chain, link)
+
+
+def _writer(log: Path) -> Callable[[ServoChange], None]:
+    try:
+        file = log.open("w", buffering=1, encoding="utf-8")
+    except OSError as error:
+        raise ServoError(f"--log {log}: cannot be written: {error.strerror}") from error
+
+    def write(change: ServoChange) -> None:
+        row = [round(change.time_s, 6), change.servo_id, change.torque, change.goal, change.place]
+        file.write(json.dumps(row) + "\n")
+
+    return write

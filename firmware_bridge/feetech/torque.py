@@ -1,0 +1,260 @@
+"""Torque of single Feetech servos: on without a jump or jerk, off for certain, off by force."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.bus_kinds import NOT_SEEN
+from firmware_bridge.feetech import codec
+from firmware_bridge.feetech.control_table import CONTROL, SOFT_START_S, TORQUE_ENABLE
+from firmware_bridge.feetech.line import Line
+from firmware_bridge.feetech.mounting import (
+    MountedServo,
+    Mounting,
+    ServoIdentity,
+    identify,
+    mismatches,
+)
+from firmware_bridge.feetech.state_cache import ServoStateCache
+from firmware_bridge.transport import Transport
+
+_WRITE_TRIES: Final = 3
+#: A servo whose torque has just come on goes no faster, and pulls no harder, for a while.
+_SOFT_DEG_S: Final = 60.0
+_SOFT_STRENGTH: Final = 0.3
+#: The servo itself goes this much faster than the gate allows, so that it does not fall behind.
+_SPEED_MARGIN: Final = 1.05
+#: Torque comes on one servo after another: twenty at once make the supply sag.
+_STAGGER_S: Final = 0.010
+#: In a tick there is no time for more.
+_TRIES: Final = 2
+
+
+def write_verified(line: Line, servo_id: int, address: int, data: bytes) -> bool:
+    """Write `data` to one servo until a read shows it, three times at most; whether it did."""
+    for _ in range(_WRITE_TRIES):
+        line.write(servo_id, address, data)
+        status = line.read(servo_id, address, len(data))
+        if status is not None and status.data == data:
+            return True
+    return False
+
+
+def torque_verified(line: Line, servo_id: int, *, on: bool) -> bool:
+    """The same for torque."""
+    for _ in range(_WRITE_TRIES):
+        line.tell(codec.torque((servo_id,), on=on))
+        status = line.read(servo_id, TORQUE_ENABLE, 1)
+        if status is not None and status.data == (b"\1" if on else b"\0"):
+            return True
+    return False
+
+
+class TorqueSwitch:
+    """Switches torque of one servo at a time. Every method may raise PortError.
+
+    A goal switches torque on by itself in servos that are limp, so a servo gets its limits before
+    its goal, its goal before its torque, and no goals once its torque goes off.
+    """
+
+    def __init__(
+        self, servos: Sequence[MountedServo], cache: ServoStateCache, mounting: Mounting
+    ) -> None:
+        n = len(servos)
+        self._servos = tuple(servos)
+        self._cache = cache
+        self._mounting = mounting
+        self._dialect = servos[0].model.dialect
+        self._identities: list[ServoIdentity | None] = [None] * n
+        #: What goal_speed was read as last, and when its bound falls; infinite: it has.
+        self._speeds = [0] * n
+        self._full_at_s = np.full(n, np.inf)
+        self._goal = self._dialect.registers["goal_position"].address
+
+    def note_identity(self, index: int, found: ServoIdentity, now_s: float) -> None:
+        """What a servo reported of itself counts from now on."""
+        self._identities[index] = found
+        self._cache.take_identity(index, found, now_s)
+
+    def return_delay_s(self) -> float:
+        """Of the slowest servo."""
+        return max(each.return_delay_s for each in self._identities if each is not None)
+
+    @property
+    def at_full_strength(self) -> bool:
+        """Whether no servo with torque on is slow any more."""
+        return not np.isfinite(self._full_at_s).any()
+
+    def obstacle(self, line: Line, index: int) -> str:
+        """Why this servo cannot hold where it stands; empty: it can."""
+        return self._place_to_hold(line, index)[0]
+
+    def enable(self, line: Line, index: int) -> str:
+        """Let it hold where it stands; why it does not, empty: it confirmed."""
+        cache, servo_id = self._cache, self._servos[index].joint.servo_id
+        obstacle, place = self._place_to_hold(line, index)
+        if obstacle:
+            return obstacle
+        if not self._bound(line, index, soft=True):
+            return "does not take its slow start"
+        cache.enabled[index] = True
+        if not self._take_goal(line, index, place):
+            torque_verified(line, servo_id, on=False)
+            return "does not take the place where it stands as its goal"
+        if not torque_verified(line, servo_id, on=True):
+            self.disable(line, index)
+            return "does not switch its torque on"
+        cache.driven[index] = True
+        cache.set_one("torque", index, True)
+        now_s = line.transport.clock.now()
+        self._full_at_s[index] = now_s + SOFT_START_S
+        line.transport.clock.sleep_until(now_s + _STAGGER_S)
+        return ""
+
+    def keep(self, line: Line, index: int) -> bool:
+        """Whether a servo that holds goes on holding where it stands; switches nothing on."""
+        cache, servo_id = self._cache, self._servos[index].joint.servo_id
+        torque = line.read(servo_id, TORQUE_ENABLE, 1)
+        if torque is None or torque.data != b"\1" or self._identities[index] is None:
+            return False
+        cache.enabled[index] = True
+        cache.set_one("torque", index, True)
+        obstacle, place = self._place_to_hold(line, index)
+        if obstacle or not self._bound(line, index, soft=False):
+            return False
+        cache.driven[index] = self._take_goal(line, index, place)
+        return bool(cache.driven[index])
+
+    def disable(self, line: Line, index: int) -> bool:
+        """Torque off; whether it was read back."""
+        self._cache.driven[index] = False
+        self._full_at_s[index] = np.inf
+        limp = torque_verified(line, self._servos[index].joint.servo_id, on=False)
+        if limp:
+            self._cache.enabled[index] = False
+            self._cache.set_one("torque", index, False)
+        return limp
+
+    def disable_all(self) -> None:
+        """Nobody gets goals, nor full strength, any more."""
+        self._cache.driven[:] = False
+        self._full_at_s[:] = np.inf
+
+    def look_after(self, line: Line, index: int, control: bytes) -> None:
+        """Full strength once it is due; off, if it has forgotten its bounds: it has restarted.
+
+        control: the bytes from `CONTROL` on. Some come back from a brown-out with torque on.
+        """
+        self._cache.set_one("torque", index, control[0] != 0)
+        if not self._cache.driven[index] or not control[0]:
+            return
+        if self._dialect.decode("goal_speed", control, CONTROL) != self._speeds[index]:
+            self.disable(line, index)
+            return
+        is_due = self._full_at_s[index] <= line.transport.clock.now()
+        if is_due and self._bound(line, index, soft=False):
+            self._full_at_s[index] = np.inf
+
+    def _bound(self, line: Line, index: int, *, soft: bool) -> bool:
+        """Bound its speed and, where it can, its strength; whether it keeps them.
+
+        A servo that cannot go as fast as it is told keeps the most that it can.
+        """
+        servo, found, dialect = self._servos[index], self._identities[index], self._dialect
+        if found is None:
+            return False
+        servo_id, registers = servo.joint.servo_id, dialect.registers
+        full_deg_s = servo.joint.max_speed_deg_s * _SPEED_MARGIN
+        speed = found.speed_register(min(_SOFT_DEG_S, full_deg_s) if soft else full_deg_s, dialect)
+        if "acceleration" in registers:
+            line.write(servo_id, registers["acceleration"].address, b"\0")
+        if "torque_limit" in registers:
+            limit = found.eeprom["max_torque"]
+            limit = max(1, round(limit * _SOFT_STRENGTH)) if soft else limit
+            data = dialect.encode("torque_limit", limit)
+            if not write_verified(line, servo_id, registers["torque_limit"].address, data):
+                return False
+        for _ in range(_WRITE_TRIES):
+            address = registers["goal_speed"].address
+            line.write(servo_id, address, dialect.encode("goal_speed", speed))
+            status = line.read(servo_id, address, registers["goal_speed"].size)
+            if status is not None:
+                kept = dialect.decode("goal_speed", status.data, address)
+                if 0 < kept <= speed:
+                    self._speeds[index] = kept
+                    return True
+        return False
+
+    def _take_goal(self, line: Line, index: int, place: int) -> bool:
+        data = self._dialect.encode("goal_position", place)
+        taken = write_verified(line, self._servos[index].joint.servo_id, self._goal, data)
+        if taken:
+            self._cache.goals[index] = self._cache.pulses[index] = place
+        return taken
+
+    def _place_to_hold(self, line: Line, index: int) -> tuple[str, int]:
+        """What is in the way, or nothing and the place in pulses."""
+        servo, cache = self._servos[index], self._cache
+        found = identify(line, servo, tries=_TRIES)
+        if found is None:
+            return "does not answer; check its power and cable", 0
+        wrong = mismatches(servo, found)
+        if wrong:
+            return "; ".join(wrong), 0
+        self.note_identity(index, found, line.transport.clock.now())
+        line.return_delay_s = self.return_delay_s()
+        low, high = int(cache.low[index]), int(cache.high[index])
+        if low <= found.place <= high:
+            return "", found.place
+        here_deg, *ends_deg = (
+            self._mounting.one_deg(index, each) for each in (found.place, low, high)
+        )
+        return (
+            f"stands at {here_deg:.1f} deg, outside its own range; move it into "
+            f"{min(ends_deg):.1f}..{max(ends_deg):.1f} deg by hand",
+            0,
+        )
+
+
+class LineRelease:
+    """Torque off by force at an open port, of servos that somebody else drove before."""
+
+    confirms: Final = True
+
+    def __init__(self, transport: Transport, rates: Sequence[int]) -> None:
+        """rates: at which somebody may hear; the transport is open at the first."""
+        self._line = Line(transport)
+        self._rates = tuple(dict.fromkeys(rates))
+
+    def tell_all(self, addresses: Sequence[int]) -> None:
+        """Torque off to everybody, again and again."""
+        for ids in (tuple(addresses), (), tuple(addresses), ()):
+            self._line.tell(codec.torque(ids, on=False))
+
+    def ask(self, address: int) -> str:
+        """Empty when the servo says that its torque is off; else why not; it is told once more."""
+        status = self._line.read(address, TORQUE_ENABLE, 1)
+        if status is not None and status.data == b"\0":
+            return ""
+        self._line.tell(codec.torque((address,), on=False))
+        return NOT_SEEN if status is None else "kept its torque"
+
+    def find(self, addresses: Sequence[int]) -> Sequence[int]:
+        """Everybody is told at every rate. A chain has one: the others are not searched then."""
+        line, found = self._line, set(addresses)
+        for rate in self._rates:
+            line.baud_rate = rate
+            self.tell_all(addresses)
+            line.read(codec.MAX_ID, TORQUE_ENABLE, 1)  # its time over, the packets before are out
+        for rate in self._rates:
+            line.baud_rate = rate
+            heard = line.scan()
+            found |= set(heard)
+            if heard:
+                break
+        return sorted(found)
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._line.transport.close()

@@ -1,0 +1,289 @@
+"""Holds the OE pin of a PCA9685 low only as long as a bridge lives: a process of its own.
+
+OE is active low: while it is high the board makes no pulse, whatever its registers say. The guard
+lowers it for half a second at each heartbeat, and lets it go high when none comes: when the bridge
+has died, hangs, or has stopped all servos. It ends with the bridge only where the registers are off
+as well; else it holds the pin high until the next guard of the pin sends it away. A pull-up at the
+pin makes the guard's own death, and that of the computer, the same.
+
+Run as `python -m firmware_bridge.pca9685.oe_guard CHIP LINE DESCRIPTOR` by `OeGuard`.
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+import select
+import signal
+import socket
+import stat
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from typing import Final, Protocol
+
+from firmware_bridge.clock import Clock
+from firmware_bridge.errors import PortError, ServoError
+from firmware_bridge.process.operating_system import run_on_time
+from firmware_bridge.process.runtime_folder import ControlError, runtime_folder
+
+#: What the kernel calls whoever holds the pin.
+CONSUMER: Final = "lipservo OE guard"
+#: So long the pin stays low after a heartbeat; a bridge that is busy is never late by as much.
+HOLD_S: Final = 0.5
+#: A bridge that was late by so much has to take its pulses for ended.
+_LAPSED_S: Final = HOLD_S / 2
+_BEAT_S: Final = 0.05
+#: A guard that does not answer for so long hangs.
+_SILENT_S: Final = 1.0
+_START_S: Final = 10.0
+#: The guard of before is gone by then.
+_TAKE_OVER_S: Final = 2.0
+_POSIX_LOCK: Final = struct.Struct("hhqqi4x")
+#: Heartbeats, and their echoes: whether pulses may come out.
+_PASS, _BLOCK = b"1", b"0"
+_IGNORED: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+
+
+def is_stand_in(chip: str) -> bool:
+    """Whether a simulator is at the other end of the pin: a FIFO in place of the GPIO chip."""
+    try:
+        return stat.S_ISFIFO(os.stat(chip).st_mode)
+    except OSError:
+        return False
+
+
+class OeGuard:
+    """The guard as the bridge sees it; `beat` never waits."""
+
+    def __init__(self, chip: str, line: int, clock: Clock) -> None:
+        """chip, line: the pin, as /dev/gpiochip0 and 17."""
+        self._chip, self._line, self._clock = chip, line, clock
+        self._process: subprocess.Popen[bytes] | None = None
+        self._link: socket.socket | None = None
+        self._said, self._said_s, self._heard_s = _BLOCK, 0.0, 0.0
+
+    @property
+    def passes(self) -> bool:
+        """Whether the last heartbeat let pulses through."""
+        return self._said == _PASS
+
+    @property
+    def has_lapsed(self) -> bool:
+        """Whether pulses that were let through may have ended since: the last beat was long ago."""
+        return self.passes and self._clock.now() - self._said_s > _LAPSED_S
+
+    def start(self) -> None:
+        """Have the pin held high, unless a guard of ours does. Raises PortError: why it cannot."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        self.close()
+        self._link, end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with end:
+            command = [sys.executable, "-m", "firmware_bridge.pca9685.oe_guard"]
+            self._process = subprocess.Popen(
+                [*command, self._chip, str(self._line), str(end.fileno())],
+                pass_fds=[end.fileno()],
+                stdin=subprocess.DEVNULL,
+                # It may outlive this process, and would keep a pipe of its reader open.
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        self._link.settimeout(_START_S)
+        try:
+            answer = self._link.recv(512)
+        except OSError:
+            answer = b"its guard does not start"
+        if answer != _BLOCK:
+            self.close()
+            said = answer.decode("utf-8", "replace") or "its guard died while it started"
+            raise PortError(f"oe_gpio {self._line} of {self._chip}: {said}")
+        self._link.setblocking(False)
+        self._said, self._said_s = _BLOCK, self._clock.now()
+        self._heard_s = self._said_s
+
+    def beat(self, *, passes: bool) -> None:
+        """Let pulses through for half a second, or end them now; call it in every tick.
+
+        Raises ServoError once the guard is dead or hangs: nothing would end the pulses then.
+        """
+        now_s, wanted = self._clock.now(), _PASS if passes else _BLOCK
+        if wanted == self._said and now_s - self._said_s < _BEAT_S:
+            return
+        if self._said_s - self._heard_s > _SILENT_S:
+            self._fail("hangs, and was killed")
+        if now_s - self._said_s > _SILENT_S:
+            self._heard_s = now_s  # nothing was asked of it meanwhile
+        self._said, self._said_s = wanted, now_s
+        link = self._link
+        try:
+            assert link is not None
+            link.send(wanted, socket.MSG_NOSIGNAL)
+            while link.recv(64):
+                self._heard_s = now_s
+            self._fail("has died")
+        except BlockingIOError:
+            pass
+        except OSError:
+            self._fail("has died")
+
+    def close(self) -> None:
+        """Pulses end; the guard ends where the last heartbeat ended them before."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+        process, self._process = self._process, None
+        if process is not None and self._said == _BLOCK:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(_TAKE_OVER_S)
+
+    def _fail(self, what: str) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        raise ServoError(
+            f"oe_gpio {self._line} of {self._chip}: the process that guards the pin {what}; pulses "
+            "are switched off, since nothing would end them with this program: start the face again"
+        )
+
+
+class Pin(Protocol):
+    """One output of the computer."""
+
+    def set(self, *, high: bool) -> None:
+        """Drive it."""
+
+
+class _GpioPin:
+    """By libgpiod; the kernel takes it back when this process ends, whatever ends it."""
+
+    def __init__(self, chip: str, line: int) -> None:
+        """Raises OSError, and ImportError."""
+        import gpiod
+        from gpiod.line import Direction, Value
+
+        high = gpiod.LineSettings(direction=Direction.OUTPUT, output_value=Value.ACTIVE)
+        self._request = gpiod.request_lines(chip, {line: high}, consumer=CONSUMER)
+        self._line, self._values = line, (Value.INACTIVE, Value.ACTIVE)
+
+    def set(self, *, high: bool) -> None:
+        self._request.set_value(self._line, self._values[high])
+
+
+class _StandIn:
+    """A FIFO that a simulated board reads: closed, as by the end of this process, it is high."""
+
+    def __init__(self, path: str) -> None:
+        self._fd = os.open(path, os.O_WRONLY | os.O_NONBLOCK)
+        self.set(high=True)
+
+    def set(self, *, high: bool) -> None:
+        os.write(self._fd, b"1" if high else b"0")
+
+
+def open_pin(chip: str, line: int) -> Pin:
+    """The pin, high. Raises PortError that says what to do."""
+    with _in_words():
+        return _StandIn(chip) if is_stand_in(chip) else _GpioPin(chip, line)
+
+
+def user_of(chip: str, line: int) -> str:
+    """Who holds the pin just now; empty: it is free. Changes nothing. Raises PortError."""
+    if is_stand_in(chip):
+        return ""
+    with _in_words():
+        import gpiod
+
+        with gpiod.Chip(chip) as opened:
+            info = opened.get_line_info(line)
+        return (info.consumer or "the kernel") if info.used else ""
+
+
+@contextlib.contextmanager
+def _in_words() -> Iterator[None]:
+    """What goes wrong with a pin, as PortError that says what to do."""
+    try:
+        yield
+    except ImportError as error:
+        raise PortError(
+            "needs gpiod, which is not installed: `pip install 'lipservo[pca9685]'`"
+        ) from error
+    except (OSError, ValueError) as error:
+        why = {
+            errno.EACCES: "not permitted; `sudo usermod -aG gpio $USER`, then log in again",
+            errno.EBUSY: "another program holds it; `gpioinfo` says which",
+            errno.ENOENT: "no such GPIO chip; `gpiodetect` lists those there are (bus.gpio_chip)",
+            errno.EINVAL: "there is no such line; `gpioinfo` lists them",
+        }.get(getattr(error, "errno", 0) or 0, f"cannot be held: {error}")
+        raise PortError(why) from error
+
+
+def guard(link: socket.socket, pin: Pin) -> bool:
+    """Until the bridge is gone; whether it had ended its pulses itself."""
+    waits, said, is_high, until_s = select.poll(), _BLOCK, True, 0.0
+    waits.register(link, select.POLLIN)
+    while True:
+        left_s = max(0.0, until_s - time.monotonic())
+        is_late = not waits.poll(None if is_high else left_s * 1e3)
+        heard = b""
+        if not is_late:
+            with contextlib.suppress(OSError):
+                heard = link.recv(64)
+        if is_high is not (is_high := heard != _PASS):
+            pin.set(high=is_high)
+        if is_late:
+            continue
+        if not heard:
+            return said == _BLOCK
+        said, until_s = heard, time.monotonic() + HOLD_S
+        with contextlib.suppress(OSError):
+            link.send(said, socket.MSG_NOSIGNAL | socket.MSG_DONTWAIT)
+
+
+def _lock(chip: str, line: int) -> int:
+    """The pin is ours alone; a guard that outlived its bridge goes. Raises PortError."""
+    name = f"oe-{os.path.realpath(chip).replace('/', '_')}-{line}.lock"
+    try:
+        fd = os.open(runtime_folder() / name, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+    except (OSError, ControlError) as error:
+        raise PortError(f"its lock cannot be made: {error}") from error
+    give_up_s = time.monotonic() + _TAKE_OVER_S
+    while True:
+        with contextlib.suppress(OSError):
+            fcntl.lockf(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return fd
+        found = fcntl.fcntl(fd, fcntl.F_GETLK, _POSIX_LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
+        holder = _POSIX_LOCK.unpack(found)[4]
+        if time.monotonic() > give_up_s:
+            raise PortError(f"held by process {holder}, the guard of a face that runs")
+        with contextlib.suppress(OSError):
+            if holder > 0:
+                os.kill(holder, signal.SIGTERM)
+        time.sleep(0.02)
+
+
+def main() -> None:
+    """Guard one pin for the bridge at the other end of an inherited socket."""
+    chip, line, link = sys.argv[1], int(sys.argv[2]), socket.socket(fileno=int(sys.argv[3]))
+    for number in _IGNORED:
+        signal.signal(number, signal.SIG_IGN)
+    try:
+        _lock(chip, line)
+        pin = open_pin(chip, line)
+    except PortError as error:
+        link.send(str(error).encode()[:500])
+        return
+    run_on_time()
+    link.send(_BLOCK)
+    if not guard(link, pin):
+        # The registers may go on with their pulses: high until there is another guard.
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        link.close()
+        signal.pause()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Agents that work all day: `lipservo bench agent` and `lipservo bench day`."""

@@ -1,0 +1,278 @@
+"""`lipservo bench day`: an agent and a face on real processes, and all that a day brings.
+
+A daemon with the shipped face plays into a PulseAudio sink without hardware; an agent
+(`day_agent.py`) takes turns through a cable that can be pulled. Meanwhile the computer is loaded,
+both are restarted, and the face is stopped and started.
+"""
+
+import contextlib
+import json
+import os
+import random
+import secrets
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from firmware_bridge.process.control_client import ask, start_face
+from lipservo_lab.bench.agents.cable import Cable
+from lipsync.errors import UserError
+
+_PERIOD_S: Final = 12.0
+#: So often in twelve minutes: what happens to whom.
+_EVENTS: Final = {
+    "load": 6,
+    "daemon restart": 4,
+    "cable pulled": 4,
+    "stop and start": 3,
+    "agent restart": 2,
+}
+_LOAD_S, _PULLED_S, _STOPPED_S, _GONE_S = 10.0, 15.0, 5.0, 3.0
+#: A face that is back has this long until every turn must move its lips.
+_GRACE_S: Final = 10.0
+#: Memory and threads are counted from so long after a process began.
+_WARM_S: Final = 45.0
+_LOOK_S: Final = 0.25
+_PATIENCE_S: Final = 90.0
+_ALSA: Final = (
+    "</usr/share/alsa/alsa.conf>\npcm.!default { type pulse }\nctl.!default { type pulse }\n"
+)
+
+
+@dataclass(slots=True)
+class _Life:
+    """Memory (MB) and threads of a process while it lives, by seconds since it began."""
+
+    pid: int
+    began_s: float = field(default_factory=time.monotonic)
+    seen: list[tuple[float, float, int]] = field(default_factory=list)
+
+    def look(self) -> None:
+        with contextlib.suppress(OSError, IndexError, ValueError):
+            pages = int(Path(f"/proc/{self.pid}/statm").read_text().split()[1])
+            n_threads = len(os.listdir(f"/proc/{self.pid}/task"))
+            rss_mb = 1e-6 * pages * os.sysconf("SC_PAGE_SIZE")
+            self.seen.append((time.monotonic() - self.began_s, rss_mb, n_threads))
+
+    def growth(self) -> tuple[float, float, int]:
+        """How long it was watched after it was warm, and by how much both grew."""
+        warm = [each for each in self.seen if each[0] >= _WARM_S]
+        if not warm:
+            return 0.0, 0.0, 0
+        return warm[-1][0] - warm[0][0], warm[-1][1] - warm[0][1], warm[-1][2] - warm[0][2]
+
+
+def day_figures(minutes: float, progress: Callable[[int, int], None]) -> dict[str, Any]:
+    """`mute_turns`, `rss_growth_mb`, `threads_growth` of so many minutes, and what happened.
+
+    Raises UserError where PulseAudio or what it needs is missing.
+    """
+    with (
+        tempfile.TemporaryDirectory(prefix="lipservo-day-") as folder,
+        _sink(Path(folder)) as environment,
+        _Day(Path(folder), environment) as day,
+    ):
+        return day.run(minutes, progress)
+
+
+class _Day:
+    """The processes, and what is seen of them."""
+
+    def __init__(self, folder: Path, environment: dict[str, str]) -> None:
+        self._folder = folder
+        self._environment = environment
+        self._control = folder / "face.sock"
+        self._token = folder / "token"
+        self._token.write_text(secrets.token_hex(16) + "\n")
+        self._token.chmod(0o600)
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self._port = probe.getsockname()[1]
+        self._cable = Cable(self._port)
+        self._turns: list[dict[str, float]] = []
+        #: (monotonic seconds, phonemes that moved the mouth, state) of the face that runs then.
+        self._statuses: list[tuple[float, int, str]] = []
+        #: From when to when a turn may be mute.
+        self._troubles: list[tuple[float, float]] = []
+        self._lives: dict[str, list[_Life]] = {"daemon": [], "agent": []}
+        self._processes: dict[str, subprocess.Popen[str]] = {}
+        self._over = threading.Event()
+        self._watching = threading.Thread(target=self._watch, daemon=True)
+
+    def __enter__(self) -> "_Day":
+        self._cable.__enter__()
+        self._start("daemon")
+        self._start("agent")
+        self._watching.start()
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self._over.set()
+        self._watching.join()
+        for name in ("agent", "daemon"):
+            self._end(name)
+        self._cable.__exit__()
+
+    def run(self, minutes: float, progress: Callable[[int, int], None]) -> dict[str, Any]:
+        """Let the day pass."""
+        self._wait_for_face()
+        began_s = time.monotonic()
+        self._troubles.append((0.0, began_s + _GRACE_S))
+        share = minutes / 12.0
+        events = [name for name, n in _EVENTS.items() for _ in range(max(1, round(n * share)))]
+        random.Random(1).shuffle(events)
+        gap_s = 60.0 * minutes / (len(events) + 1)
+        for number, name in enumerate(events, 1):
+            progress(number, len(events))
+            time.sleep(max(0.0, began_s + number * gap_s - time.monotonic()))
+            self._play(name)
+        time.sleep(max(0.0, began_s + 60.0 * minutes - time.monotonic()))
+        self._over.set()
+        self._watching.join()
+        lives = [each for every in self._lives.values() for each in every]
+        grown = {name: max(each.growth() for each in of) for name, of in self._lives.items()}
+        return {
+            "turns": len(self._turns),
+            "mute_turns": sum(self._is_mute(turn) for turn in self._turns),
+            "hung_turns": sum("hung" in turn for turn in self._turns),
+            "rss_growth_mb": round(max(each[1] for each in grown.values()), 2),
+            "threads_growth": max(each[2] for each in grown.values()),
+            "watched_s": {name: round(each[0], 1) for name, each in grown.items()},
+            "processes": len(lives),
+            **{name.replace(" ", "_"): events.count(name) for name in _EVENTS},
+        }
+
+    def _is_mute(self, turn: dict[str, float]) -> bool:
+        """Whether its sound moved no lips though the face had long been back."""
+        began_s, ended_s = turn["began_s"], turn["ended_s"]
+        if any(from_s <= ended_s and began_s <= to_s for from_s, to_s in self._troubles):
+            return False
+        counts = [n for at_s, n, _ in self._statuses if began_s <= at_s <= ended_s + 1.0]
+        return turn["transport_s"] > 0.0 or not counts or counts[-1] <= counts[0]
+
+    def _play(self, name: str) -> None:
+        from_s = time.monotonic()
+        if name == "load":
+            burning = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in "four"]
+            time.sleep(_LOAD_S)
+            for each in burning:
+                each.kill()
+                each.wait()
+        elif name == "cable pulled":
+            self._cable.pull()
+            time.sleep(_PULLED_S)
+            self._cable.plug()
+        elif name == "stop and start":
+            ask(self._control, "soft", _PATIENCE_S)
+            time.sleep(_STOPPED_S)
+            start_face(self._control, _PATIENCE_S)
+        else:
+            which = name.split(" ", 1)[0]
+            self._end(which)
+            time.sleep(_GONE_S)
+            self._start(which)
+        self._wait_for_face()
+        self._troubles.append((from_s, time.monotonic() + _GRACE_S))
+
+    def _wait_for_face(self) -> None:
+        give_up_s = time.monotonic() + _PATIENCE_S
+        while time.monotonic() < give_up_s:
+            with contextlib.suppress(OSError):
+                status = ask(self._control, "status", _PATIENCE_S)
+                if status.get("listens_on") and status.get("state") in ("driven", "silent"):
+                    return
+            time.sleep(_LOOK_S)
+        raise UserError("bench day: the face is not driven again")
+
+    def _start(self, name: str) -> None:
+        log = (self._folder / f"{name}.log").open("a")
+        if name == "daemon":
+            arguments = ["-m", "lipservo", "daemon", "--config", "face_sim", "--play", "--quiet"]
+            arguments += ["--listen", f"127.0.0.1:{self._port}", "--token-file", str(self._token)]
+            arguments += ["--control", str(self._control)]
+        else:
+            url = f"ws://127.0.0.1:{self._cable.port}"
+            token = self._token.read_text().strip()
+            arguments = ["-m", "lipservo_lab.bench.agents.day_agent", url, token, str(_PERIOD_S)]
+        process = subprocess.Popen(
+            [sys.executable, *arguments],
+            env=self._environment,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+        )
+        log.close()
+        self._processes[name] = process
+        self._lives[name].append(_Life(process.pid))
+        threading.Thread(target=self._read, args=(process,), daemon=True).start()
+
+    def _end(self, name: str) -> None:
+        process = self._processes[name]
+        process.terminate()
+        try:
+            process.wait(_PATIENCE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+    def _read(self, process: "subprocess.Popen[str]") -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            with contextlib.suppress(ValueError):
+                self._turns.append(json.loads(line))
+
+    def _watch(self) -> None:
+        while not self._over.wait(_LOOK_S):
+            for lives in self._lives.values():
+                lives[-1].look()
+            with contextlib.suppress(OSError):
+                status = ask(self._control, "status", _LOOK_S)
+                seen = int(status.get("n_phonemes") or 0), str(status.get("state"))
+                self._statuses.append((time.monotonic(), *seen))
+
+
+@contextlib.contextmanager
+def _sink(folder: Path) -> Iterator[dict[str, str]]:
+    """A PulseAudio server with one sink that no card is behind; the environment that uses it."""
+    (folder / "asound.conf").write_text(_ALSA)
+    address = folder / "native"
+    (folder / "server.pa").write_text(
+        f"load-module module-native-protocol-unix socket={address} auth-anonymous=1\n"
+        "load-module module-null-sink sink_name=speaker rate=48000\nset-default-sink speaker\n"
+    )
+    environment = {
+        **os.environ,
+        "XDG_RUNTIME_DIR": str(folder),
+        "PULSE_SERVER": f"unix:{address}",
+        "PULSE_COOKIE": str(folder / "cookie"),
+        "ALSA_CONFIG_PATH": str(folder / "asound.conf"),
+        "LIPSERVO_STATE": str(folder / "state"),
+    }
+    command = ["pulseaudio", "-n", "-F", str(folder / "server.pa"), "--daemonize=no"]
+    command += ["--exit-idle-time=-1", "--disable-shm=yes", "--use-pid-file=no", "--realtime=no"]
+    try:
+        server = subprocess.Popen(
+            command,
+            env={**environment, "PULSE_SERVER": "", "HOME": str(folder)},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    except FileNotFoundError as error:
+        raise UserError("bench day needs pulseaudio: apt install pulseaudio") from error
+    try:
+        give_up_s = time.monotonic() + _PATIENCE_S
+        while not address.exists():
+            if server.poll() is not None or time.monotonic() > give_up_s:
+                raise UserError("bench day: pulseaudio does not start")
+            time.sleep(_LOOK_S)
+        yield environment
+    finally:
+        server.terminate()
+        server.wait()

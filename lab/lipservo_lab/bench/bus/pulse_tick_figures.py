@@ -1,0 +1,307 @@
+"""Processor time of a tick of hobby servos, beside a loop by hand with pyserial or smbus2."""
+
+import os
+import statistics
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from typing import Any, Final
+
+import numpy as np
+import serial
+import smbus2
+
+from firmware_bridge.bus_kinds import Wiring
+from firmware_bridge.clock import ManualClock
+from firmware_bridge.dynamixel.wire.serial_transport import open_port
+from firmware_bridge.joints import Joint
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.report import BridgeSettings
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.maestro.controller import MaestroController
+from firmware_bridge.maestro.kind import BAUD_RATE, MAESTRO
+from firmware_bridge.maestro.protocol import GET_ERRORS, GET_POSITION, N_DATA, SET_TARGETS
+from firmware_bridge.maestro.settings import MaestroSettings
+from firmware_bridge.pca9685.i2c import READ, DeviceTransfers, I2cChip
+from firmware_bridge.pca9685.kind import PCA9685, controller_of
+from firmware_bridge.pca9685.registers import FULL, IDENTITY, Mode1, Register
+from firmware_bridge.pca9685.settings import Pca9685Settings
+from firmware_bridge.pulse_bus import PulseBus, PulseController
+from firmware_bridge.pulse_servos import PulseServo
+
+N_SERVOS: Final = 16
+_RATE_HZ: Final = 50.0
+_ADDRESS: Final = 0x40
+#: Ends the canned Maestro; no command of the protocol.
+_OVER: Final = 0xFF
+_WARM_UP_BLOCKS, _BLOCKS, _CALLS = 15, 120, 10
+#: Until the last servo has come on and has caught up.
+_SETTLES_TICKS: Final = 400
+
+Call = Callable[[int], object]
+
+
+def pulse_tick_ratios() -> dict[str, float]:
+    """CPU of a tick of sixteen hobby servos over that of a loop by hand: medians of every call.
+
+    By hand: each angle clamped, made a pulse, and the pulses sent in one message, as in the
+    examples of the makers. `cpu_pulses_*`: our bus in its place, which also brings servos up one
+    by one, keeps their pulses, and asks the controller five times a second what it sends.
+    `cpu_tick_*`: all of `Bridge.tick`, with targets, gate and supervision, which a loop by hand has
+    not; `_limited`: over a loop that bounds the speed of each servo as well. Thread CPU time, in
+    interleaved blocks of ten; the system call to the adapter is in the Maestro's (a
+    pseudo-terminal), that of I2C is left out on either side.
+    """
+    with ExitStack() as stack:
+        calls: dict[str, Call] = {}
+        for name, controller, by_hand in (
+            ("maestro", _maestro(stack), _maestro_by_hand(stack)),
+            ("pca9685", _pca9685(), _pca9685_by_hand()),
+        ):
+            calls[name] = stack.enter_context(_bus_tick(*controller))
+            calls[f"{name} by hand"] = _loop(by_hand, limits_speed=False)
+            calls[f"{name} limited"] = _loop(by_hand, limits_speed=True)
+        for name, controller in (("maestro", _maestro(stack)), ("pca9685", _pca9685())):
+            calls[f"{name} whole"] = stack.enter_context(_whole_tick(*controller))
+        spent_us = _calls_us(calls)
+    middle = {name: statistics.median(each) for name, each in spent_us.items()}
+    figures: dict[str, float] = {}
+    for name in ("maestro", "pca9685"):
+        by_hand_us = middle[f"{name} by hand"]
+        figures |= {
+            f"cpu_pulses_{name}_us": middle[name],
+            f"cpu_pulses_{name}_by_hand_us": by_hand_us,
+            f"cpu_pulses_{name}_ratio": middle[name] / by_hand_us,
+            f"cpu_tick_{name}_ratio": middle[f"{name} whole"] / by_hand_us,
+            f"cpu_tick_{name}_limited_ratio": middle[f"{name} whole"] / middle[f"{name} limited"],
+        }
+    return figures
+
+
+def _calls_us(calls: Mapping[str, Call]) -> dict[str, list[float]]:
+    """CPU time of every call, by name, in microseconds."""
+    spent_us: dict[str, list[float]] = {name: [] for name in calls}
+    for block in range(_WARM_UP_BLOCKS + _BLOCKS):
+        for name, call in calls.items():
+            for n in range(block * _CALLS, (block + 1) * _CALLS):
+                spent_ns = call(n)
+                assert isinstance(spent_ns, int)
+                if block >= _WARM_UP_BLOCKS:
+                    spent_us[name].append(spent_ns * 1e-3)
+    return spent_us
+
+
+def _timed(work: Callable[[Any], object], argument: object) -> int:
+    begun_ns = time.thread_time_ns()
+    work(argument)
+    return time.thread_time_ns() - begun_ns
+
+
+def _moving_deg(n: int) -> np.ndarray:
+    """Where the joints are wanted in call n: 4 degrees to and fro at 2 Hz, (n_servos,)."""
+    phase = 0.3 * np.arange(N_SERVOS)
+    return np.asarray(4.0 * np.sin(2.0 * np.pi * 2.0 * n / _RATE_HZ + phase))
+
+
+def _wiring(settings: object) -> Wiring:
+    joints = [
+        Joint(f"joint_{n}", n, -40.0, 40.0, 300.0, address_key="channel") for n in range(N_SERVOS)
+    ]
+    servos = [
+        PulseServo(
+            channel=joint.servo_id,
+            positive="opens",
+            min_deg=joint.min_deg,
+            max_deg=joint.max_deg,
+            max_speed_deg_s=joint.max_speed_deg_s,
+            us_per_deg=10.0,
+        )
+        for joint in joints
+    ]
+    return Wiring(settings, tuple(joints), tuple(servos), _RATE_HZ)
+
+
+Controlled = tuple[Wiring, PulseController, ManualClock, Any]
+
+
+def _maestro(stack: ExitStack) -> Controlled:
+    wiring = _wiring(MaestroSettings(model="mini18"))
+    port = stack.enter_context(_canned_maestro())
+    controller = MaestroController(wiring, lambda: open_port(port, BAUD_RATE))
+    return wiring, controller, ManualClock(), MAESTRO
+
+
+def _pca9685() -> Controlled:
+    wiring, clock = _wiring(Pca9685Settings()), ManualClock()
+    transfers = DeviceTransfers(CannedI2c(), smbus2.i2c_msg)
+    controller = controller_of(wiring, lambda: I2cChip(transfers, _ADDRESS, "canned"), clock)
+    return wiring, controller, clock, PCA9685
+
+
+@contextmanager
+def _bus_tick(
+    wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
+) -> Iterator[Call]:
+    """What a tick has the bus do."""
+    can = kind.capabilities(wiring.settings)
+    with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
+        for index in range(N_SERVOS):
+            bus.enable_torque(index)
+
+        def work(goals_deg: np.ndarray) -> None:
+            bus.write_positions(goals_deg)
+            bus.feedback()
+            bus.look_after()
+
+        def tick(n: int) -> int:
+            clock.advance(1.0 / _RATE_HZ)
+            return _timed(work, _moving_deg(n))
+
+        for n in range(_SETTLES_TICKS):
+            tick(n)
+        assert bus.read().torque_on.all()
+        yield tick
+
+
+@contextmanager
+def _whole_tick(
+    wiring: Wiring, controller: PulseController, clock: ManualClock, kind: Any
+) -> Iterator[Call]:
+    """All of it."""
+    can, channel = kind.capabilities(wiring.settings), MemoryTargetChannel()
+    with PulseBus(wiring.servos, controller, clock, can, may_jump=True) as bus:
+        bridge = Bridge(bus, wiring.joints, channel, BridgeSettings(_RATE_HZ))
+        bridge.start()
+
+        def tick(n: int) -> int:
+            clock.advance(1.0 / _RATE_HZ)
+            channel.publish(ServoTargets(clock.now(), _moving_deg(n)))
+            return _timed(bridge.tick, clock.now())
+
+        for n in range(_SETTLES_TICKS):
+            tick(n)
+        assert bridge.settled
+        assert not bridge.troubles
+        yield tick
+
+
+def _loop(send: Callable[[list[float]], None], *, limits_speed: bool) -> Call:
+    """Angles to pulses within the range of each servo, and within reach of the last, and out."""
+    servos = _wiring(None).servos
+    sent_us = [each.neutral_us for each in servos]
+    reach_us = [abs(each.us_per_deg) * each.max_speed_deg_s / _RATE_HZ for each in servos]
+
+    def pulse_us(servo: PulseServo, deg: float) -> float:
+        return min(max(servo.neutral_us + servo.us_per_deg * deg, servo.min_us), servo.max_us)
+
+    def work(goals_deg: list[float]) -> None:
+        send([pulse_us(servo, deg) for servo, deg in zip(servos, goals_deg, strict=True)])
+
+    def limited_work(goals_deg: list[float]) -> None:
+        for n, (servo, deg) in enumerate(zip(servos, goals_deg, strict=True)):
+            before_us, reach = sent_us[n], reach_us[n]
+            sent_us[n] = min(max(pulse_us(servo, deg), before_us - reach), before_us + reach)
+        send(sent_us)
+
+    done = limited_work if limits_speed else work
+    return lambda n: _timed(done, _moving_deg(n).tolist())
+
+
+def _maestro_by_hand(stack: ExitStack) -> Callable[[list[float]], None]:
+    """Set multiple targets, as Pololu documents it, by pyserial."""
+    port = stack.enter_context(serial.Serial(stack.enter_context(_canned_maestro()), BAUD_RATE))
+
+    def send(pulses_us: list[float]) -> None:
+        message = bytearray([SET_TARGETS, N_SERVOS, 0])
+        for pulse_us in pulses_us:
+            target = round(pulse_us * 4)
+            message.append(target & 0x7F)
+            message.append(target >> 7)
+        port.write(message)
+
+    return send
+
+
+def _pca9685_by_hand() -> Callable[[list[float]], None]:
+    """All channels by auto-increment, each begun at a time of its own, by smbus2."""
+    bus, count_us = CannedI2c(), Pca9685Settings().timing.count_us
+
+    def send(pulses_us: list[float]) -> None:
+        data = [Register.LED0_ON_L.value]
+        for channel, pulse_us in enumerate(pulses_us):
+            on = channel * 256
+            off = (on + round(pulse_us / count_us)) % 4096
+            data += [on & 0xFF, on >> 8, off & 0xFF, off >> 8]
+        bus.i2c_rdwr(smbus2.i2c_msg.write(_ADDRESS, data))
+
+    return send
+
+
+class CannedI2c(smbus2.SMBus):
+    """An adapter with one chip whose registers keep what is written; no system call is made."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.registers, self._pointer = bytearray(256), 0
+        self.registers[Register.SUBADR1 : Register.ALLCALLADR + 1] = IDENTITY
+        self.registers[Register.PRE_SCALE] = 0x1E
+
+    def i2c_rdwr(self, *messages: Any) -> None:
+        """As smbus2 makes them ready for the kernel."""
+        smbus2.smbus2.i2c_rdwr_ioctl_data.create(*messages)
+        for each in messages:
+            if each.flags & READ:
+                found = self.registers[self._pointer : self._pointer + each.len]
+                for n, value in enumerate(found):
+                    each.buf[n] = value
+                continue
+            written = bytes(each)
+            self._pointer = written[0]
+            end = self._pointer + len(written) - 1
+            if self._pointer == Register.MODE1 and len(written) > 1:
+                self.registers[0] = written[1] & ~Mode1.RESTART
+            elif self._pointer == Register.ALL_LED_OFF_H:
+                for channel in range(16):
+                    self.registers[Register.LED0_ON_L + 4 * channel + 3] |= FULL
+            else:
+                self.registers[self._pointer : end] = written[1:]
+
+
+@contextmanager
+def _canned_maestro() -> Iterator[str]:
+    """The port of what takes all commands and sends what it was told last."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    pulses = bytearray(2 * N_SERVOS)
+
+    def answer() -> None:
+        waiting = b""
+        while data := os.read(master, 4096):
+            waiting += data
+            while waiting and waiting[0] != _OVER:
+                code = waiting[0]
+                n_data = 2 + len(pulses) if code == SET_TARGETS else N_DATA[code]
+                if len(waiting) <= n_data:
+                    break
+                if code == SET_TARGETS:
+                    pulses[:] = waiting[3 : 3 + len(pulses)]
+                elif code == GET_POSITION:
+                    low, high = pulses[2 * waiting[1] : 2 * waiting[1] + 2]
+                    os.write(master, (low | high << 7).to_bytes(2, "little"))
+                elif code == GET_ERRORS:
+                    os.write(master, bytes(2))
+                waiting = waiting[1 + n_data :]
+            if waiting[:1] == bytes([_OVER]):
+                return
+
+    thread = threading.Thread(target=answer, daemon=True)
+    thread.start()
+    try:
+        yield os.ttyname(slave)
+    finally:
+        os.write(slave, bytes([_OVER]))
+        thread.join(1.0)
+        os.close(slave)
+        os.close(master)

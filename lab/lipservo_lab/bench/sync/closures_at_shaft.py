@@ -1,0 +1,135 @@
+"""Lips that meet at the shafts of a face's servos, beside the same face on Dynamixels.
+
+The clip of `make run` goes through recogniser, synthesiser, calibration, plan and gate to servos
+simulated to the byte. What counts is where their shafts stand, not what they were sent.
+"""
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.clock import ManualClock, ticks
+from firmware_bridge.dynamixel.bus import DynamixelBus
+from firmware_bridge.dynamixel.control_table import servo_models
+from firmware_bridge.dynamixel.mounting import MountedServo
+from firmware_bridge.joints import Joint
+from firmware_bridge.simulator.chain import chain_for
+from firmware_bridge.simulator.ports import MemoryTransport, WatchedServos
+from lipservo.runtime.motion_options import MotionOptions, make_synthesizer
+from lipservo.runtime.servos.assembly import Face, assemble_face, simulated_wire
+from lipservo.runtime.street import make_street
+from lipservo_lab.evaluation.recognition.heard_motion import recognize_file
+from lipsync.arrays import Array
+from lipsync.audio.file import FileSource
+from lipsync.errors import UserError
+from lipsync.markers import MARKERS_47
+from lipsync.phonemes import PhonemeEvent
+from lipsync.recognition.recognizers import make_recognizer
+
+_BILABIALS: Final = ("P", "B", "M")
+#: A closure counts from so long before its phoneme until so long after it.
+_AROUND_S: Final = 0.06
+#: So near to the angles of closed lips a joint has closed them: a jaw of 80 mm moves 1.4 mm.
+_MET_DEG: Final = 1.0
+_AFTER_S: Final = 0.5
+#: Until the last of staggered servos has come on and has caught up.
+_COMES_ON_S: Final = 0.5
+_BAUD_RATE: Final = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What the clip became at some servos, tick by tick.
+
+    sound_s (n,): what of the sound is shown; faces (n, n_components): what the lips should do;
+    shafts_deg (n, n_mouth): where the mouth's joints stood.
+    """
+
+    sound_s: Array
+    faces: Array
+    shafts_deg: Array
+
+
+def closures_at_shaft(name: str) -> dict[str, float]:
+    """Closures of the clip that the shafts of a face meet, and the same face on Dynamixels.
+
+    A closure is met where every joint of the mouth comes within a degree of its angle for the face
+    whose lips are nearest, during the phoneme or 60 ms beside it.
+    """
+    face = assemble_face(name, None)
+    with resources.as_file(resources.files("lipservo.clips") / "welcome.flac") as clip:
+        events = recognize_file(make_recognizer(), clip).events
+        closures = [each for each in events if each.phoneme in _BILABIALS]
+        met = _n_met(face, _shown(face, _own_servos(face), clip), closures)
+        on_dynamixel = _n_met(face, _shown(face, _dynamixels(face), clip), closures)
+    return {
+        "closures": len(closures),
+        "closures_at_shaft": met,
+        "closures_at_shaft_on_dynamixel": on_dynamixel,
+        "closures_at_shaft_share": met / max(1, on_dynamixel),
+    }
+
+
+def _own_servos(face: Face) -> WatchedServos:
+    """Those of the face's YAML."""
+    watch = getattr(face.settings.bus_kind.simulator(), "watched_servos", None)
+    if watch is not None:
+        watched: WatchedServos = watch(face.settings.wiring)
+        return watched
+    bus, clock = simulated_wire(face.settings)
+    if not bus.capabilities.place:
+        raise UserError(f"{face.settings.name}: where the shafts of its simulator stand is unknown")
+    return WatchedServos(bus, clock, None, lambda: bus.feedback().positions_deg, lambda: True)
+
+
+def _dynamixels(face: Face) -> WatchedServos:
+    """XL330-M288 in the place of each servo."""
+    model, clock = servo_models()["XL330-M288"], ManualClock()
+    servos = [
+        MountedServo(
+            Joint(joint.name, n, joint.min_deg, joint.max_deg, joint.max_speed_deg_s), model
+        )
+        for n, joint in enumerate(face.joints, start=1)
+    ]
+    chain = chain_for(servos, _BAUD_RATE)
+    bus = DynamixelBus(servos, lambda: MemoryTransport(chain, clock, _BAUD_RATE))
+    return WatchedServos(bus, clock, chain, lambda: bus.feedback().positions_deg, lambda: True)
+
+
+def _shown(face: Face, servos: WatchedServos, clip: Path) -> Shown:
+    bus, clock, rate_hz = servos.bus, servos.clock, face.settings.rate_hz
+    mouth = [list(face.settings.servos).index(each) for each in face.settings.mouth_servos]
+    synthesizer = make_synthesizer(face.model, MotionOptions())
+    sound_s, faces, shafts_deg = [], [], []
+    with FileSource(clip) as source, bus:
+        street = make_street(face, source, bus, rate_hz, make_recognizer(), synthesizer)
+        street.bridge.start()
+        clock.sleep_until(clock.now() + _COMES_ON_S * len(face.joints))
+        street.begin(clock.now())
+        for time_s, late in ticks(clock, rate_hz):
+            tick = street.tick(time_s, late)
+            if tick.sound_s > (source.duration_s or 0.0) + _AFTER_S:
+                break
+            sound_s.append(tick.sound_s)
+            faces.append(tick.frame.coefficients)
+            shafts_deg.append(servos.shafts_deg()[mouth])
+    return Shown(np.array(sound_s), np.array(faces), np.array(shafts_deg))
+
+
+def _n_met(face: Face, shown: Shown, closures: list[PhonemeEvent]) -> int:
+    markers_mm = face.model.markers_mm(shown.faces)
+    upper, lower = markers_mm[:, MARKERS_47.upper_lip], markers_mm[:, MARKERS_47.lower_lip]
+    gap_mm = upper[:, 1] - lower[:, 1]
+    n_met = 0
+    for event in closures:
+        end_s = np.inf if event.end_s is None else event.end_s + _AROUND_S
+        around = (event.start_s - _AROUND_S <= shown.sound_s) & (shown.sound_s <= end_s)
+        if around.any():
+            nearest = int(np.argmin(np.where(around, gap_mm, np.inf)))
+            closed_deg = face.calibration.positions_deg(shown.faces[nearest])
+            off_deg = np.abs(shown.shafts_deg[around] - closed_deg).max(axis=1)
+            n_met += bool(off_deg.min() <= _MET_DEG)
+    return n_met

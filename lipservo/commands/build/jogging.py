@@ -1,0 +1,279 @@
+"""`jog` and `neutral`: joints moved by hand, through the gate or with the fingers."""
+
+from collections.abc import Iterable
+from contextlib import ExitStack, suppress
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from lipservo.commands.options import DEFAULT_FACE, Config, Dashboard, OpenPage, Port, port_of
+from lipservo.runtime.servos.face_stopped import exit_status
+from lipservo.terminal.output import MESSAGES, RESULTS, complain, say_simulated
+from lipsync.errors import UserError
+
+if TYPE_CHECKING:
+    from firmware_bridge.loop.bridge import Bridge
+    from firmware_bridge.stop_signals import DeferredSignals
+    from lipservo.runtime.servos.hand_driven import KeyedJoint
+    from lipservo.runtime.servos.limp_servos import LimpServos, TurnedRange
+    from lipservo.runtime.servos.moving import Moved
+    from lipservo.settings.settings import FaceSettings
+    from lipservo.terminal.keys import PressedKeys
+
+_LIMIT_KEYS = {"1": "min", "2": "neutral", "3": "max"}
+
+
+def jog(
+    joint: Annotated[str | None, typer.Argument(help="Which joint.", show_default=False)] = None,
+    deg: Annotated[
+        float | None,
+        typer.Argument(help="Where to, joint degrees; default: with keys.", show_default=False),
+    ] = None,
+    port: Port = None,
+    config: Config = DEFAULT_FACE,
+    hold_s: Annotated[float, typer.Option(min=0.0, max=60.0, help="How long to stay.")] = 1.0,
+    limp: Annotated[
+        bool, typer.Option("--limp", help="Torque off: turn joints by hand, and note how far.")
+    ] = False,
+    dashboard: Dashboard = False,
+    open_page: OpenPage = False,
+) -> None:
+    """Move one joint, the others held, through the safety gate; then all go limp.
+
+    JOINT alone is moved with keys, a hobby servo also a little beyond its limits, to find them;
+    --dashboard does the same on its page, for all joints. --limp tells where joints are turned by
+    hand. What is found is written into the face's YAML. None of these needs a calibration.
+    """
+    from lipservo.commands.run.dashboard_beside import check_page_options
+
+    check_page_options(None, is_shown=dashboard, open_page=open_page)
+    settings = _settings(port, config)
+    if joint is not None and joint not in settings.servos:
+        raise UserError(f"no joint {joint!r} in this face; it has {', '.join(settings.servos)}")
+    if deg is not None and (limp or dashboard or joint is None):
+        raise typer.BadParameter("DEG goes with JOINT alone")
+    if limp and dashboard:
+        raise typer.BadParameter("--limp or --dashboard, not both")
+    if limp:
+        _turn(settings, config, port, [joint] if joint else list(settings.servos))
+    elif dashboard:
+        _jog_on_page(settings, config, open_page=open_page)
+    elif joint is None:
+        raise typer.BadParameter("say which joint; or --dashboard, or --limp")
+    elif deg is None:
+        _jog_with_keys(settings, config, joint)
+    else:
+        from lipservo.runtime.servos.moving import move_to
+
+        _say_if_simulated(settings)
+        _finish(move_to(config, port, {joint: deg}, hold_s), [joint], settings)
+
+
+def neutral(
+    port: Port = None,
+    config: Config = DEFAULT_FACE,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Servos that have had no pulse yet may jump to neutral.")
+    ] = False,
+) -> None:
+    """Bring every joint to its neutral, through the safety gate; then all go limp."""
+    from lipservo.runtime.servos.moving import move_to
+
+    settings = _settings(port, config)
+    _say_if_simulated(settings)
+    moved = move_to(config, port, None, 0.5, may_jump=yes)
+    _finish(moved, moved.reached_deg, settings)
+
+
+def _settings(port: str | None, config: str) -> "FaceSettings":
+    from lipservo.runtime.servos.assembly import load_settings
+
+    settings, _ = load_settings(config)
+    return settings if port is None else settings.at_port(port)
+
+
+def _finish(moved: "Moved", joints: Iterable[str], settings: "FaceSettings") -> None:
+    for joint in joints:
+        where = "stands at" if moved.is_measured[joint] else "was sent to"
+        deg, pulse = moved.reached_deg[joint], settings.servos[joint].pulse
+        as_pulse = "" if pulse is None else f" ({pulse.us(deg):.0f} us)"
+        RESULTS.print(f"{joint} {where} {deg:.1f} deg{as_pulse}")
+    _exit(exit_status(moved.report, None))
+
+
+def _exit(status: int) -> None:
+    if status:
+        raise typer.Exit(status)
+
+
+def _say_if_simulated(settings: "FaceSettings") -> None:
+    if settings.capabilities.in_memory:
+        say_simulated()
+
+
+def _jog_on_page(settings: "FaceSettings", config: str, *, open_page: bool) -> None:
+    """The page Servos moves the joints; Ctrl-C ends."""
+    from firmware_bridge.clock import MonotonicClock
+    from lipservo.commands.run.dashboard_beside import dashboard_beside
+    from lipservo.commands.run.voice_choice import access_file
+    from lipservo.runtime.motion_options import MotionOptions
+    from lipservo.runtime.run_request import SILENCE, RunRequest
+    from lipservo.runtime.servos.hand_driven import drive_by_hand
+
+    request = RunRequest(config, SILENCE, MotionOptions())
+    token_file = access_file(None, open_to_this_computer=False)
+    _say_if_simulated(settings)
+    with dashboard_beside(request, None, token_file, open_page=open_page):
+        MESSAGES.print("the page Servos moves the joints; Ctrl-C lets them go")
+        report, signal_number = drive_by_hand(settings, config, MonotonicClock())
+    _exit(exit_status(report, signal_number))
+
+
+def _jog_with_keys(settings: "FaceSettings", config: str, name: str) -> None:
+    from firmware_bridge.clock import MonotonicClock
+    from lipservo.runtime.servos.hand_driven import KeyedJoint, drive_by_hand
+    from lipservo.settings.found_limits import WARNING
+    from lipservo.terminal.keys import PressedKeys
+
+    hand = KeyedJoint(settings, name)
+    _say_if_simulated(settings)
+    if hand.pulse is None:
+        MESSAGES.print("- +: a degree; , .: a tenth; 0: neutral; q: end")
+    else:
+        MESSAGES.print("- +: 10 us; , .: 2 us; 0: neutral; 1 2 3: set as min, neutral, max; q: end")
+        MESSAGES.print(WARNING)
+    with PressedKeys() as keys:
+
+        def act(bridge: "Bridge", time_s: float) -> bool:
+            if not hand.renew(bridge, time_s):
+                RESULTS.print(f"{hand.shown}: back within its limits")
+            key = keys.next_key(0.0)
+            if key is None:
+                return True
+            if limit := _LIMIT_KEYS.get(key):
+                RESULTS.print(_with_limit(hand, config, limit))
+                return True
+            why_not = hand.press(key, bridge, time_s)
+            if why_not is not None:
+                RESULTS.print(why_not or hand.shown)
+            return key != "q"
+
+        report, signal_number = drive_by_hand(settings, config, MonotonicClock(), act)
+    _exit(exit_status(report, signal_number))
+
+
+def _with_limit(hand: "KeyedJoint", config: str, limit: Any) -> str:
+    """What became of it, in one line."""
+    from lipservo.settings.found_limits import own_yaml, what_next, with_pulse_limit
+
+    if hand.pulse is None:
+        return "limits in degrees are found with torque off: `lipservo jog --limp`"
+    try:
+        edit = with_pulse_limit(own_yaml(config), hand.name, limit, hand.place)
+        edit.write()
+    except UserError as error:
+        return str(error)
+    return f"{hand.name}: {limit} is {hand.place:.0f} us in {edit.path.name}; it {what_next(edit)}"
+
+
+def _turn(settings: "FaceSettings", config: str, port: str | None, names: list[str]) -> None:
+    """Torque off, joints turned by hand, their ends noted and written."""
+    from firmware_bridge.clock import MonotonicClock
+    from firmware_bridge.stop_signals import DeferredSignals, StopRequested
+    from firmware_bridge.stopping import named_by_reason
+    from lipservo.runtime.servos.assembly import bus_for
+    from lipservo.runtime.servos.limp_servos import LimpServos, TurnedRange
+    from lipservo.terminal.keys import PressedKeys
+
+    if not settings.capabilities.place:
+        raise UserError(
+            f"servos on a {settings.bus.kind} bus cannot say where they stand: find their limits "
+            "with `lipservo jog JOINT`, or on the page Servos of `lipservo jog --dashboard`"
+        )
+    settings = settings.at_port(port_of(port, settings.servo_port))
+    status, clock = 0, MonotonicClock()
+    with ExitStack() as stack, DeferredSignals() as signals:
+        try:
+            bus = bus_for(settings, clock)
+            with signals.finish_first():
+                stack.enter_context(bus)
+            servos = LimpServos(settings, bus, clock, names)
+            keys = stack.enter_context(PressedKeys())
+            MESSAGES.print(
+                f"{', '.join(names)}: let go now, and what they hold falls. "
+                "Space or Enter: let go. Any other key: leave all as it is."
+            )
+            while (key := keys.next_key(1.0)) is None:
+                pass
+            if key not in (" ", "\n", "\r"):
+                raise UserError("nothing was let go")
+            with signals.finish_first():
+                report = servos.let_go()
+            if not report.complete:
+                raise UserError(
+                    f"torque off is NOT confirmed by {named_by_reason(report.unconfirmed)}; "
+                    "keep your hands away"
+                )
+            MESSAGES.print(
+                "Turn each joint to both of its ends. w: write the limits; r: begin anew; q: end"
+            )
+            turned = TurnedRange(servos.names)
+            _watch(servos, turned, keys, signals, config)
+        except StopRequested as stop:
+            status = 128 + stop.number
+            complain(f"stopped by {stop}; torque stays off")
+    _exit(status)
+
+
+def _watch(
+    servos: "LimpServos",
+    turned: "TurnedRange",
+    keys: "PressedKeys",
+    signals: "DeferredSignals",
+    config: str,
+) -> None:
+    """Until q, or the limits are written."""
+    from rich.live import Live
+
+    from lipservo.runtime.servos.limp_servos import LOOK_EVERY_S
+
+    with Live(console=MESSAGES, transient=True, auto_refresh=False) as view:
+        key: str | None = None
+        while key not in ("q", "w"):
+            turned.note(servos.look())
+            if MESSAGES.is_terminal:
+                view.update(turned.table(), refresh=True)
+            key = keys.next_key(LOOK_EVERY_S)
+            if key == "r":
+                turned.begin()
+    for line in turned.lines():
+        RESULTS.print(line)
+    if key == "w":
+        with suppress(KeyboardInterrupt), signals.finish_first():
+            _write_ranges(turned, config)
+
+
+def _write_ranges(turned: "TurnedRange", config: str) -> None:
+    from lipservo.settings.found_limits import (
+        own_yaml,
+        range_values,
+        what_next,
+        with_ranges,
+    )
+
+    found = {}
+    for name, (least_deg, most_deg) in turned.ends().items():
+        try:
+            found[name] = range_values(least_deg, most_deg)
+        except UserError as error:
+            RESULTS.print(f"{name}: stays as it is: {error}")
+    if not found:
+        raise UserError("nothing was written: no joint was turned")
+    edit = with_ranges(own_yaml(config), found)
+    edit.write()
+    for name, values in found.items():
+        RESULTS.print(f"{name}: {values['min_deg']:g} to {values['max_deg']:g} deg")
+    RESULTS.print(
+        f"written into {edit.path.name}; it {what_next(edit)}. Then `lipservo setup-servos`: "
+        "servos keep limits of their own"
+    )

@@ -1,0 +1,245 @@
+"""What a stranger's hardware does, measured: `doctor --report`.
+
+Only figures, and words out of fixed lists, leave the computer: no name, path, host, user or serial
+number. Joints are `servo_1`, `servo_2` and so on, in the order of the face's YAML.
+"""
+
+import os
+import platform
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from itertools import pairwise
+from typing import Any, Final, Literal, get_origin
+
+import numpy as np
+from pydantic import BaseModel
+
+from firmware_bridge.bus import ServoBus
+from firmware_bridge.bus_kinds import Finding, Wiring
+from firmware_bridge.clock import Clock, ticks
+from firmware_bridge.pulse_bus import usb_product
+from lipservo.settings.settings import FaceSettings
+from lipsync.arrays import Array
+
+FORMAT: Final = "lipservo hardware report"
+FORMAT_VERSION: Final = 1
+#: A step is so large where the joint has room, goes there and back so often, and waits so long.
+STEP_DEG: Final = 5.0
+N_STEPS: Final = 3
+STEP_S: Final = 1.0
+#: A shaft has settled within so much of its goal: half a degree, or a tenth of the step.
+_SETTLED_DEG, _SETTLED_SHARE = 0.5, 0.1
+#: An absolute path, or one of a home folder.
+_PATH: Final = re.compile(r"(?:~|\.{1,2})?/[^\s,;:)\]}'\"]+")
+
+Report = dict[str, Any]
+
+
+def about_face(settings: FaceSettings) -> Report:
+    """Computer, bus and servos as the YAML has them."""
+    return {
+        "format": FORMAT,
+        "version": FORMAT_VERSION,
+        "lipservo": version("lipservo"),
+        "computer": {
+            "system": platform.system(),
+            "machine": platform.machine(),
+            "kernel": ".".join(re.findall(r"\d+", platform.release())[:2]),
+            "python": platform.python_version(),
+            "n_cpus": os.cpu_count(),
+        },
+        "bus": {
+            **plain_values(settings.bus),
+            "usb": usb_product(settings.servo_port or ""),
+            "capabilities": settings.capabilities.as_dict(),
+        },
+        "rate_hz": settings.rate_hz,
+        "servos": [
+            {"servo": label, **plain_values(servo)}
+            for label, servo in zip(labels(settings), settings.servos.values(), strict=True)
+        ],
+    }
+
+
+def labels(settings: FaceSettings) -> list[str]:
+    """What the joints are called in a report."""
+    return [f"servo_{n}" for n in range(1, len(settings.servos) + 1)]
+
+
+def plain_values(settings: BaseModel) -> dict[str, object]:
+    """What of settings is a number, a flag, or a word that the schema lists."""
+    told: dict[str, object] = {}
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        is_listed = name == "kind" or get_origin(field.annotation) is Literal
+        if isinstance(value, (bool, int, float)) or (is_listed and isinstance(value, str)):
+            told[name] = value
+    if model := getattr(settings, "make", None):
+        told["model"] = model
+    return told
+
+
+def examined(settings: FaceSettings, secrets: Sequence[str]) -> list[dict[str, str]]:
+    """What `doctor` finds, of joints that have labels for names. Raises as `BusKind.examine`."""
+    wiring = settings.wiring
+    joints = tuple(
+        replace(joint, name=label)
+        for joint, label in zip(wiring.joints, labels(settings), strict=True)
+    )
+    hidden = Wiring(wiring.settings, joints, wiring.servos, wiring.rate_hz)
+    return [_finding(each, secrets) for each in settings.bus_kind.examine(hidden)]
+
+
+def _finding(finding: Finding, secrets: Sequence[str]) -> dict[str, str]:
+    return {
+        "severity": finding.severity.name.lower(),
+        "what": scrubbed(finding.what, secrets),
+        "remedy": scrubbed(finding.remedy, secrets),
+    }
+
+
+def secrets_of(settings: FaceSettings, config: str) -> list[str]:
+    """Texts of this face and computer that no report may hold, the longest first."""
+    port = settings.servo_port or ""
+    found = {port, os.path.realpath(port) if port else "", config, settings.name, platform.node()}
+    found |= {os.environ.get(name, "") for name in ("USER", "LOGNAME", "HOME", "HOSTNAME")}
+    found |= set(settings.servos)
+    return sorted((each for each in found if len(each) > 1), key=len, reverse=True)
+
+
+def scrubbed(text: str, secrets: Sequence[str]) -> str:
+    """The text without secrets, paths and long numbers, which may be those of a device."""
+    for secret in secrets:
+        text = re.sub(rf"(?<!\w){re.escape(secret)}(?!\w)", "[...]", text)
+    return re.sub(r"\b[0-9A-Fa-f]{8,}\b", "[...]", _PATH.sub("[path]", text))
+
+
+def limp_loop(bus: ServoBus, rate_hz: float, seconds: float, clock: Clock) -> Report:
+    """Read and write servos that were let go, for a while: how long each takes, in milliseconds.
+
+    Goals are where the servos stand: nothing moves.
+    """
+    goals_deg = bus.read().start_deg(bus.capabilities)
+    has_place = bus.capabilities.place
+    began_s = clock.now()
+    durations: dict[str, list[float]] = {"read_ms": [], "write_ms": [], "look_after_ms": []}
+    late_ms: list[float] = []
+    n_late = 0
+    unanswered = np.zeros(len(goals_deg), dtype=np.int64)
+    for time_s, late in ticks(clock, rate_hz):
+        if time_s - began_s >= seconds:
+            break
+        moments_s = [clock.now()]
+        late_ms.append(1e3 * (moments_s[0] - time_s))
+        n_late += late
+        bus.write_positions(goals_deg)
+        moments_s.append(clock.now())
+        feedback = bus.feedback()
+        moments_s.append(clock.now())
+        bus.look_after()
+        moments_s.append(clock.now())
+        for name, spent_s in zip(
+            ("write_ms", "read_ms", "look_after_ms"), np.diff(moments_s), strict=True
+        ):
+            durations[name].append(1e3 * float(spent_s))
+        unanswered += feedback.age_s > 0.0
+    if not has_place:
+        del durations["read_ms"]  # nothing comes back
+    return {
+        "seconds": round(clock.now() - began_s, 2),
+        "n_ticks": len(late_ms),
+        "n_late": n_late,
+        "late_ms": spread(late_ms),
+        **{name: spread(values) for name, values in durations.items()},
+        "unanswered": unanswered.tolist() if has_place else None,
+        "remarks": len(bus.remarks()),
+    }
+
+
+def spread(values: Sequence[float]) -> dict[str, float] | None:
+    """Median, 99th percentile and worst; None of nothing."""
+    if not values:
+        return None
+    found = np.percentile(values, [50.0, 99.0, 100.0])
+    return dict(zip(("p50", "p99", "worst"), found.round(3).tolist(), strict=True))
+
+
+def step_goals(min_deg: float, max_deg: float, rate_hz: float) -> Array:
+    """(n, 1) goals of a joint: steps to one side of 0 and back, within its limits."""
+    size_deg = min(STEP_DEG, max_deg) if max_deg >= -min_deg else max(-STEP_DEG, min_deg)
+    held = round(STEP_S * rate_hz)
+    there_and_back = np.repeat([size_deg, 0.0], held)
+    return np.concatenate([np.zeros(held), np.tile(there_and_back, N_STEPS)])[:, np.newaxis]
+
+
+def step_answers(
+    goals_deg: Array, seen_deg: Array, rate_hz: float
+) -> list[dict[str, float | None]]:
+    """How a shaft answered each step; goals and places (n,), one a tick.
+
+    late_ms: until it has gone a tenth of the way; settled_ms: until it stays near its goal, None:
+    it does not; beyond_deg: how far past it; off_deg: where it comes to rest.
+    """
+    edges = [0, *(np.flatnonzero(np.diff(goals_deg)) + 1).tolist(), len(goals_deg)]
+    answers: list[dict[str, float | None]] = []
+    for first, end in pairwise(edges[1:]):
+        goal, before = goals_deg[first], goals_deg[first - 1]
+        way = goal - before
+        gone = (seen_deg[first:end] - before) / way
+        near_deg = max(_SETTLED_DEG, _SETTLED_SHARE * abs(way))
+        is_far = np.abs(seen_deg[first:end] - goal) > near_deg
+        last_far = int(np.flatnonzero(is_far)[-1]) + 1 if is_far.any() else 0
+        started = np.flatnonzero(gone >= _SETTLED_SHARE)
+        rest_deg = float(np.median(seen_deg[end - (end - first) // 4 - 1 : end]))
+        answers.append(
+            {
+                "step_deg": round(float(way), 2),
+                "late_ms": _ms(started[0], rate_hz) if len(started) else None,
+                "settled_ms": _ms(last_far, rate_hz) if last_far < end - first else None,
+                "beyond_deg": round(max(0.0, float(gone.max() - 1.0) * abs(way)), 2),
+                "off_deg": round(rest_deg - float(goal), 2),
+            }
+        )
+    return answers
+
+
+def _ms(n_ticks: int, rate_hz: float) -> float:
+    # Encoders are read half a tick after a goal was sent.
+    return round(1e3 * (float(n_ticks) + 0.5) / rate_hz, 1)
+
+
+def as_text(report: Mapping[str, Any]) -> str:
+    """The same for people: one line for each figure, sections by their names."""
+    findings = [
+        f"{each['severity']}: {each['what']}" + (f" -> {each['remedy']}" if each["remedy"] else "")
+        for each in report["findings"]
+    ]
+    return "".join(f"{line}\n" for line in _lines({**report, "findings": findings}, 0))
+
+
+def _lines(value: Mapping[str, Any], depth: int) -> Iterator[str]:
+    indent = "  " * depth
+    for name, each in value.items():
+        if isinstance(each, Mapping):
+            yield f"{indent}{name}:"
+            yield from _lines(each, depth + 1)
+        elif isinstance(each, list) and each and isinstance(each[0], Mapping):
+            yield f"{indent}{name}:"
+            for entry in each:
+                told = ", ".join(f"{key} {_shown(one)}" for key, one in entry.items())
+                yield f"{indent}  - {told}"
+        elif isinstance(each, list) and each and isinstance(each[0], str):
+            yield f"{indent}{name}:"
+            yield from (f"{indent}  - {entry}" for entry in each)
+        else:
+            yield f"{indent}{name}: {_shown(each)}"
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if value is None:
+        return "not known"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,160 @@
+"""A face that is moved by a person alone, with keys or from its page: no speech, no calibration.
+
+It is held in neutral through the same gate as ever; whoever jogs it does so by the orders that a
+speaking face takes, too.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from firmware_bridge.clock import Clock
+from firmware_bridge.gate.ramp import Ramp
+from firmware_bridge.loop.bridge import Bridge
+from firmware_bridge.loop.targets import MemoryTargetChannel, ServoTargets
+from firmware_bridge.stopping import (
+    ArmJog,
+    JogPulse,
+    JogTo,
+    StopReport,
+)
+from lipservo.runtime.servos.driven_face import ControlOptions, DriveOptions, driven_face
+from lipservo.runtime.servos.held_face import SPEED_DEG_S
+from lipservo.runtime.status.live_board import (
+    FACE_STATES,
+    BoardLayout,
+    LiveBoard,
+    ServoBoard,
+    expression_values,
+)
+from lipservo.settings.settings import FaceSettings
+from lipsync.face.model import load_face as load_face_model
+from lipsync.phonemes import PHONEMES, SILENCE
+
+
+def drive_by_hand(
+    settings: FaceSettings,
+    config: str,
+    clock: Clock,
+    act: Callable[[Bridge, float], bool] = lambda _bridge, _time_s: True,
+) -> tuple[StopReport, int | None]:
+    """Hold the face in neutral until a person stops it: (what its servos said, signal's number).
+
+    config: as its status names it. act: called in each tick, at its time, to give orders to the
+    bridge; False: the face comes to rest and is let go. Raises what bus and bridge raise.
+    """
+    n_components = load_face_model(None).n_components
+    layout = BoardLayout(
+        settings.name,
+        config,
+        tuple(settings.servos),
+        FACE_STATES,
+        PHONEMES,
+        n_components,
+        settings.rate_hz,
+    )
+    channel = MemoryTargetChannel()
+    with LiveBoard.create(layout) as board:
+        control = ControlOptions(about={"config": config}, watched_fd=board.fileno())
+        how = DriveOptions(control=control)
+        with driven_face(settings, clock, channel, how) as driven:
+            bus, bridge, life = driven.bus, driven.bridge, driven.life
+            watched = ServoBoard(board, bridge)
+            life.start()
+            begins_deg = bus.read().start_deg(bus.capabilities)
+            neutral_deg = np.zeros_like(begins_deg)
+            ramp = Ramp.at_speed(begins_deg, neutral_deg, clock.now(), SPEED_DEG_S)
+            for time_s, late in life.ticks():
+                if not life.stopping and not act(bridge, time_s):
+                    life.stop()
+                channel.publish(ServoTargets(time_s, ramp.at(time_s)))
+                watched.tell(bridge.tick(time_s, late))
+                board.write_speech(
+                    time_s=time_s,
+                    sound_s=0.0,
+                    phoneme=PHONEMES.index(SILENCE),
+                    is_speech=0,
+                    arousal=0.0,
+                    coefficients=np.zeros(n_components),
+                    expression=expression_values(),
+                )
+    assert life.report is not None
+    return life.report, life.signal_number
+
+
+#: What keys do: so far, in microseconds of a hobby servo and in degrees of others.
+STEPS: Final = {
+    "-": (-10.0, -1.0),
+    "+": (10.0, 1.0),
+    "=": (10.0, 1.0),  # the key of + without shift
+    ",": (-2.0, -0.1),
+    ".": (2.0, 0.1),
+}
+NEUTRAL_KEY: Final = "0"
+AGREE_KEY: Final = "y"
+#: An order is renewed so often, while nobody is beyond a limit.
+_RENEW_S: Final = 1.0
+
+
+class KeyedJoint:
+    """One joint in the hand of a person at a terminal.
+
+    place: where it was asked to be, in us of a hobby servo, in degrees of another.
+    """
+
+    def __init__(self, settings: FaceSettings, name: str) -> None:
+        """name: of a joint of the face."""
+        joint = next(each for each in settings.joints() if each.name == name)
+        self.name, self.joint, self.pulse = name, joint, joint.pulse
+        self.place = 0.0 if joint.pulse is None else joint.pulse.neutral_us
+        self._may_go_beyond = self._was_asked = False
+        self._renewed_s = -np.inf
+
+    @property
+    def shown(self) -> str:
+        """Where it was asked to be."""
+        if self.pulse is None:
+            return f"{self.name} {self.place:.1f} deg"
+        return f"{self.name} {self.place:.0f} us ({self.pulse.deg(self.place):.1f} deg)"
+
+    def press(self, key: str, bridge: Bridge, time_s: float) -> str | None:
+        """Do what a key asks: why not, in one line; empty: done; None: it is no key of these."""
+        if key == AGREE_KEY and self._was_asked:
+            self._may_go_beyond = True
+            return ""
+        if key == NEUTRAL_KEY:
+            return self._go(0.0 if self.pulse is None else self.pulse.neutral_us, bridge, time_s)
+        if key not in STEPS:
+            return None
+        pulse_step, degree_step = STEPS[key]
+        step = degree_step if self.pulse is None else pulse_step
+        return self._go(round(self.place + step, 1), bridge, time_s)
+
+    def renew(self, bridge: Bridge, time_s: float) -> bool:
+        """In each tick: stay where it was led. False: it has gone back from beyond its limits."""
+        if self.name not in bridge.jogged:
+            was_led, self._renewed_s = np.isfinite(self._renewed_s), -np.inf
+            if was_led:
+                self.place = 0.0 if self.pulse is None else self.pulse.neutral_us
+            return not was_led
+        if self._is_within(self.place) and time_s - self._renewed_s >= _RENEW_S:
+            self._renewed_s = time_s
+            bridge.obey(ArmJog(), time_s)
+        return True
+
+    def _go(self, place: float, bridge: Bridge, time_s: float) -> str:
+        if not (self._is_within(place) or self._may_go_beyond):
+            self._was_asked = True
+            return f"press {AGREE_KEY} to go beyond its limits"
+        bridge.obey(ArmJog(), time_s)
+        order = JogTo if self.pulse is None else JogPulse
+        why_not = bridge.obey(order(self.name, place), time_s)
+        if not why_not:
+            self.place, self._renewed_s = place, time_s
+        return why_not
+
+    def _is_within(self, place: float) -> bool:
+        if self.pulse is None:
+            return True  # the gate refuses the rest
+        return self.pulse.min_us <= place <= self.pulse.max_us

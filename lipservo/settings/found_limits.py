@@ -1,0 +1,130 @@
+"""Limits that a person has found by hand, as numbers of a face YAML: of pulses, and of degrees."""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Final, Literal, get_args
+
+from firmware_bridge.joints import LONGEST_FOUND_US, SHORTEST_FOUND_US, JointPulse
+from lipservo.settings.edited_yaml import EditedYaml, Place, edited, read_face_text
+from lipservo.settings.settings import parse_face
+from lipservo.settings.strict_yaml import SettingsError
+from lipsync.errors import UserError
+
+#: What a person may set to the pulse that a servo is at.
+PulseLimit = Literal["min", "max", "neutral"]
+PULSE_LIMITS: Final[tuple[PulseLimit, ...]] = get_args(PulseLimit)
+#: What a first move beyond the limits may do; said before it.
+WARNING: Final = (
+    "Beyond its limits a servo may push against its own stop or against the skin: it then hums, "
+    "is hot within seconds, and strips gears or tears what it pulls at. Have the supply's switch "
+    "in reach, go step by step, and go back at the first hum."
+)
+#: A joint stays so far inside of where a hand could turn it.
+INSIDE_DEG: Final = 2.0
+#: A joint that was turned less was not turned.
+_LEAST_TURN_DEG: Final = 4.0
+#: Joint limits are written with one decimal, inside of what was found.
+_TENTHS: Final = 10.0
+
+
+def with_pulse_limit(path: Path, servo: str, limit: PulseLimit, pulse_us: float) -> EditedYaml:
+    """The face YAML with one limit of a hobby servo where it was found, not written yet.
+
+    Its joint's `min_deg` and `max_deg` become what the pulses then allow. Raises
+    SettingsError for a servo without pulses and a pulse that cannot be this limit, and what
+    `edited` raises.
+    """
+    settings = parse_face(read_face_text(path), path.name).servos.get(servo)
+    pulse = None if settings is None else settings.pulse
+    if settings is None or pulse is None:
+        raise SettingsError(f"{path.name}: has no hobby servo {servo!r}")
+    return edited(path, _places(servo, pulse_values(pulse, limit, pulse_us)))
+
+
+def pulse_values(pulse: JointPulse, limit: PulseLimit, pulse_us: float) -> dict[str, float]:
+    """Keys of the servo's entry, with one limit at this pulse, to a microsecond.
+
+    Raises SettingsError for a pulse that leaves neutral outside of the limits.
+    """
+    if not SHORTEST_FOUND_US <= pulse_us <= LONGEST_FOUND_US:
+        raise SettingsError(
+            f"{limit}: {pulse_us:g} us is outside {SHORTEST_FOUND_US:g}..{LONGEST_FOUND_US:g}"
+        )
+    found = {"min": pulse.min_us, "max": pulse.max_us, "neutral": pulse.neutral_us}
+    found[limit] = float(round(pulse_us))
+    if not found["min"] <= found["neutral"] <= found["max"]:
+        other = "min or max" if limit == "neutral" else "neutral"
+        raise SettingsError(
+            f"{limit}: {pulse_us:.0f} us would leave neutral outside of its limits "
+            f"(min {found['min']:g}, neutral {found['neutral']:g}, max {found['max']:g} us); "
+            f"set {other} first"
+        )
+    if found["min"] == found["max"]:
+        raise SettingsError(f"{limit}: {pulse_us:.0f} us would leave no room between min and max")
+    ends_deg = sorted((found[end] - found["neutral"]) / pulse.us_per_deg for end in ("min", "max"))
+    low_deg, high_deg = _inside(*ends_deg)
+    return {
+        "min_us": found["min"],
+        "max_us": found["max"],
+        "neutral_us": found["neutral"],
+        "min_deg": low_deg,
+        "max_deg": high_deg,
+    }
+
+
+def range_values(least_deg: float, most_deg: float) -> dict[str, float]:
+    """Keys of a servo whose joint a hand turned from least to most, as its encoder said.
+
+    The limits lie `INSIDE_DEG` inside. Raises UserError for one that was not turned, or whose range
+    does not hold its neutral.
+    """
+    if not most_deg - least_deg >= _LEAST_TURN_DEG:
+        raise UserError("was not turned")
+    low_deg, high_deg = _inside(least_deg + INSIDE_DEG, most_deg - INSIDE_DEG)
+    if not low_deg <= 0.0 <= high_deg:
+        raise UserError(
+            f"was turned from {least_deg:.1f} to {most_deg:.1f} deg, which leaves out its neutral, "
+            "0; zero_offset_deg moves that"
+        )
+    return {"min_deg": low_deg, "max_deg": high_deg}
+
+
+def with_ranges(path: Path, ranges: Mapping[str, Mapping[str, float]]) -> EditedYaml:
+    """The face YAML with these keys of its servos, not written yet."""
+    places: dict[Place, float] = {}
+    for servo, values in ranges.items():
+        places |= _places(servo, values)
+    return edited(path, places)
+
+
+def own_yaml(config: str) -> Path:
+    """The file of a face that is the user's own. Raises UserError for one that is shipped."""
+    if not (config.endswith((".yaml", ".yml")) or "/" in config):
+        raise UserError(
+            f"{config} is shipped with lipservo and stays as it is; make one of your own with "
+            "`lipservo new-face`, and start that"
+        )
+    return Path(config)
+
+
+def what_next(edit: EditedYaml) -> str:
+    """What a person must do for the new limits to count."""
+    before, after = (parse_face(each, edit.path.name) for each in (edit.before, edit.text))
+    then = "counts from the next start"
+    if before.calibration is not None and before.checksum != after.checksum:
+        then += f"; {before.calibration} was made for other limits: calibrate again"
+    return then
+
+
+def _places(servo: str, values: Mapping[str, float]) -> dict[Place, float]:
+    return {("servos", servo, key): value for key, value in values.items()}
+
+
+def _inside(low_deg: float, high_deg: float) -> tuple[float, float]:
+    """To a tenth, never outside; + 0.0 since -0 is no limit that a person would write."""
+    low_deg, high_deg = max(low_deg, -180.0), min(high_deg, 180.0)
+    slack = 1e-9  # 10.0 may be 9.999999999 of a division
+    low_deg = math.ceil(low_deg * _TENTHS - slack) / _TENTHS + 0.0
+    high_deg = math.floor(high_deg * _TENTHS + slack) / _TENTHS + 0.0
+    return low_deg, high_deg

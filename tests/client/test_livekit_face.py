@@ -1,0 +1,163 @@
+"""A face as the audio output of a LiveKit agent session without a room."""
+
+import asyncio
+import warnings
+
+import numpy as np
+import pytest
+from voice_agents.served_face import RATE_HZ, ServedFace, tone, until
+
+# Its own imports warn of what it will drop one day.
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    pytest.importorskip("livekit.agents", reason="pip install 'lipservo-client[livekit]'")
+    from lipservo_client.livekit_face import LiveKitFace
+    from livekit import rtc
+    from livekit.agents import Agent, AgentSession
+
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def frames(duration_s, channels=1):
+    pcm = np.repeat(np.frombuffer(tone(duration_s), "<i2"), channels).tobytes()
+    size = 2 * channels * RATE_HZ // 50
+    for first in range(0, len(pcm), size):
+        data = pcm[first : first + size]
+        yield rtc.AudioFrame(data, RATE_HZ, channels, len(data) // (2 * channels))
+
+
+async def captured(output, duration_s, channels=1):
+    for frame in frames(duration_s, channels):
+        await output.capture_frame(frame)
+
+
+def sounding_s(face):
+    return np.count_nonzero(face.sound.played()) / RATE_HZ
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+def test_segments_are_heard_whole_and_told_in_order(channels):
+    async def talk(url):
+        told = []
+        async with LiveKitFace(url) as output:
+            output.on("playback_started", lambda _: told.append("started"))
+            output.on("playback_finished", told.append)
+            for duration_s in (0.4, 0.2):
+                await captured(output, duration_s, channels)
+                output.flush()
+            await asyncio.wait_for(output.wait_for_playout(), 60.0)
+        return told
+
+    with ServedFace() as face:
+        told = asyncio.run(talk(face.url))
+        heard_s = sounding_s(face)
+
+    assert heard_s == pytest.approx(0.6, abs=0.01)
+    finished = [event for event in told if event != "started"]
+    assert [(each.playback_position, each.interrupted) for each in finished] == [
+        (0.4, False),
+        (0.2, False),
+    ]
+
+
+def test_a_cleared_buffer_tells_what_was_heard_and_the_next_segment_is_heard():
+    async def talk(face):
+        async with LiveKitFace(face.url) as output:
+            await captured(output, 20.0)
+            while not face.sound.played().any():
+                await asyncio.sleep(0.002)
+            output.clear_buffer()
+            output.flush()
+            cut = await asyncio.wait_for(output.wait_for_playout(), 60.0)
+            await captured(output, 0.2)
+            output.flush()
+            return cut, await asyncio.wait_for(output.wait_for_playout(), 60.0)
+
+    with ServedFace() as face:
+        cut, whole = asyncio.run(talk(face))
+        heard_s = sounding_s(face)
+
+    assert cut.interrupted
+    assert 0.0 < cut.playback_position < 19.0
+    assert (whole.playback_position, whole.interrupted) == (0.2, False)
+    assert heard_s == pytest.approx(cut.playback_position + 0.2, abs=0.03)
+
+
+def test_what_is_paused_goes_on_and_is_heard_whole():
+    async def talk(face):
+        async with LiveKitFace(face.url) as output:
+            assert output.can_pause
+            await captured(output, 3.0)
+            output.flush()
+            while not face.sound.played().any():
+                await asyncio.sleep(0.002)
+            output.pause()
+            before_s = -1.0
+            while before_s != sounding_s(face):  # in 50 ms a second of sound would be heard
+                before_s = sounding_s(face)
+                await asyncio.sleep(0.05)
+            paused_s = before_s
+            output.resume()
+            return paused_s, await asyncio.wait_for(output.wait_for_playout(), 60.0)
+
+    with ServedFace() as face:
+        paused_s, whole = asyncio.run(talk(face))
+        heard_s = sounding_s(face)
+
+    assert 0.0 < paused_s < 2.9
+    assert (whole.playback_position, whole.interrupted) == (3.0, False)
+    assert heard_s == pytest.approx(3.0, abs=0.03)
+
+
+def test_a_session_says_a_recording_through_the_face():
+    async def talk(url):
+        async with LiveKitFace(url) as output:
+            session = AgentSession()
+            session.output.audio = output
+            await session.start(Agent(instructions="none"))
+
+            async def recording():
+                for frame in frames(0.5):
+                    yield frame
+
+            handle = session.say("Good morning.", audio=recording())
+            await asyncio.wait_for(handle.wait_for_playout(), 60.0)
+            history = [getattr(item, "text_content", "") for item in session.history.items]
+            await session.aclose()
+            return history
+
+    with ServedFace() as face:
+        history = asyncio.run(talk(face.url))
+        heard_s = sounding_s(face)
+
+    assert heard_s == pytest.approx(0.5, abs=0.01)
+    assert "Good morning." in history
+
+
+def test_without_a_face_segments_end_at_once_with_nothing_heard():
+    async def talk():
+        async with LiveKitFace("ws://127.0.0.1:9") as output:
+            await captured(output, 0.2)
+            output.flush()
+            return await asyncio.wait_for(output.wait_for_playout(), 60.0)
+
+    ended = asyncio.run(talk())
+    assert (ended.playback_position, ended.interrupted) == (0.0, True)
+
+
+def test_a_face_that_goes_while_it_speaks_ends_the_segment():
+    async def talk(face):
+        async with LiveKitFace(face.url) as output:
+            await captured(output, 20.0)
+            output.flush()
+            while not face.sound.played().any():
+                await asyncio.sleep(0.002)
+            ending = asyncio.get_running_loop().run_in_executor(None, face.__exit__)
+            ended = await asyncio.wait_for(output.wait_for_playout(), 60.0)
+            await ending
+            return ended
+
+    face = ServedFace()
+    face.__enter__()
+    assert asyncio.run(talk(face)).interrupted
+    until(lambda: face.playout.is_over)

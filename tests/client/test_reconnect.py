@@ -1,0 +1,169 @@
+"""A client whose face goes and comes back, hangs, or never answers."""
+
+import asyncio
+import contextlib
+import threading
+
+import numpy as np
+import pytest
+from lipservo_client import async_face, wire
+from lipservo_client.async_face import AsyncFace
+from lipservo_client.protocol import FaceError, Played
+from voice_agents.served_face import RATE_HZ, ServedFace, tone
+from websockets.asyncio.server import serve
+
+import lipservo
+from lipservo.agents.listener import AgentSettings
+
+
+@contextlib.asynccontextmanager
+async def frozen_after(n_messages):
+    """A server that answers a greeting and then stands still: its address."""
+    held = threading.Event()
+
+    async def answer(connection):
+        for number in range(n_messages):
+            await connection.recv()
+            if number == 0:
+                await connection.send('{"type": "hello", "protocol": 2, "delay_ms": 0.0}')
+        await asyncio.sleep(0.05)
+        held.wait(30.0)  # its loop, pings and all
+
+    started, ports = threading.Event(), []
+
+    def run():
+        async def serving():
+            async with serve(answer, "127.0.0.1", 0, ping_interval=None) as server:
+                ports.append(server.sockets[0].getsockname()[1])
+                started.set()
+                await asyncio.to_thread(held.wait, 30.0)
+
+        asyncio.run(serving())
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    await asyncio.to_thread(started.wait)
+    try:
+        yield f"ws://127.0.0.1:{ports[0]}"
+    finally:
+        held.set()
+        await asyncio.to_thread(thread.join)
+
+
+def test_a_face_that_comes_back_is_spoken_through_again_and_says_nothing_old():
+    async def talk():
+        first = ServedFace()
+        first.__enter__()
+        port = first.url.rpartition(":")[2]
+        async with lipservo.connect_async(first.url) as face:
+            events = face.events()
+            speech = face.stream()
+            await speech.__aenter__()
+            await speech.write(tone(20.0))
+            await asyncio.to_thread(first.__exit__)
+            while (await anext(events))["type"] != "disconnected":
+                pass
+            with pytest.raises(FaceError):
+                await speech.write(tone(0.1))
+            with pytest.raises(FaceError):
+                await speech.heard()
+            with pytest.raises(FaceError, match="tried again"):
+                face.stream()
+            with ServedFace(port=port) as second:
+                while (await anext(events))["type"] != "reconnected":
+                    pass
+                async with face.stream() as again:
+                    await again.write(tone(0.3))
+                    played = await again.wait()
+                return played, np.count_nonzero(second.sound.played()) / RATE_HZ
+
+    played, heard_s = asyncio.run(asyncio.wait_for(talk(), 60.0))
+    assert played == Played(finished=True, played_s=0.3)
+    assert heard_s == pytest.approx(0.3, abs=0.01)
+
+
+def test_a_peer_that_is_gone_without_a_word_is_noticed(monkeypatch):
+    monkeypatch.setattr(wire, "_PING_S", 0.1)
+    monkeypatch.setattr(wire, "_PONG_S", 0.2)
+
+    async def talk():
+        async with frozen_after(1) as url, AsyncFace(url, "t") as face:
+            async for event in face.events():
+                return event
+
+    assert asyncio.run(asyncio.wait_for(talk(), 30.0))["type"] == "disconnected"
+
+
+def test_a_dead_peer_is_noticed_within_ten_seconds_by_both_ends():
+    ours = wire._PING_S + wire._PONG_S + wire._CLOSING_S
+    theirs = AgentSettings().ping_s
+    assert ours <= 10.0
+    assert 3.0 * theirs + 1.0 <= 10.0
+
+
+@pytest.mark.parametrize("call", ["status", "stop", "start", "say", "interrupt", "stream"])
+def test_every_call_to_a_hung_face_has_a_limit(call, monkeypatch):
+    for module in (async_face, wire):
+        monkeypatch.setattr(module, "PATIENCE_S", 0.3)
+    monkeypatch.setattr(async_face, "_READING_S", 0.3)
+
+    async def talk():
+        async with frozen_after(1) as url, AsyncFace(url, "t") as face:
+            await asyncio.sleep(0.1)
+            if call == "stream":
+                await face.stream().__aenter__()
+            elif call == "interrupt":
+                speech = face.stream()
+                speech.hear({"type": "ready", "delay_ms": 0.0})
+                await face.interrupt()
+            else:
+                await getattr(face, call)(*["hello"][: call == "say"])
+
+    with pytest.raises(FaceError) as raised:
+        asyncio.run(asyncio.wait_for(talk(), 30.0))
+    assert raised.value.code == "not_answering"
+
+
+def test_a_stream_under_an_id_in_use_is_refused_and_the_first_goes_on():
+    async def talk(url):
+        async with lipservo.connect_async(url) as face, face.stream(stream="a") as first:
+            with pytest.raises(FaceError) as raised:
+                face.stream(stream="a")
+            await first.write(tone(0.1))
+            return raised.value.code, await first.wait()
+
+    with ServedFace() as face:
+        code, played = asyncio.run(talk(face.url))
+    assert code == "stream_open"
+    assert played.finished
+
+
+def test_events_that_are_never_read_are_bounded_and_forgotten_with_their_reader():
+    async def talk(url):
+        async with lipservo.connect_async(url) as face:
+            kept, _ = face.events(), face.events()
+            del _
+            for number in range(3_000):
+                face._hand_on({"type": "phoneme", "n": number})
+            assert len(face._events) == 1
+            return [event["n"] for event in kept._waiting]
+
+    with ServedFace() as face:
+        assert asyncio.run(talk(face.url)) == list(range(3_000 - 1_024, 3_000))
+
+
+def test_sound_in_one_byte_pieces_and_faster_than_it_is_heard_arrives_whole():
+    async def talk(url):
+        async with lipservo.connect_async(url) as face:
+            async with face.stream() as small:
+                for byte in tone(0.1):
+                    await small.write(bytes([byte]))
+            async with face.stream() as fast:
+                for _ in range(400):  # more than a face keeps
+                    await fast.write(tone(1.0))
+            return await small.wait(), await fast.wait()
+
+    with ServedFace() as face:
+        small, fast = asyncio.run(talk(face.url))
+    assert (small.finished, small.played_s) == (True, 0.1)
+    assert (fast.finished, fast.played_s) == (True, 400.0)

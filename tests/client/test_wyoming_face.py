@@ -1,0 +1,121 @@
+"""A face as the `snd` service of Wyoming, spoken to by wyoming's own client."""
+
+import asyncio
+import contextlib
+import gc
+import warnings
+
+import numpy as np
+import pytest
+from voice_agents.served_face import RATE_HZ, ServedFace, tone, until
+
+# Its own imports warn of what Python will drop one day.
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    pytest.importorskip("wyoming", reason="pip install 'lipservo-client[wyoming]'")
+    from lipservo_client.wyoming_face import serve_wyoming
+    from wyoming.audio import AudioChunk, AudioStart, AudioStop
+    from wyoming.client import AsyncTcpClient
+    from wyoming.event import Event
+    from wyoming.info import Describe, Info
+    from wyoming.snd import Played
+
+# It leaves closed connections to the garbage collector.
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+@pytest.fixture(autouse=True)
+def _collected():
+    """Its connections go with the test that they belong to."""
+    yield
+    gc.collect()
+
+
+@contextlib.asynccontextmanager
+async def satellite(url, port):
+    serving = asyncio.ensure_future(serve_wyoming("127.0.0.1", port, url, None))
+    try:
+        for _ in range(2_000):
+            with contextlib.suppress(OSError):
+                client = AsyncTcpClient("127.0.0.1", port)
+                await client.connect()
+                break
+            await asyncio.sleep(0.005)
+        yield client
+        await client.disconnect()
+    finally:
+        serving.cancel()
+        await asyncio.gather(serving, return_exceptions=True)
+
+
+async def said(client, pcm, *, channels=1, n_bytes=2_400, ends=True):
+    about = {"rate": RATE_HZ, "width": 2, "channels": channels}
+    await client.write_event(AudioStart(**about).event())
+    for first in range(0, len(pcm), n_bytes):
+        await client.write_event(AudioChunk(audio=pcm[first : first + n_bytes], **about).event())
+    if ends:
+        await client.write_event(AudioStop().event())
+        return await asyncio.wait_for(client.read_event(), 60.0)
+    return None
+
+
+def sounding_s(face):
+    return np.count_nonzero(face.sound.played()) / RATE_HZ
+
+
+@pytest.mark.parametrize("channels", [1, 2])
+def test_what_a_satellite_sends_is_heard_whole_before_it_is_told_so(unused_port, channels):
+    pcm = np.repeat(np.frombuffer(tone(0.4), "<i2"), channels).tobytes()
+
+    async def talk(url):
+        async with satellite(url, unused_port) as client:
+            await client.write_event(Describe().event())
+            info = Info.from_event(await client.read_event())
+            answers = [await said(client, pcm, channels=channels) for _ in range(2)]
+            return info, answers
+
+    with ServedFace() as face:
+        info, answers = asyncio.run(talk(face.url))
+        heard_s = sounding_s(face)
+
+    assert [program.name for program in info.snd] == ["lipservo"]
+    assert all(Played.is_type(answer.type) for answer in answers)
+    assert heard_s == pytest.approx(0.8, abs=0.01)
+
+
+def test_a_satellite_that_dies_in_mid_word_is_silent(unused_port):
+    async def talk(url):
+        async with satellite(url, unused_port) as client:
+            await said(client, tone(20.0), ends=False)
+
+    with ServedFace() as face:
+        asyncio.run(talk(face.url))
+        until(lambda: face.playout.is_over)
+        assert sounding_s(face) < 19.0
+
+
+def test_an_event_that_cannot_be_read_ends_its_client_alone(unused_port, caplog):
+    async def talk(url):
+        async with satellite(url, unused_port) as client:
+            await client.write_event(Event("audio-chunk", {"rate": "loud"}, payload=b"\0\0"))
+            assert await asyncio.wait_for(client.read_event(), 60.0) is None
+            other = AsyncTcpClient("127.0.0.1", unused_port)
+            await other.connect()
+            answer = await said(other, tone(0.1))
+            await other.disconnect()
+            return answer
+
+    with ServedFace() as face:
+        answer = asyncio.run(talk(face.url))
+
+    assert Played.is_type(answer.type)
+    assert "cannot be read" in caplog.text
+
+
+def test_where_no_face_answers_a_satellite_is_told_that_it_is_over(unused_port, caplog):
+    async def talk():
+        async with satellite("ws://127.0.0.1:9", unused_port) as client:
+            return await said(client, tone(0.2))
+
+    assert Played.is_type(asyncio.run(talk()).type)
+    assert caplog.text.count("not said") == 1

@@ -1,0 +1,169 @@
+"""A face of hobby servos from nothing: its YAML, and what commands say that have nothing to do."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from in_process import lipservo
+
+from firmware_bridge.bus_kinds import bus_kind
+from lipservo.runtime.servos.new_face import WiredJoint, check_wiring, pulse_face_yaml
+from lipservo.settings.settings import load_face
+from lipsync.errors import UserError
+
+MAESTRO = ("--bus", "maestro", "--yes")
+JAW = ("--channel", "jaw=0:opens")
+
+
+@pytest.mark.parametrize("bus", ["maestro", "pca9685"])
+def test_a_face_is_written_with_narrow_limits_and_can_be_moved(tmp_path, bus):
+    path = tmp_path / "mine.yaml"
+    done = lipservo(
+        "new-face", "-o", path, "--bus", bus, "--yes", *JAW, "--channel", "upper_lip=5:raises"
+    )
+
+    assert done.returncode == 0, done.stderr
+    face = load_face(path)
+    assert face.bus.kind == bus
+    assert [(n, s.channel, s.positive) for n, s in face.servos.items()] == [
+        ("jaw", 0, "opens"), ("upper_lip", 5, "raises"),
+    ]  # fmt: skip
+    for servo in face.servos.values():
+        assert (servo.min_us, servo.neutral_us, servo.max_us) == (1400.0, 1500.0, 1600.0)
+        assert (servo.min_deg, servo.max_deg) == (-9.0, 9.0)
+    text = path.read_text()
+    assert "lipservo jog --dashboard" in text
+    assert text.count("#") > 15, "it explains itself"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((*MAESTRO, "--board", "nano", *JAW), "'nano' is not known here; use one of micro6, mini"),
+        ((*MAESTRO, "--board", "a: b", *JAW), "'a: b' is no model of a maestro"),
+        ((*MAESTRO, "--channel", "jaw=9:opens"), "jaw: a Maestro micro6 has channels 0 to 5"),
+        ((*MAESTRO, *JAW, "--channel", "lip=0:raises"), "channel 0 is that of jaw"),
+        ((*MAESTRO, *JAW, *JAW), "jaw is another servo of this face already"),
+        ((*MAESTRO, "--channel", "jaw"), "needs NAME=CHANNEL:WORD"),
+        ((*MAESTRO, "--channel", "jaw=-1:opens"), "needs NAME=CHANNEL:WORD"),
+        ((*MAESTRO, "--channel", "jaw=0"), "say what a longer pulse does: jaw=0:opens"),
+        ((*MAESTRO, "--channel", "Jaw=0:opens"), "'Jaw' is no name of a joint"),
+        (MAESTRO, "which servos: give --channel jaw=0:opens"),
+        (("--bus", "pca9685", "--yes", "--board", "0x70", *JAW), "0x70 is no address"),
+        (("--bus", "pca9685", "--yes", "--channel", "jaw=16:opens"), "16 is outside 0..15"),
+        (("--bus", "parrot", *JAW), "'parrot' is not known here; use one of simulated, dynamixel"),
+        (("--bus", "dynamixel", *JAW), "--channel is not of a dynamixel bus"),
+        (("--bus", "dynamixel"), "no port: give --port; the servos there are asked"),
+        ((*MAESTRO, *JAW, "--ranges", "x.json"), "--ranges is not of a maestro bus"),
+        ((), "no port: give --port, or --bus for a board that is not plugged in yet"),
+    ],
+)
+def test_bad_input_is_one_line_and_no_file(tmp_path, arguments, words):
+    path = tmp_path / "mine.yaml"
+    done = lipservo("new-face", "-o", path, *arguments)
+
+    assert done.returncode == 1
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not path.exists()
+
+
+@given(
+    st.text(min_size=1, max_size=30),
+    st.text(st.characters(codec="utf-8"), min_size=1, max_size=30).filter(str.strip),
+    st.sampled_from(["/dev/ttyACM0", "/dev/a: b", "yes", "#", 'x"y', None]),
+)
+def test_whatever_words_a_person_uses_the_yaml_says_them(name, positive, port):
+    kind = bus_kind("maestro")
+    joints = [WiredJoint("jaw", 0, positive)]
+    face = check_wiring(pulse_face_yaml(name, kind, port, "micro6", joints), "mine.yaml")
+
+    assert face.servos["jaw"].positive == positive
+    assert face.bus.port == port
+    assert face.name == name.encode(errors="replace").decode()
+
+
+@pytest.fixture
+def face(tmp_path):
+    path = tmp_path / "mine.yaml"
+    assert lipservo("new-face", "-o", path, *MAESTRO, *JAW).returncode == 0
+    return path
+
+
+def test_there_is_nothing_to_set_up_and_the_way_to_the_limits_is_named(face):
+    done = lipservo("setup-servos", "--config", face)
+
+    assert done.returncode == 0
+    assert done.stdout.startswith("nothing to set up: servos on a maestro bus keep no settings")
+    assert "lipservo jog JOINT" in done.stdout
+    assert "no joint 'tongue'" in lipservo("setup-servos", "tongue", "--config", face).stderr
+    assert '"servos": []' in lipservo("setup-servos", "--config", face, "--json").stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--limp",), "cannot say where they stand: find their limits with `lipservo jog JOINT`"),
+        ((), "say which joint; or --dashboard, or --limp"),
+        (("tongue",), "no joint 'tongue' in this face; it has jaw"),
+        (("tongue", "3"), "no joint 'tongue' in this face; it has jaw"),
+        (("jaw", "20"), "jaw: 20 deg is outside -9..9"),
+        (("jaw", "2", "--limp"), "DEG goes with JOINT alone"),
+        (("--open",), "--open goes with --dashboard"),
+    ],
+)
+def test_what_jog_cannot_do_is_one_line(face, arguments, words):
+    done = lipservo("jog", *arguments, "--config", face)
+
+    assert done.returncode in (1, 2)
+    assert words in done.stderr
+
+
+def test_a_move_is_told_in_degrees_and_as_a_pulse(face):
+    done = lipservo("jog", "jaw", "2", "--config", face, "--hold-s", "0")
+
+    assert done.stdout == "jaw was sent to 2.0 deg (1522 us)\n", done.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ((), "cannot say how late they are: film one, and type it: --lag-ms jaw=60"),
+        (("jaw=x",), "--lag-ms jaw=x: needs JOINT=MS with 0 to 500 ms"),
+        (("jaw=501",), "needs JOINT=MS with 0 to 500 ms"),
+        (("jaw=nan",), "needs JOINT=MS with 0 to 500 ms"),
+        (("lip=9",), "no such joint; there are: jaw"),
+        (("jaw=9", "jaw=8"), "jaw is given twice"),
+        (("jaw=72.5",), ""),
+    ],
+)
+def test_lags_of_servos_without_an_encoder_are_typed(tmp_path, typed, words):
+    from importlib import resources
+
+    from calibration.files.calibration_file import load_calibration
+
+    path = tmp_path / "jaw.calibration.yaml"
+    shipped = (resources.files("lipservo.config") / "face_jaw.calibration.yaml").read_text()
+    path.write_text(shipped)
+    options = [part for each in typed for part in ("--lag-ms", each)]
+    done = lipservo("calibrate", "lags", path, "--config", "face_jaw_maestro", *options)
+
+    assert words in done.stderr
+    assert done.returncode == (1 if words else 0)
+    if words:
+        assert path.read_text() == shipped
+    else:
+        assert load_calibration(path).following.lag_s.tolist() == [0.0725]
+        assert "72 ms late" in done.stdout
+
+
+def test_a_board_that_is_no_word_is_refused():
+    with pytest.raises(UserError, match="is no model of a maestro"):
+        pulse_face_yaml("x", bus_kind("maestro"), None, "", [WiredJoint("jaw", 0, "opens")])
+
+
+def test_a_face_of_hobby_servos_gets_a_first_calibration_and_no_lags_that_nobody_measured(face):
+    path = face.parent / "mine.calibration.yaml"
+    done = lipservo("calibrate", "fit", "--config", face, "-o", path)
+
+    assert done.returncode == 0, done.stderr
+    assert "lag_s" not in path.read_text()

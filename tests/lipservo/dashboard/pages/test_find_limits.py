@@ -1,0 +1,90 @@
+"""The page Servos of hobby servos, as `lipservo jog --dashboard` shows it: limits found by hand."""
+
+import os
+import re
+import subprocess
+import sys
+
+import pytest
+from places import ROOT, short_folder
+
+from lipservo.settings.settings import load_face
+
+#: A minute of a real browser; CI runs it once.
+pytestmark = pytest.mark.slow
+JAW = '.slider[data-servo="jaw"]'
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "mine.yaml"
+    command = [sys.executable, "-m", "lipservo", "new-face", "-o", str(path)]
+    wired = ["--bus", "maestro", "--channel", "jaw=0:opens", "--yes"]
+    subprocess.run([*command, *wired], check=True, cwd=ROOT)
+    return path
+
+
+@pytest.fixture
+def page(browser, config):
+    command = [sys.executable, "-m", "lipservo", "jog", "--dashboard", "--config", str(config)]
+    environment = {**os.environ, "LIPSERVO_RUNTIME": str(short_folder())}
+    with subprocess.Popen(
+        command, cwd=ROOT, stderr=subprocess.PIPE, text=True, env=environment
+    ) as process:
+        try:
+            address = next(
+                found[1]
+                for line in process.stderr
+                if (found := re.search(r"dashboard: (http\S+)", line))
+            )
+            made = browser.new_page()
+            made.goto(address)
+            made.goto(address.split("/?")[0] + "/servos")
+            made.wait_for_function(
+                "window.dashboard?.status && window.dashboard.frame", timeout=60_000
+            )
+            yield made
+            made.close()
+        finally:
+            process.terminate()
+            process.communicate(timeout=30)
+
+
+def arrived(page, pulse_us):
+    page.wait_for_function(
+        "us => document.querySelector('.slider output').textContent.startsWith(us)", arg=pulse_us
+    )
+
+
+def test_a_limit_is_found_a_little_beyond_the_one_that_was_and_written(page, config):
+    page.locator("face-jog .switch").click()
+    slider = page.locator(f"{JAW} input")
+    slider.evaluate("(i) => { i.value = 1600; i.dispatchEvent(new Event('input')); }")
+    arrived(page, "1600")
+
+    page.locator(f"{JAW} .more").click()
+    warning = page.locator("face-jog .beyond")
+    assert "strips gears" in warning.inner_text()
+    assert page.locator(f"{JAW} output").inner_text().startswith("1600")
+    warning.locator(".go").click()
+    page.wait_for_function("document.querySelector('face-jog .switch').ariaChecked === 'true'")
+    slider.evaluate("(i) => { i.value = 1600; i.dispatchEvent(new Event('input')); }")
+    arrived(page, "1600")
+    page.locator(f"{JAW} .more").click()
+    arrived(page, "1610")
+    page.locator(f"{JAW} [data-limit=max]").click()
+
+    page.locator("face-jog .said", has_text="max is 1610 µs in the YAML").wait_for()
+    assert load_face(config).servos["jaw"].max_us == 1610.0
+    arrived(page, "1500")  # nobody touched it for 3 s: back to what is wanted of it
+
+
+def test_nothing_moves_and_nothing_is_set_before_the_switch_is_armed(page, config):
+    before = config.read_text()
+
+    assert page.evaluate("document.querySelector('face-jog .sliders').inert") is True
+    page.locator(f"{JAW} .more").dispatch_event("pointerdown")
+    page.wait_for_timeout(400)
+
+    assert page.locator(f"{JAW} output").inner_text().startswith("1500")
+    assert config.read_text() == before
