@@ -13,8 +13,8 @@ from lipservo.settings.motion_names import LIP_GAP_OFFSET
 from lipsync.audio.playout import Playout
 from lipsync.audio.source import AudioSource
 from lipsync.face.frame import Synthesizer
-from lipsync.pronunciation import pronounced
 from lipsync.recognition.recognizers import make_recognizer, no_recognizer
+from lipsync.text_to_speech.pronunciation import pronounced
 
 #: In place of who listens, of what it has learned and of the strategy, where all was rendered.
 _NOBODY: Final = "none"

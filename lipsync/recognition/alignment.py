@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from lipsync.errors import UserError, check_extra
 from lipsync.phonemes import SILENCE, VISEME_OF, PhonemeEvent
-from lipsync.pronunciation import pronounce
 from lipsync.recognition.batch import recording_posteriors
 from lipsync.recognition.features import FRAMES_PER_S, HOP
 from lipsync.recognition.network import NetworkWeights, load_shipped_weights
+from lipsync.text_to_speech.pronunciation import pronounce
 
 if TYPE_CHECKING:
     from pocketsphinx import Decoder

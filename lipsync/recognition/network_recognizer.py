@@ -9,7 +9,6 @@ import numpy as np
 from lipsync.arrays import Array, Array32
 from lipsync.audio_block import AudioBlock
 from lipsync.phonemes import PHONEMES, Hearing, PhonemeUpdate, RecognizerKind
-from lipsync.pronunciation import PronouncedWord
 from lipsync.recognition.decoder import (
     QUICK,
     SILENCE_INDEX,
@@ -23,6 +22,7 @@ from lipsync.recognition.own_noise import OwnNoise
 from lipsync.recognition.posteriors import PosteriorStream
 from lipsync.recognition.streaming import AudioInput, UpdateBuilder
 from lipsync.recognition.text_decoder import FOLLOWING, HEARD, MovedBy, TextDecoder
+from lipsync.text_to_speech.pronunciation import PronouncedWord
 
 #: The window of the newest frame ends 25 ms after its start.
 _WINDOW_S = 0.025

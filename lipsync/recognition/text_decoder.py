@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from lipsync.arrays import Array32
 from lipsync.errors import UserError
 from lipsync.phonemes import PHONEMES
-from lipsync.pronunciation import PronouncedWord
 from lipsync.recognition.decoder import SILENCE_INDEX, PosteriorFormat, best_heads
+from lipsync.text_to_speech.pronunciation import PronouncedWord
 
 #: In place of a phoneme where the escape wins.
 HEARD: Final = -1

@@ -42,8 +42,8 @@ from lipsync.errors import UserError
 from lipsync.motion.live_synthesizer import LIVE_STRATEGY
 from lipsync.offline.line_methods import PLANNED_METHODS
 from lipsync.phonemes import LiveRecognizer, PhonemeEvent
-from lipsync.pronunciation import pronounced
 from lipsync.recognition.network import LATENCY_S
+from lipsync.text_to_speech.pronunciation import pronounced
 
 Row = dict[str, object]
 Train = Callable[[Corpus], TrainedModel]

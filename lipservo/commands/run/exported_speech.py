@@ -43,10 +43,10 @@ from lipsync.export.weight_track import (
 from lipsync.face.frame import Frame
 from lipsync.face.model import load_face
 from lipsync.phonemes import PhonemeEvent
-from lipsync.pronunciation import pronounced
 from lipsync.recognition.fallback import FallbackRecognizer
 from lipsync.recognition.recognizers import make_recognizer
 from lipsync.recognition.scripted import ScriptedPhonemes, read_phonemes
+from lipsync.text_to_speech.pronunciation import pronounced
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,6 @@ from places import ROOT
 from speech import CLIP_LABELS_PATH, CLIP_PATH, phoneme_frames, viseme_accuracy
 
 from lipsync.audio.file import read_speech
-from lipsync.pronunciation import PronunciationError, pronounce
 from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
@@ -25,6 +24,7 @@ from lipsync.recognition.alignment import (
 )
 from lipsync.recognition.network import load_weights
 from lipsync.recognition.scripted import read_phonemes
+from lipsync.text_to_speech.pronunciation import PronunciationError, pronounce
 from lipsync.textgrid import read_tier, write_tiers
 
 CLIP_TEXT = CLIP_PATH.with_suffix(".txt").read_text()

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from lipsync.phonemes import PHONEMES
-from lipsync.pronunciation import PronouncedWord
 from lipsync.recognition.decoder import SMOOTH, PosteriorFormat, log_scores
 from lipsync.recognition.text_decoder import HEARD, MOST_WORDS, TextDecoder, TextError
+from lipsync.text_to_speech.pronunciation import PronouncedWord
 
 FORMAT = PosteriorFormat(PHONEMES, (2, 7, 12))
 MAMA = PronouncedWord("mama", (("M", "AA", "M", "AH"),))

@@ -22,7 +22,6 @@ from lipservo_lab.learning.recognition import noise
 from lipsync.audio.file import read_speech
 from lipsync.audio_block import SAMPLE_RATE_HZ
 from lipsync.phonemes import LiveRecognizer
-from lipsync.pronunciation import PronunciationError
 from lipsync.recognition.alignment import (
     DOUBTFUL_SCORE,
     LEAST_SCORE,
@@ -31,6 +30,7 @@ from lipsync.recognition.alignment import (
     goodness_of_pronunciation,
 )
 from lipsync.recognition.network import NetworkWeights
+from lipsync.text_to_speech.pronunciation import PronunciationError
 
 #: Recordings that speak at once in babble noise.
 _N_VOICES = 20

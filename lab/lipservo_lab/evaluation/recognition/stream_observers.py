@@ -21,10 +21,10 @@ from lipsync.phonemes import (
     PhonemeUpdate,
     ServoListener,
 )
-from lipsync.pronunciation import pronounced
 from lipsync.recognition.own_noise import ServoSpeeds
 from lipsync.recognition.streaming import RecognizerStream, StreamStep, blocks_of
 from lipsync.recognition.text_decoder import TextFollower
+from lipsync.text_to_speech.pronunciation import pronounced
 from lipsync.timeline import PhonemeTimeline
 
 Labels = NDArray[np.int64]

@@ -3,7 +3,7 @@
 import pytest
 
 from lipsync.phonemes import SILENCE, VISEME_OF
-from lipsync.pronunciation import LONGEST_TEXT, PronunciationError, pronounced
+from lipsync.text_to_speech.pronunciation import LONGEST_TEXT, PronunciationError, pronounced
 
 
 def labels(text):
